@@ -1,0 +1,115 @@
+"""The camera model: OpenCV's pinhole with lens distortion, between the rig frame and raw pixels.
+
+With X_camera = inv(T_rig_camera) · X_rig and (x, y) = (X/Z, Y/Z), the lens bends (x, y) by the rational
+Brown–Conrady model of OpenCV (`calib3d`, `projectPoints`) and (u, v) = K · (x', y', 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.rig.calibration import CameraCalibration
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """A calibrated camera.
+
+    Attributes:
+        width, height: pixels.
+        K: (3, 3) intrinsics, pixels.
+        distortion: (n,) OpenCV's coefficients; empty = none.
+        R_camera_rig: (3, 3) rotates rig directions into the camera frame.
+        t_camera_rig: (3,) metres; X_camera = R_camera_rig · X_rig + t_camera_rig.
+        center: (3,) optical centre, metres, rig frame.
+    """
+
+    width: int
+    height: int
+    K: FloatArray
+    distortion: FloatArray
+    R_camera_rig: FloatArray
+    t_camera_rig: FloatArray
+    center: FloatArray
+
+    @classmethod
+    def from_calibration(cls, calibration: CameraCalibration) -> CameraModel:
+        """Build the model of a camera in `cameras.json`."""
+        T = np.array(calibration.T_rig_camera)
+        return cls.from_arrays(
+            calibration.width,
+            calibration.height,
+            np.array(calibration.K),
+            np.array(calibration.distortion),
+            T,
+        )
+
+    @classmethod
+    def from_arrays(
+        cls, width: int, height: int, K: FloatArray, distortion: FloatArray, T_rig_camera: FloatArray
+    ) -> CameraModel:
+        """Build a model from plain arrays: K (3, 3), distortion (n,), T_rig_camera (4, 4)."""
+        R_camera_rig = T_rig_camera[:3, :3].T.copy()
+        center = np.array(T_rig_camera[:3, 3], dtype=np.float64)
+        t = -R_camera_rig @ center
+        arrays = [np.array(K, float), np.array(distortion, float).reshape(-1), R_camera_rig, t, center]
+        for array in arrays:
+            array.setflags(write=False)
+        return cls(width, height, *arrays)
+
+    @property
+    def T_rig_camera(self) -> FloatArray:
+        """(4, 4), maps camera coordinates to rig coordinates."""
+        T = np.eye(4)
+        T[:3, :3] = self.R_camera_rig.T
+        T[:3, 3] = self.center
+        return T
+
+    def to_camera(self, points: FloatArray) -> FloatArray:
+        """Return rig points (N, 3) in the camera frame, metres."""
+        transformed: FloatArray = points @ self.R_camera_rig.T + self.t_camera_rig
+        return transformed
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """Return raw pixels (N, 2) of rig points (N, 3), metres; NaN where a point is not in front of the camera."""
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        if len(points) == 0:
+            return np.empty((0, 2))
+        camera_points = self.to_camera(points)
+        pixels, _ = cv2.projectPoints(
+            camera_points, np.zeros(3), np.zeros(3), self.K, self.distortion if self.distortion.size else None
+        )
+        uv = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        uv[~(camera_points[:, 2] > 1e-6)] = np.nan
+        return uv
+
+    def undistort(self, pixels: FloatArray) -> FloatArray:
+        """Return normalised image coordinates (N, 2) (x = X/Z, y = Y/Z) of raw pixels (N, 2)."""
+        pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+        if len(pixels) == 0:
+            return np.empty((0, 2))
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+        normalised = cv2.undistortPoints(
+            pixels, self.K, self.distortion if self.distortion.size else None, criteria=criteria
+        )
+        return np.asarray(normalised, dtype=np.float64).reshape(-1, 2)
+
+    def rays(self, pixels: FloatArray) -> FloatArray:
+        """Return unit viewing directions (N, 3) of raw pixels (N, 2), rig frame."""
+        xy = self.undistort(pixels)
+        directions = np.column_stack([xy, np.ones(len(xy))])
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        rotated: FloatArray = directions @ self.R_camera_rig
+        return rotated
+
+    def contains(self, pixels: FloatArray) -> NDArray[np.bool_]:
+        """Tell which pixels (N, 2) lie inside the picture."""
+        u, v = pixels[:, 0], pixels[:, 1]
+        inside: NDArray[np.bool_] = (u > -0.5) & (u < self.width - 0.5) & (v > -0.5) & (v < self.height - 0.5)
+        return inside

@@ -1,0 +1,29 @@
+"""Every error that RHOT raises on purpose.
+
+A message names the value, the place (file and field, key, device) and the remedy; the command line prints it
+alone, without a traceback.
+"""
+
+
+class RhotError(Exception):
+    """Base of all errors a user may see; catch it at the edge of a program."""
+
+
+class ConfigError(RhotError):
+    """A rig folder, a recording folder or a command-line value cannot be used as it stands."""
+
+
+class CalibrationError(RhotError):
+    """Calibration input or a calibration file contradicts itself or what is physically possible."""
+
+
+class WireError(RhotError):
+    """A payload from the bus is not a valid message of its key."""
+
+
+class DeviceError(RhotError):
+    """A camera, tracker or other device is absent or refuses what was asked of it."""
+
+
+class BusError(RhotError):
+    """The Zenoh session could not be opened or a query found nobody to answer it."""

@@ -1,0 +1,40 @@
+"""A rig on disk: `rig.toml`, written by people, beside the files that calibration wrote."""
+
+from rhot.rig.calibration import (
+    CameraCalibration,
+    CamerasFile,
+    HandFile,
+    RegistrationFile,
+    RigidTransform,
+)
+from rhot.rig.config import (
+    BusConfig,
+    CameraConfig,
+    FusionConfig,
+    HandConfig,
+    IkConfig,
+    MarkerConfig,
+    ObjectConfig,
+    RigConfig,
+)
+from rhot.rig.folder import Rig, load_rig, read_json_model, write_json_model
+
+__all__ = [
+    "BusConfig",
+    "CameraCalibration",
+    "CameraConfig",
+    "CamerasFile",
+    "FusionConfig",
+    "HandConfig",
+    "HandFile",
+    "IkConfig",
+    "MarkerConfig",
+    "ObjectConfig",
+    "RegistrationFile",
+    "Rig",
+    "RigConfig",
+    "RigidTransform",
+    "load_rig",
+    "read_json_model",
+    "write_json_model",
+]

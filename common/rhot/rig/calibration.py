@@ -1,0 +1,138 @@
+"""What calibration writes into a rig folder: JSON with version, date and its own quality figures."""
+
+from __future__ import annotations
+
+import datetime as dt
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from rhot.messages import Name, Quaternion
+from rhot.rig.config import FileModel, Vector3
+
+Row3 = tuple[float, float, float]
+Row4 = tuple[float, float, float, float]
+Matrix3 = tuple[Row3, Row3, Row3]
+Matrix4 = tuple[Row4, Row4, Row4, Row4]
+
+_ROTATION_TOLERANCE = 1e-4
+
+
+def today() -> str:
+    """Return the date that a calibration file carries, ISO 8601."""
+    return dt.datetime.now(dt.UTC).date().isoformat()
+
+
+class CalibrationFile(FileModel):
+    """What every calibration file carries.
+
+    Attributes:
+        version: of the file's layout.
+        date: day of the calibration, ISO 8601.
+        quality: figures of the calibration itself, for people and for `rhot doctor`.
+    """
+
+    version: Literal[1] = 1
+    date: str = ""
+    quality: dict[str, Any] = {}
+
+
+class CameraCalibration(FileModel):
+    """One calibrated camera.
+
+    Attributes:
+        width, height: pixels of the pictures that it was calibrated with.
+        K: 3x3 intrinsics, pixels.
+        distortion: k1, k2, p1, p2, k3, … in OpenCV's order; 0, 4, 5, 8, 12 or 14 numbers.
+        T_rig_camera: 4x4, maps camera coordinates to rig coordinates, metres.
+    """
+
+    width: Annotated[int, Field(gt=0)]
+    height: Annotated[int, Field(gt=0)]
+    K: Matrix3
+    distortion: tuple[float, ...] = ()
+    T_rig_camera: Matrix4
+
+    @field_validator("K")
+    @classmethod
+    def _is_intrinsics(cls, K: Matrix3) -> Matrix3:
+        if K[0][0] <= 0 or K[1][1] <= 0 or K[2] != (0.0, 0.0, 1.0) or K[1][0] != 0.0:
+            raise ValueError("K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
+        return K
+
+    @field_validator("distortion")
+    @classmethod
+    def _has_opencv_length(cls, distortion: tuple[float, ...]) -> tuple[float, ...]:
+        if len(distortion) not in (0, 4, 5, 8, 12, 14):
+            raise ValueError(f"OpenCV's models have 0, 4, 5, 8, 12 or 14 coefficients, not {len(distortion)}")
+        return distortion
+
+    @field_validator("T_rig_camera")
+    @classmethod
+    def _is_rigid(cls, T: Matrix4) -> Matrix4:
+        matrix = np.array(T)
+        R = matrix[:3, :3]
+        if not np.allclose(R @ R.T, np.eye(3), atol=_ROTATION_TOLERANCE) or np.linalg.det(R) < 0:
+            raise ValueError("the upper left 3x3 of T_rig_camera is not a rotation")
+        if not np.allclose(matrix[3], (0, 0, 0, 1)):
+            raise ValueError("the last row of T_rig_camera must be 0, 0, 0, 1")
+        return T
+
+
+class CamerasFile(CalibrationFile):
+    """`cameras.json`."""
+
+    cameras: Annotated[dict[Name, CameraCalibration], Field(min_length=1)]
+
+
+class HandFile(CalibrationFile):
+    """`hand.json`: one person's hand.
+
+    Attributes:
+        length_m: from the wrist crease to the tip of the middle finger.
+        bones_m: OpenXR joint name to the length of the bone from its parent to it, metres; what is absent follows
+            from `length_m`.
+        radii_m: OpenXR joint name to the radius of the flesh around it, metres.
+        marker_offsets_m: marker name to the offset from the joint to the marker's painted centre, metres, in the
+            joint's frame.
+    """
+
+    length_m: Annotated[float, Field(ge=0.10, le=0.26)] = 0.189
+    bones_m: dict[Name, Annotated[float, Field(gt=0.002, lt=0.2)]] = {}
+    radii_m: dict[Name, Annotated[float, Field(gt=0.001, lt=0.05)]] = {}
+    marker_offsets_m: dict[Name, Vector3] = {}
+
+
+class RigidTransform(FileModel):
+    """A pose: rotation as unit quaternion and translation in metres."""
+
+    position: Vector3 = (0.0, 0.0, 0.0)
+    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+    @model_validator(mode="after")
+    def _unit(self) -> RigidTransform:
+        norm = float(np.linalg.norm(self.orientation))
+        if abs(norm - 1.0) > 1e-3:
+            raise ValueError(f"orientation (x, y, z, w) has norm {norm:.6g}, must be 1")
+        return self
+
+
+class RegistrationFile(CalibrationFile):
+    """`registration.json`: tracker space to rig.
+
+    Attributes:
+        T_rig_tracker: maps coordinates of the tracking system (SteamVR) to rig coordinates.
+        T_tracker_object: per object, from the tracked device to the object's own frame.
+    """
+
+    T_rig_tracker: RigidTransform = RigidTransform()
+    T_tracker_object: dict[Name, RigidTransform] = {}
+
+
+def as_array(matrix: Matrix3 | Matrix4) -> NDArray[np.float64]:
+    """Return a matrix of a calibration file as a read-only float64 array."""
+    array = np.array(matrix, dtype=np.float64)
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,267 @@
+"""What people write in `rig.toml`, as frozen models that refuse unknown fields."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from rhot.messages import Name, Side
+from rhot.skeleton import JOINTS
+
+Vector3 = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class FileModel(BaseModel):
+    """Base of everything read from a rig folder: frozen, finite, unknown fields refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class BusConfig(FileModel):
+    """How services reach each other over Zenoh.
+
+    Attributes:
+        mode: `client` of a router (the default), `peer` without one, or `router`.
+        connect: endpoints of the router or of peers.
+        listen: endpoints that this process opens; a router needs at least one.
+        namespace: prefix that keeps several rigs on one network apart.
+        multicast: let Zenoh scout the local network; off unless asked for.
+    """
+
+    mode: Literal["client", "peer", "router"] = "client"
+    connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    listen: tuple[str, ...] = ()
+    namespace: str = ""
+    multicast: bool = False
+
+    @model_validator(mode="after")
+    def _reachable(self) -> BusConfig:
+        if self.mode == "client" and not self.connect and not self.multicast:
+            raise ValueError('a client needs `connect`, for example connect = ["tcp/192.168.1.10:7447"]')
+        if self.mode == "router" and not self.listen:
+            raise ValueError('a router needs `listen`, for example listen = ["tcp/0.0.0.0:7447"]')
+        return self
+
+
+class CameraConfig(FileModel):
+    """One camera: where its pictures come from and how it is locked.
+
+    Attributes:
+        source: kind of source.
+        device: V4L2 device (`/dev/video0` or its number) or libcamera index.
+        path: folder of pictures or video file, relative to the rig folder.
+        width, height: pixels.
+        rate_hz: frames per second.
+        exposure_s: exposure time; short enough that a fast finger does not smear.
+        gain: analogue gain.
+        white_balance: red and blue gains; locked, never automatic.
+        focus_dioptres: lens position, for cameras with a focus motor.
+        readout_s: time between the read-out of the first and of the last row (rolling shutter).
+        sync: libcamera's software synchronisation between Pis: who gives the beat.
+        fov_deg: horizontal field of view, used until the cameras are calibrated.
+        position_m: place of the camera in the rig frame, used until the cameras are calibrated.
+        loop: start a folder or a video again at its end.
+    """
+
+    source: Literal["picamera2", "v4l2", "images", "video", "simulated"] = "picamera2"
+    device: int | str = 0
+    path: str | None = None
+    width: Annotated[int, Field(ge=16, le=8192)] = 640
+    height: Annotated[int, Field(ge=16, le=8192)] = 480
+    rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 60.0
+    exposure_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.004
+    gain: Annotated[float, Field(ge=1.0, le=64.0)] = 4.0
+    white_balance: tuple[Positive, Positive] = (1.6, 1.6)
+    focus_dioptres: NotNegative | None = None
+    readout_s: NotNegative = 0.0
+    sync: Literal["off", "server", "client"] = "off"
+    fov_deg: Annotated[float, Field(gt=1.0, lt=170.0)] = 62.2
+    position_m: Vector3 = (0.0, 0.0, 0.0)
+    loop: bool = False
+
+    @model_validator(mode="after")
+    def _has_path(self) -> CameraConfig:
+        if self.source in ("images", "video") and not self.path:
+            raise ValueError(f'source = "{self.source}" needs `path`')
+        return self
+
+
+class MarkerConfig(FileModel):
+    """What a marker's name stands for.
+
+    Attributes:
+        hand: side of the hand that wears it.
+        joint: OpenXR joint that it marks (`index_tip`, …; `wrist` or `palm` for the patch on the back).
+        kind: a painted fingertip (`cap`) or a flat rectangle (`patch`).
+        size_m: of a patch, its extent across the hand and along it, metres.
+        min_area_px, max_area_px: size gate, square pixels.
+    """
+
+    hand: Side = "right"
+    joint: str
+    kind: Literal["cap", "patch"] = "cap"
+    size_m: tuple[Positive, Positive] | None = None
+    min_area_px: Positive = 12.0
+    max_area_px: Positive = 40_000.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> MarkerConfig:
+        if self.joint not in JOINTS:
+            raise ValueError(f'joint = "{self.joint}" is not an OpenXR hand joint; one of: {", ".join(JOINTS)}')
+        if self.kind == "patch" and self.size_m is None:
+            raise ValueError('kind = "patch" needs `size_m = [width, length]` in metres')
+        if self.min_area_px >= self.max_area_px:
+            raise ValueError(f"min_area_px {self.min_area_px} must be below max_area_px {self.max_area_px}")
+        return self
+
+
+class HandConfig(FileModel):
+    """The hand until it is calibrated.
+
+    Attributes:
+        length_m: from the wrist crease to the tip of the middle finger; the default is an average adult's.
+    """
+
+    length_m: Annotated[float, Field(ge=0.10, le=0.26)] = 0.189
+
+
+class FusionConfig(FileModel):
+    """How two-dimensional markers become points.
+
+    Attributes:
+        method: `triangulate` (calibrated lens models) or `disparity` (the depth law of the 2018 thesis).
+        depth_law: k and z of depth[cm] = k · disparity[px]^z, for `disparity`.
+        min_cutoff_hz, beta, derivative_cutoff_hz: 1-euro filter, per marker and axis.
+        volume_m: lowest and highest x, y, z of a believable point, rig frame.
+        max_speed_m_s: fastest believable marker.
+        hold_s: how long a marker is predicted after it was last measured.
+    """
+
+    method: Literal["triangulate", "disparity"] = "triangulate"
+    depth_law: tuple[Positive, float] = (4543.3, -1.035)
+    min_cutoff_hz: Positive = 4.0
+    beta: NotNegative = 20.0
+    derivative_cutoff_hz: Positive = 5.0
+    volume_m: tuple[Vector3, Vector3] = ((-0.8, -0.6, 0.30), (0.8, 0.6, 1.40))
+    max_speed_m_s: Positive = 5.0
+    hold_s: NotNegative = 0.25
+
+    @model_validator(mode="after")
+    def _ordered(self) -> FusionConfig:
+        low, high = self.volume_m
+        if any(a >= b for a, b in zip(low, high, strict=True)):
+            raise ValueError(f"volume_m: each lower bound must be below its upper bound, got {low} and {high}")
+        return self
+
+
+class IkConfig(FileModel):
+    """How points become a hand.
+
+    Attributes:
+        tolerance_m: the chain solver stops when the marker is this near.
+        max_iterations: of the chain solver, per finger and sample.
+        hold_s: how long a hand is predicted after its last measured point.
+    """
+
+    tolerance_m: Positive = 1e-4
+    max_iterations: Annotated[int, Field(ge=1, le=1000)] = 24
+    hold_s: NotNegative = 0.5
+
+
+class ObjectConfig(FileModel):
+    """One tracked object.
+
+    Attributes:
+        source: kind of source; `steamvr` finds trackers by serial number.
+        serial: serial number of the Vive tracker.
+        path: CSV file with `t_ns,x,y,z,qx,qy,qz,qw`, relative to the rig folder.
+        rate_hz: how often the pose is asked for.
+        loop: start the recording again at its end.
+    """
+
+    source: Literal["steamvr", "recorded", "simulated"] = "steamvr"
+    serial: str | None = None
+    path: str | None = None
+    rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 90.0
+    loop: bool = False
+
+    @model_validator(mode="after")
+    def _has_origin(self) -> ObjectConfig:
+        if self.source == "steamvr" and not self.serial:
+            raise ValueError('source = "steamvr" needs `serial`, printed on the tracker and shown by SteamVR')
+        if self.source == "recorded" and not self.path:
+            raise ValueError('source = "recorded" needs `path`')
+        return self
+
+
+class SimConfig(FileModel):
+    """The simulated world that simulated cameras and objects show.
+
+    Attributes:
+        seed: of the whole world; with the time it determines everything.
+        faults: `all`, `none`, or single faults by name are set per camera below.
+        noise_sigma: of the sensor, grey levels.
+        light_drift: relative amplitude of slow brightness changes.
+        drop_rate: share of frames that a camera loses.
+        clock_offset_s, clock_drift_ppm: largest error of a camera node's clock.
+        jitter_s: standard deviation of a frame's delivery.
+        phase_s: cameras are this much out of step with one another.
+    """
+
+    seed: Annotated[int, Field(ge=0, lt=1 << 63)] = 1
+    noise_sigma: NotNegative = 3.0
+    light_drift: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.04
+    drop_rate: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.02
+    clock_offset_s: NotNegative = 0.2
+    clock_drift_ppm: NotNegative = 40.0
+    jitter_s: NotNegative = 0.0005
+    phase_s: NotNegative = 0.007
+
+
+class RigConfig(FileModel):
+    """The whole of `rig.toml`.
+
+    Attributes:
+        version: of this file's layout.
+        name: of the rig, for people.
+        cameras: by name; the first is the reference that defines the rig frame until calibration.
+        markers: by name, as painted.
+    """
+
+    version: Literal[1] = 1
+    name: str = "rig"
+    bus: BusConfig = BusConfig()
+    cameras: Annotated[dict[Name, CameraConfig], Field(min_length=1, max_length=64)]
+    markers: Annotated[dict[Name, MarkerConfig], Field(min_length=1, max_length=64)]
+    hand: HandConfig = HandConfig()
+    fusion: FusionConfig = FusionConfig()
+    ik: IkConfig = IkConfig()
+    objects: Annotated[dict[Name, ObjectConfig], Field(max_length=64)] = {}
+    sim: SimConfig = SimConfig()
+
+    @model_validator(mode="after")
+    def _one_marker_per_joint(self) -> RigConfig:
+        seen: dict[tuple[str, str], str] = {}
+        for name, marker in self.markers.items():
+            place = (marker.hand, marker.joint)
+            if place in seen:
+                raise ValueError(
+                    f"markers.{name} and markers.{seen[place]} both mark {marker.joint} of the {marker.hand} hand"
+                )
+            seen[place] = name
+        return self
+
+    @property
+    def sides(self) -> tuple[Side, ...]:
+        """Hands that wear markers, right before left."""
+        worn = {marker.hand for marker in self.markers.values()}
+        return tuple(side for side in ("right", "left") if side in worn)
+
+
+def is_relative_inside(path: str) -> bool:
+    """Tell whether a path of a rig stays inside its folder."""
+    return not PurePath(path).is_absolute() and ".." not in PurePath(path).parts

@@ -1,0 +1,179 @@
+"""Reading and writing a rig folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from rhot.errors import CalibrationError, ConfigError, RhotError
+from rhot.messages import first_problem
+from rhot.rig.calibration import CameraCalibration, CamerasFile, HandFile, Matrix3, Matrix4, RegistrationFile
+from rhot.rig.config import CameraConfig, RigConfig
+
+RIG_FILE = "rig.toml"
+CAMERAS_FILE = "cameras.json"
+COLORS_FILE = "colors.json"
+HAND_FILE = "hand.json"
+REGISTRATION_FILE = "registration.json"
+
+_F = TypeVar("_F", bound=BaseModel)
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A loaded rig folder.
+
+    Attributes:
+        path: the folder.
+        config: `rig.toml`.
+        cameras: geometry of every configured camera, in the order of `rig.toml`.
+        calibrated: whether that geometry comes from `cameras.json`; otherwise it is nominal (field of view and
+            place from `rig.toml`, no distortion).
+        hand: `hand.json`, or the default scaled by `[hand] length_m`.
+        registration: `registration.json`, or identity.
+    """
+
+    path: Path
+    config: RigConfig
+    cameras: dict[str, CameraCalibration]
+    calibrated: bool
+    hand: HandFile
+    registration: RegistrationFile
+
+    @property
+    def colors_path(self) -> Path:
+        """Where the colours of the markers are kept."""
+        return self.path / COLORS_FILE
+
+    def resolve(self, path: str) -> Path:
+        """Return a path of `rig.toml`, which may be relative to the rig folder."""
+        return self.path / Path(path).expanduser()
+
+
+def load_rig(path: Path) -> Rig:
+    """Load and validate a rig folder.
+
+    Raises:
+        ConfigError: `rig.toml` is missing, is not TOML or holds a wrong value.
+        CalibrationError: a calibration file is not valid or contradicts `rig.toml`.
+    """
+    config = load_config(path)
+    cameras_path = path / CAMERAS_FILE
+    calibrated = cameras_path.exists()
+    cameras = (
+        _calibrated_cameras(cameras_path, config)
+        if calibrated
+        else {name: nominal_camera(camera) for name, camera in config.cameras.items()}
+    )
+    hand = _optional(path / HAND_FILE, HandFile) or HandFile(length_m=config.hand.length_m)
+    registration = _optional(path / REGISTRATION_FILE, RegistrationFile) or RegistrationFile()
+    return Rig(path, config, cameras, calibrated, hand, registration)
+
+
+def load_config(path: Path) -> RigConfig:
+    """Load `rig.toml` alone.
+
+    Raises:
+        ConfigError: missing, not TOML, or a wrong value; names the field.
+    """
+    file = path / RIG_FILE
+    if not path.is_dir():
+        raise ConfigError(f"{path}: no such rig folder; `rhot init {path}` makes one")
+    try:
+        data = tomllib.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {path}` makes one") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{file}: not TOML: {error}") from error
+    try:
+        return RigConfig.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(f"{file}: {first_problem(error)}") from error
+
+
+def nominal_camera(camera: CameraConfig) -> CameraCalibration:
+    """Return the geometry of an uncalibrated camera: a pinhole of the given field of view, facing along +z."""
+    focal_px = 0.5 * camera.width / float(np.tan(np.radians(camera.fov_deg) / 2.0))
+    K: Matrix3 = (
+        (focal_px, 0.0, 0.5 * (camera.width - 1)),
+        (0.0, focal_px, 0.5 * (camera.height - 1)),
+        (0.0, 0.0, 1.0),
+    )
+    x, y, z = camera.position_m
+    T: Matrix4 = ((1.0, 0.0, 0.0, x), (0.0, 1.0, 0.0, y), (0.0, 0.0, 1.0, z), (0.0, 0.0, 0.0, 1.0))
+    return CameraCalibration(width=camera.width, height=camera.height, K=K, T_rig_camera=T)
+
+
+def _calibrated_cameras(file: Path, config: RigConfig) -> dict[str, CameraCalibration]:
+    calibrated = read_json_model(file, CamerasFile).cameras
+    missing = [name for name in config.cameras if name not in calibrated]
+    if missing:
+        raise CalibrationError(
+            f"{file}: no calibration of camera {', '.join(missing)} (it holds {', '.join(calibrated)}); "
+            "calibrate again with `rhot calibrate cameras`, or take the camera out of rig.toml"
+        )
+    for name, camera in config.cameras.items():
+        found = calibrated[name]
+        if (found.width, found.height) != (camera.width, camera.height):
+            raise CalibrationError(
+                f"{file}: camera {name} was calibrated at {found.width}x{found.height}, rig.toml runs it at "
+                f"{camera.width}x{camera.height}; use one size for both"
+            )
+    return {name: calibrated[name] for name in config.cameras}
+
+
+def _optional(file: Path, model: type[_F]) -> _F | None:
+    return read_json_model(file, model) if file.exists() else None
+
+
+def read_json_model(file: Path, model: type[_F], error_class: type[RhotError] = CalibrationError) -> _F:
+    """Read and validate a JSON file of a rig folder.
+
+    Raises:
+        CalibrationError (or `error_class`): unreadable, not JSON, or a wrong value; names the field.
+    """
+    try:
+        data: Any = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise error_class(f"{file}: cannot be read: {error}") from error
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise error_class(f"{file}: not JSON: {error}") from error
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise error_class(f"{file}: {first_problem(error)}") from error
+
+
+def write_json_model(file: Path, model: BaseModel) -> None:
+    """Write a JSON file of a rig folder in one step: a crash leaves the old file or the new one, never half."""
+    write_text_atomic(file, json.dumps(model.model_dump(mode="json", exclude_none=True), indent=1) + "\n")
+
+
+def write_text_atomic(file: Path, text: str) -> None:
+    """Replace a text file in one step.
+
+    Raises:
+        ConfigError: the folder cannot be written.
+    """
+    try:
+        handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.", suffix=".tmp")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as stream:
+                stream.write(text)
+            Path(temporary).chmod(0o644)
+            Path(temporary).replace(file)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be written: {error.strerror or error}") from error
