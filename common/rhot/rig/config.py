@@ -139,6 +139,10 @@ class FusionConfig(FileModel):
         volume_m: lowest and highest x, y, z of a believable point, rig frame.
         max_speed_m_s: fastest believable marker.
         hold_s: how long a marker is predicted after it was last measured.
+        extrapolation: longest time, as a share of a frame period, that one camera's track is carried on to meet a
+            newer frame of another; 0 waits for the next frame instead (later, less noisy).
+        epipolar_limit_px: largest error across the epipolar lines that is learnt and corrected while running; cameras
+            turn a little in their mounts.
     """
 
     method: Literal["triangulate", "disparity"] = "triangulate"
@@ -149,6 +153,8 @@ class FusionConfig(FileModel):
     volume_m: tuple[Vector3, Vector3] = ((-0.8, -0.6, 0.30), (0.8, 0.6, 1.40))
     max_speed_m_s: Positive = 5.0
     hold_s: NotNegative = 0.25
+    extrapolation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.6
+    epipolar_limit_px: NotNegative = 15.0
 
     @model_validator(mode="after")
     def _ordered(self) -> FusionConfig:
@@ -162,22 +168,25 @@ class IkConfig(FileModel):
     """How points become a hand.
 
     Attributes:
+        solver: of the fingers: `analytic` (closed form) or `fabrik` (iterative chain solver).
         tolerance_m: the chain solver stops when the marker is this near.
         max_iterations: of the chain solver, per finger and sample.
         hold_s: how long a hand is predicted after its last measured point.
     """
 
+    solver: Literal["analytic", "fabrik"] = "analytic"
     tolerance_m: Positive = 1e-4
     max_iterations: Annotated[int, Field(ge=1, le=1000)] = 24
     hold_s: NotNegative = 0.5
 
 
 class ObjectConfig(FileModel):
-    """One tracked object.
+    """One tracked object; the one with the id `head` is the headset and is published on `rhot/head`.
 
     Attributes:
-        source: kind of source; `steamvr` finds trackers by serial number.
-        serial: serial number of the Vive tracker.
+        source: kind of source; `steamvr` finds trackers by serial number. As soon as one object has it, trackers that
+            are not listed are published under their serial number, and the headset as `head`.
+        serial: serial number of the Vive tracker, or of any other device that SteamVR tracks.
         path: CSV file with `t_ns,x,y,z,qx,qy,qz,qw`, relative to the rig folder.
         rate_hz: how often the pose is asked for.
         loop: start the recording again at its end.
@@ -210,6 +219,8 @@ class SimConfig(FileModel):
         clock_offset_s, clock_drift_ppm: largest error of a camera node's clock.
         jitter_s: standard deviation of a frame's delivery.
         phase_s: cameras are this much out of step with one another.
+        motion: `script` (gestures and grasps) or `still` (open hands that never move).
+        desk_z_m: distance of the desk from the reference camera.
     """
 
     seed: Annotated[int, Field(ge=0, lt=1 << 63)] = 1
@@ -220,6 +231,8 @@ class SimConfig(FileModel):
     clock_drift_ppm: NotNegative = 40.0
     jitter_s: NotNegative = 0.0005
     phase_s: NotNegative = 0.007
+    motion: Literal["script", "still"] = "script"
+    desk_z_m: Annotated[float, Field(ge=0.5, le=2.0)] = 0.95
 
 
 class RigConfig(FileModel):

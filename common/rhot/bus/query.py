@@ -1,0 +1,108 @@
+"""Answering queries: what a queryable gets, what it gives back, and how that reaches Zenoh."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import zenoh
+
+from rhot.errors import RhotError
+from rhot.messages import Message, encode, encoding_of
+
+logger = logging.getLogger(__name__)
+
+JSON_ENCODING: Final = "application/json"
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One query.
+
+    Attributes:
+        key: key expression that was asked for; it may hold wildcards.
+        parameters: what stood behind `?` in the selector.
+        payload: what came with the query.
+        arrived_ns: `time.time_ns` on arrival, taken before anything else was done.
+    """
+
+    key: str
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    payload: bytes = b""
+    arrived_ns: int = 0
+
+    @property
+    def wants_json(self) -> bool:
+        """Whether `?format=json` was asked for."""
+        return self.parameters.get("format") == "json"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What goes back: a payload and its encoding."""
+
+    payload: bytes
+    encoding: str
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """One answer as the asking side receives it.
+
+    Attributes:
+        key: key of the answer; empty for an error.
+        payload: bytes of the answer.
+        encoding: its Zenoh encoding.
+        error: the other side's words where it refused.
+    """
+
+    key: str
+    payload: bytes
+    encoding: str
+    error: str = ""
+
+
+Answerer = Callable[[Request], Answer | None]
+"""Answers a request, on a thread that is not the event loop's; None = nothing to say; RhotError = refusal."""
+
+
+def json_answer(value: Any) -> Answer:
+    """Return an answer that holds a plain value as JSON."""
+    return Answer(json.dumps(value, allow_nan=False).encode(), JSON_ENCODING)
+
+
+def message_answer(message: Message, request: Request) -> Answer:
+    """Return a message as the request wants it: msgpack, or JSON for `?format=json`."""
+    if request.wants_json:
+        return Answer(message.model_dump_json(exclude_none=True).encode(), JSON_ENCODING)
+    return Answer(encode(message), encoding_of(type(message)))
+
+
+def respond(query: zenoh.Query, key: str, answerer: Answerer, arrived_ns: int) -> None:
+    """Answer one Zenoh query; whatever goes wrong reaches the asker as an error, never as a timeout."""
+    # A query that is not dropped keeps the asker waiting until its timeout.
+    with query:
+        request = Request(
+            key=str(query.key_expr),
+            parameters=dict(_parameters(str(query.parameters))),
+            payload=query.payload.to_bytes() if query.payload is not None else b"",
+            arrived_ns=arrived_ns,
+        )
+        try:
+            answer = answerer(request)
+            if answer is not None:
+                query.reply(key, answer.payload, encoding=zenoh.Encoding(answer.encoding))
+        except RhotError as error:
+            query.reply_err(str(error).encode(), encoding=zenoh.Encoding("text/plain"))
+        except Exception as error:
+            logger.exception("%s: answering a query failed", key)
+            query.reply_err(f"internal error: {error}".encode(), encoding=zenoh.Encoding("text/plain"))
+
+
+def _parameters(text: str) -> list[tuple[str, str]]:
+    # Zenoh separates by `;`; people who come from the web write `&`.
+    pairs = [part.partition("=") for part in text.replace("&", ";").split(";") if part]
+    return [(name, value) for name, _, value in pairs]

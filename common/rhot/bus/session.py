@@ -1,0 +1,300 @@
+"""Opening, using and closing the Zenoh session."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import re
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final, Protocol, TypeVar
+
+import zenoh
+
+from rhot.bus.publisher import Publisher
+from rhot.bus.query import Answerer, Reply, respond
+from rhot.bus.subscriber import EventSubscriber, LatestSubscriber
+from rhot.errors import BusError
+from rhot.messages import Message
+from rhot.rig.config import BusConfig
+
+logger = logging.getLogger(__name__)
+
+M = TypeVar("M", bound=Message)
+
+_OPEN_RETRY_S: Final = 0.25
+_CLOSE_LIMIT_S: Final = 1.0
+_EVENT_LIMIT: Final = 4096
+
+
+class _Undeclarable(Protocol):
+    def undeclare(self) -> None: ...
+
+
+def session_config(config: BusConfig) -> zenoh.Config:
+    """Return the Zenoh configuration of a session.
+
+    It is handed over as one document: nested keys such as `connect/retry` are refused one by one.
+    """
+    document: dict[str, Any] = {
+        "mode": config.mode,
+        "connect": {
+            "endpoints": list(config.connect),
+            # A router that was killed and came back is used again after half a second instead of four.
+            "retry": {"period_init_ms": 200, "period_max_ms": 500, "period_increase_factor": 1.5},
+        },
+        "listen": {"endpoints": list(config.listen)},
+        "scouting": {"multicast": {"enabled": config.multicast}, "gossip": {"enabled": config.multicast}, "delay": 0},
+        "transport": {
+            # On by default from 3 kB; drops under load without a word.
+            "shared_memory": {"enabled": False},
+            # A frozen process is noticed in 2 s instead of 10.
+            "link": {"tx": {"lease": 2000}},
+        },
+    }
+    if config.namespace:
+        document["namespace"] = config.namespace
+    try:
+        return zenoh.Config.from_json5(json.dumps(document))
+    except zenoh.ZError as error:
+        raise BusError(f"[bus] in rig.toml is not a usable Zenoh configuration: {_reason(error)}") from error
+
+
+class Bus:
+    """One Zenoh session with everything that was declared on it; use `async with await Bus.open(...)`."""
+
+    def __init__(self, session: zenoh.Session, config: BusConfig) -> None:
+        self.config = config
+        self._session = session
+        self._declared: list[_Undeclarable] = []
+        self._mailboxes: list[LatestSubscriber | EventSubscriber] = []
+        self._workers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="rhot-answer")
+        self._closed = False
+
+    @classmethod
+    async def open(cls, config: BusConfig, *, timeout_s: float | None = None) -> Bus:
+        """Open a session, waiting for the router as long as it takes or `timeout_s` says.
+
+        Raises:
+            BusError: the configuration is unusable, or nobody answered in time.
+        """
+        zenoh_config = session_config(config)
+        started = time.monotonic()
+        told = False
+        while True:
+            try:
+                return cls(await asyncio.to_thread(zenoh.open, zenoh_config), config)
+            except zenoh.ZError as error:
+                where = ", ".join(config.connect or config.listen)
+                if config.mode == "router" or "invalid" in str(error).lower():
+                    raise BusError(f"cannot open a Zenoh {config.mode} on {where}: {_reason(error)}") from error
+                if timeout_s is not None and time.monotonic() - started >= timeout_s:
+                    raise BusError(
+                        f"no Zenoh router answers at {where}; is the rig running (`rhot sim`, `rhot up`), and does "
+                        "--connect (or [bus] connect in rig.toml) name its machine?"
+                    ) from error
+                if not told:
+                    logger.info("waiting for the Zenoh router at %s", where)
+                    told = True
+            await asyncio.sleep(_OPEN_RETRY_S)
+
+    async def __aenter__(self) -> Bus:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    def publisher(self, key: str, model: type[M], *, reliable: bool = False) -> Publisher[M]:
+        """Declare a publisher; its last value can be queried under the same key.
+
+        Args:
+            key: the key.
+            model: model of all messages on it.
+            reliable: never drop; for control and configuration. A realtime key must not wait for slow readers.
+        """
+        control = zenoh.CongestionControl.BLOCK if reliable else zenoh.CongestionControl.DROP
+        # Not express: under a Python router it loses samples and is no faster.
+        declared = self._session.declare_publisher(
+            key,
+            congestion_control=control,
+            priority=zenoh.Priority.INTERACTIVE_HIGH if reliable else zenoh.Priority.REAL_TIME,
+            reliability=zenoh.Reliability.RELIABLE,
+        )
+        self._declared.append(declared)
+        publisher = Publisher(key, model, declared)
+        self.queryable(key, publisher.answer_last)
+        return publisher
+
+    def latest(self, key_expr: str) -> LatestSubscriber:
+        """Subscribe newest-wins: one slot per key."""
+        return self._subscribe(key_expr, LatestSubscriber())
+
+    def events(self, key_expr: str, limit: int = _EVENT_LIMIT) -> EventSubscriber:
+        """Subscribe to every sample, up to `limit` unread ones."""
+        return self._subscribe(key_expr, EventSubscriber(limit))
+
+    _Mail = TypeVar("_Mail", LatestSubscriber, EventSubscriber)
+
+    def _subscribe(self, key_expr: str, mailbox: _Mail) -> _Mail:
+        # indirect=False: no queue and no thread of zenoh's own between the network and the mailbox.
+        handler = zenoh.handlers.Callback(mailbox, indirect=False)
+        self._declared.append(self._session.declare_subscriber(key_expr, handler))
+        self._mailboxes.append(mailbox)
+        return mailbox
+
+    def liveliness(self, key_expr: str) -> EventSubscriber:
+        """Subscribe to who comes and goes; those already there are told first."""
+        mailbox = EventSubscriber(_EVENT_LIMIT)
+        handler = zenoh.handlers.Callback(mailbox, indirect=False)
+        self._declared.append(self._session.liveliness().declare_subscriber(key_expr, handler, history=True))
+        self._mailboxes.append(mailbox)
+        return mailbox
+
+    async def who_is_alive(self, key_expr: str = "rhot/alive/**", *, timeout_s: float = 1.0) -> list[Reply]:
+        """Return the liveliness tokens that match, one reply each."""
+
+        def ask() -> list[Reply]:
+            return [_as_reply(reply) for reply in self._session.liveliness().get(key_expr, timeout=timeout_s)]
+
+        return await asyncio.to_thread(ask)
+
+    def alive(self, key: str) -> None:
+        """Declare a liveliness token; it vanishes with this process, however that ends."""
+        self._declared.append(self._session.liveliness().declare_token(key))
+
+    def queryable(self, key: str, answerer: Answerer, *, slow: bool = False) -> None:
+        """Answer queries on a key.
+
+        Args:
+            key: the key.
+            answerer: called on Zenoh's thread, so it must be quick and thread-safe.
+            slow: call it on a worker thread instead (for pictures).
+        """
+
+        def on_query(query: zenoh.Query) -> None:
+            arrived_ns = time.time_ns()
+            if slow and not self._closed:
+                self._workers.submit(respond, query, key, answerer, arrived_ns)
+            else:
+                respond(query, key, answerer, arrived_ns)
+
+        handler = zenoh.handlers.Callback(on_query, indirect=False)
+        self._declared.append(self._session.declare_queryable(key, handler))
+
+    async def get(self, selector: str, payload: bytes = b"", *, timeout_s: float = 2.0) -> list[Reply]:
+        """Query everybody who answers a selector (`key?parameters`) and return all replies.
+
+        Raises:
+            BusError: the selector is not valid, or the session is closed.
+        """
+        return await asyncio.to_thread(self._get, selector, payload, timeout_s)
+
+    def _get(self, selector: str, payload: bytes, timeout_s: float) -> list[Reply]:
+        try:
+            replies = self._session.get(
+                selector,
+                payload=payload or None,
+                timeout=timeout_s,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+            return [_as_reply(reply) for reply in replies]
+        except zenoh.ZError as error:
+            raise BusError(f"{selector}: {_reason(error)}") from error
+
+    async def ask(self, key: str, clock_ns: Callable[[], int], timeout_s: float) -> tuple[bytes, int, int] | None:
+        """Query one key and time it: (payload of the first answer, time sent, time received), None without answer.
+
+        Both times are read from `clock_ns`, the second on Zenoh's thread at the moment of arrival, so that a busy event
+        loop does not lengthen the round trip.
+        """
+        loop = asyncio.get_running_loop()
+        answered: asyncio.Future[tuple[bytes, int, int] | None] = loop.create_future()
+        sent_ns = 0
+
+        def finish(result: tuple[bytes, int, int] | None) -> None:
+            if not answered.done():
+                answered.set_result(result)
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            arrived_ns = clock_ns()
+            if reply.ok is not None:
+                with contextlib.suppress(RuntimeError):
+                    loop.call_soon_threadsafe(finish, (reply.ok.payload.to_bytes(), sent_ns, arrived_ns))
+
+        def on_end() -> None:
+            with contextlib.suppress(RuntimeError):
+                loop.call_soon_threadsafe(finish, None)
+
+        handler = zenoh.handlers.Callback(on_reply, drop=on_end, indirect=False)
+        try:
+            sent_ns = clock_ns()
+            self._session.get(key, handler, timeout=timeout_s)
+        except zenoh.ZError as error:
+            raise BusError(f"{key}: {_reason(error)}") from error
+        return await answered
+
+    async def put(self, key: str, payload: bytes, encoding: str) -> None:
+        """Put raw bytes on a key, reliably; for configuration and for replays.
+
+        Raises:
+            BusError: the key is not valid, or the session is closed.
+        """
+        try:
+            await asyncio.to_thread(
+                self._session.put,
+                key,
+                payload,
+                encoding=zenoh.Encoding(encoding),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
+        except zenoh.ZError as error:
+            raise BusError(f"{key}: {_reason(error)}") from error
+
+    async def close(self) -> None:
+        """Undeclare everything and close the session, within a second even where Zenoh hangs."""
+        if self._closed:
+            return
+        self._closed = True
+        for mailbox in self._mailboxes:
+            mailbox.close()
+        self._workers.shutdown(wait=False, cancel_futures=True)
+        # A daemon thread: a close that hangs must not keep the process alive.
+        closed = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        threading.Thread(target=self._close_session, args=(loop, closed), name="rhot-close", daemon=True).start()
+        try:
+            await asyncio.wait_for(closed.wait(), _CLOSE_LIMIT_S)
+        except TimeoutError:
+            logger.warning("the Zenoh session did not close within %.0f s", _CLOSE_LIMIT_S)
+
+    def _close_session(self, loop: asyncio.AbstractEventLoop, closed: asyncio.Event) -> None:
+        for declared in reversed(self._declared):
+            try:
+                declared.undeclare()
+            except zenoh.ZError as error:
+                logger.debug("undeclare: %s", error)
+        try:
+            self._session.close()  # type: ignore[no-untyped-call]
+        except zenoh.ZError as error:
+            logger.debug("close: %s", error)
+        with contextlib.suppress(RuntimeError):  # the loop gave up waiting and is closed
+            loop.call_soon_threadsafe(closed.set)
+
+
+def _reason(error: zenoh.ZError) -> str:
+    """Return Zenoh's words without the places in its own source code."""
+    return re.sub(r"( at \S+\.rs:\d+\.?|[\[\]])", "", str(error)).strip()
+
+
+def _as_reply(reply: zenoh.Reply) -> Reply:
+    if reply.ok is not None:
+        sample = reply.ok
+        return Reply(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
+    error = reply.err
+    text = error.payload.to_string() if error is not None else "no answer"
+    return Reply("", b"", "", error=text)

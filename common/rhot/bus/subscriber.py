@@ -1,0 +1,153 @@
+"""Receiving samples on the event loop: newest-wins slots and bounded queues of events.
+
+Zenoh calls back on its own threads. The callback copies the payload and leaves; the loop is woken only when nothing
+is pending, so that a burst costs one wake-up.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections import deque
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+
+import zenoh
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One received sample.
+
+    Attributes:
+        key: its key, without the namespace.
+        payload: bytes as sent; empty for a deletion.
+        encoding: Zenoh encoding.
+        deleted: the key was deleted (for liveliness: the service is gone).
+        arrived_ns: `time.monotonic_ns` on arrival.
+    """
+
+    key: str
+    payload: bytes
+    encoding: str
+    deleted: bool
+    arrived_ns: int
+
+
+class _Mailbox:
+    """Common part: wakes the loop, counts, ends."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._wake = asyncio.Event()
+        self._lock = threading.Lock()
+        self._pending = False
+        self._closed = False
+        self.received = 0
+        self.overwritten = 0
+
+    def close(self) -> None:
+        """End the iteration; what arrives later is ignored."""
+        with self._lock:
+            # Zenoh may still deliver what it had queued when the subscriber was undeclared.
+            self._closed = True
+        self._signal()
+
+    def clear(self) -> None:
+        """Forget what has not been read yet."""
+        with self._lock:
+            self._take()
+
+    def __call__(self, zenoh_sample: zenoh.Sample) -> None:
+        """Take one sample, on Zenoh's thread."""
+        sample = Sample(
+            key=str(zenoh_sample.key_expr),
+            payload=zenoh_sample.payload.to_bytes(),
+            encoding=str(zenoh_sample.encoding),
+            deleted=zenoh_sample.kind == zenoh.SampleKind.DELETE,
+            arrived_ns=time.monotonic_ns(),
+        )
+        with self._lock:
+            if self._closed:
+                return
+            self.received += 1
+            self._store(sample)
+            if self._pending:
+                return
+            self._pending = True
+        self._signal()
+
+    def _signal(self) -> None:
+        try:
+            self._loop.call_soon_threadsafe(self._wake.set)
+        except RuntimeError:
+            # The loop is closed: the process is ending and nobody reads any more.
+            self._closed = True
+
+    def _store(self, sample: Sample) -> None:
+        raise TypeError("the subclass says how samples are kept")
+
+    def _take(self) -> list[Sample]:
+        raise TypeError("the subclass says how samples are kept")
+
+    async def __aiter__(self) -> AsyncIterator[Sample]:
+        """Yield samples as they come, until closed."""
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            with self._lock:
+                samples = self._take()
+                self._pending = False
+                closed = self._closed
+            for sample in samples:
+                yield sample
+            if closed:
+                return
+
+
+class LatestSubscriber(_Mailbox):
+    """Keeps the newest sample of each key: a slow reader loses old ones and never sees late ones.
+
+    Attributes:
+        received: samples that arrived.
+        overwritten: samples that a newer one replaced before they were read.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._slots: dict[str, Sample] = {}
+
+    def _store(self, sample: Sample) -> None:
+        # Taken out first, so that keys are read in the order of their newest arrival.
+        if self._slots.pop(sample.key, None) is not None:
+            self.overwritten += 1
+        self._slots[sample.key] = sample
+
+    def _take(self) -> list[Sample]:
+        samples = list(self._slots.values())
+        self._slots.clear()
+        return samples
+
+
+class EventSubscriber(_Mailbox):
+    """Keeps every sample up to a limit, for what must not be lost; beyond it the oldest go and are counted.
+
+    Attributes:
+        received: samples that arrived.
+        overwritten: samples lost because the reader was too slow.
+    """
+
+    def __init__(self, limit: int) -> None:
+        super().__init__()
+        self._queue: deque[Sample] = deque(maxlen=limit)
+
+    def _store(self, sample: Sample) -> None:
+        if len(self._queue) == self._queue.maxlen:
+            self.overwritten += 1
+        self._queue.append(sample)
+
+    def _take(self) -> list[Sample]:
+        samples = list(self._queue)
+        self._queue.clear()
+        return samples

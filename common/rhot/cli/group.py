@@ -1,0 +1,116 @@
+"""The command group: commands loaded only when called, errors on one screen without a traceback."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any
+
+import click
+
+from rhot.errors import ConfigError, RhotError
+
+logger = logging.getLogger(__name__)
+
+EXIT_ERROR = 1
+EXIT_USAGE = 2
+EXIT_INTERRUPTED = 130
+
+
+@dataclass(frozen=True, slots=True)
+class LazyCommand:
+    """Where a command lives and what the overview says of it.
+
+    Attributes:
+        summary: one line for the overview, so that showing it imports nothing.
+        target: `module:attribute`, or empty when an entry point of `group` says it.
+        extra: what to install when its module cannot be imported.
+    """
+
+    summary: str
+    target: str = ""
+    extra: str = ""
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported when they are called."""
+
+    def __init__(self, *args: Any, lazy: Mapping[str, LazyCommand], plugins: str = "", **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._lazy = dict(lazy)
+        self._plugins = plugins
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names in the order of the table."""
+        return [*self._lazy, *super().list_commands(ctx)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import and return one command."""
+        lazy = self._lazy.get(cmd_name)
+        if lazy is None:
+            return super().get_command(ctx, cmd_name)
+        target = lazy.target or self._plugin_target(cmd_name)
+        hint = f"pip install 'rhot[{lazy.extra}]'" if lazy.extra else "install RHOT again"
+        if not target:
+            raise click.ClickException(f"`{ctx.command_path} {cmd_name}` is not installed here; {hint}")
+        module_name, _, attribute = target.partition(":")
+        try:
+            command = getattr(importlib.import_module(module_name), attribute)
+        except ModuleNotFoundError as error:
+            raise click.ClickException(
+                f"`{ctx.command_path} {cmd_name}` needs the Python module {error.name}, which is not installed; {hint}"
+            ) from error
+        if not isinstance(command, click.Command):
+            raise click.ClickException(f"{target} is not a command; {hint}")
+        return command
+
+    def _plugin_target(self, name: str) -> str:
+        found = list(entry_points(group=self._plugins, name=name)) if self._plugins else []
+        return found[0].value if found else ""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the overview from the table alone, importing nothing."""
+        rows = [(name, lazy.summary) for name, lazy in self._lazy.items()]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+class MainGroup(LazyGroup):
+    """The program itself: every error of ours ends as one message and an exit code."""
+
+    def main(self, args: Sequence[str] | None = None, *more: Any, **extra: Any) -> Any:
+        """Run the program and exit."""
+        try:
+            extra["standalone_mode"] = False
+            result = super().main(args, *more, **extra)
+        except click.Abort:
+            self._exit(EXIT_INTERRUPTED)
+        except click.ClickException as error:
+            _show(error)
+            self._exit(error.exit_code)
+        except RhotError as error:
+            click.echo(f"rhot: error: {error}", err=True)
+            self._exit(EXIT_USAGE if isinstance(error, ConfigError) else EXIT_ERROR)
+        except KeyboardInterrupt:
+            self._exit(EXIT_INTERRUPTED)
+        except BrokenPipeError:
+            # The reader of our output (`head`, `less`) has gone; Python would complain once more at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            self._exit(EXIT_ERROR)
+        self._exit(result if isinstance(result, int) else 0)
+
+    @staticmethod
+    def _exit(code: int) -> None:
+        sys.exit(code)
+
+
+def _show(error: click.ClickException) -> None:
+    if isinstance(error, click.UsageError) and error.ctx is not None:
+        click.echo(error.ctx.get_usage(), err=True)
+        click.echo(f"Try '{error.ctx.command_path} --help' for help.", err=True)
+    click.echo(f"rhot: error: {error.format_message()}", err=True)

@@ -1,0 +1,75 @@
+"""Options that several commands share: which rig, and where its router is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import click
+
+from rhot.errors import ConfigError
+from rhot.rig import BusConfig
+from rhot.rig.folder import RIG_FILE, load_config
+
+DEFAULT_RIG: Final = Path("rig")
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def rig_option(command: F) -> F:
+    """Add `--rig`."""
+    return click.option(
+        "--rig",
+        "rig_path",
+        type=click.Path(path_type=Path, file_okay=False),
+        envvar="RHOT_RIG",
+        default=DEFAULT_RIG,
+        show_default=True,
+        show_envvar=True,
+        help="Rig folder.",
+    )(command)
+
+
+def bus_options(command: F) -> F:
+    """Add `--connect` and `--namespace`."""
+    command = click.option(
+        "--namespace", envvar="RHOT_NAMESPACE", show_envvar=True, help="Namespace of the rig; overrides rig.toml."
+    )(command)
+    return click.option(
+        "--connect",
+        multiple=True,
+        envvar="RHOT_CONNECT",
+        show_envvar=True,
+        metavar="ENDPOINT",
+        help="Endpoint of the Zenoh router, such as tcp/192.168.1.10:7447; overrides rig.toml. May be repeated.",
+    )(command)
+
+
+def overridden(bus: BusConfig, connect: tuple[str, ...], namespace: str | None) -> BusConfig:
+    """Return a bus configuration with what the command line says instead."""
+    endpoints = tuple(part for word in connect for part in word.split(",") if part)
+    changes: dict[str, Any] = {}
+    if endpoints:
+        changes |= {"mode": "client", "connect": endpoints, "listen": ()}
+    if namespace is not None:
+        changes["namespace"] = namespace
+    return bus.model_copy(update=changes)
+
+
+def tool_bus(rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> BusConfig:
+    """Return how a tool reaches a running rig: command line, else rig folder, else a router on this machine.
+
+    Raises:
+        ConfigError: a rig folder was named that is none, or it is not valid.
+    """
+    if (rig_path / RIG_FILE).exists():
+        bus = load_config(rig_path).bus
+    elif rig_path != DEFAULT_RIG and not connect:
+        raise ConfigError(f"{rig_path} holds no {RIG_FILE}; `rhot init {rig_path}` makes one")
+    else:
+        bus = BusConfig()
+    if bus.mode == "router":
+        # Tools and services are clients of the router that this rig runs.
+        bus = bus.model_copy(update={"mode": "client", "connect": bus.listen, "listen": ()})
+    return overridden(bus, connect, namespace)

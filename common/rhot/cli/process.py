@@ -1,0 +1,133 @@
+"""`rhot process`: the whole tracker over a recording, with the very cores that run live."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import IO, Any
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from rhot.cli.options import rig_option
+from rhot.errors import ConfigError
+from rhot.messages import MarkerFrame, Message
+from rhot.recording import Recording, load_recording, marker_track_frames
+from rhot.rig import Rig, load_rig
+
+
+def _core(name: str) -> Callable[..., Any]:
+    """Return a service's core by its entry point.
+
+    Raises:
+        ConfigError: it is not installed here.
+    """
+    found = list(entry_points(group="rhot.stages", name=name))
+    try:
+        if found:
+            loaded: Callable[..., Any] = found[0].load()
+            return loaded
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"offline tracking needs the Python module {error.name}, which is not installed; pip install 'rhot[{name}]'"
+        ) from error
+    raise ConfigError(f"offline tracking needs the {name} part of RHOT; pip install 'rhot[{name}]'")
+
+
+def track(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[str, Message]]:
+    """Yield every message that a live rig would have published for these marker frames, in order."""
+    fusion, ik = _core("fusion")(rig), _core("ik")(rig)
+    for frame in frames:
+        yield f"rhot/markers/{frame.camera}", frame
+        for points_key, points in fusion.feed(frame):
+            yield points_key, points
+            yield from ik.feed(points)
+
+
+def marker_frames(rig: Rig, recording: Recording) -> Iterator[MarkerFrame]:
+    """Return the marker frames of a recording: read from its tracks, or found in its pictures."""
+    if recording.holds_markers:
+        return iter(marker_track_frames(rig, recording))
+    frames: Iterator[MarkerFrame] = _core("capture")(rig, recording)
+    return frames
+
+
+def _frame_count(recording: Recording) -> int:
+    return sum(len(np.unique(track.frames)) for track in recording.cameras.values())
+
+
+@contextlib.contextmanager
+def _output(file: Path) -> Iterator[IO[str]]:
+    """Write a file that appears only when it is complete; `-` is standard output."""
+    if str(file) == "-":
+        yield click.get_text_stream("stdout")
+        return
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", dir=file.parent, prefix=f".{file.name}.", suffix=".part", delete=False, encoding="utf-8"
+        ) as stream:
+            part = Path(stream.name)
+            try:
+                yield stream
+                stream.flush()
+                part.chmod(0o644)
+                part.replace(file)
+            except BaseException:
+                part.unlink(missing_ok=True)
+                raise
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be written: {error.strerror or error}") from error
+
+
+@click.command()
+@click.argument("recording_path", metavar="RECORDING", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    "out_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    help="JSON Lines file to write; - for standard output.",
+)
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="KEY",
+    help="Write only keys that begin with this, such as rhot/hand. May be repeated.",
+)
+@rig_option
+def process(recording_path: Path, out_path: Path, only: tuple[str, ...], rig_path: Path) -> None:
+    """Track a recording and write every published message as one JSON object a line.
+
+    RECORDING is a folder that holds, per camera of the rig, pictures with timestamps.csv, a video, or marker tracks
+    (markers.csv). Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it.
+    """
+    rig = load_rig(rig_path)
+    recording = load_recording(recording_path)
+    counts: Counter[str] = Counter()
+    columns = (TextColumn("tracking"), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
+    console = Console(stderr=True, soft_wrap=True)
+    if not rig.calibrated:
+        console.print(
+            f"[yellow]{rig_path} is not calibrated (no cameras.json): cameras are taken as parallel, at the places and "
+            "with the field of view of rig.toml[/]"
+        )
+    with _output(out_path) as stream, Progress(*columns, console=console) as progress:
+        task = progress.add_task("", total=_frame_count(recording))
+        for key, message in track(rig, marker_frames(rig, recording)):
+            counts[key] += 1
+            if isinstance(message, MarkerFrame):
+                progress.advance(task)
+            if not only or key.startswith(only):
+                value = message.model_dump_json(exclude_none=True)
+                stream.write(f'{{"key": {json.dumps(key)}, "value": {value}}}\n')
+    for key, number in sorted(counts.items()):
+        console.print(f"{key:<24} {number:>8} messages")
+    if not any(key.startswith("rhot/hand/") for key in counts):
+        console.print("[yellow]no hand was found: are the cameras named as in rig.toml, and colours calibrated?[/]")

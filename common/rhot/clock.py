@@ -1,0 +1,262 @@
+"""The rig clock: how a node's own clock is mapped to the clock of the machine that runs fusion.
+
+A node sends a query at its own time t0; the owner of the rig clock notes t1 when it arrives and t2 when the answer
+leaves (rig time); the node notes t3 when the answer is there (own time). With the delay of both ways equal,
+
+    offset = rig − node = ((t1 − t0) + (t2 − t3)) / 2,        round trip = (t3 − t0) − (t2 − t1),
+
+and whatever the delays were, the true offset lies within ± round trip / 2 of that (Mills, RFC 5905 section 8). The
+exchanges with the shortest round trips of the last minute therefore count; a line through them gives the drift.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+
+from rhot.errors import BusError
+
+WINDOW: Final = 120
+"""Exchanges kept: one minute at two a second."""
+MAX_DRIFT: Final = 200e-6
+"""No quartz is worse; bounds how the uncertainty grows between exchanges."""
+_FIT_SPAN_NS: Final = 10_000_000_000
+"""A drift is fitted only over at least this long; over less it would be noise."""
+_STEP_MARGIN_NS: Final = 1_000_000
+
+
+class NodeClock(Protocol):
+    """A node's own clock: monotonic, arbitrary origin."""
+
+    def now_ns(self) -> int:
+        """Return the node's time, nanoseconds."""
+        ...
+
+
+class SystemClock:
+    """The machine's monotonic clock."""
+
+    def now_ns(self) -> int:
+        """Return `time.monotonic_ns`."""
+        return time.monotonic_ns()
+
+
+class SkewedClock:
+    """The clock of a simulated node: off by an offset and running at its own rate.
+
+    node = true + offset + drift · (true − origin), with `time.time_ns` as true time.
+    """
+
+    def __init__(self, offset_ns: int, drift_ppm: float) -> None:
+        self._offset_ns = offset_ns
+        self._drift = drift_ppm * 1e-6
+        self._origin_ns = time.time_ns()
+
+    def now_ns(self) -> int:
+        """Return the simulated node's time, nanoseconds."""
+        return self.from_true_ns(time.time_ns())
+
+    def from_true_ns(self, true_ns: int) -> int:
+        """Return what this clock shows at a true time."""
+        return true_ns + self._offset_ns + round(self._drift * (true_ns - self._origin_ns))
+
+
+class RigClock(Protocol):
+    """Rig time as one node knows it."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether rig time is known at all."""
+        ...
+
+    @property
+    def offset_ns(self) -> int | None:
+        """Rig minus node clock, now; None before it is known."""
+        ...
+
+    @property
+    def uncertainty_ns(self) -> int | None:
+        """Bound of the error of `offset_ns`; None before it is known."""
+        ...
+
+    def now_ns(self) -> int:
+        """Return rig time now."""
+        ...
+
+    def to_rig_ns(self, node_ns: int) -> int:
+        """Return the rig time of a moment on the node's clock."""
+        ...
+
+
+class LocalRigClock:
+    """Rig time on the machine that owns it: its system clock."""
+
+    ready = True
+    uncertainty_ns = 0
+
+    def __init__(self, node: NodeClock) -> None:
+        self._node = node
+
+    @property
+    def offset_ns(self) -> int:
+        """System clock minus node clock."""
+        return time.time_ns() - self._node.now_ns()
+
+    def now_ns(self) -> int:
+        """Return rig time now."""
+        return time.time_ns()
+
+    def to_rig_ns(self, node_ns: int) -> int:
+        """Return the rig time of a moment on the node's clock."""
+        return node_ns + self.offset_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """The four timestamps of one query: t0 and t3 on the node's clock, t1 and t2 on the rig's, nanoseconds."""
+
+    t0: int
+    t1: int
+    t2: int
+    t3: int
+
+    @property
+    def offset_ns(self) -> int:
+        """Rig minus node, with equal delays assumed."""
+        return ((self.t1 - self.t0) + (self.t2 - self.t3)) // 2
+
+    @property
+    def round_trip_ns(self) -> int:
+        """Time on the way, both directions."""
+        return (self.t3 - self.t0) - (self.t2 - self.t1)
+
+    @property
+    def mid_ns(self) -> int:
+        """Middle of the exchange, node clock."""
+        return (self.t0 + self.t3) // 2
+
+
+class ClockEstimator:
+    """Offset and drift between a node's clock and the rig's from four-timestamp exchanges; reads no clock itself."""
+
+    def __init__(self) -> None:
+        self._exchanges: deque[Exchange] = deque(maxlen=WINDOW)
+        self._base_node_ns = 0
+        self._base_offset_ns = 0
+        self._drift = 0.0
+        self._error_ns = 0.0
+        self.steps = 0
+
+    @property
+    def ready(self) -> bool:
+        """Whether there was an exchange."""
+        return bool(self._exchanges)
+
+    @property
+    def drift_ppm(self) -> float:
+        """Rate of the rig clock against the node's, parts per million."""
+        return self._drift * 1e6
+
+    def add(self, exchange: Exchange) -> bool:
+        """Take an exchange; tell whether it was believed.
+
+        One with a negative round trip or a rig clock that ran backwards within it is not. An exchange whose bounds
+        exclude the present estimate shows that a clock was set: everything before it is forgotten.
+        """
+        if exchange.round_trip_ns < 0 or exchange.t2 < exchange.t1:
+            return False
+        if self.ready:
+            distance = abs(exchange.offset_ns - self.offset_at(exchange.mid_ns))
+            allowed = exchange.round_trip_ns / 2 + self.uncertainty_at(exchange.mid_ns) + _STEP_MARGIN_NS
+            if distance > allowed:
+                self._exchanges.clear()
+                self._drift = 0.0
+                self.steps += 1
+        self._exchanges.append(exchange)
+        self._fit()
+        return True
+
+    def reset(self) -> None:
+        """Forget everything: the rig clock is another one now."""
+        self._exchanges.clear()
+        self._drift = 0.0
+
+    def offset_at(self, node_ns: int) -> int:
+        """Return rig minus node at a node time, nanoseconds.
+
+        Raises:
+            BusError: there was no exchange yet.
+        """
+        if not self.ready:
+            raise BusError("the rig clock is not known yet: no service answered rhot/clock; is fusion running?")
+        return self._base_offset_ns + round(self._drift * (node_ns - self._base_node_ns))
+
+    def uncertainty_at(self, node_ns: int) -> float:
+        """Return the bound of the offset's error at a node time, nanoseconds."""
+        if not self.ready:
+            raise BusError("the rig clock is not known yet: no service answered rhot/clock; is fusion running?")
+        age_ns = max(0, node_ns - self._exchanges[-1].mid_ns)
+        return self._error_ns + MAX_DRIFT * age_ns
+
+    def _fit(self) -> None:
+        mids = np.array([exchange.mid_ns - self._exchanges[-1].mid_ns for exchange in self._exchanges], dtype=float)
+        newest_offset = self._exchanges[-1].offset_ns
+        offsets = np.array([exchange.offset_ns - newest_offset for exchange in self._exchanges], dtype=float)
+        trips = np.array([exchange.round_trip_ns for exchange in self._exchanges], dtype=float)
+        # Asymmetry can hide at most half the round trip: weigh by it, so that the quickest exchanges decide.
+        floor = trips.min()
+        weights = 1.0 / np.square(trips - 0.9 * floor + 1_000.0)
+        total = weights.sum()
+        mean_mid, mean_offset = (weights @ mids) / total, (weights @ offsets) / total
+        drift = 0.0
+        if mids[-1] - mids[0] >= _FIT_SPAN_NS:
+            centred = mids - mean_mid
+            spread = weights @ np.square(centred)
+            if spread > 0:
+                drift = float(np.clip((weights @ (centred * (offsets - mean_offset))) / spread, -MAX_DRIFT, MAX_DRIFT))
+        estimate = mean_offset - drift * mean_mid
+        self._drift = drift
+        self._base_node_ns = self._exchanges[-1].mid_ns
+        self._base_offset_ns = newest_offset + round(estimate)
+        # Every exchange bounds the true offset; moved to now, each bound widens by what the drift may still hide.
+        remaining = np.full(len(mids), MAX_DRIFT) if drift == 0.0 else np.full(len(mids), 0.1 * MAX_DRIFT)
+        moved = offsets - drift * mids
+        half_widths = trips / 2 + remaining * np.abs(mids)
+        upper = np.min(moved + half_widths) - estimate
+        lower = estimate - np.max(moved - half_widths)
+        self._error_ns = float(max(upper, lower, floor / 4, 0.0))
+
+
+class SyncedRigClock:
+    """Rig time on a node that estimates it."""
+
+    def __init__(self, node: NodeClock) -> None:
+        self.node = node
+        self.estimator = ClockEstimator()
+
+    @property
+    def ready(self) -> bool:
+        """Whether rig time is known at all."""
+        return self.estimator.ready
+
+    @property
+    def offset_ns(self) -> int | None:
+        """Rig minus node clock, now."""
+        return self.estimator.offset_at(self.node.now_ns()) if self.ready else None
+
+    @property
+    def uncertainty_ns(self) -> int | None:
+        """Bound of the error of the offset, now."""
+        return round(self.estimator.uncertainty_at(self.node.now_ns())) if self.ready else None
+
+    def now_ns(self) -> int:
+        """Return rig time now."""
+        return self.to_rig_ns(self.node.now_ns())
+
+    def to_rig_ns(self, node_ns: int) -> int:
+        """Return the rig time of a moment on the node's clock."""
+        return node_ns + self.estimator.offset_at(node_ns)

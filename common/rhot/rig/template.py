@@ -1,0 +1,159 @@
+"""The `rig.toml` that `rhot init` writes: for people, so every line that may need a change says what it means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from rhot.messages import Side
+
+_HEAD: Final = """\
+# RHOT rig. Lengths in metres, times in seconds, angles in degrees where the name says so.
+# Check it with: rhot doctor --rig {folder}
+version = 1
+name = "{name}"
+
+[bus]
+# Every service connects to one Zenoh router; `rhot up` runs it on the PC. On the Pis write the PC's address here.
+mode = "client"
+connect = [{connect}]
+# The router opens this port; 0.0.0.0 lets the Pis in, 127.0.0.1 only this machine.
+listen = [{listen}]
+# Several rigs on one network: give each its own namespace, such as "desk1".
+namespace = ""
+# Let Zenoh look for others by multicast; not needed with `connect`.
+multicast = false
+
+[hand]
+# From the wrist crease to the tip of the middle finger, straightened; used until hand.json holds a calibration.
+length_m = {length_m}
+"""
+
+_CAMERA: Final = """
+[cameras.{name}]
+# picamera2 (a Pi's own camera), v4l2 (USB), images (a folder), video (a file) or simulated.
+source = "{source}"
+width = {width}
+height = {height}
+rate_hz = {rate_hz:g}
+# Locked, never automatic: a short exposure keeps fast fingers sharp; then as much light as you can get, then gain.
+exposure_s = {exposure_s:g}
+gain = 4.0
+# Red and blue gain.
+white_balance = [1.6, 1.6]
+# Time from the first to the last row (rolling shutter); camera v2 at 640x480: about 0.012.
+readout_s = {readout_s:g}
+# Used until cameras.json holds a calibration: horizontal field of view, and where the camera stands. The cameras look
+# along +z, x points right and y down in the picture; the first camera is the origin.
+fov_deg = 62.2
+position_m = [{x:g}, 0.0, 0.0]
+"""
+
+_MARKERS: Final = """
+# What is painted. `joint` is OpenXR's name; `patch` is a flat rectangle of known size (across the hand, along it).
+"""
+
+_TIP: Final = """[markers.{name}]
+hand = "{side}"
+joint = "{finger}_tip"
+
+"""
+
+_BASE: Final = """[markers.{name}]
+hand = "{side}"
+joint = "wrist"
+kind = "patch"
+size_m = [0.04, 0.03]
+
+"""
+
+_TAIL: Final = """\
+[fusion]
+# triangulate: calibrated lens models. disparity: the depth law of the 2018 system, k and z of depth = k * disparity^z.
+method = "triangulate"
+# Where a marker can be: lowest and highest x, y, z in the frame of the first camera.
+volume_m = [[-0.8, -0.6, 0.3], [0.8, 0.6, 1.4]]
+"""
+
+_OBJECTS: Final = """
+# Objects with a Vive tracker; the serial number stands on the tracker and in SteamVR.
+# [objects.mug]
+# source = "steamvr"
+# serial = "LHR-12345678"
+"""
+
+_SIM_OBJECT: Final = """
+[objects.{name}]
+source = "simulated"
+rate_hz = 60.0
+"""
+
+_SIM: Final = """
+# The simulated world, the same for every process: with the time, the seed determines everything.
+[sim]
+seed = {seed}
+"""
+
+FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
+
+
+def rig_template(
+    *,
+    folder: str,
+    name: str,
+    connect: Sequence[str] = ("tcp/127.0.0.1:7447",),
+    listen: Sequence[str] = ("tcp/0.0.0.0:7447",),
+    cameras: Sequence[str] = ("left", "right"),
+    camera_xs_m: Sequence[float] = (0.0, 0.075),
+    source: str = "picamera2",
+    rate_hz: float = 60.0,
+    exposure_s: float = 0.004,
+    readout_s: float = 0.012,
+    sides: Sequence[Side] = ("right",),
+    length_m: float = 0.189,
+    simulated_objects: Sequence[str] = (),
+    seed: int | None = None,
+) -> str:
+    """Return the text of a `rig.toml`.
+
+    Args:
+        folder: the rig folder, as the comments name it.
+        name: of the rig.
+        connect, listen: Zenoh endpoints.
+        cameras, camera_xs_m: names and nominal places along x, metres.
+        source, rate_hz, exposure_s, readout_s: of all cameras.
+        sides: hands that wear markers; with two, the second hand's markers carry its side's name.
+        length_m: of the hand.
+        simulated_objects: names of simulated objects; without any, an example of a real one stands as comment.
+        seed: of the simulated world; None for a real rig.
+    """
+    parts = [
+        _HEAD.format(folder=folder, name=name, connect=_quoted(connect), listen=_quoted(listen), length_m=length_m)
+    ]
+    parts += [
+        _CAMERA.format(
+            name=camera,
+            source=source,
+            width=640,
+            height=480,
+            rate_hz=rate_hz,
+            exposure_s=exposure_s,
+            readout_s=readout_s,
+            x=x,
+        )
+        for camera, x in zip(cameras, camera_xs_m, strict=True)
+    ]
+    parts.append(_MARKERS)
+    for number, side in enumerate(sides):
+        prefix = "" if number == 0 else f"{side}_"
+        parts += [_TIP.format(name=f"{prefix}{finger}", side=side, finger=finger) for finger in FINGERS]
+        parts.append(_BASE.format(name=f"{prefix}base", side=side))
+    parts.append(_TAIL)
+    parts += [_SIM_OBJECT.format(name=name) for name in simulated_objects] or [_OBJECTS]
+    if seed is not None:
+        parts.append(_SIM.format(seed=seed))
+    return "".join(parts)
+
+
+def _quoted(words: Sequence[str]) -> str:
+    return ", ".join(f'"{word}"' for word in words)

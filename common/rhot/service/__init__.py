@@ -1,0 +1,12 @@
+"""What every service is made of: start, wait for `start`, run, status once a second, configuration, signals, exit code.
+
+A service implements `Service`; `run_service` does the rest.
+"""
+
+from rhot.service.control import ControlState
+from rhot.service.node import Node
+from rhot.service.runner import Service, run_service
+from rhot.service.stage_service import ConfigurableStage, StageService
+from rhot.service.status import StatusBoard
+
+__all__ = ["ConfigurableStage", "ControlState", "Node", "Service", "StageService", "StatusBoard", "run_service"]

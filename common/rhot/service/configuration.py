@@ -1,0 +1,71 @@
+"""Reading and changing a service's configuration over the bus, while it runs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import msgpack
+from pydantic import BaseModel, ValidationError
+
+from rhot.bus import Answer, Request, json_answer
+from rhot.errors import ConfigError, WireError
+from rhot.messages import MAX_PAYLOAD_BYTES, first_problem, unpack
+
+C = TypeVar("C", bound=BaseModel)
+
+
+def config_answer(config: BaseModel, request: Request) -> Answer:
+    """Return a configuration as the request wants it: msgpack, or JSON for `?format=json`."""
+    if request.wants_json:
+        return json_answer(config.model_dump(mode="json"))
+    packed: bytes = msgpack.packb(config.model_dump(mode="json"))
+    return Answer(packed, f"application/msgpack;{type(config).__name__}")
+
+
+def parse_change(payload: bytes) -> dict[str, Any]:
+    """Return the fields that a put on a configuration key wants to change; JSON or msgpack.
+
+    Raises:
+        WireError: neither, or not a map.
+    """
+    if payload.lstrip()[:1] == b"{":
+        if len(payload) > MAX_PAYLOAD_BYTES:
+            raise WireError(f"payload of {len(payload)} bytes is over the limit of {MAX_PAYLOAD_BYTES}")
+        try:
+            change = json.loads(payload)
+        except (ValueError, RecursionError) as error:
+            raise WireError(f"configuration is neither JSON nor msgpack: {error}") from error
+    else:
+        change = unpack(payload)
+    if not isinstance(change, dict):
+        raise WireError(f"a configuration change must be a map of fields, got {type(change).__name__}")
+    return change
+
+
+def changed(config: C, change: Mapping[str, Any]) -> C:
+    """Return the configuration with some fields changed; maps are merged field by field.
+
+    Raises:
+        ConfigError: an unknown field or a refused value; names it.
+    """
+    merged = _merged(config.model_dump(mode="json"), change)
+    try:
+        return type(config).model_validate(merged)
+    except ValidationError as error:
+        raise ConfigError(f"configuration refused, the old one stays: {first_problem(error)}") from error
+
+
+def _merged(old: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    result = dict(old)
+    for name, value in change.items():
+        before = result.get(name)
+        result[name] = _merged(before, value) if isinstance(before, dict) and isinstance(value, dict) else value
+    return result
+
+
+def digest(config: BaseModel) -> str:
+    """Return a short fingerprint of a configuration."""
+    return hashlib.sha256(config.model_dump_json().encode()).hexdigest()[:12]

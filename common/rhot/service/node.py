@@ -1,0 +1,94 @@
+"""What a service gets to work with: its bus, the rig clock, its figures."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from typing import Final, TypeVar
+
+from rhot.bus import Bus, EventSubscriber, LatestSubscriber
+from rhot.clock import NodeClock, RigClock
+from rhot.errors import WireError
+from rhot.messages import Message, decode
+from rhot.service.status import StatusBoard
+
+logger = logging.getLogger(__name__)
+
+M = TypeVar("M", bound=Message)
+
+MAX_AGE_NS: Final = 2_000_000_000
+MAX_AHEAD_NS: Final = 100_000_000
+"""A sample older or newer than this is not of this moment: a clock is wrong, or somebody writes garbage."""
+_LOG_INTERVAL_S: Final = 5.0
+
+
+@dataclass(slots=True)
+class Node:
+    """One running service's connection to the rig.
+
+    Attributes:
+        service, instance: its name on the bus.
+        bus: the session.
+        node_clock: this machine's own clock.
+        clock: rig time.
+        status: its figures.
+    """
+
+    service: str
+    instance: str
+    bus: Bus
+    node_clock: NodeClock
+    clock: RigClock
+    status: StatusBoard
+    _logged_at: dict[str, float] = field(default_factory=dict)
+
+    async def receive(
+        self,
+        mailbox: LatestSubscriber | EventSubscriber,
+        model: type[M],
+        key_of: Callable[[M], str] | None = None,
+    ) -> AsyncIterator[M]:
+        """Yield every valid message of this moment; the others are counted and logged sparingly.
+
+        Args:
+            mailbox: where samples arrive.
+            model: what they must be.
+            key_of: the only key on which a message may stand; None = any that the mailbox subscribes to.
+        """
+        async for sample in mailbox:
+            if sample.deleted:
+                continue
+            try:
+                message = decode(sample.payload, model)
+                self._check_time(message)
+                if key_of is not None and key_of(message) != sample.key:
+                    raise WireError(f"the message belongs on {key_of(message)}")
+            except WireError as error:
+                self.refuse(sample.key, error)
+                continue
+            yield message
+
+    def refuse(self, key: str, error: WireError) -> None:
+        """Count an invalid sample and log it, at most once in five seconds per key."""
+        self.status.count("invalid")
+        text = f"{key}: {error}"
+        self.status.error(text)
+        now = time.monotonic()
+        # The key is an outsider's choice under a wildcard: the table must not grow with it.
+        if len(self._logged_at) > 64:
+            self._logged_at.clear()
+        if now - self._logged_at.get(key, -_LOG_INTERVAL_S) >= _LOG_INTERVAL_S:
+            self._logged_at[key] = now
+            logger.warning("invalid sample dropped: %s", text)
+
+    def _check_time(self, message: Message) -> None:
+        if not self.clock.ready:
+            return
+        age_ns = self.clock.now_ns() - message.t_ns
+        if age_ns > MAX_AGE_NS or age_ns < -MAX_AHEAD_NS:
+            raise WireError(
+                f"t_ns {message.t_ns} is {age_ns / 1e9:.3f} s old; between {-MAX_AHEAD_NS / 1e9:.1f} s and "
+                f"{MAX_AGE_NS / 1e9:.0f} s is believed"
+            )

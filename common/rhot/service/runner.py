@@ -1,0 +1,340 @@
+"""Running a service from start to exit code.
+
+connect → announce → (wait for `start` → wait for its start time → run → `stop`)* → close. Everything else that all
+services share goes on beside it: status once a second, rig clock, control, configuration, signs of life for systemd.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import sys
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+from pydantic import BaseModel
+
+from rhot.bus import Bus, Request, message_answer
+from rhot.bus.query import Answer
+from rhot.clock import LocalRigClock, NodeClock, SyncedRigClock, SystemClock
+from rhot.errors import BusError, ConfigError, DeviceError, RhotError, WireError
+from rhot.messages import Control, ServiceStatus, decode
+from rhot.rig.config import BusConfig
+from rhot.service import configuration, systemd
+from rhot.service.clock_sync import keep_synced, serve_clock
+from rhot.service.control import ControlState
+from rhot.service.node import Node
+from rhot.service.status import StatusBoard
+
+logger = logging.getLogger(__name__)
+
+CONTROL_KEY: Final = "rhot/control"
+EXIT_WITH_PARENT: Final = "RHOT_EXIT_WITH_PARENT"
+"""Set by a parent that holds the other end of standard input: when that closes, however the parent died, end too."""
+_STATUS_INTERVAL_S: Final = 1.0
+_CONTROL_QUERY_S: Final = 2.0
+_RETRY_FIRST_S: Final = 0.5
+_RETRY_MAX_S: Final = 5.0
+_LOOP_CHECK_S: Final = 0.1
+_RECONFIGURE_LIMIT_S: Final = 1.5
+
+
+class Service(Protocol):
+    """What the runner needs of a service."""
+
+    @property
+    def name(self) -> str:
+        """Kind of service, such as `capture`."""
+        ...
+
+    @property
+    def instance(self) -> str:
+        """Which one, such as the camera's name."""
+        ...
+
+    @property
+    def owns_clock(self) -> bool:
+        """Whether this machine's clock is the rig clock; true for fusion alone."""
+        ...
+
+    @property
+    def config(self) -> BaseModel:
+        """What `rhot/config/<service>/<instance>` shows."""
+        ...
+
+    def reconfigure(self, config: BaseModel) -> None:
+        """Take a validated configuration while running; a ConfigError refuses it."""
+        ...
+
+    def attach(self, node: Node) -> None:
+        """Declare publishers and queryables, once."""
+        ...
+
+    async def run(self, node: Node, start: Control) -> None:
+        """Work until cancelled (stop), or until the input has ended."""
+        ...
+
+
+def run_service(service: Service, bus_config: BusConfig, *, node_clock: NodeClock | None = None) -> int:
+    """Run a service until a signal ends it and return the process's exit code.
+
+    Raises:
+        RhotError: the service cannot work as it is configured.
+    """
+    return asyncio.run(serve(service, bus_config, node_clock or SystemClock()))
+
+
+async def serve(service: Service, bus_config: BusConfig, node_clock: NodeClock) -> int:
+    """Run a service on the running event loop until SIGINT or SIGTERM; see `run_service`."""
+    stop = install_stop()
+    work = asyncio.create_task(_Runner(service, bus_config, node_clock).run())
+    asked = asyncio.create_task(stop.requested.wait())
+    try:
+        await asyncio.wait((work, asked), return_when=asyncio.FIRST_COMPLETED)
+        asked.cancel()
+        work.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await work
+    except BaseExceptionGroup as group:
+        raise _first_cause(group) from group
+    return 128 + signal.SIGINT if stop.interrupted else 0
+
+
+@dataclass(slots=True)
+class Stop:
+    """Whether the process was asked to end.
+
+    Attributes:
+        requested: set by SIGINT, SIGTERM or the parent's end.
+        interrupted: it was Ctrl-C.
+    """
+
+    requested: asyncio.Event = field(default_factory=asyncio.Event)
+    interrupted: bool = False
+
+
+def install_stop() -> Stop:
+    """Catch SIGINT and SIGTERM, and the parent's end where it asked for that; the second signal ends at once."""
+    stop = Stop()
+    loop = asyncio.get_running_loop()
+
+    def on_signal(number: int) -> None:
+        if stop.requested.is_set():
+            # Asked twice: somebody is impatient, or closing hangs.
+            os._exit(128 + number)
+        stop.interrupted = number == signal.SIGINT
+        stop.requested.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, on_signal, number)
+    if os.environ.get(EXIT_WITH_PARENT):
+        _watch_parent(loop, stop.requested)
+    return stop
+
+
+def _watch_parent(loop: asyncio.AbstractEventLoop, stopping: asyncio.Event) -> None:
+    def readable() -> None:
+        if not os.read(sys.stdin.fileno(), 4096):
+            loop.remove_reader(sys.stdin.fileno())
+            stopping.set()
+
+    loop.add_reader(sys.stdin.fileno(), readable)
+
+
+def _first_cause(group: BaseExceptionGroup) -> BaseException:
+    first: BaseException = group
+    while isinstance(first, BaseExceptionGroup):
+        ours = [error for error in first.exceptions if isinstance(error, RhotError)]
+        first = ours[0] if ours else first.exceptions[0]
+    return first
+
+
+class _Runner:
+    def __init__(self, service: Service, bus_config: BusConfig, node_clock: NodeClock) -> None:
+        self._service = service
+        self._bus_config = bus_config
+        self._node_clock = node_clock
+        self._control = ControlState()
+        self._status = StatusBoard()
+        self._clock_ready = asyncio.Event()
+        self._digest = configuration.digest(service.config)
+
+    async def run(self) -> None:
+        service = self._service
+        async with await Bus.open(self._bus_config) as bus:
+            clock = LocalRigClock(self._node_clock) if service.owns_clock else SyncedRigClock(self._node_clock)
+            node = Node(service.name, service.instance, bus, self._node_clock, clock, self._status)
+            service.attach(node)
+            if service.owns_clock:
+                serve_clock(bus)
+                self._clock_ready.set()
+            bus.queryable(CONTROL_KEY, self._answer_control)
+            loop = asyncio.get_running_loop()
+            bus.queryable(self._key("config"), lambda request: self._answer_config(loop, request), slow=True)
+            bus.alive(self._key("alive"))
+            self._status.state = "waiting"
+            logger.info("%s %s is connected and waits for start", service.name, service.instance)
+            systemd.notify("READY=1")
+            try:
+                async with asyncio.TaskGroup() as tasks:
+                    if isinstance(clock, SyncedRigClock):
+                        tasks.create_task(keep_synced(bus, clock, self._clock_ready))
+                    tasks.create_task(self._publish_status(node))
+                    tasks.create_task(self._hear_control(node))
+                    tasks.create_task(self._ask_control(node))
+                    tasks.create_task(self._hear_config(node))
+                    tasks.create_task(self._check_loop())
+                    tasks.create_task(self._run_sessions(node))
+            finally:
+                self._status.state = "stopping"
+                systemd.notify("STOPPING=1")
+
+    def _key(self, kind: str) -> str:
+        return f"rhot/{kind}/{self._service.name}/{self._service.instance}"
+
+    async def _run_sessions(self, node: Node) -> None:
+        """Follow the start signal for ever: run while a session is on, wait while none is."""
+        while True:
+            start = self._control.running
+            if start is None:
+                self._status.state, self._status.session = "waiting", ""
+                await self._control.wait_until_not(None)
+                continue
+            run = asyncio.create_task(self._run_session(node, start))
+            change = asyncio.create_task(self._control.wait_until_not(start.session))
+            try:
+                await asyncio.wait((run, change), return_when=asyncio.FIRST_COMPLETED)
+                if run.done():
+                    run.result()
+                    self._status.state = "waiting"
+                    await change
+            finally:
+                run.cancel()
+                change.cancel()
+                with contextlib.suppress(asyncio.CancelledError):
+                    await run
+
+    async def _run_session(self, node: Node, start: Control) -> None:
+        """Run one session; a device that fails is tried again until the session ends."""
+        await self._clock_ready.wait()
+        delay_s = (start.start_t_ns - node.clock.now_ns()) / 1e9
+        if delay_s > 0:
+            await asyncio.sleep(delay_s)
+        self._status.clear_latencies()
+        retry_s = _RETRY_FIRST_S
+        while True:
+            self._status.state, self._status.session = "running", start.session
+            logger.info("session %s runs", start.session)
+            try:
+                await self._service.run(node, start)
+            except (DeviceError, BusError) as error:
+                self._status.error(str(error))
+                self._status.count("device_errors")
+                self._status.state = "waiting"
+                logger.error("%s; trying again in %.1f s", error, retry_s)
+                await asyncio.sleep(retry_s)
+                retry_s = min(2 * retry_s, _RETRY_MAX_S)
+            else:
+                logger.info("session %s: the input has ended", start.session)
+                return
+
+    async def _publish_status(self, node: Node) -> None:
+        publisher = node.bus.publisher(self._key("status"), ServiceStatus)
+        while True:
+            clock, board = node.clock, self._status
+            offset, uncertainty = clock.offset_ns, clock.uncertainty_ns
+            publisher.put(
+                ServiceStatus(
+                    t_ns=clock.now_ns() if clock.ready else 0,
+                    service=node.service,
+                    instance=node.instance,
+                    state=board.state,  # type: ignore[arg-type]  # validated by the model
+                    session=board.session,
+                    uptime_s=board.uptime_s(),
+                    rates=board.rates(),
+                    counts=board.all_counts(),
+                    latency_s=board.percentiles(),
+                    last_error=board.last_error,
+                    config_digest=self._digest,
+                    clock_offset_s=None if offset is None else offset / 1e9,
+                    clock_uncertainty_s=None if uncertainty is None else uncertainty / 1e9,
+                )
+            )
+            await asyncio.sleep(_STATUS_INTERVAL_S)
+
+    async def _check_loop(self) -> None:
+        """Keep systemd's watchdog quiet while the event loop turns, and note when it did not."""
+        interval_s = systemd.watchdog_interval_s()
+        loop = asyncio.get_running_loop()
+        told = loop.time()
+        while True:
+            before = loop.time()
+            await asyncio.sleep(_LOOP_CHECK_S)
+            self._status.latency("loop_lag", max(0.0, loop.time() - before - _LOOP_CHECK_S))
+            if interval_s is not None and loop.time() - told >= interval_s:
+                systemd.notify("WATCHDOG=1")
+                told = loop.time()
+
+    async def _hear_control(self, node: Node) -> None:
+        async for sample in node.bus.events(CONTROL_KEY):
+            try:
+                self._offer(node, decode(sample.payload, Control))
+            except WireError as error:
+                node.refuse(CONTROL_KEY, error)
+
+    async def _ask_control(self, node: Node) -> None:
+        """Learn the start signal from whoever knows it: for services that join late or missed it."""
+        while True:
+            for reply in await node.bus.get(CONTROL_KEY, timeout_s=1.0):
+                if reply.error:
+                    continue
+                try:
+                    self._offer(node, decode(reply.payload, Control))
+                except WireError as error:
+                    node.refuse(CONTROL_KEY, error)
+            await asyncio.sleep(_CONTROL_QUERY_S)
+
+    def _offer(self, node: Node, control: Control) -> None:
+        if self._control.offer(control, node.clock.now_ns() if node.clock.ready else None):
+            logger.info("%s %s", control.action, control.session)
+
+    def _answer_control(self, request: Request) -> Answer | None:
+        newest = self._control.newest
+        return None if newest is None else message_answer(newest, request)
+
+    def _answer_config(self, loop: asyncio.AbstractEventLoop, request: Request) -> Answer:
+        """Answer a query for the configuration; one that carries a payload changes it first."""
+        if request.payload:
+
+            async def change() -> None:
+                self._reconfigure(request.payload)
+
+            # Services are changed on their own event loop only; this runs on a worker thread.
+            asyncio.run_coroutine_threadsafe(change(), loop).result(timeout=_RECONFIGURE_LIMIT_S)
+        return configuration.config_answer(self._service.config, request)
+
+    async def _hear_config(self, node: Node) -> None:
+        key = self._key("config")
+        async for sample in node.bus.events(key):
+            if sample.deleted:
+                continue
+            try:
+                self._reconfigure(sample.payload)
+            except WireError as error:
+                node.refuse(key, error)
+            except ConfigError:
+                continue  # counted, logged and shown in the status already
+
+    def _reconfigure(self, payload: bytes) -> None:
+        try:
+            self._service.reconfigure(configuration.changed(self._service.config, configuration.parse_change(payload)))
+        except ConfigError as error:
+            self._status.count("config_refused")
+            self._status.error(f"{self._key('config')}: {error}")
+            logger.warning("%s: %s", self._key("config"), error)
+            raise
+        self._digest = configuration.digest(self._service.config)
+        logger.info("configuration changed, now %s", self._digest)

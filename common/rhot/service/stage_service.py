@@ -1,0 +1,115 @@
+"""A service whose core is a stage: messages in, messages out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Generic, Protocol, TypeVar
+
+from pydantic import BaseModel
+
+from rhot.bus import LatestSubscriber, Publisher
+from rhot.messages import Control, Message
+from rhot.service.node import Node
+from rhot.stage import Output
+
+M = TypeVar("M", bound=Message)
+M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
+C = TypeVar("C", bound=BaseModel)
+C_contra = TypeVar("C_contra", bound=BaseModel, contravariant=True)
+
+
+class ConfigurableStage(Protocol[M_contra, C_contra]):
+    """A stage with a configuration that can change while it runs, and counts of what it met."""
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Events since it was made, by name."""
+        ...
+
+    def configure(self, config: C_contra) -> None:
+        """Take a new configuration; a ConfigError refuses it."""
+        ...
+
+    def feed(self, message: M_contra) -> list[Output]:
+        """Take one message and return what follows from it."""
+        ...
+
+
+class StageService(Generic[M, C]):
+    """Feeds the newest sample of each input key to a stage and publishes what comes out.
+
+    Each session gets a fresh stage, so that nothing of an earlier one lives on.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        input_keys: str,
+        model: type[M],
+        key_of: Callable[[M], str] | None,
+        config: C,
+        make_stage: Callable[[C], ConfigurableStage[M, C]],
+        instance: str = "main",
+        owns_clock: bool = False,
+    ) -> None:
+        self.name = name
+        self.instance = instance
+        self.owns_clock = owns_clock
+        self._input_keys = input_keys
+        self._model = model
+        self._key_of = key_of
+        self._config = config
+        self._make_stage = make_stage
+        self._stage = make_stage(config)
+        self._mailbox: LatestSubscriber | None = None
+        self._publishers: dict[str, Publisher[Message]] = {}
+
+    @property
+    def config(self) -> C:
+        """The configuration in force."""
+        return self._config
+
+    def reconfigure(self, config: BaseModel) -> None:
+        """Hand a new configuration to the running stage."""
+        if not isinstance(config, type(self._config)):
+            raise TypeError(f"{type(config).__name__} is not a {type(self._config).__name__}")
+        self._stage.configure(config)
+        self._config = config
+
+    def attach(self, node: Node) -> None:
+        """Subscribe to the input; publishers follow with their first message."""
+        self._mailbox = node.bus.latest(self._input_keys)
+        node.status.include(self._counts)
+
+    def _counts(self) -> dict[str, int]:
+        counts = dict(self._stage.counts)
+        if self._mailbox is not None:
+            counts["overwritten"] = self._mailbox.overwritten
+        return counts
+
+    async def run(self, node: Node, start: Control) -> None:
+        """Feed the stage until cancelled."""
+        if self._mailbox is None:
+            raise RuntimeError("run before attach")
+        self._stage = self._make_stage(self._config)
+        self._mailbox.clear()
+        status, clock = node.status, node.clock
+        async for message in node.receive(self._mailbox, self._model, self._key_of):
+            status.tick("input")
+            begun = time.perf_counter()
+            status.latency("input_age", (clock.now_ns() - message.t_ns) / 1e9)
+            outputs = self._stage.feed(message)
+            status.latency("compute", time.perf_counter() - begun)
+            for key, output in outputs:
+                self._publisher(node, key, output).put(output)
+                status.tick("output")
+                status.latency("output_age", (clock.now_ns() - output.t_ns) / 1e9)
+
+    def _publisher(self, node: Node, key: str, message: Message) -> Publisher[Message]:
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            model: type[Message] = type(message)
+            publisher = self._publishers[key] = node.bus.publisher(key, model)
+        return publisher

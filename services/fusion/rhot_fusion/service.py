@@ -1,0 +1,27 @@
+"""The fusion service: newest marker frames in, points out; owns the rig clock."""
+
+from __future__ import annotations
+
+from rhot.messages import MarkerFrame
+from rhot.rig import FusionConfig, Rig
+from rhot.service import StageService
+from rhot_fusion.stage import FusionStage
+
+
+def fusion_service(rig: Rig) -> StageService[MarkerFrame, FusionConfig]:
+    """Return the service that turns `rhot/markers/*` into `rhot/points`."""
+
+    def make_stage(config: FusionConfig) -> FusionStage:
+        stage = FusionStage(rig)
+        stage.configure(config)
+        return stage
+
+    return StageService(
+        "fusion",
+        input_keys="rhot/markers/*",
+        model=MarkerFrame,
+        key_of=lambda frame: f"rhot/markers/{frame.camera}",
+        config=rig.config.fusion,
+        make_stage=make_stage,
+        owns_clock=True,
+    )

@@ -1,0 +1,56 @@
+"""Fixtures that every part may use: a router of one's own, a rig folder, the real data."""
+
+from __future__ import annotations
+
+import socket
+import tempfile
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+
+import pytest
+
+from rhot.bus import Bus
+from rhot.rig import BusConfig
+from rhot.rig.template import rig_template
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real data; tests that need it are skipped where it is absent."""
+    path = REPOSITORY.parent / "shared" / "data"
+    if not path.is_dir():
+        pytest.skip(f"no real data at {path}")
+    return path
+
+
+@pytest.fixture
+def free_port() -> int:
+    """A TCP port of the loopback interface that nobody uses."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def rig_folder(tmp_path: Path) -> Path:
+    """A rig folder as `rhot init` makes it."""
+    folder = tmp_path / "rig"
+    folder.mkdir()
+    (folder / "rig.toml").write_text(rig_template(folder="rig", name="test"))
+    return folder
+
+
+@pytest.fixture
+def endpoint() -> Iterator[str]:
+    """A Unix socket for a router; short, because the kernel allows about 100 characters."""
+    with tempfile.TemporaryDirectory(prefix="rhot-") as folder:
+        yield f"unixsock-stream/{folder}/z.sock"
+
+
+@pytest.fixture
+async def router(endpoint: str) -> AsyncIterator[BusConfig]:
+    """A running router; yields how a client reaches it."""
+    async with await Bus.open(BusConfig(mode="router", connect=(), listen=(endpoint,))):
+        yield BusConfig(connect=(endpoint,))

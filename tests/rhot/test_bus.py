@@ -1,0 +1,170 @@
+"""The bus against a real router inside the process."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+
+import msgpack
+import pytest
+import zenoh
+
+from rhot.bus import Answer, Bus, Request
+from rhot.errors import BusError, ConfigError
+from rhot.messages import Control, Marker, MarkerFrame, decode
+from rhot.rig import BusConfig
+
+
+def frame(t_ns: int, camera: str = "left") -> MarkerFrame:
+    return MarkerFrame(
+        t_ns=t_ns,
+        camera=camera,
+        width=640,
+        height=480,
+        markers={"thumb": Marker(u=1.0, v=2.0, area=3.0, score=0.5)},
+    )
+
+
+async def test_a_message_arrives_as_sent_and_numbered(router: BusConfig) -> None:
+    async with await Bus.open(router) as sender, await Bus.open(router) as receiver:
+        mailbox = receiver.events("rhot/markers/*")
+        publisher = sender.publisher("rhot/markers/left", MarkerFrame)
+        assert await publisher.wait_for_reader(5.0)
+        for t_ns in (10, 20, 30):
+            publisher.put(frame(t_ns))
+        received = []
+        async with asyncio.timeout(5):
+            async for sample in mailbox:
+                assert sample.key == "rhot/markers/left"
+                assert sample.encoding == "application/msgpack;MarkerFrame"
+                received.append(decode(sample.payload, MarkerFrame))
+                if len(received) == 3:
+                    break
+    assert [(message.t_ns, message.seq) for message in received] == [(10, 0), (20, 1), (30, 2)]
+
+
+async def test_a_slow_reader_gets_the_newest_of_each_key_and_the_loss_is_counted(router: BusConfig) -> None:
+    async with await Bus.open(router) as sender, await Bus.open(router) as receiver:
+        mailbox = receiver.latest("rhot/markers/*")
+        publishers = {name: sender.publisher(f"rhot/markers/{name}", MarkerFrame) for name in ("left", "right")}
+        for publisher in publishers.values():
+            assert await publisher.wait_for_reader(5.0)
+        for t_ns in range(50):
+            for name, publisher in publishers.items():
+                publisher.put(frame(t_ns, name))
+        async with asyncio.timeout(5):
+            while mailbox.received < 100:
+                await asyncio.sleep(0.001)
+            newest = {}
+            async for sample in mailbox:
+                newest[sample.key] = decode(sample.payload, MarkerFrame).t_ns
+                if len(newest) == 2:
+                    break
+    assert newest == {"rhot/markers/left": 49, "rhot/markers/right": 49}
+    assert mailbox.overwritten == 98
+
+
+async def test_the_last_value_answers_queries_as_msgpack_and_as_json(router: BusConfig) -> None:
+    async with await Bus.open(router) as sender, await Bus.open(router) as asker:
+        publisher = sender.publisher("rhot/markers/left", MarkerFrame)
+        assert await asker.get("rhot/markers/*") == [], "nothing before the first message"
+        publisher.put(frame(5))
+        publisher.put(frame(6))
+        (packed,) = await asker.get("rhot/markers/left")
+        (text,) = await asker.get("rhot/**?format=json")
+    assert decode(packed.payload, MarkerFrame).t_ns == 6
+    assert json.loads(text.payload)["markers"]["thumb"]["u"] == 1.0
+    assert text.encoding == "application/json"
+
+
+async def test_plain_zenoh_reads_the_keys_without_our_code(router: BusConfig) -> None:
+    async with await Bus.open(router) as sender:
+        sender.publisher("rhot/markers/left", MarkerFrame).put(frame(5))
+        config = zenoh.Config.from_json5(
+            json.dumps({"mode": "client", "connect": {"endpoints": list(router.connect)}})
+        )
+
+        def ask() -> list[zenoh.Reply]:
+            with zenoh.open(config) as session:
+                return list(session.get("rhot/**"))
+
+        (reply,) = await asyncio.to_thread(ask)
+        assert reply.ok is not None
+        assert msgpack.unpackb(reply.ok.payload.to_bytes())["t_ns"] == 5
+
+
+async def test_a_handler_that_fails_answers_with_its_reason(router: BusConfig) -> None:
+    def refuse(request: Request) -> Answer:
+        raise ConfigError(f"no such mask: {request.parameters['mask']}")
+
+    def crash(request: Request) -> Answer:
+        raise ZeroDivisionError("oops")
+
+    async with await Bus.open(router) as server, await Bus.open(router) as asker:
+        server.queryable("rhot/preview/left", refuse, slow=True)
+        server.queryable("rhot/crash", crash)
+        (refused,) = await asker.get("rhot/preview/left?mask=toe")
+        (crashed,) = await asker.get("rhot/crash")
+    assert refused.error == "no such mask: toe"
+    assert "oops" in crashed.error
+
+
+async def test_liveliness_tells_those_already_there_and_who_leaves(router: BusConfig) -> None:
+    async with await Bus.open(router) as watcher:
+        service = await Bus.open(router)
+        service.alive("rhot/alive/capture/left")
+        mailbox = watcher.liveliness("rhot/alive/**")
+        async with asyncio.timeout(5):
+            seen = []
+            async for sample in mailbox:
+                seen.append((sample.key, sample.deleted))
+                if len(seen) == 1:
+                    await service.close()
+                else:
+                    break
+    assert seen == [("rhot/alive/capture/left", False), ("rhot/alive/capture/left", True)]
+
+
+async def test_namespaces_keep_rigs_apart(router: BusConfig) -> None:
+    configs = [router.model_copy(update={"namespace": name}) for name in ("desk1", "desk2")]
+    async with await Bus.open(configs[0]) as first, await Bus.open(configs[1]) as second:
+        first.publisher("rhot/control", Control).put(Control(t_ns=1, action="stop"))
+        assert len(await first.get("rhot/control")) == 1
+        assert await second.get("rhot/control") == []
+
+
+async def test_a_router_that_comes_later_is_waited_for_and_one_that_returns_is_used_again(endpoint: str) -> None:
+    client = BusConfig(connect=(endpoint,))
+    server = BusConfig(mode="router", connect=(), listen=(endpoint,))
+    opening = asyncio.create_task(Bus.open(client))
+    first = await Bus.open(server)
+    async with await opening as sender, await Bus.open(client) as receiver:
+        mailbox = receiver.latest("rhot/control")
+        publisher = sender.publisher("rhot/control", Control, reliable=True)
+        assert await publisher.wait_for_reader(5.0)
+        await first.close()
+        async with await Bus.open(server), asyncio.timeout(10):
+            reading = asyncio.create_task(anext(aiter(mailbox)))
+            while not reading.done():
+                publisher.put(Control(t_ns=9, action="stop"))
+                await asyncio.wait((reading,), timeout=0.05)
+            assert decode((await reading).payload, Control).t_ns == 9
+
+
+@pytest.mark.parametrize(
+    ("config", "says"),
+    [
+        (BusConfig(connect=("unixsock-stream//nonexistent/z.sock",)), "no Zenoh router answers"),
+        (BusConfig(connect=("nonsense",)), "not a usable Zenoh configuration"),
+        (BusConfig(mode="router", connect=(), listen=("tcp/203.0.113.1:1",)), "cannot open a Zenoh router"),
+    ],
+)
+async def test_opening_in_vain_says_what_to_do(config: BusConfig, says: str) -> None:
+    with pytest.raises(BusError, match=says):
+        await Bus.open(config, timeout_s=0.2)
+
+
+async def test_a_wrong_selector_is_an_error_of_ours(router: BusConfig) -> None:
+    async with await Bus.open(router) as bus:
+        with pytest.raises(BusError, match="rhot//x"):
+            await bus.get("rhot//x")
