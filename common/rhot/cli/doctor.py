@@ -47,10 +47,7 @@ class Finding:
 def check_machine() -> Iterator[Finding]:
     """Look at this machine: Python, roles that are installed, cores, disk."""
     version = ".".join(map(str, sys.version_info[:3]))
-    if sys.version_info < (3, 11):
-        yield Finding("bad", f"Python {version}", "RHOT needs Python 3.11 or newer")
-    else:
-        yield Finding("ok", f"Python {version} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores")
+    yield Finding("ok", f"Python {version} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores")
     for role, modules in _ROLES.items():
         missing = [module for module in modules if importlib.util.find_spec(module) is None]
         if missing:
@@ -163,7 +160,6 @@ def doctor(rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> i
     if not any(finding.level == "bad" and RIG_FILE in finding.text for finding in rig_findings):
         findings += asyncio.run(check_running(tool_bus(rig_path, connect, namespace), rig))
     for finding in findings:
-        console.print(
-            f"{_MARK[finding.level]} {finding.text}" + (f"  [dim]→ {finding.remedy}[/]" if finding.remedy else "")
-        )
+        remedy = f"  [dim]→ {escape(finding.remedy)}[/]" if finding.remedy else ""
+        console.print(f"{_MARK[finding.level]} {escape(finding.text)}{remedy}", soft_wrap=True)
     return 1 if any(finding.level == "bad" for finding in findings) else 0

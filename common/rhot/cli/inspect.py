@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -72,7 +73,7 @@ def get(
     if raw:
         if not values:
             raise BusError(errors[0] if errors else f"{key_expr}: no service answers this key")
-        click.get_binary_stream("stdout").write(values[0].payload)
+        sys.stdout.buffer.write(values[0].payload)
         return
     shown: set[str] = set()
     for reply in values:

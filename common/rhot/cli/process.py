@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -67,7 +68,7 @@ def _frame_count(recording: Recording) -> int:
 def _output(file: Path) -> Iterator[IO[str]]:
     """Write a file that appears only when it is complete; `-` is standard output."""
     if str(file) == "-":
-        yield click.get_text_stream("stdout")
+        yield sys.stdout
         return
     try:
         with tempfile.NamedTemporaryFile(

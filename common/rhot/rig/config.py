@@ -151,7 +151,7 @@ class FusionConfig(FileModel):
     beta: NotNegative = 20.0
     derivative_cutoff_hz: Positive = 5.0
     volume_m: tuple[Vector3, Vector3] = ((-0.8, -0.6, 0.30), (0.8, 0.6, 1.40))
-    max_speed_m_s: Positive = 5.0
+    max_speed_m_s: Positive = 4.0
     hold_s: NotNegative = 0.25
     extrapolation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.6
     epipolar_limit_px: NotNegative = 15.0

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from typing import Final, TypeVar
 
-from rhot.bus import Bus, EventSubscriber, LatestSubscriber
+from rhot.bus import Bus, EventSubscriber, LatestSubscriber, Publisher
 from rhot.clock import NodeClock, RigClock
 from rhot.errors import WireError
 from rhot.messages import Message, decode
@@ -43,6 +43,17 @@ class Node:
     clock: RigClock
     status: StatusBoard
     _logged_at: dict[str, float] = field(default_factory=dict)
+    _publishers: dict[str, Publisher[Message]] = field(default_factory=dict)
+
+    def publish(self, key: str, message: Message) -> None:
+        """Publish on a key that appears with its first message, and note how old the message is by then."""
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            model: type[Message] = type(message)
+            publisher = self._publishers[key] = self.bus.publisher(key, model)
+        publisher.put(message)
+        self.status.tick("output")
+        self.status.latency("output_age", (self.clock.now_ns() - message.t_ns) / 1e9)
 
     async def receive(
         self,

@@ -8,7 +8,7 @@ from typing import Generic, Protocol, TypeVar
 
 from pydantic import BaseModel
 
-from rhot.bus import LatestSubscriber, Publisher
+from rhot.bus import LatestSubscriber
 from rhot.messages import Control, Message
 from rhot.service.node import Node
 from rhot.stage import Output
@@ -64,7 +64,6 @@ class StageService(Generic[M, C]):
         self._make_stage = make_stage
         self._stage = make_stage(config)
         self._mailbox: LatestSubscriber | None = None
-        self._publishers: dict[str, Publisher[Message]] = {}
 
     @property
     def config(self) -> C:
@@ -103,13 +102,4 @@ class StageService(Generic[M, C]):
             outputs = self._stage.feed(message)
             status.latency("compute", time.perf_counter() - begun)
             for key, output in outputs:
-                self._publisher(node, key, output).put(output)
-                status.tick("output")
-                status.latency("output_age", (clock.now_ns() - output.t_ns) / 1e9)
-
-    def _publisher(self, node: Node, key: str, message: Message) -> Publisher[Message]:
-        publisher = self._publishers.get(key)
-        if publisher is None:
-            model: type[Message] = type(message)
-            publisher = self._publishers[key] = node.bus.publisher(key, model)
-        return publisher
+                node.publish(key, output)

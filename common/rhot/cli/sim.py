@@ -1,0 +1,153 @@
+"""`rhot sim`: the whole system on this machine, with simulated cameras, hand and object."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from rhot.cli.options import rig_option
+from rhot.errors import ConfigError
+from rhot.evaluate.table import summary
+from rhot.rig import Rig, load_rig
+from rhot.rig.folder import RIG_FILE, write_text_atomic
+from rhot.service.runner import install_stop
+from rhot.sim.folder import DEFAULT_ENDPOINT, write_simulated_rig
+from rhot.sim.run import SimRun, free_endpoint
+
+
+@click.command()
+@click.option(
+    "--duration", "duration_s", type=click.FloatRange(1, 86400), default=30.0, show_default=True, help="Seconds to run."
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(0, 2**63 - 1),
+    default=1,
+    show_default=True,
+    help="Of the simulated world; the same seed moves the same hand.",
+)
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=click.FloatRange(5, 200),
+    default=60.0,
+    show_default=True,
+    help="Frames per second of each camera.",
+)
+@click.option("--cameras", type=click.IntRange(2, 8), default=2, show_default=True, help="How many.")
+@click.option(
+    "--hands",
+    type=click.Choice(["right", "left", "both"]),
+    default="right",
+    show_default=True,
+    help="Hands in the world.",
+)
+@click.option("--headless", is_flag=True, help="No live table, only a line now and then and the summary.")
+@click.option(
+    "--report",
+    "report_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write every figure as JSON to this file.",
+)
+@click.option(
+    "--listen",
+    "endpoint",
+    metavar="ENDPOINT",
+    help=f"Where the router listens; {DEFAULT_ENDPOINT} when not given, or a free port when that is taken.",
+)
+@rig_option
+@click.pass_context
+def sim(
+    context: click.Context,
+    duration_s: float,
+    seed: int,
+    rate_hz: float,
+    cameras: int,
+    hands: str,
+    headless: bool,
+    report_path: Path | None,
+    endpoint: str | None,
+    rig_path: Path,
+) -> int:
+    """Run a whole simulated rig on this machine and show how well it tracks.
+
+    Every part is a process of its own, as on a real rig: one capture service per camera (each renders what its camera
+    would see, with lens, noise, blur, rolling shutter, lost frames and a clock of its own), fusion, ik and objects; the
+    router runs inside this process. While it runs, look at any key from another terminal:
+
+    \b
+    rhot status
+    rhot get 'rhot/**'
+    rhot watch rhot/hand/right
+
+    With --rig, a simulated rig folder made by `rhot init RIG --sim` is used instead of a temporary one.
+    """
+    console = Console()
+    if report_path is not None and not report_path.resolve().parent.is_dir():
+        raise ConfigError(f"--report {report_path}: the folder {report_path.resolve().parent} does not exist")
+    with ExitStack() as stack:
+        work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-sim-")))
+        chosen = endpoint or free_endpoint(DEFAULT_ENDPOINT)
+        if context.get_parameter_source("rig_path") is click.core.ParameterSource.DEFAULT:
+            with console.status("preparing the simulated rig: cameras, colours, hand"):
+                rig = write_simulated_rig(
+                    work / "rig",
+                    cameras=cameras,
+                    rate_hz=rate_hz,
+                    seed=seed,
+                    sides=("right", "left") if hands == "both" else ("left",) if hands == "left" else ("right",),
+                    endpoint=chosen,
+                )
+        else:
+            rig = _simulated_rig(rig_path)
+        if chosen != DEFAULT_ENDPOINT:
+            console.print(f"The router listens on {chosen}: give the other commands --connect {chosen}")
+        run = SimRun(rig, chosen, duration_s, work)
+        interrupted = asyncio.run(_run(run, console, headless))
+        if interrupted:
+            console.print("interrupted; no summary")
+            return 128 + signal.SIGINT
+        if not headless:
+            console.print()
+        with console.status("comparing with the truth"):
+            report = run.report()
+        console.print(summary(report))
+        if report_path is not None:
+            write_text_atomic(report_path, json.dumps(report, indent=1) + "\n")
+            console.print(f"report: {report_path}")
+    return 0
+
+
+async def _run(run: SimRun, console: Console, headless: bool) -> bool:
+    """Run until the duration is over (False) or somebody interrupts (True)."""
+    stop = install_stop()
+    work = asyncio.create_task(run.execute(console, live=not headless))
+    asked = asyncio.create_task(stop.requested.wait())
+    await asyncio.wait((work, asked), return_when=asyncio.FIRST_COMPLETED)
+    asked.cancel()
+    if work.done():
+        work.result()
+        return False
+    work.cancel()
+    await asyncio.gather(work, return_exceptions=True)
+    return True
+
+
+def _simulated_rig(path: Path) -> Rig:
+    if not (path / RIG_FILE).exists():
+        raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {path} --sim` makes a simulated rig")
+    rig = load_rig(path)
+    real = [name for name, camera in rig.config.cameras.items() if camera.source != "simulated"]
+    if real:
+        raise ConfigError(
+            f"{path / RIG_FILE}: camera {', '.join(real)} is not simulated; `rhot init RIG --sim` makes a simulated rig, "
+            "`rhot up` runs a real one"
+        )
+    return rig

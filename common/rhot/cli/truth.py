@@ -1,0 +1,20 @@
+"""`rhot truth`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.rig import load_rig
+from rhot.service import run_service
+from rhot.sim.truth import TruthService
+
+
+@click.command()
+@rig_option
+@bus_options
+def truth(rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> int:
+    """Publish rhot/truth, what is true in the simulated world, until Ctrl-C."""
+    return run_service(TruthService(load_rig(rig_path)), tool_bus(rig_path, connect, namespace))

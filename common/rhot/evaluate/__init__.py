@@ -1,0 +1,1 @@
+"""Comparing what was tracked with what was true."""

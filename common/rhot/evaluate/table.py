@@ -1,0 +1,114 @@
+"""The figures of a run as people read them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+_NOTHING = "–"
+
+
+def _number(figures: Mapping[str, Any], *path: str, digits: int = 1) -> str:
+    value: Any = figures
+    for name in path:
+        if not isinstance(value, Mapping) or name not in value:
+            return _NOTHING
+        value = value[name]
+    return f"{value:.{digits}f}" if isinstance(value, int | float) else _NOTHING
+
+
+def live_table(
+    elapsed_s: float, duration_s: float, figures: Mapping[str, Any], services: Mapping[str, Any]
+) -> RenderableType:
+    """Return the table that is shown while the rig runs.
+
+    Args:
+        elapsed_s, duration_s: of the run.
+        figures: `tracking_figures` of the last second or two.
+        services: `service_figures(...)["services"]`.
+    """
+    head = Text.assemble(
+        ("RHOT simulated rig", "bold"), f"   {elapsed_s:5.1f} of {duration_s:.0f} s   ", ("Ctrl-C ends it", "dim")
+    )
+    tracking = Table(header_style="bold")
+    for column in ("tracked", "rate /s", "error median mm", "error p95 mm", "age p50 ms", "age p99 ms"):
+        tracking.add_column(column, justify="left" if column == "tracked" else "right")
+    tracking.add_row(
+        "fingertips",
+        _number(figures, "rate_hz"),
+        _number(figures, "fingertip_error_mm", "median"),
+        _number(figures, "fingertip_error_mm", "p95"),
+        _number(figures, "latency_ms", "p50"),
+        _number(figures, "latency_ms", "p99"),
+    )
+    tracking.add_row(
+        "object",
+        _number(figures, "object_rate_hz"),
+        _number(figures, "object_error_mm", "median", digits=2),
+        _number(figures, "object_error_mm", "p95", digits=2),
+        "",
+        "",
+    )
+    return Group(head, tracking, service_table(services))
+
+
+def service_table(services: Mapping[str, Any]) -> Table:
+    """Return one row per service: rate, losses, how old its output is, how well it knows the time."""
+    table = Table(header_style="bold")
+    for column in ("service", "state", "out /s", "late", "missed", "invalid", "age p50 ms", "age p99 ms", "clock ± ms"):
+        table.add_column(column, justify="left" if column in ("service", "state") else "right")
+    for name, service in services.items():
+        counts, rates = service["counts"], service["rates_hz"]
+        table.add_row(
+            name,
+            service["state"],
+            f"{rates.get('output', rates.get('frames', 0.0)):.1f}",
+            str(counts.get("dropped_late", 0)),
+            str(counts.get("missed", 0)),
+            str(counts.get("invalid", 0)),
+            _number(service, "latency_ms", "output_age", "p50"),
+            _number(service, "latency_ms", "output_age", "p99"),
+            _number(service, "clock_uncertainty_ms", digits=2),
+        )
+    return table
+
+
+def summary(report: Mapping[str, Any]) -> RenderableType:
+    """Return the summary that ends a run; every number of it stands in the report."""
+    table = Table(title="Summary", title_justify="left", header_style="bold")
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    table.add_column("", style="dim")
+    rows = [
+        ("hand poses per second", _number(report, "rate_hz"), f"cameras at {report['camera_rate_hz']:g} Hz"),
+        (
+            "coverage",
+            f"{100 * report['coverage']:.2f} %" if "coverage" in report else _NOTHING,
+            f"of {report.get('coverage_samples', 0)} markers that two cameras could see, measured",
+        ),
+        ("fingertip error, median", f"{_number(report, 'fingertip_error_mm', 'median', digits=2)} mm", "tip joint of the hand against truth"),
+        ("fingertip error, p95", f"{_number(report, 'fingertip_error_mm', 'p95', digits=2)} mm", ""),
+        ("marker point error, median", f"{_number(report, 'point_error_mm', 'median', digits=2)} mm", "centre of the painted volume, before ik"),
+        ("joint error, median", f"{_number(report, 'joint_error_mm', 'median', digits=2)} mm", "all 26 joints"),
+        ("object error, median", f"{_number(report, 'object_error_mm', 'median', digits=2)} mm", f"{_number(report, 'object_error_deg', 'median', digits=2)}°"),
+        ("latency, p50", f"{_number(report, 'latency_ms', 'p50')} ms", "mid-exposure of the marker's row to the pose at the reader"),
+        ("latency, p99", f"{_number(report, 'latency_ms', 'p99')} ms", ""),
+        ("frames dropped for lateness", str(report["dropped_late"]), f"after the first {report['steady_from_s']:g} s"),
+        ("frames lost by the cameras", str(report["missed"]), "simulated loss; bridged"),
+    ]  # fmt: skip
+    for row in rows:
+        table.add_row(*row)
+    parts = Table(
+        title="Where the latency goes (age of the sample at each step, slowest camera)",
+        title_justify="left",
+        header_style="bold",
+    )
+    for column in ("step", "p50 ms", "p99 ms"):
+        parts.add_column(column, justify="left" if column == "step" else "right")
+    for name, part in report.get("latency_ms", {}).get("parts", {}).items():
+        parts.add_row(name, f"{part['p50']:.1f}", f"{part['p99']:.1f}")
+    return Group(table, parts)

@@ -1,0 +1,18 @@
+"""Recordings on disk: pictures, video or two-dimensional marker tracks per camera, with times."""
+
+from rhot.recording.folder import load_camera, load_recording
+from rhot.recording.model import CameraTrack, MarkerTrack, PictureTrack, Recording, TrackTiming, VideoTrack
+from rhot.recording.replay import MarkerTrackFrames, marker_track_frames
+
+__all__ = [
+    "CameraTrack",
+    "MarkerTrack",
+    "MarkerTrackFrames",
+    "PictureTrack",
+    "Recording",
+    "TrackTiming",
+    "VideoTrack",
+    "load_camera",
+    "load_recording",
+    "marker_track_frames",
+]

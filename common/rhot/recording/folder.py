@@ -1,0 +1,159 @@
+"""Finding and validating what lies in a recording folder."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from rhot.errors import ConfigError
+from rhot.messages import first_problem
+from rhot.recording.model import (
+    CameraTrack,
+    IntArray,
+    PictureTrack,
+    Recording,
+    RecordingFile,
+    TrackTiming,
+    VideoTrack,
+    frozen_array,
+)
+from rhot.recording.tables import read_marker_track, read_times
+
+RECORDING_FILE = "recording.toml"
+MARKERS_FILE = "markers.csv"
+TIMES_FILE = "timestamps.csv"
+PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
+VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi")
+
+_CAMERA_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+_NO_TIMES = frozen_array([])
+
+
+def load_recording(path: Path) -> Recording:
+    """Load and validate a recording folder.
+
+    Each camera is either a folder of numbered pictures or of `markers.csv`, or a video beside it; pictures and videos
+    have their times in `<camera>/timestamps.csv` or `<camera>.csv`. Pictures and videos without such a table load
+    too, as still sets for calibration; `Recording.require_times` refuses them.
+
+    Raises:
+        ConfigError: missing, empty, ambiguous or wrong; names file and line.
+    """
+    if not path.is_dir():
+        raise ConfigError(f"{path}: no such recording folder")
+    settings = _settings(path)
+    entries = sorted(entry for entry in path.iterdir() if not entry.name.startswith("."))
+    origins: dict[str, Path] = {}
+    for entry in entries:
+        if entry.is_dir() and _is_camera_folder(entry):
+            name = entry.name
+        elif entry.is_file() and entry.suffix.lower() in VIDEO_SUFFIXES:
+            name = entry.stem
+        else:
+            continue
+        if not _CAMERA_NAME.fullmatch(name):
+            raise ConfigError(f"{entry}: {name!r} is not a camera name; rename it to letters, digits, _ . - only")
+        if name in origins:
+            raise ConfigError(f"{path}: camera {name} is there twice, {origins[name].name} and {entry.name}; keep one")
+        origins[name] = entry
+    if not origins:
+        raise ConfigError(
+            f"{path}: holds no camera; expected <camera>/NNNNNN.jpg, <camera>.mp4 or <camera>/{MARKERS_FILE}"
+        )
+    unknown = [name for name in settings.cameras if name not in origins]
+    if unknown:
+        raise ConfigError(
+            f"{path / RECORDING_FILE}: cameras.{unknown[0]} is not in this recording, which holds {', '.join(origins)}"
+        )
+    cameras = {
+        name: load_camera(origin, name, settings.cameras.get(name, TrackTiming())) for name, origin in origins.items()
+    }
+    return Recording(path, cameras, settings.notes)
+
+
+def load_camera(path: Path, name: str, timing: TrackTiming | None = None) -> CameraTrack:
+    """Load one camera of a recording: a folder of pictures or of `markers.csv`, or a video file.
+
+    Args:
+        path: the folder or the video.
+        name: of the camera.
+        timing: read-out and exposure; absent = 0.
+
+    Raises:
+        ConfigError: missing, empty, ambiguous or wrong; names file and line.
+    """
+    timing = timing or TrackTiming()
+    if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES:
+        frames, t_ns = _times_of(path.parent / f"{path.stem}.csv", None)
+        return VideoTrack(name, path, frames, t_ns, timing)
+    if not path.is_dir():
+        wanted = ", ".join(VIDEO_SUFFIXES)
+        raise ConfigError(f"{path}: camera {name} needs a folder of pictures or a video ({wanted}), found neither")
+    pictures = _numbered_pictures(path)
+    markers = path / MARKERS_FILE
+    if markers.exists():
+        if pictures:
+            raise ConfigError(f"{path}: holds both pictures and {MARKERS_FILE}; keep one of them")
+        return read_marker_track(markers, name, timing)
+    if not pictures:
+        raise ConfigError(f"{path}: holds neither numbered pictures (000000.jpg or .png) nor {MARKERS_FILE}")
+    frames, t_ns = _times_of(path / TIMES_FILE, path.parent / f"{path.name}.csv")
+    if not len(t_ns):
+        return PictureTrack(name, tuple(pictures.values()), frozen_array(list(pictures)), _NO_TIMES, timing)
+    table = path / TIMES_FILE if (path / TIMES_FILE).exists() else path.parent / f"{path.name}.csv"
+    listed = set(frames.tolist())
+    without_time = [file for frame, file in pictures.items() if frame not in listed]
+    if without_time:
+        raise ConfigError(f"{table}: no row for {without_time[0]} (and {len(without_time) - 1} more pictures)")
+    for row, frame in enumerate(frames.tolist()):
+        if frame not in pictures:
+            raise ConfigError(f"{table}: frame {frame} (row {row + 1} of the table) has no picture in {path}")
+    return PictureTrack(name, tuple(pictures[frame] for frame in frames.tolist()), frames, t_ns, timing)
+
+
+def _settings(path: Path) -> RecordingFile:
+    file = path / RECORDING_FILE
+    if not file.exists():
+        return RecordingFile()
+    try:
+        return RecordingFile.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{file}: not TOML: {error}") from error
+    except ValidationError as error:
+        raise ConfigError(f"{file}: {first_problem(error)}") from error
+
+
+def _is_camera_folder(path: Path) -> bool:
+    return (
+        (path / MARKERS_FILE).exists()
+        or (path / TIMES_FILE).exists()
+        or (path.parent / f"{path.name}.csv").exists()
+        or any(file.suffix.lower() in PICTURE_SUFFIXES for file in path.iterdir())
+    )
+
+
+def _numbered_pictures(path: Path) -> dict[int, Path]:
+    pictures: dict[int, Path] = {}
+    for file in sorted(path.iterdir()):
+        if file.suffix.lower() not in PICTURE_SUFFIXES or file.name.startswith("."):
+            continue
+        if not (file.stem.isascii() and file.stem.isdigit()):
+            raise ConfigError(f"{file}: a picture's name is its frame number, such as 000042.jpg; rename or remove it")
+        frame = int(file.stem)
+        if frame in pictures:
+            raise ConfigError(f"{file}: frame {frame} is there twice, also as {pictures[frame].name}; keep one")
+        pictures[frame] = file
+    return dict(sorted(pictures.items()))
+
+
+def _times_of(first: Path, second: Path | None) -> tuple[IntArray, IntArray]:
+    present = [file for file in (first, second) if file is not None and file.exists()]
+    if len(present) == 2:
+        raise ConfigError(f"{present[0]} and {present[1]} both state this camera's times; keep one")
+    return read_times(present[0]) if present else (_NO_TIMES, np.array(_NO_TIMES))

@@ -1,0 +1,172 @@
+"""What a recording folder holds, as data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rhot.errors import ConfigError
+from rhot.messages import Name
+from rhot.rig.config import FileModel, NotNegative
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+
+class TrackTiming(FileModel):
+    """How one camera scanned its pictures.
+
+    A marker in row v of a picture of height h that began at t was true at t + readout_s · v / h + exposure_s / 2.
+
+    Attributes:
+        exposure_s: exposure time of each row.
+        readout_s: time from the first row's start of exposure to the last row's (rolling shutter).
+    """
+
+    exposure_s: NotNegative = 0.0
+    readout_s: NotNegative = 0.0
+
+
+class RecordingFile(FileModel):
+    """`recording.toml`, optional.
+
+    Attributes:
+        version: of the file's layout.
+        notes: for people.
+        cameras: timing per camera; what is absent counts as 0.
+    """
+
+    version: Literal[1] = 1
+    notes: str = ""
+    cameras: Annotated[dict[Name, TrackTiming], Field(max_length=64)] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class PictureTrack:
+    """A folder of pictures of one camera.
+
+    Attributes:
+        name: of the camera.
+        files: the pictures in order of their frame numbers.
+        frames: (N,) frame number of each picture.
+        t_ns: (N,) start of the first row's exposure; empty when the recording states no times.
+        timing: read-out and exposure.
+    """
+
+    name: str
+    files: tuple[Path, ...]
+    frames: IntArray
+    t_ns: IntArray
+    timing: TrackTiming
+
+    @property
+    def has_times(self) -> bool:
+        """Whether the time of every picture is known."""
+        return len(self.t_ns) == len(self.frames)
+
+
+@dataclass(frozen=True, slots=True)
+class VideoTrack:
+    """A video of one camera.
+
+    Attributes:
+        name: of the camera.
+        file: the video.
+        frames: (N,) number of each frame in the video, from 0; empty when the recording states no times.
+        t_ns: (N,) start of the first row's exposure; empty when the recording states no times.
+        timing: read-out and exposure.
+    """
+
+    name: str
+    file: Path
+    frames: IntArray
+    t_ns: IntArray
+    timing: TrackTiming
+
+    @property
+    def has_times(self) -> bool:
+        """Whether the time of every frame is known."""
+        return len(self.t_ns) > 0
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerTrack:
+    """Marker positions of one camera, one row per marker and frame, in the order of the file.
+
+    Attributes:
+        name: of the camera.
+        file: `markers.csv`.
+        markers: names that occur, in order of appearance.
+        frames: (N,) frame number of each row, not decreasing.
+        t_ns: (N,) start of the first row's exposure of the frame.
+        marker: (N,) index into `markers`.
+        uv: (N, 2) pixels, raw image.
+        timing: read-out and exposure.
+    """
+
+    name: str
+    file: Path
+    markers: tuple[str, ...]
+    frames: IntArray
+    t_ns: IntArray
+    marker: IntArray
+    uv: FloatArray
+    timing: TrackTiming
+
+    @property
+    def has_times(self) -> bool:
+        """Whether times are known: always, they stand in every row."""
+        return True
+
+
+CameraTrack = PictureTrack | VideoTrack | MarkerTrack
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A loaded recording folder.
+
+    Attributes:
+        path: the folder.
+        cameras: what each camera recorded, by name, in alphabetical order.
+        notes: from `recording.toml`.
+    """
+
+    path: Path
+    cameras: dict[str, CameraTrack]
+    notes: str
+
+    @property
+    def has_times(self) -> bool:
+        """Whether all cameras have times; a still set for calibration may have none."""
+        return all(track.has_times for track in self.cameras.values())
+
+    @property
+    def holds_markers(self) -> bool:
+        """Whether all cameras hold marker tracks in place of pictures."""
+        return all(isinstance(track, MarkerTrack) for track in self.cameras.values())
+
+    def require_times(self) -> None:
+        """Refuse a recording without times where they are needed.
+
+        Raises:
+            ConfigError: names the camera that has none.
+        """
+        for name, track in self.cameras.items():
+            if not track.has_times:
+                raise ConfigError(
+                    f"{self.path}: camera {name} has no times; add {name}/timestamps.csv (or {name}.csv) with the "
+                    "header frame,t_ns and one row a frame"
+                )
+
+
+def frozen_array(values: list[int]) -> IntArray:
+    """Return a read-only integer array."""
+    array = np.array(values, dtype=np.int64)
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,129 @@
+"""The simulated world: what is where at any moment, from seed and time alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.hand import HandJoints, HandModel
+from rhot.messages import Side, TruePose, Truth
+from rhot.rig.config import MarkerConfig, SimConfig
+from rhot.rig.folder import Rig
+from rhot.rotations import quaternion_from_rotation
+from rhot.sim.motion import Motion, StillMotion
+from rhot.sim.script import ScriptedMotion
+from rhot.skeleton import JOINTS
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class WorldSample:
+    """The world at N moments, rig frame.
+
+    Attributes:
+        t_s: (N,) seconds since the world's start.
+        joints: side to its joints; positions (N, 26, 3) metres, rotations (N, 26, 3, 3).
+        angles: side to joint angles (N, 5, 4), radians, as in `rhot.hand`.
+        markers: marker name to the centre of its painted volume, (N, 3) metres.
+        objects: object id to the pose of its centre, (N, 4, 4), metres.
+    """
+
+    t_s: FloatArray
+    joints: Mapping[Side, HandJoints]
+    angles: Mapping[Side, FloatArray]
+    markers: Mapping[str, FloatArray]
+    objects: Mapping[str, FloatArray]
+
+
+class World:
+    """Hands with their markers, and objects on a desk.
+
+    Args:
+        seed: with the time it determines everything.
+        hands: the hands in the world by side.
+        markers: what is painted on them.
+        objects: ids of the objects.
+        motion: what moves; the scripted motion of the seed when not given.
+        desk_z_m: distance of the desk from the reference camera.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        hands: Mapping[Side, HandModel],
+        markers: Mapping[str, MarkerConfig],
+        objects: Sequence[str] = (),
+        *,
+        motion: Motion | None = None,
+        desk_z_m: float = 0.95,
+    ) -> None:
+        self.seed = seed
+        self.hands = dict(hands)
+        self.markers = {name: marker for name, marker in markers.items() if marker.hand in hands}
+        self.objects = tuple(objects)
+        self.desk_z_m = desk_z_m
+        self.motion: Motion = motion or ScriptedMotion(seed, self.hands, self.objects, desk_z_m)
+
+    @classmethod
+    def from_rig(cls, rig: Rig) -> World:
+        """Build the world that a rig folder describes: its hands, its markers and its simulated objects."""
+        config = rig.config
+        hands: dict[Side, HandModel] = {side: HandModel.from_file(rig.hand, side) for side in config.sides}
+        objects = [name for name, item in config.objects.items() if item.source == "simulated"]
+        motion = _motion(config.sim, hands, objects)
+        return cls(config.sim.seed, hands, config.markers, objects, motion=motion, desk_z_m=config.sim.desk_z_m)
+
+    def sample(self, t_s: FloatArray) -> WorldSample:
+        """Return the world at times (N,), seconds since its start; any times, in any order."""
+        t = np.asarray(t_s, dtype=np.float64).reshape(-1)
+        motion = self.motion.sample(t)
+        joints: dict[Side, HandJoints] = {}
+        markers: dict[str, FloatArray] = {}
+        for side, hand in self.hands.items():
+            joints[side] = hand.forward(motion.wrists[side], motion.angles[side])
+            markers |= hand.marker_positions(joints[side], self.markers)
+        return WorldSample(t, joints, motion.angles, markers, motion.objects)
+
+    def truth(self, t_s: float, t_ns: int, seq: int = 0) -> Truth:
+        """Return what is true at `t_s`, seconds since the world's start, as the message with time stamp `t_ns`."""
+        sample = self.sample(np.array([t_s]))
+        return Truth(
+            t_ns=t_ns,
+            seq=seq,
+            frame="rig",
+            points={name: _triple(points[0]) for name, points in sample.markers.items()},
+            hands={side: _joint_poses(joints) for side, joints in sample.joints.items()},
+            objects={name: _pose(T[0, :3, 3], T[0, :3, :3]) for name, T in sample.objects.items()},
+        )
+
+
+def _motion(config: SimConfig, hands: Mapping[Side, HandModel], objects: Sequence[str]) -> Motion:
+    if config.motion == "still":
+        return StillMotion(tuple(hands), objects, config.desk_z_m)
+    return ScriptedMotion(config.seed, hands, objects, config.desk_z_m)
+
+
+def _joint_poses(joints: HandJoints) -> dict[str, TruePose]:
+    quaternions = quaternion_from_rotation(joints.rotations[0])
+    return {
+        name: TruePose(position=_triple(position), orientation=_quadruple(quaternion))
+        for name, position, quaternion in zip(JOINTS, joints.positions[0], quaternions, strict=True)
+    }
+
+
+def _pose(position: FloatArray, R: FloatArray) -> TruePose:
+    return TruePose(position=_triple(position), orientation=_quadruple(quaternion_from_rotation(R)))
+
+
+def _triple(values: FloatArray) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _quadruple(values: FloatArray) -> tuple[float, float, float, float]:
+    x, y, z, w = (float(value) for value in values)
+    return x, y, z, w

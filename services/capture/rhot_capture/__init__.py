@@ -1,0 +1,1 @@
+"""Capture: pictures in, two-dimensional markers out."""

@@ -1,0 +1,152 @@
+"""Blobs: connected areas of one marker's colour, as candidates for the marker."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot_capture.color_table import ImageArray
+
+ContourArray = NDArray[np.int32]
+
+PADDING_PX: Final = 6
+"""Room around a blob for its rim and a strip of what surrounds it."""
+_MAX_CANDIDATES: Final = 6
+_MERGE_GAP_RATIO: Final = 0.3
+_MERGE_GAP_MIN_PX: Final = 2.0
+_MERGE_MIN_SHARE: Final = 0.05
+_MERGE_MIN_SOLIDITY: Final = 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class Blob:
+    """A candidate for a marker.
+
+    Attributes:
+        x0, y0: image coordinates of the mask's upper left pixel.
+        mask: (h, w) uint8, 255 inside the blob with its holes filled; padded by `PADDING_PX` where the image allows.
+        outlines: the blob's parts, each (n, 1, 2) int32, image coordinates.
+        area: pixels inside the filled outline.
+        solidity: area over the area of the convex hull.
+        border_share: share of the outline that lies on the image's border.
+    """
+
+    x0: int
+    y0: int
+    mask: ImageArray
+    outlines: tuple[ContourArray, ...]
+    area: float
+    solidity: float
+    border_share: float
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of the mask in the image."""
+        height, width = self.mask.shape
+        return slice(self.y0, self.y0 + height), slice(self.x0, self.x0 + width)
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """One connected outline and the pixels that it encloses."""
+
+    area: float
+    outline: ContourArray
+
+
+def find_blobs(labels: ImageArray, label: int, min_area: float, max_area: float) -> list[Blob]:
+    """Return the blobs of one label, largest first.
+
+    Parts that a highlight or the shine of a nail has split are joined when they are near and together as compact as
+    one marker is.
+
+    Args:
+        labels: (H, W) uint8.
+        label: of the marker.
+        min_area, max_area: size gate, square pixels, on the joined blob.
+    """
+    contours, _ = cv2.findContours(cv2.inRange(labels, label, label), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    # A part below a twentieth of the smallest marker cannot matter to any blob that is kept.
+    least = max(3.0, _MERGE_MIN_SHARE * min_area)
+    sized = [_Part(pixel_area(outline), outline) for outline in map(_as_outline, contours) if len(outline) > 2]
+    parts = sorted((part for part in sized if part.area >= least), key=lambda part: part.area, reverse=True)
+    blobs: list[Blob] = []
+    free = parts[: 4 * _MAX_CANDIDATES]
+    while free and len(blobs) < _MAX_CANDIDATES:
+        group, free = _gather(free)
+        if min_area <= sum(part.area for part in group) <= max_area:
+            blobs.append(_blob([part.outline for part in group], labels.shape))
+    return blobs
+
+
+def pixel_area(contour: ContourArray) -> float:
+    """Return the number of pixels inside and on a closed chain of neighbouring pixels (Pick's theorem)."""
+    return cv2.contourArea(contour) + 0.5 * len(contour) + 1.0
+
+
+def _as_outline(contour: object) -> ContourArray:
+    return np.asarray(contour, dtype=np.int32)
+
+
+def _gather(parts: Sequence[_Part]) -> tuple[list[_Part], list[_Part]]:
+    """Split parts into those that belong to the first one and the rest."""
+    main = parts[0]
+    group, rest = [main], []
+    if len(parts) > 1:
+        gap = max(_MERGE_GAP_MIN_PX, _MERGE_GAP_RATIO * float(np.sqrt(main.area)))
+        box = cv2.boundingRect(main.outline)
+        for part in parts[1:]:
+            near = part.area >= _MERGE_MIN_SHARE * main.area and (
+                _rectangle_gap(box, cv2.boundingRect(part.outline)) <= gap
+            )
+            if near and _joint_solidity([*group, part]) >= _MERGE_MIN_SOLIDITY:
+                group.append(part)
+            else:
+                rest.append(part)
+    return group, rest
+
+
+def _rectangle_gap(first: Sequence[int], second: Sequence[int]) -> float:
+    gap_x = max(first[0], second[0]) - min(first[0] + first[2], second[0] + second[2])
+    gap_y = max(first[1], second[1]) - min(first[1] + first[3], second[1] + second[3])
+    return float(np.hypot(max(gap_x, 0), max(gap_y, 0)))
+
+
+def _joint_solidity(parts: Sequence[_Part]) -> float:
+    return sum(part.area for part in parts) / _hull_area(np.concatenate([part.outline for part in parts]))
+
+
+def _hull_area(points: ContourArray) -> float:
+    # The hull runs through pixel centres; half a pixel all round belongs to it.
+    hull = cv2.convexHull(points)
+    return cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1.0
+
+
+def _blob(contours: Sequence[ContourArray], shape: tuple[int, ...]) -> Blob:
+    points = contours[0] if len(contours) == 1 else np.concatenate(contours)
+    x, y, width, height = cv2.boundingRect(points)
+    x0, y0 = max(x - PADDING_PX, 0), max(y - PADDING_PX, 0)
+    x1, y1 = min(x + width + PADDING_PX, shape[1]), min(y + height + PADDING_PX, shape[0])
+    mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    cv2.drawContours(mask, contours, -1, 255, cv2.FILLED, offset=(-x0, -y0))
+    if len(contours) > 1:
+        size = 2 * int(np.ceil(_MERGE_GAP_RATIO * np.sqrt(cv2.countNonZero(mask)))) + 1
+        element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+        cv2.morphologyEx(mask, cv2.MORPH_CLOSE, element, dst=mask)
+    area = float(cv2.countNonZero(mask))
+    u, v = points[:, 0, 0], points[:, 0, 1]
+    border = np.count_nonzero((u == 0) | (v == 0) | (u == shape[1] - 1) | (v == shape[0] - 1))
+    return Blob(
+        x0=x0,
+        y0=y0,
+        mask=mask,
+        outlines=tuple(contours),
+        area=area,
+        solidity=min(1.0, area / _hull_area(points)),
+        border_share=border / len(points),
+    )

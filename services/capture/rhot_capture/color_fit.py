@@ -1,0 +1,116 @@
+"""Fitting normal distributions in log-ratio space to colour samples, and telling how well two can be told apart."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+
+from rhot.rig.colors import DARK_OFFSET, ColorComponent, FloatArray, RgbColor, log_ratio
+
+MARKER_FLOOR: Final = (0.06, 0.06, 0.22)
+"""Least σ of a marker's class: light changes between calibration and use, mostly its strength."""
+COUNTER_FLOOR: Final = (0.05, 0.05, 0.10)
+_CEILING: Final = (0.30, 0.30, 0.60)
+_MAX_CORRELATION: Final = 0.95
+_CLUSTER_SCALE: Final = (0.10, 0.10, 0.40)
+"""What counts as equally far along the three axes when samples are clustered."""
+_CLUSTER_SAMPLES: Final = 8_000
+
+
+def fit_component(samples: FloatArray, floor: tuple[float, float, float], weight: float = 1.0) -> ColorComponent:
+    """Fit one normal distribution, robustly: samples beyond three standard deviations are left out once.
+
+    Args:
+        samples: (N, 3) colours in log-ratio space, N at least 1.
+        floor: least standard deviations.
+        weight: of the component in its class.
+    """
+    mean, covariance = _moments(samples, floor)
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), (samples - mean).T)
+    inliers = np.einsum("ij,ij->j", whitened, whitened) <= 9.0
+    if np.count_nonzero(inliers) > 0.5 * len(samples):
+        mean, covariance = _moments(samples[inliers], floor)
+    sigma = np.sqrt(np.diag(covariance))
+    correlation = np.clip(covariance / np.outer(sigma, sigma), -_MAX_CORRELATION, _MAX_CORRELATION)
+    sigma = np.minimum(sigma, _CEILING)
+    values = [float(correlation[0, 1]), float(correlation[0, 2]), float(correlation[1, 2])]
+    while np.linalg.eigvalsh(_correlation_matrix(values))[0] < 1e-3:
+        values = [0.8 * value for value in values]
+    first, second, third = (round(value, 3) for value in values)
+    sigma_1, sigma_2, sigma_3 = (round(float(value), 4) for value in sigma)
+    return ColorComponent(
+        rgb=_rgb_of(mean),
+        sigma=(sigma_1, sigma_2, sigma_3),
+        correlation=(first, second, third),
+        weight=weight,
+    )
+
+
+def _moments(samples: FloatArray, floor: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
+    mean = samples.mean(axis=0)
+    centred = samples - mean
+    # Adding the floor's variance keeps the matrix positive and widens what was only seen in one light.
+    covariance = centred.T @ centred / len(samples) + np.diag(np.square(floor))
+    return mean, covariance
+
+
+def _correlation_matrix(values: list[float]) -> FloatArray:
+    matrix = np.eye(3)
+    matrix[0, 1] = matrix[1, 0] = values[0]
+    matrix[0, 2] = matrix[2, 0] = values[1]
+    matrix[1, 2] = matrix[2, 1] = values[2]
+    return matrix
+
+
+def _rgb_of(feature: FloatArray) -> RgbColor:
+    """Return the colour at a place in log-ratio space, inverse of `rhot.rig.colors.log_ratio`."""
+    brightness = np.exp(feature[2])
+    red_ratio, blue_ratio = np.exp(feature[0]), np.exp(feature[1])
+    green = 4.0 * brightness / (red_ratio + 2.0 + blue_ratio)
+    red, green, blue = (
+        round(float(np.clip(value - DARK_OFFSET, 0.0, 255.0)), 1)
+        for value in (green * red_ratio, green, green * blue_ratio)
+    )
+    return red, green, blue
+
+
+def fit_mixture(samples: FloatArray, count: int, floor: tuple[float, float, float]) -> list[ColorComponent]:
+    """Fit several normal distributions by clustering, the heaviest first.
+
+    Args:
+        samples: (N, 3) colours in log-ratio space.
+        count: most clusters.
+        floor: least standard deviations.
+    """
+    if len(samples) > _CLUSTER_SAMPLES:
+        samples = samples[:: -(-len(samples) // _CLUSTER_SAMPLES)]
+    count = max(1, min(count, len(samples) // 50))
+    scaled = (samples / _CLUSTER_SCALE).astype(np.float32)
+    cv2.setRNGSeed(1)
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
+    labels = np.zeros((len(scaled), 1), np.int32)
+    _, labels_found, _ = cv2.kmeans(scaled, count, labels, criteria, 2, cv2.KMEANS_PP_CENTERS)
+    cluster = np.asarray(labels_found).ravel()
+    components = []
+    for number in range(count):
+        members = samples[cluster == number]
+        if len(members) >= 10:
+            components.append(fit_component(members, floor, round(max(len(members) / len(samples), 1e-3), 4)))
+    return sorted(components, key=lambda component: component.weight, reverse=True)
+
+
+def bhattacharyya(first: ColorComponent, second: ColorComponent) -> float:
+    """Return the Bhattacharyya distance of two normal distributions.
+
+    Their classes are mixed up in at most ½·exp(−distance) of the cases (Fukunaga 1990, section 3.4).
+    """
+    difference = log_ratio(np.array(first.rgb)) - log_ratio(np.array(second.rgb))
+    covariance_1, covariance_2 = first.covariance(), second.covariance()
+    mean_covariance = 0.5 * (covariance_1 + covariance_2)
+    _, log_mean = np.linalg.slogdet(mean_covariance)
+    _, log_1 = np.linalg.slogdet(covariance_1)
+    _, log_2 = np.linalg.slogdet(covariance_2)
+    squared = float(difference @ np.linalg.solve(mean_covariance, difference))
+    return 0.125 * squared + 0.5 * float(log_mean - 0.5 * (log_1 + log_2))

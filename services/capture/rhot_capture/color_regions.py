@@ -1,0 +1,206 @@
+"""From a pick near a marker to the marker's own pixels.
+
+A click is rarely on the middle and may even miss. Paint is rare in a picture while cloth, desk and skin are not, so
+the seed is the place near the click whose whole neighbourhood has rare colours; from there the region grows over
+connected pixels that fit its own normal distribution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.rig.colors import FloatArray, GaussianColor, log_ratio
+from rhot_capture.color_fit import COUNTER_FLOOR, fit_component, fit_mixture
+from rhot_capture.color_table import ImageArray, mixture_fit
+
+BoolArray = NDArray[np.bool_]
+
+SEARCH_PX: Final = 12
+_PATCH_PX: Final = 2
+_WINDOW_PX: Final = 130
+"""Half the width of what is looked at around a pick: room for a marker in a close-up."""
+_SEEDS: Final = 5
+_SEED_SPACING_PX: Final = 5
+_NEAR_PX: Final = 6.0
+_BINS: Final = (0.06, 0.06, 0.30)
+_DISTANCE_WEIGHT: Final = 1.2
+_GROW_FLOOR: Final = (0.07, 0.07, 0.20)
+_GROW_LIMIT: Final = 3.0
+_GROW_ROUNDS: Final = 8
+_MIN_FIT_PIXELS: Final = 20
+_SURROUNDINGS: Final = 10
+_CLEARANCE_PX: Final = 25
+
+_MAX_SHARE: Final = 0.08
+"""A marker does not fill more of a picture than this; a region that does has leaked into its surroundings."""
+
+
+@dataclass(frozen=True, slots=True)
+class PickImage:
+    """A picture prepared for picking.
+
+    Attributes:
+        image: (H, W, 3) uint8 BGR.
+        features: (H, W, 3) float64, smoothed colours in log-ratio space.
+        commonness: (H, W) float64, natural logarithm of the share of the picture with a like colour.
+        surroundings: (H, W) float64, logarithm of the density of everything that was not picked.
+    """
+
+    image: ImageArray
+    features: FloatArray
+    commonness: FloatArray
+    surroundings: FloatArray
+
+
+def prepare(image: ImageArray, picks: Sequence[tuple[float, float]]) -> PickImage:
+    """Prepare a picture.
+
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        picks: all picks in it, (u, v) pixels.
+    """
+    smooth = cv2.GaussianBlur(image, (3, 3), 0)[..., ::-1].astype(np.float64)
+    features = log_ratio(smooth)
+    around = np.zeros(image.shape[:2], np.uint8)
+    for u, v in picks:
+        cv2.circle(around, (round(u), round(v)), _CLEARANCE_PX, 1, cv2.FILLED)
+    return PickImage(image, features, _commonness(features), _density(features, around == 0))
+
+
+def regions(image: ImageArray, picks: Mapping[str, tuple[float, float]]) -> dict[str, BoolArray]:
+    """Return each picked marker's pixels, (H, W) bool, in one picture.
+
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        picks: marker name to (u, v), pixels.
+    """
+    picture = prepare(image, list(picks.values()))
+    grown = {name: grow(picture, *pick) for name, pick in picks.items()}
+    # Once the markers are known roughly, their surroundings are known exactly, and the rims come out sharper.
+    taken = np.zeros(image.shape[:2], np.uint8)
+    for region in grown.values():
+        taken |= region
+    free = cv2.dilate(taken, np.ones((7, 7), np.uint8)) == 0
+    sharper = replace(picture, surroundings=_density(picture.features, free))
+    return {name: grow(sharper, *pick) for name, pick in picks.items()}
+
+
+def _density(features: FloatArray, where: BoolArray) -> FloatArray:
+    color = GaussianColor(components=tuple(fit_mixture(features[where], _SURROUNDINGS, COUNTER_FLOOR)))
+    density, _ = mixture_fit(color, features.reshape(-1, 3))
+    return density.reshape(where.shape)
+
+
+def _commonness(features: FloatArray) -> FloatArray:
+    bins = np.floor(features / _BINS).astype(np.int64)
+    bins -= bins.min(axis=(0, 1)) - 1
+    shape = bins.max(axis=(0, 1)) + 2
+    flat = bins.reshape(-1, 3)
+    index = np.ravel_multi_index((flat[:, 0], flat[:, 1], flat[:, 2]), tuple(shape))
+    counts = np.bincount(index, minlength=int(np.prod(shape))).astype(np.float64).reshape(shape)
+    for axis in range(3):
+        counts = counts + np.roll(counts, 1, axis) + np.roll(counts, -1, axis)
+    return np.asarray(np.log(counts.ravel()[index] / len(flat))).reshape(features.shape[:2])
+
+
+def grow(picture: PickImage, u: float, v: float) -> BoolArray:
+    """Return the marker's pixels around a pick, (H, W) bool.
+
+    Of the regions that grow from several seeds the one counts that is large, rare in colour and near the pick: the
+    rarest seed alone would often be a highlight.
+
+    Args:
+        picture: the prepared picture.
+        u: the pick, pixels to the right.
+        v: the pick, pixels down.
+    """
+    height, width = picture.surroundings.shape
+    left, top = max(0, round(u) - _WINDOW_PX), max(0, round(v) - _WINDOW_PX)
+    window = (slice(top, round(v) + _WINDOW_PX + 1), slice(left, round(u) + _WINDOW_PX + 1))
+    view = PickImage(
+        picture.image[window], picture.features[window], picture.commonness[window], picture.surroundings[window]
+    )
+    best, best_worth = np.zeros(view.surroundings.shape, bool), -np.inf
+    for seed in _seeds(view, u - left, v - top):
+        if best[seed[1], seed[0]]:
+            continue
+        region = _grow_from(view, seed, _MAX_SHARE * height * width)
+        worth = _worth(view, region, u - left, v - top)
+        if worth > best_worth:
+            best, best_worth = region, worth
+    whole = np.zeros((height, width), bool)
+    whole[window] = best
+    return whole
+
+
+def _seeds(view: PickImage, u: float, v: float) -> list[tuple[int, int]]:
+    """Return the rarest places near a pick, apart from one another, and the pick itself."""
+    size = 2 * _PATCH_PX + 1
+    patch_commonness = cv2.dilate(view.commonness, np.ones((size, size), np.uint8))
+    rows, columns = np.mgrid[: patch_commonness.shape[0], : patch_commonness.shape[1]]
+    away = np.hypot(columns - u, rows - v) / SEARCH_PX
+    cost = patch_commonness + _DISTANCE_WEIGHT * away**2
+    cost[away > 1.0] = np.inf
+    seeds = [(round(u), round(v))]
+    while len(seeds) <= _SEEDS:
+        place = int(np.argmin(cost))
+        row, column = divmod(place, cost.shape[1])
+        if not np.isfinite(cost[row, column]):
+            break
+        seeds.append((column, row))
+        cost[np.hypot(columns - column, rows - row) < _SEED_SPACING_PX] = np.inf
+    return seeds
+
+
+def _worth(view: PickImage, region: BoolArray, u: float, v: float) -> float:
+    rows, columns = np.nonzero(region)
+    if len(rows) == 0:
+        return -np.inf
+    away = float(np.hypot(columns - u, rows - v).min()) / _NEAR_PX
+    return 1.5 * float(np.log(len(rows))) - float(view.commonness[region].mean()) - 2.0 * away**2
+
+
+def _grow_from(view: PickImage, seed: tuple[int, int], most_pixels: float) -> BoolArray:
+    region = np.zeros(view.surroundings.shape, bool)
+    rows = slice(max(0, seed[1] - _PATCH_PX), seed[1] + _PATCH_PX + 1)
+    columns = slice(max(0, seed[0] - _PATCH_PX), seed[0] + _PATCH_PX + 1)
+    region[rows, columns] = True
+    patch = region
+    for _ in range(_GROW_ROUNDS):
+        grown = _grown(view, region, seed)
+        if np.count_nonzero(grown) > most_pixels:
+            # Leaked into the surroundings, and the round before already had begun to.
+            return patch
+        if np.array_equal(grown, region):
+            break
+        region = grown
+    return region
+
+
+def _grown(view: PickImage, region: BoolArray, seed: tuple[int, int]) -> BoolArray:
+    inner = cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    own = inner if np.count_nonzero(inner) >= _MIN_FIT_PIXELS else region
+    color = GaussianColor(components=(fit_component(view.features[own], _GROW_FLOOR),))
+    density, squared = mixture_fit(color, view.features.reshape(-1, 3))
+    fits = (squared <= _GROW_LIMIT**2).reshape(region.shape) & (density.reshape(region.shape) > view.surroundings)
+    opened = cv2.morphologyEx(fits.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    _, labels = cv2.connectedComponents(opened, connectivity=4)
+    label = labels[seed[1], seed[0]]
+    if label == 0:
+        return region
+    connected: BoolArray = np.asarray(labels == label)
+    return _filled(connected)
+
+
+def _filled(region: BoolArray) -> BoolArray:
+    """Close holes: highlights and the shine of a nail are paint too."""
+    contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    filled = np.zeros(region.shape, np.uint8)
+    cv2.drawContours(filled, contours, -1, 1, cv2.FILLED)
+    return filled > 0

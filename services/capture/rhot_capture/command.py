@@ -1,0 +1,44 @@
+"""`rhot capture`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import cv2
+
+from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.clock import NodeClock, SystemClock
+from rhot.errors import ConfigError
+from rhot.rig import Rig, load_rig
+from rhot.service import run_service
+from rhot_capture.service import CaptureService
+
+
+def node_clock(rig: Rig, camera: str) -> NodeClock:
+    """Return the clock of a camera's node: the machine's, or for a simulated camera one that is off on purpose."""
+    if rig.config.cameras[camera].source != "simulated":
+        return SystemClock()
+    from rhot.sim.node_clock import node_clock_of  # noqa: PLC0415  # only a simulated camera needs the simulator
+
+    return node_clock_of(rig.config.sim, camera)
+
+
+@click.command()
+@click.option("--camera", required=True, help="Name of the camera in rig.toml.")
+@rig_option
+@bus_options
+def capture(camera: str, rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> int:
+    """Find the markers in one camera's pictures, until Ctrl-C.
+
+    Waits for `rhot start`, then publishes rhot/markers/CAMERA; look through the camera with
+    rhot get --raw 'rhot/preview/CAMERA?overlay=markers' > picture.jpg
+    """
+    rig = load_rig(rig_path)
+    if camera not in rig.config.cameras:
+        raise ConfigError(f"no camera {camera} in {rig_path / 'rig.toml'}; it has {', '.join(rig.config.cameras)}")
+    # One core a camera is the budget; OpenCV's own threads would take it from the others and jitter more.
+    cv2.setNumThreads(1)
+    clock = node_clock(rig, camera)
+    bus = tool_bus(rig_path, connect, namespace)
+    return run_service(CaptureService(camera, rig, clock), bus, node_clock=clock)

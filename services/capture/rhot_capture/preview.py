@@ -1,0 +1,74 @@
+"""A picture for people: the last frame with what was found in it, or what one marker's colour takes in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import cv2
+import numpy as np
+
+from rhot.errors import ConfigError
+from rhot_capture.color_table import ImageArray
+from rhot_capture.detector import Detection
+
+_QUALITY: Final = 85
+_LINE: Final = (255, 255, 255)
+_SHADOW: Final = (0, 0, 0)
+
+
+def preview_jpeg(
+    image: ImageArray,
+    detections: Mapping[str, Detection] | None = None,
+    mask: ImageArray | None = None,
+) -> bytes:
+    """Return a JPEG of a frame.
+
+    Args:
+        image: (H, W, 3) uint8 BGR; is left as it is.
+        detections: draw these markers: outline, centre and name.
+        mask: (H, W) uint8; pixels that are 0 are darkened.
+
+    Raises:
+        ConfigError: the picture cannot be coded.
+    """
+    canvas = image.copy()
+    if mask is not None:
+        canvas[mask == 0] //= 5
+    for name, detection in (detections or {}).items():
+        _draw(canvas, name, detection)
+    ok, data = cv2.imencode(".jpg", canvas, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    if not ok:
+        raise ConfigError(f"preview: a frame of shape {image.shape} cannot be coded as JPEG")
+    return bytes(data)
+
+
+def marker_mask(labels: ImageArray, names: Sequence[str], marker: str) -> ImageArray:
+    """Return 255 where a marker's colour was seen.
+
+    Args:
+        labels: (H, W) uint8 as of `MarkerDetector.labels`.
+        names: markers in the order of the labels.
+        marker: one of them.
+
+    Raises:
+        ConfigError: no such marker.
+    """
+    if marker not in names:
+        raise ConfigError(f"mask={marker}: no such marker; one of {', '.join(names)}")
+    return np.where(labels == list(names).index(marker) + 1, 255, 0).astype(np.uint8)
+
+
+def _draw(canvas: ImageArray, name: str, detection: Detection) -> None:
+    outline = np.round(detection.outline).astype(np.int32).reshape(-1, 1, 2)
+    for point in outline[:, 0]:
+        cv2.circle(canvas, (int(point[0]), int(point[1])), 0, _LINE, 1)
+    if detection.corners is not None:
+        corners = np.round(detection.corners * 16.0).astype(np.int32).reshape(-1, 1, 2)
+        cv2.polylines(canvas, [corners], True, (0, 255, 255), 1, cv2.LINE_AA, 4)
+    centre = (round(detection.u), round(detection.v))
+    for color, thickness in ((_SHADOW, 3), (_LINE, 1)):
+        cv2.drawMarker(canvas, centre, color, cv2.MARKER_CROSS, 11, thickness)
+        text = f"{name} {detection.score:.2f}"
+        place = (centre[0] + 8, centre[1] - 8)
+        cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, color, thickness, cv2.LINE_AA)

@@ -1,0 +1,195 @@
+"""The capture service: frames in, marker positions out."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Final
+
+from pydantic import BaseModel
+
+from rhot.bus import Answer, Publisher, Request, json_answer
+from rhot.clock import NodeClock
+from rhot.errors import ConfigError, DeviceError
+from rhot.messages import Control, MarkerFrame
+from rhot.rig import Rig
+from rhot.rig.colors import load_colors
+from rhot.service import Node
+from rhot_capture.color_table import ImageArray, build_color_table
+from rhot_capture.detector import Detection, MarkerDetector
+from rhot_capture.grabber import Grabber
+from rhot_capture.preview import marker_mask, preview_jpeg
+from rhot_capture.settings import CameraSettings
+from rhot_capture.sources import Frame, Source, open_source
+from rhot_capture.timing import marker_frame, row_time_ns
+
+_PREVIEW_WAIT_S: Final = 0.4
+_KEEP_EVERY_S: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """A processed frame as the preview shows it; all arrays are our own."""
+
+    image: ImageArray
+    labels: ImageArray
+    detections: dict[str, Detection]
+    index: int
+
+
+class CaptureService:
+    """Finds the markers in one camera's pictures; see `rhot.service.Service` for the seam."""
+
+    name = "capture"
+    owns_clock = False
+
+    def __init__(self, camera: str, rig: Rig, clock: NodeClock) -> None:
+        """Prepare detection.
+
+        Args:
+            camera: name of the camera in `rig.toml`.
+            rig: loaded, with colours.
+            clock: the node's own clock, in which frames are timed.
+
+        Raises:
+            ConfigError: no such camera.
+            CalibrationError: `colors.json` is missing or wrong.
+        """
+        config = rig.config.cameras.get(camera)
+        if config is None:
+            raise ConfigError(f"no camera {camera} in {rig.path / 'rig.toml'}; it has {', '.join(rig.config.cameras)}")
+        self.instance = camera
+        self._rig = rig
+        self._clock = clock
+        self._rate_hz = config.rate_hz
+        self._size = (config.width, config.height)
+        self._colors = load_colors(rig.colors_path)
+        self._names = tuple(rig.config.markers)
+        self._settings = CameraSettings.from_config(config, self._colors)
+        table = build_color_table(self._colors, self._names)
+        self._detector = MarkerDetector(rig.config.markers, table, *self._size)
+        self._publisher: Publisher[MarkerFrame] | None = None
+        self._grabber: Grabber | None = None
+        self._source: Source | None = None
+        # Detection has a thread of its own: the event loop must stay free to answer clock and preview queries.
+        self._detecting = ThreadPoolExecutor(1, thread_name_prefix="detect")
+        self._building = ThreadPoolExecutor(1, thread_name_prefix="colors")
+        self._seen: _Seen | None = None
+        self._seen_at = 0.0
+        self._wanted = threading.Event()
+        self._fresh = threading.Event()
+        self._running = False
+
+    @property
+    def config(self) -> CameraSettings:
+        """The live settings in force."""
+        return self._settings
+
+    def reconfigure(self, config: BaseModel) -> None:
+        """Change camera and colours while running; a ConfigError leaves all as it was."""
+        settings = self._settings.changed(config.model_dump(), self._rate_hz)
+        if self._source is not None and not settings.same_optics(self._settings):
+            try:
+                self._source.apply(settings)
+            except DeviceError as error:
+                raise ConfigError(str(error)) from error
+        if settings.tolerances != self._settings.tolerances:
+            # Takes a fraction of a second; frames go on with the old colours meanwhile.
+            self._building.submit(self._rebuild, settings)
+        self._settings = settings
+
+    def _rebuild(self, settings: CameraSettings) -> None:
+        self._detector.table = build_color_table(self._colors.with_tolerances(settings.tolerances), self._names)
+
+    def attach(self, node: Node) -> None:
+        """Declare `rhot/markers/<camera>` and `rhot/preview/<camera>`."""
+        self._publisher = node.bus.publisher(f"rhot/markers/{self.instance}", MarkerFrame)
+        node.bus.queryable(f"rhot/preview/{self.instance}", self._answer_preview, slow=True)
+        node.status.include(self._counts)
+
+    def _counts(self) -> dict[str, int]:
+        if self._grabber is None:
+            return {"dropped_late": 0, "missed": 0}
+        counts = self._grabber.counts
+        return {"dropped_late": counts.dropped_late, "missed": counts.missed}
+
+    async def run(self, node: Node, start: Control) -> None:
+        """Open the camera, start at the start time (or join late) and publish until cancelled."""
+        source = open_source(self.instance, self._rig, self._clock)
+        start_ns = node.node_clock.now_ns() + start.start_t_ns - node.clock.now_ns()
+        grabber = Grabber(source, self.instance)
+        try:
+            await asyncio.to_thread(source.open, start_ns, start.start_t_ns)
+            source.apply(self._settings) if self._is_changed() else None
+            self._source, self._grabber, self._running = source, grabber, True
+            self._detector.reset()
+            grabber.start()
+            while (frame := await grabber.next_frame()) is not None:
+                await self._process(node, frame)
+        finally:
+            self._source, self._running = None, False
+            await grabber.stop()
+
+    def _is_changed(self) -> bool:
+        initial = CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors)
+        return not initial.same_optics(self._settings)
+
+    async def _process(self, node: Node, frame: Frame) -> None:
+        if self._publisher is None:
+            raise RuntimeError("run before attach")
+        height = self._size[1]
+        middle_ns = row_time_ns(frame.t_first_row_ns, 0.5 * (height - 1), height, frame.exposure_s, frame.readout_s)
+        age_s = (self._clock.now_ns() - middle_ns) / 1e9
+        loop = asyncio.get_running_loop()
+        detections, detect_s = await loop.run_in_executor(self._detecting, self._detect, frame)
+        message = marker_frame(
+            self.instance,
+            self._size,
+            detections,
+            node.clock.to_rig_ns(frame.t_first_row_ns),
+            frame.exposure_s,
+            frame.readout_s,
+            frame.index,
+            {"age": age_s, "detect": detect_s},
+            self._settings.outlines,
+        )
+        self._publisher.put(message)
+        status = node.status
+        status.tick("frames")
+        status.latency("frame_age", age_s)
+        status.latency("detect", detect_s)
+        status.latency("output_age", (node.clock.now_ns() - message.t_ns) / 1e9)
+
+    def _detect(self, frame: Frame) -> tuple[dict[str, Detection], float]:
+        begun = time.perf_counter()
+        detections = self._detector.detect(frame.image)
+        seconds = time.perf_counter() - begun
+        if self._wanted.is_set() or begun - self._seen_at > _KEEP_EVERY_S:
+            # Copied only for who looks: the image may be the camera's own memory.
+            self._seen = _Seen(frame.image.copy(), self._detector.labels.copy(), detections, frame.index)
+            self._seen_at = begun
+            self._wanted.clear()
+            self._fresh.set()
+        return detections, seconds
+
+    def _answer_preview(self, request: Request) -> Answer:
+        """Answer with a JPEG of the newest frame; runs on a worker thread."""
+        if request.wants_json:
+            width, height = self._size
+            return json_answer({"width": width, "height": height, "query": "?overlay=markers or ?mask=<marker>"})
+        if self._running:
+            self._fresh.clear()
+            self._wanted.set()
+            self._fresh.wait(_PREVIEW_WAIT_S)
+        seen = self._seen
+        if seen is None:
+            raise DeviceError(f"camera {self.instance} has delivered no frame yet; is the rig started (`rhot start`)?")
+        overlay = request.parameters.get("overlay", "")
+        if overlay not in ("", "markers"):
+            raise ConfigError(f"overlay={overlay}: only overlay=markers is known")
+        name = request.parameters.get("mask")
+        mask = None if name is None else marker_mask(seen.labels, self._names, name)
+        return Answer(preview_jpeg(seen.image, seen.detections if overlay else None, mask), "image/jpeg")

@@ -1,0 +1,83 @@
+"""What may change while a camera runs: its locked settings and the width of each marker's colour."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError
+
+from rhot.errors import ConfigError
+from rhot.messages import Name, first_problem
+from rhot.rig.colors import ColorsFile, Tolerance
+from rhot.rig.config import CameraConfig, FileModel, NotNegative, Positive
+
+
+class CameraSettings(FileModel):
+    """Live settings of one camera node.
+
+    Attributes:
+        exposure_s: exposure time.
+        gain: analogue gain.
+        white_balance: red and blue gains.
+        focus_dioptres: lens position; None leaves the lens alone.
+        tolerances: marker name to the factor on the width of its colour; above 1 takes in more colours.
+        outlines: publish the outline of each marker.
+    """
+
+    exposure_s: Annotated[float, Field(gt=0.0, le=1.0)]
+    gain: Annotated[float, Field(ge=1.0, le=64.0)]
+    white_balance: tuple[Positive, Positive]
+    focus_dioptres: NotNegative | None = None
+    tolerances: dict[Name, Tolerance] = {}
+    outlines: bool = False
+
+    @classmethod
+    def from_config(cls, camera: CameraConfig, colors: ColorsFile) -> CameraSettings:
+        """Return the settings that a camera starts with."""
+        return cls(
+            exposure_s=camera.exposure_s,
+            gain=camera.gain,
+            white_balance=camera.white_balance,
+            focus_dioptres=camera.focus_dioptres,
+            tolerances={name: color.tolerance for name, color in colors.markers.items()},
+        )
+
+    def changed(self, changes: Mapping[str, Any], rate_hz: float) -> CameraSettings:
+        """Return the settings with some of them replaced; `tolerances` may name single markers.
+
+        Args:
+            changes: field name to new value.
+            rate_hz: frame rate, which bounds the exposure.
+
+        Raises:
+            ConfigError: an unknown field or marker, or a value out of bounds; these settings stay as they are.
+        """
+        data = {**self.model_dump(), **changes}
+        tolerances = changes.get("tolerances", {})
+        if isinstance(tolerances, Mapping):
+            unknown = [str(name) for name in tolerances if name not in self.tolerances]
+            if unknown:
+                raise ConfigError(
+                    f"tolerances.{unknown[0]}: no such marker; this camera knows {', '.join(self.tolerances) or 'none'}"
+                )
+            data["tolerances"] = {**self.tolerances, **tolerances}
+        try:
+            settings = CameraSettings.model_validate(data)
+        except ValidationError as error:
+            raise ConfigError(first_problem(error)) from error
+        if settings.exposure_s > 1.0 / rate_hz:
+            raise ConfigError(
+                f"exposure_s: {settings.exposure_s:g} s is longer than a frame at {rate_hz:g} Hz; "
+                f"at most {1.0 / rate_hz:.6f} s"
+            )
+        return settings
+
+    def same_optics(self, other: CameraSettings) -> bool:
+        """Tell whether the camera itself is set alike; colours may differ."""
+        return (self.exposure_s, self.gain, self.white_balance, self.focus_dioptres) == (
+            other.exposure_s,
+            other.gain,
+            other.white_balance,
+            other.focus_dioptres,
+        )

@@ -1,0 +1,40 @@
+"""Choosing a source by its kind in `rig.toml`; each kind is imported only when it is asked for."""
+
+from __future__ import annotations
+
+from rhot.clock import NodeClock
+from rhot.errors import ConfigError
+from rhot.rig import Rig
+from rhot_capture.sources.frame import Source
+
+
+def open_source(name: str, rig: Rig, clock: NodeClock) -> Source:
+    """Return the source of a camera of the rig, not yet opened.
+
+    Args:
+        name: of the camera.
+        rig: the loaded rig.
+        clock: the node's own clock, in which frames are timed. A simulated camera needs a `rhot.clock.SkewedClock`
+            to be off by more than nothing; any other clock counts as true.
+
+    Raises:
+        ConfigError: no such camera, or its recording cannot be used.
+    """
+    camera = rig.config.cameras.get(name)
+    if camera is None:
+        raise ConfigError(f"no camera {name} in {rig.path / 'rig.toml'}; it has {', '.join(rig.config.cameras)}")
+    if camera.source == "simulated":
+        from rhot_capture.sources.simulated import SimulatedSource  # noqa: PLC0415
+
+        return SimulatedSource.from_rig(name, rig, clock)
+    if camera.source in ("images", "video"):
+        from rhot_capture.sources.recorded import RecordedSource  # noqa: PLC0415
+
+        return RecordedSource.from_rig(name, rig, clock)
+    if camera.source == "v4l2":
+        from rhot_capture.sources.v4l2 import V4l2Source  # noqa: PLC0415
+
+        return V4l2Source(name, camera)
+    from rhot_capture.sources.picamera2 import Picamera2Source  # noqa: PLC0415
+
+    return Picamera2Source(name, camera)

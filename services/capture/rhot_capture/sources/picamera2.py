@@ -1,0 +1,342 @@
+"""Raspberry Pi cameras through picamera2, everything automatic switched off.
+
+Times: libcamera's `SensorTimestamp` (CLOCK_BOOTTIME) is taken when the first row arrives from the sensor, which is the
+end of that row's exposure (raspberrypi/picamera2 issue 821), so
+
+    t_first_row = SensorTimestamp − ExposureTime + (monotonic − boottime).
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import threading
+import time
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import CancelledError
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from rhot.errors import DeviceError
+from rhot.rig.config import CameraConfig
+from rhot_capture.settings import CameraSettings
+from rhot_capture.sources.frame import Frame
+
+_LOG = logging.getLogger(__name__)
+
+_FORMAT: Final = "RGB888"
+"""picamera2 names formats by significance: RGB888 lies in memory as B, G, R, which is what OpenCV wants."""
+_BUFFERS: Final = 4
+"""One being exposed, one in the pipeline, one waiting, one in work."""
+_TOLERANCE: Final = 0.05
+_WAIT_S: Final = 0.5
+_SILENCE_S: Final = 5.0
+_SETTLE_FRAMES: Final = 8
+"""Frames until new exposure and gain have passed through the sensor's pipeline."""
+_SYNC_MARGIN: Final = 0.95
+"""A synchronised camera must be able to shorten frames, so it may not run at the mode's full rate."""
+
+
+@dataclass(frozen=True, slots=True)
+class PicameraModules:
+    """The two modules that only a Pi has; replaced in tests.
+
+    Attributes:
+        picamera2: provides `Picamera2` and `MappedArray`.
+        controls: `libcamera.controls`.
+    """
+
+    picamera2: Any
+    controls: Any
+
+
+def import_picamera() -> PicameraModules:
+    """Import picamera2 and libcamera.
+
+    Raises:
+        DeviceError: not installed here; says how to.
+    """
+    try:
+        return PicameraModules(importlib.import_module("picamera2"), importlib.import_module("libcamera").controls)
+    except ImportError as error:
+        raise DeviceError(
+            f"picamera2 cannot be imported ({error}); on a Raspberry Pi: `sudo apt install -y python3-picamera2 "
+            "--no-install-recommends`, with a virtual environment made by `python3 -m venv --system-site-packages`; "
+            'elsewhere set source = "v4l2" or "simulated" in rig.toml'
+        ) from error
+
+
+def boottime_offset_ns() -> int:
+    """Return monotonic minus boottime clock, nanoseconds; 0 unless the machine was suspended."""
+    return time.monotonic_ns() - time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+
+
+class Picamera2Source:
+    """A camera on a Raspberry Pi's camera connector."""
+
+    def __init__(
+        self,
+        name: str,
+        camera: CameraConfig,
+        modules: Callable[[], PicameraModules] = import_picamera,
+        offset_ns: Callable[[], int] = boottime_offset_ns,
+    ) -> None:
+        """Prepare; `open` touches the device.
+
+        Args:
+            name: of the camera.
+            camera: its configuration.
+            modules: imports what only a Pi has.
+            offset_ns: monotonic minus boottime clock.
+        """
+        self._name = name
+        self._camera = camera
+        self._import = modules
+        self._offset_ns = offset_ns
+        self._modules: PicameraModules | None = None
+        self._device: Any = None
+        self._start_ns = 0
+        self._readout_s = camera.readout_s
+        self._exposure_s = camera.exposure_s
+        self._frame_ns = round(1e9 / camera.rate_hz)
+        self._origin_ns: int | None = None
+        self._index = -1
+        self._settling = 0
+        self._expected: Mapping[str, float] = {}
+        self._closing = threading.Event()
+
+    def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
+        """Open the camera, choose a sensor mode that is fast enough and lock everything.
+
+        Raises:
+            DeviceError: picamera2 is missing, there is no such camera, it is in use, or it has no mode for what
+                `rig.toml` asks.
+        """
+        self._modules = self._import()
+        self._closing.clear()
+        self._start_ns = start_ns
+        self._origin_ns = None
+        self._index = -1
+        number = self._number()
+        present = self._modules.picamera2.Picamera2.global_camera_info()
+        if number >= len(present):
+            found = ", ".join(f"{place}: {info.get('Model', '?')}" for place, info in enumerate(present)) or "none"
+            raise DeviceError(
+                f"camera {self._name}: no libcamera camera {number}; present: {found}; check the ribbon cable, and "
+                "`rpicam-hello --list-cameras`"
+            )
+        try:
+            self._device = self._modules.picamera2.Picamera2(number)
+        except (RuntimeError, IndexError) as error:
+            raise DeviceError(
+                f"camera {self._name}: cannot be opened ({error}); another program may hold it"
+            ) from error
+        try:
+            self._start()
+        except BaseException:
+            self.close()
+            raise
+
+    def read(self) -> Frame | None:
+        """Wait for the next frame, in the camera's own memory.
+
+        Raises:
+            DeviceError: the camera delivers no more.
+        """
+        while not self._closing.is_set() and self._device is not None:
+            request = self._next_request(self._device)
+            if request is None:
+                return None
+            frame = self._frame(request)
+            if frame is not None:
+                return frame
+        return None
+
+    def _next_request(self, device: Any) -> Any:
+        """Wait for one completed request; None after `close`."""
+        # One job is waited for in pieces, so that `close` from another thread is noticed. A job that is given up
+        # would still take a request later, which nobody would ever give back.
+        job = device.capture_request(wait=False)
+        silent_s = 0.0
+        while not self._closing.is_set():
+            try:
+                return job.get_result(timeout=_WAIT_S)
+            except TimeoutError:
+                silent_s += _WAIT_S
+            except (RuntimeError, CancelledError) as error:
+                if self._closing.is_set():
+                    return None
+                raise DeviceError(f"camera {self._name}: {error or type(error).__name__}") from error
+            if silent_s >= _SILENCE_S:
+                raise DeviceError(
+                    f"camera {self._name}: no frame for {silent_s:.0f} s; check the ribbon cable and `dmesg`"
+                )
+        return None
+
+    def apply(self, settings: CameraSettings) -> None:
+        """Set exposure, gain, white balance and focus while running.
+
+        Raises:
+            DeviceError: the camera is not open.
+        """
+        if self._device is None:
+            raise DeviceError(f"camera {self._name}: not open; start it first")
+        self._device.set_controls(
+            self._controls(settings.exposure_s, settings.gain, settings.white_balance, settings.focus_dioptres)
+        )
+
+    def close(self) -> None:
+        """Stop and free the camera."""
+        self._closing.set()
+        device, self._device = self._device, None
+        if device is not None:
+            device.stop()
+            device.close()
+
+    def _number(self) -> int:
+        try:
+            return int(self._camera.device)
+        except ValueError as error:
+            raise DeviceError(
+                f'camera {self._name}: device = "{self._camera.device}" is no libcamera index; use 0 or 1'
+            ) from error
+
+    def _start(self) -> None:
+        camera = self._camera
+        mode = choose_mode(self._device.sensor_modes, camera, self._name)
+        if camera.readout_s == 0.0:
+            # At its highest rate a sensor reads row after row with hardly a pause, so one frame takes one read-out.
+            self._readout_s = 1.0 / float(mode["fps"])
+        controls = self._controls(camera.exposure_s, camera.gain, camera.white_balance, camera.focus_dioptres)
+        configuration = self._device.create_video_configuration(
+            main={"size": (camera.width, camera.height), "format": _FORMAT},
+            sensor={"output_size": mode["size"], "bit_depth": mode["bit_depth"]},
+            buffer_count=_BUFFERS,
+            queue=False,
+            controls=controls,
+        )
+        self._device.configure(configuration)
+        size = tuple(self._device.camera_configuration()["main"]["size"])
+        if size != (camera.width, camera.height):
+            raise DeviceError(
+                f"camera {self._name}: delivers {size[0]}x{size[1]} instead of {camera.width}x{camera.height}; "
+                "set width and height in rig.toml to a size that it has"
+            )
+        self._device.start()
+        _LOG.info(
+            "camera %s: sensor mode %sx%s at up to %.1f Hz, running at %.1f Hz",
+            self._name, *mode["size"], float(mode["fps"]), camera.rate_hz,
+        )  # fmt: skip
+
+    def _controls(
+        self, exposure_s: float, gain: float, white_balance: tuple[float, float], focus_dioptres: float | None
+    ) -> dict[str, Any]:
+        if self._modules is None:
+            raise DeviceError(f"camera {self._name}: not open; start it first")
+        enums = self._modules.controls
+        frame_us = round(1e6 / self._camera.rate_hz)
+        controls: dict[str, Any] = {
+            "AeEnable": False,
+            "AwbEnable": False,
+            "ColourGains": white_balance,
+            "ExposureTime": round(1e6 * exposure_s),
+            "AnalogueGain": gain,
+            "FrameDurationLimits": (frame_us, frame_us),
+            "NoiseReductionMode": enums.draft.NoiseReductionModeEnum.Off,
+        }
+        known = getattr(self._device, "camera_controls", {})
+        if focus_dioptres is not None:
+            if "LensPosition" in known:
+                controls |= {"AfMode": enums.AfModeEnum.Manual, "LensPosition": focus_dioptres}
+            else:
+                _LOG.warning("camera %s: has no focus motor; focus_dioptres is ignored", self._name)
+        if self._camera.sync != "off":
+            if not hasattr(enums, "rpi") or not hasattr(enums.rpi, "SyncModeEnum"):
+                raise DeviceError(
+                    f'camera {self._name}: sync = "{self._camera.sync}" needs libcamera 0.4 or newer; '
+                    '`sudo apt full-upgrade`, or set sync = "off"'
+                )
+            modes = enums.rpi.SyncModeEnum
+            controls["SyncMode"] = modes.Server if self._camera.sync == "server" else modes.Client
+        self._exposure_s = exposure_s
+        self._settling = _SETTLE_FRAMES
+        self._expected = {"ExposureTime": 1e6 * exposure_s, "AnalogueGain": gain, "FrameDuration": frame_us}
+        return controls
+
+    def _frame(self, request: Any) -> Frame | None:
+        """Return the frame of a request, or None (request given back) for one that nobody may use."""
+        metadata = request.get_metadata()
+        exposure_s = 1e-6 * float(metadata.get("ExposureTime", 1e6 * self._exposure_s))
+        t_first_row_ns = int(metadata["SensorTimestamp"]) + self._offset_ns() - round(1e9 * exposure_s)
+        self._check(metadata)
+        unsynchronised = self._camera.sync != "off" and not metadata.get("SyncReady", True)
+        if t_first_row_ns < self._start_ns or unsynchronised:
+            request.release()
+            return None
+        if self._origin_ns is None:
+            self._origin_ns = t_first_row_ns
+        # Counted by time, so that frames lost inside the camera stack leave a gap.
+        number = round((t_first_row_ns - self._origin_ns) / self._frame_ns)
+        self._index = max(self._index + 1, number)
+        return Frame(self._image(request), self._index, t_first_row_ns, exposure_s, self._readout_s)
+
+    def _image(self, request: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
+        if self._modules is None:
+            raise DeviceError(f"camera {self._name}: not open; start it first")
+        mapped = self._modules.picamera2.MappedArray(request, "main", write=False)
+        mapped.__enter__()
+        image: np.ndarray[Any, np.dtype[np.uint8]] = mapped.array
+
+        def give_back() -> None:
+            mapped.__exit__(None, None, None)
+            request.release()
+
+        # The buffer returns to the camera when the last view of the picture is gone; nothing is copied.
+        weakref.finalize(image, give_back)
+        return image
+
+    def _check(self, metadata: Mapping[str, Any]) -> None:
+        """Compare once, after new settings have had time to arrive, what the camera does with what it was told."""
+        if self._settling == 0:
+            return
+        self._settling -= 1
+        if self._settling > 0:
+            return
+        refused = [
+            f"{key} {float(metadata[key]):g} instead of {value:g}"
+            for key, value in self._expected.items()
+            if key in metadata and abs(float(metadata[key]) - value) > _TOLERANCE * value
+        ]
+        if refused:
+            _LOG.warning("camera %s: the camera runs with %s", self._name, ", ".join(refused))
+
+
+def choose_mode(modes: Sequence[Mapping[str, Any]], camera: CameraConfig, name: str) -> Mapping[str, Any]:
+    """Return the sensor mode to use: fast enough, widest view, then fewest pixels.
+
+    Args:
+        modes: picamera2's `sensor_modes`.
+        camera: size and rate wanted.
+        name: of the camera, for messages.
+
+    Raises:
+        DeviceError: no mode is fast enough at that size.
+    """
+    margin = _SYNC_MARGIN if camera.sync != "off" else 1.0
+    large = [mode for mode in modes if mode["size"][0] >= camera.width and mode["size"][1] >= camera.height]
+    usable = [mode for mode in large if float(mode["fps"]) * margin >= camera.rate_hz]
+    if not usable:
+        choices = ", ".join(f"{mode['size'][0]}x{mode['size'][1]} at {float(mode['fps']):.1f} Hz" for mode in modes)
+        raise DeviceError(
+            f"camera {name}: no sensor mode gives {camera.width}x{camera.height} at {camera.rate_hz:g} Hz"
+            f"{' with room to synchronise' if margin < 1.0 else ''}; it has {choices or 'none'}; lower rate_hz or size"
+        )
+
+    def cost(mode: Mapping[str, Any]) -> tuple[float, float]:
+        crop = mode.get("crop_limits", (0, 0, *mode["size"]))
+        return -float(crop[2]) * float(crop[3]), float(mode["size"][0]) * float(mode["size"][1])
+
+    return min(usable, key=cost)

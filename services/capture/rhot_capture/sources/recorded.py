@@ -1,0 +1,109 @@
+"""Recorded pictures or video, delivered at the pace at which they were taken."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+import numpy as np
+
+from rhot.clock import NodeClock
+from rhot.errors import ConfigError
+from rhot.recording import MarkerTrack, PictureTrack, TrackTiming, VideoTrack, load_camera
+from rhot.rig import CameraConfig, Rig
+from rhot_capture.settings import CameraSettings
+from rhot_capture.sources.frame import Frame
+from rhot_capture.sources.pacing import Pacer
+from rhot_capture.sources.pictures import read_pictures
+
+_LOG = logging.getLogger(__name__)
+
+
+class RecordedSource:
+    """Replays one camera of a recording as if it were live.
+
+    The first frame's time becomes the start time; the distances between frames stay. A recording without times runs
+    at the rate in `rig.toml`.
+    """
+
+    def __init__(self, name: str, camera: CameraConfig, track: PictureTrack | VideoTrack, clock: NodeClock) -> None:
+        self._name = name
+        self._camera = camera
+        self._track = track
+        self._pacer = Pacer(clock)
+        self._frames: Iterator[Frame] = iter(())
+        self._settings: CameraSettings | None = None
+
+    @classmethod
+    def from_rig(cls, name: str, rig: Rig, clock: NodeClock) -> RecordedSource:
+        """Find the recording that `rig.toml` names for a camera.
+
+        Raises:
+            ConfigError: it is missing, empty or holds no pictures.
+        """
+        camera = rig.config.cameras[name]
+        path = rig.resolve(camera.path or "")
+        timing = TrackTiming(exposure_s=camera.exposure_s, readout_s=camera.readout_s)
+        track = load_camera(path, name, timing)
+        if isinstance(track, MarkerTrack):
+            raise ConfigError(f"{path}: camera {name} holds marker tracks, not pictures; `rhot process` reads those")
+        return cls(name, camera, track, clock)
+
+    def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
+        """Start the recording at a moment of the node's clock; late, it joins at what is due now."""
+        self._pacer.restart()
+        self._frames = self._replay(start_ns)
+
+    def read(self) -> Frame | None:
+        """Wait until the next frame is due and return it; None at the recording's end."""
+        return next(self._frames, None)
+
+    def apply(self, settings: CameraSettings) -> None:
+        """Accept settings that leave the optics alone: a recording cannot be exposed anew."""
+        if self._settings is not None and not settings.same_optics(self._settings):
+            raise ConfigError(
+                f"camera {self._name} replays {self._camera.path}: exposure, gain, white balance and focus are "
+                "what they were; only colours can change"
+            )
+        self._settings = settings
+
+    def close(self) -> None:
+        """Stop; a waiting `read` returns None."""
+        self._pacer.stop()
+
+    def _replay(self, start_ns: int) -> Iterator[Frame]:
+        timing = self._track.timing
+        index, pass_start_ns = 0, start_ns
+        period_ns = round(1e9 / self._camera.rate_hz)
+        scan_ns = round(1e9 * (timing.exposure_s + timing.readout_s))
+        joined = False
+        while True:
+            relative_ns = self._relative_times(period_ns)
+            first_index = index
+            for image, offset_ns in zip(read_pictures(self._track), relative_ns, strict=False):
+                t_first_row_ns = pass_start_ns + offset_ns
+                due_ns = t_first_row_ns + scan_ns
+                index += 1
+                if not joined and due_ns + period_ns < self._pacer.now_ns():
+                    continue
+                joined = True
+                if not self._pacer.wait_until(due_ns):
+                    return
+                self._require_size(image.shape)
+                yield Frame(image, index - 1, t_first_row_ns, timing.exposure_s, timing.readout_s)
+            if not self._camera.loop or index == first_index or self._pacer.stopped:
+                return
+            pass_start_ns += relative_ns[index - first_index - 1] + period_ns
+
+    def _relative_times(self, period_ns: int) -> list[int]:
+        if self._track.has_times:
+            return [int(t_ns) for t_ns in self._track.t_ns - self._track.t_ns[0]]
+        count = len(self._track.files) if isinstance(self._track, PictureTrack) else 1 << 24
+        return (np.arange(count, dtype=np.int64) * period_ns).tolist()
+
+    def _require_size(self, shape: tuple[int, ...]) -> None:
+        if shape[:2] != (self._camera.height, self._camera.width):
+            raise ConfigError(
+                f"camera {self._name}: {self._camera.path} holds pictures of {shape[1]}x{shape[0]}, rig.toml says "
+                f"{self._camera.width}x{self._camera.height}; set width and height to the recording's"
+            )

@@ -1,0 +1,54 @@
+"""Where a marker was, as a soft preference for where it is."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+_MEMORY_FRAMES: Final = 10
+_GATE_MIN_PX: Final = 25.0
+_GATE_RATIO: Final = 1.5
+_GATE_GROWTH: Final = 0.5
+_FLOOR: Final = 0.05
+"""A blob far from the prediction keeps this much: it must be 20 times better to win, and wins when it is alone."""
+
+
+class MarkerTrack:
+    """One marker's last place, motion per frame and size in one camera."""
+
+    def __init__(self) -> None:
+        self._u = 0.0
+        self._v = 0.0
+        self._motion_u = 0.0
+        self._motion_v = 0.0
+        self._area = 0.0
+        self._missed = _MEMORY_FRAMES
+
+    def preference(self, u: float, v: float, area: float) -> float:
+        """Return how well a blob continues the track, 0 to 1; 1 when there is no track.
+
+        Args:
+            u: middle of the blob, pixels to the right.
+            v: middle of the blob, pixels down.
+            area: of the blob, square pixels.
+        """
+        if self._missed >= _MEMORY_FRAMES:
+            return 1.0
+        frames = self._missed + 1
+        gate = max(_GATE_MIN_PX, _GATE_RATIO * math.sqrt(self._area)) * (1.0 + _GATE_GROWTH * self._missed)
+        away = math.hypot(u - self._u - frames * self._motion_u, v - self._v - frames * self._motion_v)
+        ratio = min(area, self._area) / max(area, self._area)
+        return max(_FLOOR, math.exp(-0.5 * (away / gate) ** 2) * math.sqrt(ratio))
+
+    def hit(self, u: float, v: float, area: float) -> None:
+        """Take the marker's place in this frame."""
+        if self._missed == 0:
+            self._motion_u, self._motion_v = u - self._u, v - self._v
+        else:
+            self._motion_u = self._motion_v = 0.0
+        self._u, self._v, self._area = u, v, area
+        self._missed = 0
+
+    def miss(self) -> None:
+        """Note that the marker was not seen in this frame."""
+        self._missed += 1

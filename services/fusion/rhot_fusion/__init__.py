@@ -1,0 +1,1 @@
+"""From two-dimensional markers of several cameras to points in space."""

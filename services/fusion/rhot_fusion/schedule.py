@@ -1,0 +1,79 @@
+"""Choosing the moment of the next point set.
+
+The moment is as late as it can be: the newest frame's, if every other live camera was there recently enough to be
+carried on to it, else that camera's last moment plus the longest allowed extrapolation. Where another camera is due for
+the very same moment (cameras in step), its frame is waited for.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from statistics import median
+
+_IN_STEP = 0.15
+"""Cameras whose phase differs by less than this share of a period count as in step."""
+_INTERVALS = 9
+"""Frame intervals kept per camera; their median is the period, whatever frames are lost."""
+_LONGEST_WAIT_S = 1.0
+
+
+class Schedule:
+    """Knows each camera's newest moment and frame period.
+
+    Attributes:
+        newest_s: time of each camera's newest frame, −∞ before the first.
+        published_s: the last moment given.
+    """
+
+    def __init__(self, periods_s: list[float]) -> None:
+        """Take the nominal frame period of each camera, seconds, used until a few frames have come."""
+        self._nominal = list(periods_s)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all but the nominal periods."""
+        self._intervals: list[deque[float]] = [deque(maxlen=_INTERVALS) for _ in self._nominal]
+        self._unanswered = [0] * len(self._nominal)
+        self.newest_s = [float("-inf")] * len(self._nominal)
+        self.published_s = float("-inf")
+
+    def period_s(self, camera: int) -> float:
+        """Return a camera's frame period."""
+        intervals = self._intervals[camera]
+        return median(intervals) if intervals else self._nominal[camera]
+
+    def arrived(self, camera: int, t_s: float) -> None:
+        """Note a frame of a camera, true at t_s, later than its last."""
+        interval = t_s - self.newest_s[camera]
+        if interval < _LONGEST_WAIT_S:
+            self._intervals[camera].append(interval)
+        self.newest_s[camera] = t_s
+        for other in range(len(self._unanswered)):
+            self._unanswered[other] += 1
+        self._unanswered[camera] = 0
+
+    def moment(self, extrapolation_share: float) -> float | None:
+        """Return the moment to publish, or None when nothing new can be said yet.
+
+        Args:
+            extrapolation_share: how far a camera may be carried on, as a share of its period.
+        """
+        newest = max(self.newest_s)
+        moment = newest
+        for camera, seen in enumerate(self.newest_s):
+            lag = newest - seen
+            if lag == 0.0 or lag >= _LONGEST_WAIT_S:
+                continue
+            period = self.period_s(camera)
+            reach = extrapolation_share * period
+            if lag <= reach:
+                continue
+            phase = lag % period
+            if self._unanswered[camera] <= len(self.newest_s) - 1 and min(phase, period - phase) < _IN_STEP * period:
+                return None
+            if lag < period:
+                moment = min(moment, seen + reach)
+        if moment <= self.published_s:
+            return None
+        self.published_s = moment
+        return moment

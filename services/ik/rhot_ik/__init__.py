@@ -1,0 +1,1 @@
+"""Inverse kinematics: from points in space to hands."""

@@ -1,0 +1,111 @@
+"""From `rhot/points` to `rhot/hand/<side>`: binds markers to hands and wraps solutions into messages."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.hand import HandModel
+from rhot.messages import FingerAngles, HandPose, Joint, PointSet, Side
+from rhot.rig import IkConfig, MarkerConfig, Rig
+from rhot.rotations import quaternion_from_rotation
+from rhot.skeleton import FINGERS, JOINTS
+from rhot.stage import Output
+from rhot_ik.finger_geometry import base_marker
+from rhot_ik.hand_solver import HandObservation, HandSolution, HandSolver
+
+log = logging.getLogger(__name__)
+
+FloatArray = NDArray[np.float64]
+
+
+class HandStage:
+    """The core of the ik service: one solver per hand that wears a marker on its back.
+
+    Args:
+        rig: marker table, hand sizes and configuration.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._markers: Mapping[str, MarkerConfig] = rig.config.markers
+        self._solvers: dict[Side, HandSolver] = {}
+        self._bases: dict[Side, str] = {}
+        self._counts = {"hands": 0, "no_hand": 0}
+        for side in rig.config.sides:
+            model = HandModel.from_file(rig.hand, side)
+            base = base_marker(model, self._markers)
+            if base is None:
+                log.warning("the %s hand has no marker on wrist or palm in rig.toml: it is not solved", side)
+                continue
+            self._bases[side] = base
+            self._solvers[side] = HandSolver(model, self._markers, base, rig.config.ik)
+
+    def configure(self, config: IkConfig) -> None:
+        """Switch to another configuration from the next sample on."""
+        for solver in self._solvers.values():
+            solver.config = config
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """`hands` solved and published, and `no_hand`: samples of a hand that showed too little of it."""
+        return self._counts
+
+    def feed(self, points: PointSet) -> list[Output]:
+        """Return the `HandPose` of each hand that the points show, with its key."""
+        out: list[Output] = []
+        for side, solver in self._solvers.items():
+            solution = solver.solve(self._observation(points, self._bases[side], solver))
+            if solution is None:
+                self._counts["no_hand"] += 1
+            else:
+                self._counts["hands"] += 1
+                out.append((f"rhot/hand/{side}", hand_pose(points, solver.geometry.model, solution)))
+        return out
+
+    def _observation(self, points: PointSet, base_name: str, solver: HandSolver) -> HandObservation:
+        tips, measured = np.full((len(FINGERS), 3), np.nan), np.zeros(len(FINGERS), dtype=np.bool_)
+        for place, finger in enumerate(FINGERS):
+            point = points.points.get(solver.geometry.markers.get(finger, ""))
+            if point is not None:
+                tips[place] = point.position
+                measured[place] = point.state == "measured"
+        base = points.points.get(base_name)
+        return HandObservation(
+            t_ns=points.t_ns,
+            base=None if base is None else np.array(base.position),
+            base_measured=base is not None and base.state == "measured",
+            corners=None if base is None or base.corners is None else np.array(base.corners),
+            tips=tips,
+            tips_measured=measured,
+        )
+
+
+def hand_pose(points: PointSet, model: HandModel, solution: HandSolution) -> HandPose:
+    """Return the message that carries a solution."""
+    joints = model.forward(solution.T_rig_wrist, solution.angles)
+    positions = joints.positions.tolist()
+    orientations = quaternion_from_rotation(joints.rotations).tolist()
+    radii = model.radii.tolist()
+    angles = solution.angles.tolist()
+    residual = solution.residual.tolist()
+    measured = solution.fingers_measured.tolist()
+    return HandPose(
+        t_ns=points.t_ns,
+        side=model.side,
+        frame=points.frame,
+        joints={
+            name: Joint(position=tuple(position), orientation=tuple(orientation), radius=radius)
+            for name, position, orientation, radius in zip(JOINTS, positions, orientations, radii, strict=True)
+        },
+        angles={
+            finger: FingerAngles(mcp_flexion=mcp, mcp_abduction=abduction, pip_flexion=pip, dip_flexion=dip)
+            for finger, (mcp, abduction, pip, dip) in zip(FINGERS, angles, strict=True)
+        },
+        residual={finger: error for finger, error in zip(FINGERS, residual, strict=True) if not math.isnan(error)},
+        fingers={finger: "measured" if found else "predicted" for finger, found in zip(FINGERS, measured, strict=True)},
+        state="measured" if solution.palm_measured and any(measured) else "predicted",
+    )

@@ -1,0 +1,92 @@
+"""Which sources a rig needs for its objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rhot.errors import ConfigError
+from rhot.rig import ObjectConfig, Rig
+from rhot_objects.registration import Registration
+from rhot_objects.rigid import Pose
+from rhot_objects.sources import PoseSource
+from rhot_objects.sources.recorded import RecordedSource
+from rhot_objects.sources.simulated import SimulatedSource, TruePoses
+from rhot_objects.sources.steamvr import SteamVrSource
+from rhot_objects.stage import ObjectStage
+
+if TYPE_CHECKING:
+    from rhot.sim.world import World
+
+
+@dataclass(frozen=True, slots=True)
+class SourcePlan:
+    """One source with the core that belongs to it; the service polls each on its own.
+
+    Attributes:
+        name: for status and logs: `steamvr`, `simulated` or `recorded.<object id>`.
+        rate_hz: how often to read, the highest rate among its objects.
+        source: not yet open.
+        stage: turns its readings into messages.
+    """
+
+    name: str
+    rate_hz: float
+    source: PoseSource
+    stage: ObjectStage
+
+
+def plan_sources(rig: Rig) -> list[SourcePlan]:
+    """Return the sources of a rig's objects: one SteamVR, one simulated world, one recording per recorded object.
+
+    Raises:
+        ConfigError: two objects share a serial number.
+    """
+    registration = Registration.from_file(rig.registration)
+    objects = rig.config.objects
+    plans = []
+
+    def add(name: str, source: PoseSource, configs: Mapping[str, ObjectConfig]) -> None:
+        rate_hz = max(config.rate_hz for config in configs.values())
+        plans.append(SourcePlan(name, rate_hz, source, ObjectStage(registration)))
+
+    steamvr = {name: config for name, config in objects.items() if config.source == "steamvr"}
+    if steamvr:
+        add("steamvr", SteamVrSource(_ids_by_serial(rig, steamvr)), steamvr)
+    simulated = {name: config for name, config in objects.items() if config.source == "simulated"}
+    if simulated:
+        source = SimulatedSource(_simulated_world(rig), registration, frozenset(simulated), rig.config.sim.seed)
+        add("simulated", source, simulated)
+    for name, config in objects.items():
+        if config.source == "recorded" and config.path is not None:
+            add(f"recorded.{name}", RecordedSource(name, rig.resolve(config.path), loop=config.loop), {name: config})
+    return plans
+
+
+def _ids_by_serial(rig: Rig, objects: Mapping[str, ObjectConfig]) -> dict[str, str]:
+    ids: dict[str, str] = {}
+    for name, config in objects.items():
+        serial = config.serial or ""
+        if serial in ids:
+            raise ConfigError(
+                f"{rig.path / 'rig.toml'}: objects.{ids[serial]} and objects.{name} both have serial {serial!r}; "
+                "one tracker can only be one object"
+            )
+        ids[serial] = name
+    return ids
+
+
+def _simulated_world(rig: Rig) -> TruePoses:
+    # Imported here: a rig with real trackers needs no simulated world.
+    from rhot.sim.world import World  # noqa: PLC0415
+
+    return partial(_object_poses, World.from_rig(rig))
+
+
+def _object_poses(world: World, t_s: float) -> dict[str, Pose]:
+    sample = world.sample(np.array([t_s]))
+    return {name: Pose.from_matrix(T_rig_object[0]) for name, T_rig_object in sample.objects.items()}

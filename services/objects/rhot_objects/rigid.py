@@ -1,0 +1,134 @@
+"""Rigid transforms as position and unit quaternion, and the motion between two of them.
+
+Convention: T_a_b maps coordinates of frame b to frame a, X_a = R(q) · X_b + p; quaternions are (x, y, z, w), Hamilton
+product, so that R(q1 · q2) = R(q1) · R(q2). q and −q are the same rotation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rhot.rig.calibration import RigidTransform
+from rhot.rotations import FloatArray, quaternion_from_rotation
+
+_ROTATION_TOLERANCE = 1e-2
+_SLERP_LINEAR_ABOVE = 1.0 - 1e-10
+"""Cosine of the half angle above which slerp divides by a vanishing sine; the straight line is exact enough there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A rigid transform T_a_b.
+
+    Attributes:
+        position: (3,) read-only float64, metres: origin of b in a.
+        orientation_xyzw: (4,) read-only float64, unit quaternion: rotates b's directions into a.
+    """
+
+    position: FloatArray
+    orientation_xyzw: FloatArray
+
+    @classmethod
+    def from_arrays(cls, position: ArrayLike, orientation_xyzw: ArrayLike) -> Pose:
+        """Build a pose from position (3,), metres, and a quaternion (4,) of any norm but zero.
+
+        Raises:
+            ValueError: a value is not finite or the quaternion is zero.
+        """
+        p = np.array(position, dtype=np.float64).reshape(3)
+        q = np.array(orientation_xyzw, dtype=np.float64).reshape(4)
+        norm = math.hypot(*q)
+        if not (np.isfinite(p).all() and np.isfinite(norm) and norm > 1e-9):
+            raise ValueError(f"not a pose: position {p.tolist()}, quaternion {q.tolist()}")
+        q /= norm
+        p.setflags(write=False)
+        q.setflags(write=False)
+        return cls(p, q)
+
+    @classmethod
+    def from_transform(cls, transform: RigidTransform) -> Pose:
+        """Build a pose from an entry of `registration.json`."""
+        return cls.from_arrays(transform.position, transform.orientation)
+
+    @classmethod
+    def from_matrix(cls, T: ArrayLike) -> Pose:
+        """Build a pose from the upper three rows of a 4x4 transform, (3, 4) or (4, 4), metres.
+
+        Raises:
+            ValueError: a value is not finite or the left 3x3 is far from a rotation.
+        """
+        matrix = np.asarray(T, dtype=np.float64)[:3]
+        R = matrix[:, :3]
+        if not (np.allclose(R @ R.T, np.eye(3), atol=_ROTATION_TOLERANCE) and np.linalg.det(R) > 0.0):
+            raise ValueError(f"not a rotation matrix: {R.tolist()}")
+        return cls.from_arrays(matrix[:, 3], quaternion_from_rotation(R))
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Return T_a_c = T_a_b · T_b_c."""
+        return Pose.from_arrays(
+            self.position + rotate(self.orientation_xyzw, other.position),
+            multiply(self.orientation_xyzw, other.orientation_xyzw),
+        )
+
+    def inverse(self) -> Pose:
+        """Return T_b_a."""
+        conjugate = self.orientation_xyzw * (-1.0, -1.0, -1.0, 1.0)
+        return Pose.from_arrays(-rotate(conjugate, self.position), conjugate)
+
+
+def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the Hamilton product left · right of two quaternions (4,), x, y, z, w."""
+    x1, y1, z1, w1 = left
+    x2, y2, z2, w2 = right
+    return np.array(
+        [
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+        ]
+    )
+
+
+def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return a vector (3,) rotated by a unit quaternion (4,): v + 2·w·(u × v) + 2·u × (u × v)."""
+    u, w = quaternion[:3], quaternion[3]
+    t = 2.0 * np.cross(u, vector)
+    rotated: FloatArray = vector + w * t + np.cross(u, t)
+    return rotated
+
+
+def interpolate(start: Pose, end: Pose, share: float) -> Pose:
+    """Return the pose between two: position on the straight line, orientation by slerp along the shorter way.
+
+    Args:
+        start: pose at share 0.
+        end: pose at share 1.
+        share: 0 to 1.
+
+    Slerp after K. Shoemake, "Animating Rotation with Quaternion Curves", SIGGRAPH 1985.
+    """
+    q0, q1 = start.orientation_xyzw, end.orientation_xyzw
+    cosine = float(q0 @ q1)
+    if cosine < 0.0:
+        q1, cosine = -q1, -cosine
+    if cosine > _SLERP_LINEAR_ABOVE:
+        weights = (1.0 - share, share)
+    else:
+        half_angle = np.arccos(cosine)
+        weights = (
+            np.sin((1.0 - share) * half_angle) / np.sin(half_angle),
+            np.sin(share * half_angle) / np.sin(half_angle),
+        )
+    return Pose.from_arrays((1.0 - share) * start.position + share * end.position, weights[0] * q0 + weights[1] * q1)
+
+
+def angle_between(first: Pose, second: Pose) -> float:
+    """Return the angle of the rotation from one pose to the other, radians, 0 to π."""
+    # atan2 keeps its precision at small angles, where arccos of the dot product loses half of the digits.
+    relative = multiply(first.orientation_xyzw * (-1.0, -1.0, -1.0, 1.0), second.orientation_xyzw)
+    return float(2.0 * np.arctan2(np.linalg.norm(relative[:3]), abs(relative[3])))

@@ -1,0 +1,191 @@
+"""Vive trackers and the headset through SteamVR, by the `openvr` package (pyopenvr).
+
+SteamVR's standing space: metres, right-handed, y up, −z forward; a device's pose is a row-major 3x4 matrix
+(`HmdMatrix34_t`) that maps device coordinates to that space.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import re
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from rhot.errors import DeviceError
+from rhot_objects.rigid import Pose
+from rhot_objects.sources import HEAD, PoseSample
+
+logger = logging.getLogger(__name__)
+
+_SILENCE_NS: Final = 5_000_000_000
+"""SteamVR that crashed raises no event: when no device at all has been connected for so long, connect afresh."""
+
+
+def import_openvr() -> Any:
+    """Return the `openvr` module.
+
+    Raises:
+        DeviceError: the package is not installed or its library does not load here.
+    """
+    try:
+        return importlib.import_module("openvr")
+    except ImportError as error:
+        raise DeviceError(
+            "SteamVR trackers need the Python package `openvr`; install it with: pip install 'rhot[steamvr]'"
+        ) from error
+    except (OSError, ValueError) as error:
+        raise DeviceError(
+            f"the package `openvr` cannot load its library on this machine: {error}; run `rhot objects` on the machine "
+            "where SteamVR runs (Windows or Linux on x86-64)"
+        ) from error
+
+
+class SteamVrSource:
+    """All trackers that SteamVR knows, by serial number, and the headset.
+
+    A device whose serial number is listed comes out under its object id, whatever kind of device it is; a tracker that
+    is not listed under its serial number, so that a new one can be found by looking at the bus; the headset as `head`.
+    Devices may appear and vanish at any time.
+    """
+
+    def __init__(self, ids_by_serial: Mapping[str, str], load: Callable[[], Any] = import_openvr) -> None:
+        """Name the devices.
+
+        Args:
+            ids_by_serial: serial number to object id.
+            load: returns the `openvr` module.
+        """
+        self._ids_by_serial = dict(ids_by_serial)
+        self._load = load
+        self._openvr: Any = None
+        self._system: Any = None
+        self._poses: Any = None
+        self._event: Any = None
+        self._ids_by_index: dict[int, str | None] = {}
+        self._last_connected_ns: int | None = None
+        # `close` unloads SteamVR's library: never below the feet of a `read` on another thread.
+        self._lock = threading.RLock()
+
+    def open(self, start_ns: int) -> None:
+        """Connect to a running SteamVR.
+
+        Raises:
+            DeviceError: the package or SteamVR is absent; says what to install or start.
+        """
+        openvr = self._load()
+        with self._lock:
+            self._connect(openvr)
+        logger.info("connected to SteamVR")
+
+    def _connect(self, openvr: Any) -> None:
+        try:
+            # A background application never starts SteamVR by itself and never keeps it from quitting.
+            self._system = openvr.init(openvr.VRApplication_Background)
+        except (openvr.OpenVRError, KeyError) as error:
+            # KeyError: pyopenvr looks errors up in a table that newer versions of SteamVR outgrow.
+            # Most of pyopenvr's errors say it all in their name, such as InitError_Init_NoServerForBackgroundApp.
+            reason = f"{type(error).__name__} {error}".rstrip()
+            raise DeviceError(
+                f"SteamVR does not answer ({reason}); start SteamVR on this machine and switch the trackers on"
+            ) from error
+        self._openvr = openvr
+        self._poses = (openvr.TrackedDevicePose_t * openvr.k_unMaxTrackedDeviceCount)()
+        self._event = openvr.VREvent_t()
+        self._ids_by_index = {}
+        self._last_connected_ns = None
+
+    def read(self, now_ns: int) -> Mapping[str, PoseSample]:
+        """Return what SteamVR tracks at this moment.
+
+        Raises:
+            DeviceError: SteamVR is quitting, or has no device any more.
+        """
+        with self._lock:
+            if self._system is None:
+                raise DeviceError("not connected to SteamVR; open the source first")
+            self._take_events()
+            return self._read_devices(now_ns)
+
+    def _read_devices(self, now_ns: int) -> dict[str, PoseSample]:
+        openvr = self._openvr
+        # 0 seconds of prediction: the pose at the moment of the call.
+        poses = self._system.getDeviceToAbsoluteTrackingPose(openvr.TrackingUniverseStanding, 0.0, self._poses)
+        samples: dict[str, PoseSample] = {}
+        connected = False
+        for index in range(openvr.k_unMaxTrackedDeviceCount):
+            device = poses[index]
+            if not device.bDeviceIsConnected:
+                self._ids_by_index.pop(index, None)
+                continue
+            connected = True
+            if not device.bPoseIsValid or device.eTrackingResult != openvr.TrackingResult_Running_OK:
+                continue
+            object_id = self._id_of(index)
+            pose = _pose_of(device.mDeviceToAbsoluteTracking) if object_id is not None else None
+            if object_id is not None and pose is not None:
+                samples[object_id] = PoseSample(now_ns, pose)
+        self._check_silence(now_ns, connected)
+        return samples
+
+    def close(self) -> None:
+        """Disconnect from SteamVR."""
+        with self._lock:
+            if self._system is not None:
+                self._system = None
+                self._openvr.shutdown()
+
+    def _take_events(self) -> None:
+        while self._system.pollNextEvent(self._event):
+            if self._event.eventType == self._openvr.VREvent_Quit:
+                # Without the acknowledgement SteamVR would kill this whole process.
+                self._system.acknowledgeQuit_Exiting()
+                self.close()
+                raise DeviceError("SteamVR is quitting; start it again and tracking goes on by itself")
+
+    def _check_silence(self, now_ns: int, connected: bool) -> None:
+        if connected or self._last_connected_ns is None or now_ns < self._last_connected_ns:
+            self._last_connected_ns = now_ns
+        elif now_ns - self._last_connected_ns > _SILENCE_NS:
+            self.close()
+            raise DeviceError(
+                f"SteamVR has had no device for {_SILENCE_NS / 1e9:.0f} s; is it still running, and are the headset, "
+                "the base stations and the trackers switched on?"
+            )
+
+    def _id_of(self, index: int) -> str | None:
+        """Return under which id a connected device comes out, None for one that does not."""
+        if index not in self._ids_by_index:
+            openvr = self._openvr
+            try:
+                serial = self._system.getStringTrackedDeviceProperty(index, openvr.Prop_SerialNumber_String)
+            except (openvr.OpenVRError, KeyError):
+                # A device that has just been plugged in has no properties yet; the next read asks again.
+                return None
+            if not serial:
+                return None
+            kind = self._system.getTrackedDeviceClass(index)
+            self._ids_by_index[index] = self._choose_id(serial, kind)
+            logger.info("SteamVR device %s is %s", serial, self._ids_by_index[index] or "not used")
+        return self._ids_by_index[index]
+
+    def _choose_id(self, serial: str, kind: int) -> str | None:
+        if serial in self._ids_by_serial:
+            return self._ids_by_serial[serial]
+        if kind == self._openvr.TrackedDeviceClass_HMD and HEAD not in self._ids_by_serial.values():
+            return HEAD
+        if kind == self._openvr.TrackedDeviceClass_GenericTracker:
+            return re.sub(r"[^A-Za-z0-9_.-]", "_", serial)[:64]
+        return None
+
+
+def _pose_of(matrix: Any) -> Pose | None:
+    """Return the pose in a `HmdMatrix34_t`, None where SteamVR filled in something that is no pose."""
+    rows = [[float(matrix.m[row][column]) for column in range(4)] for row in range(3)]
+    try:
+        return Pose.from_matrix(np.array(rows))
+    except ValueError:
+        return None

@@ -1,0 +1,83 @@
+"""The core of the objects service: samples of one source in, messages in the rig frame out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from rhot.messages import HeadPose, ObjectPose, State
+from rhot.stage import Output
+from rhot_objects.registration import Registration
+from rhot_objects.rigid import Pose
+from rhot_objects.sources import HEAD, PoseSample
+
+RIG_FRAME: Final = "rig"
+HOLD_S: Final = 0.2
+"""How long an object that lost tracking is published where it was last measured, state `predicted`."""
+
+_MAX_DISTANCE_M: Final = 1e3
+"""What the message can carry; a tracking system that reports more has lost its way."""
+
+
+class ObjectStage:
+    """Registers what one source reads and bridges short losses.
+
+    One instance belongs to one source: an object that is absent from a reading counts as lost.
+    """
+
+    def __init__(self, registration: Registration, hold_s: float = HOLD_S) -> None:
+        """Start with nothing tracked.
+
+        Args:
+            registration: tracker space to rig.
+            hold_s: how long a lost object is held, seconds.
+        """
+        self._registration = registration
+        self._hold_ns = round(hold_s * 1e9)
+        self._last: dict[str, tuple[int, Pose]] = {}
+        self.unusable = 0
+        """Samples since the start that lay outside of what a message can carry."""
+
+    def feed(self, samples: Mapping[str, PoseSample], now_ns: int) -> list[Output]:
+        """Take one reading and return what to publish.
+
+        Args:
+            samples: what the source tracks now, tracker space, by object id; what it lost is absent.
+            now_ns: rig time of the reading.
+
+        Returns:
+            Keys and messages: `measured` with the sample's own time for everything tracked, `predicted` with the last
+            pose and `now_ns` for what was lost less than `hold_s` ago.
+        """
+        outputs = []
+        for object_id, sample in samples.items():
+            T_rig_object = self._registration.to_rig(object_id, sample.pose)
+            if np.abs(T_rig_object.position).max() > _MAX_DISTANCE_M:
+                self.unusable += 1
+                continue
+            self._last[object_id] = (sample.t_ns, T_rig_object)
+            outputs.append(_output(object_id, T_rig_object, sample.t_ns, "measured"))
+        fresh = {key for key, _ in outputs}
+        for object_id, (t_ns, T_rig_object) in list(self._last.items()):
+            if key_of(object_id) in fresh:
+                continue
+            if 0 <= now_ns - t_ns <= self._hold_ns:
+                outputs.append(_output(object_id, T_rig_object, now_ns, "predicted"))
+            else:
+                del self._last[object_id]
+        return outputs
+
+
+def key_of(object_id: str) -> str:
+    """Return the key on which an object is published; the headset has its own."""
+    return "rhot/head" if object_id == HEAD else f"rhot/object/{object_id}"
+
+
+def _output(object_id: str, pose: Pose, t_ns: int, state: State) -> Output:
+    model = HeadPose if object_id == HEAD else ObjectPose
+    x, y, z = pose.position.tolist()
+    qx, qy, qz, qw = pose.orientation_xyzw.tolist()
+    message = model(t_ns=t_ns, frame=RIG_FRAME, position=(x, y, z), orientation=(qx, qy, qz, qw), state=state)
+    return key_of(object_id), message
