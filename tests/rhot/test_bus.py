@@ -80,9 +80,7 @@ async def test_the_last_value_answers_queries_as_msgpack_and_as_json(router: Bus
 async def test_plain_zenoh_reads_the_keys_without_our_code(router: BusConfig) -> None:
     async with await Bus.open(router) as sender:
         sender.publisher("rhot/markers/left", MarkerFrame).put(frame(5))
-        config = zenoh.Config.from_json5(
-            json.dumps({"mode": "client", "connect": {"endpoints": list(router.connect)}})
-        )
+        config = zenoh.Config.from_json5(json.dumps({"mode": "client", "connect": {"endpoints": list(router.connect)}}))
 
         def ask() -> list[zenoh.Reply]:
             with zenoh.open(config) as session:

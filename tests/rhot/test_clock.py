@@ -25,9 +25,7 @@ class TrueClocks:
 
     def exchange(self, node_ns: int, up_ns: float, down_ns: float) -> Exchange:
         received, served = node_ns + round(up_ns), 20_000
-        return Exchange(
-            node_ns, self.rig(received), self.rig(received + served), received + served + round(down_ns)
-        )
+        return Exchange(node_ns, self.rig(received), self.rig(received + served), received + served + round(down_ns))
 
 
 def run(clocks: TrueClocks, rng: np.random.Generator, number: int, up_ns: float, down_ns: float) -> tuple[float, float]:

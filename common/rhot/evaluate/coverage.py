@@ -13,8 +13,11 @@ from rhot.evaluate.collect import Arrival
 from rhot.messages import PointSet
 from rhot.sim.coverage import MarkerCoverage
 
-VISIBLE_SHARE: Final = 0.5
-"""A marker counts as visible to a camera when at least this share of its silhouette is."""
+VISIBLE_SHARE: Final = 0.25
+"""A marker counts as visible to a camera when at least this share of its whole silhouette is.
+
+Skin hides the rear of a painted fingertip: an unhidden one shows about half of its silhouette.
+"""
 _NEAR_S: Final = 0.025
 """A sample is tracked when a point set lies this near to it: one and a half frames at 60 Hz."""
 

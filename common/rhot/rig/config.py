@@ -149,7 +149,7 @@ class FusionConfig(FileModel):
     depth_law: tuple[Positive, float] = (4543.3, -1.035)
     min_cutoff_hz: Positive = 4.0
     beta: NotNegative = 20.0
-    derivative_cutoff_hz: Positive = 5.0
+    derivative_cutoff_hz: Positive = 8.0
     volume_m: tuple[Vector3, Vector3] = ((-0.8, -0.6, 0.30), (0.8, 0.6, 1.40))
     max_speed_m_s: Positive = 4.0
     hold_s: NotNegative = 0.25

@@ -27,6 +27,7 @@ from rhot.skeleton import CHAINS, FINGERS, JOINTS
 FloatArray = NDArray[np.float64]
 
 SEAM_OVERLAP_M: Final = 0.0015
+LAST_HINGE_OVERLAP_M: Final = 0.003
 SEAM_TAPER: Final = 0.75
 FOREARM_M: Final = 0.32
 CORNER_RADIUS_M: Final = 0.006
@@ -82,6 +83,8 @@ class Rings:
     shift_axes: FloatArray
 
 
+FIXED_RINGS: Final = 40
+"""Rings of every hand; those of patches and painted joints follow."""
 BALL: Final = 0
 DISC: Final = 1
 PATCH: Final = 2
@@ -137,7 +140,7 @@ class Body:
 
 
 class _HandBody:
-    """One hand: 20 balls along the fingers, 10 discs where paint ends, wrist, forearm, web, patches."""
+    """One hand: 15 balls and 5 discs along the fingers, 15 discs in the last bones, wrist, forearm, web, patches."""
 
     def __init__(self, side: Side, hand: HandModel, markers: Mapping[str, MarkerConfig]) -> None:
         self._side = side
@@ -149,10 +152,10 @@ class _HandBody:
         self._patches = [name for name, marker in worn.items() if marker.kind == "patch"]
         tip_joints = {CHAINS[finger][-1] for finger in FINGERS}
         self._bands = [name for name, marker in worn.items() if marker.kind == "cap" and marker.joint not in tip_joints]
-        self.ring_count = 35 + len(self._patches) + len(self._bands)
+        self.ring_count = FIXED_RINGS + len(self._patches) + len(self._bands)
         self.marker_rings: dict[str, tuple[int, ...]] = {
             **{cap: (4 * finger + 3, 20 + finger) for finger, cap in enumerate(self._caps) if cap != "skin"},
-            **{name: (35 + place,) for place, name in enumerate([*self._patches, *self._bands])},
+            **{name: (FIXED_RINGS + place,) for place, name in enumerate([*self._patches, *self._bands])},
         }
         radii = hand.radii[MOVING]
         self._radii = radii
@@ -179,29 +182,36 @@ class _HandBody:
         centers[:, 20:25] = cut
         centers[:, 25:30] = cut + SEAM_OVERLAP_M * sign * Z
         rings.shift_axes[:, first + 20 : first + 25] = sign * Z
-        for discs in (slice(20, 25), slice(25, 30)):
+        centers[:, 35:40] = joints.positions[:, MOVING[:, 2]] + LAST_HINGE_OVERLAP_M * Z
+        for discs in (slice(20, 25), slice(25, 30), slice(35, 40)):
             axes[:, discs] = np.swapaxes(frames[..., :2], -1, -2)
             extents[discs] = self._cut_radius[:, None]
             kinds[discs] = DISC
         # Narrower under the other half: two blended edges in one place would let colour leak past the seam.
         extents[25:30] *= SEAM_TAPER
+        extents[35:40] = self._radii[:, 2, None]
+        # A ball about the last hinge would bulge over the paint, which begins within its radius.
+        axes[:, 2:20:4] = np.swapaxes(joints.rotations[:, MOVING[:, 1], :, :2], -1, -2)
+        kinds[2:20:4] = DISC
         self._place_arm(joints, centers, extents)
         for place, name in enumerate(self._patches):
             marker = self._markers[name]
             corners = hand.patch_corners(joints, marker, name)
-            centers[:, 35 + place] = corners.mean(axis=1)
+            centers[:, FIXED_RINGS + place] = corners.mean(axis=1)
             R = joints.rotation(marker.joint)
-            axes[:, 35 + place] = np.stack([R[..., 0], R[..., 2]], axis=1)
-            extents[35 + place] = np.array(marker.size_m or (0.0, 0.0)) / 2.0
-            kinds[35 + place] = PATCH
-        for place, name in enumerate(self._bands, start=35 + len(self._patches)):
+            axes[:, FIXED_RINGS + place] = np.stack([R[..., 0], R[..., 2]], axis=1)
+            extents[FIXED_RINGS + place] = np.array(marker.size_m or (0.0, 0.0)) / 2.0
+            kinds[FIXED_RINGS + place] = PATCH
+        for place, name in enumerate(self._bands, start=FIXED_RINGS + len(self._patches)):
             joint = JOINTS.index(self._markers[name].joint)
             centers[:, place] = joints.positions[:, joint]
             extents[place] = hand.radii[joint] * 1.03
         facing = [
             name
             for place, name in enumerate(self._patches)
-            if (camera - centers[middle, 35 + place]) @ joints.rotation(self._markers[name].joint)[middle, :, 1] > 0.0
+            if (camera - centers[middle, FIXED_RINGS + place])
+            @ joints.rotation(self._markers[name].joint)[middle, :, 1]
+            > 0.0
         ]
         return self._groups(first, skin_in_front, facing)
 
@@ -228,7 +238,9 @@ class _HandBody:
 
         inner = 30 if self._side == "right" else 31
         palm = (part((30, 31, 32, 33), "skin"), part((30, 31, 4, 8, 12, 16), "skin"))
-        patch_parts = tuple(Part((first + 35 + self._patches.index(name),), name, FLAT_SHADES) for name in patches)
+        patch_parts = tuple(
+            Part((first + FIXED_RINGS + self._patches.index(name),), name, FLAT_SHADES) for name in patches
+        )
         back = (first + 31, first + 8)
         groups = [
             Group(palm, back, self._side),
@@ -238,18 +250,18 @@ class _HandBody:
         ]
         for finger in range(5):
             mcp, pip, dip, tip = (4 * finger + joint for joint in range(4))
-            cut, under = 20 + finger, 25 + finger
+            cut, under, hinge = 20 + finger, 25 + finger, 35 + finger
             bones = ((pip, dip),) if finger == 0 else ((mcp, pip), (pip, dip))
             groups.append(
                 Group(tuple(part(bone, "skin") for bone in bones), (first + pip, first + bones[0][0]), self._side)
             )
             if skin_in_front[finger]:
-                halves = (part((tip, cut, under), self._caps[finger]), part((dip, cut), "skin"))
+                halves = (part((tip, cut, under), self._caps[finger]), part((hinge, cut), "skin"))
             else:
-                halves = (part((dip, cut, under), "skin"), part((tip, cut), self._caps[finger]))
+                halves = (part((hinge, cut, under), "skin"), part((tip, cut), self._caps[finger]))
             # One group each: a lit middle of the hidden half must not be drawn over the other half.
             groups += [Group((half,), (first + dip, first + tip), self._side) for half in halves]
-        for place, name in enumerate(self._bands, start=35 + len(self._patches)):
+        for place, name in enumerate(self._bands, start=FIXED_RINGS + len(self._patches)):
             groups.append(Group((part((place,), name),), (first + place,), self._side))
         return groups
 

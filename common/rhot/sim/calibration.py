@@ -7,12 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.camera import CameraModel
 from rhot.rig.calibration import CameraCalibration, CamerasFile, Matrix3, Matrix4, today
 from rhot.rig.config import CameraConfig
-from rhot.rotations import rotation_from_vector
+from rhot.rotations import rotation_from_vector, vector_from_rotation
 from rhot.sim.script import seeded
 
 FloatArray = NDArray[np.float64]
@@ -26,9 +28,13 @@ FOCUS_Z_M: Final = 0.82
 
 FOCAL_ERROR: Final = 0.002
 CENTER_ERROR_PX: Final = 0.5
-ROTATION_ERROR_RAD: Final = float(np.radians(0.05))
-TRANSLATION_ERROR_M: Final = 0.0003
-"""Largest errors of the simulated calibration, each evenly drawn within its bounds."""
+DISTORTION_ERROR: Final = 0.02
+"""Largest errors of the intrinsics that a calibration would have found, each evenly drawn within its bounds."""
+CORNER_SIGMA_PX: Final = 0.1
+"""Noise of the chessboard corners to which the poses are then fitted."""
+_BOARD_VIEWS: Final = 20
+_BOARD_SIZE: Final = (9, 6)
+_BOARD_SQUARE_M: Final = 0.025
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,28 +62,71 @@ def simulated_rig_calibration(cameras: Mapping[str, CameraConfig], seed: int) ->
         seed: of the world.
     """
     truth: dict[str, CameraCalibration] = {}
-    found: dict[str, CameraCalibration] = {}
+    found_intrinsics: dict[str, tuple[FloatArray, FloatArray]] = {}
     for place, (name, camera) in enumerate(cameras.items()):
         rng = seeded(seed, 20, place, zlib.crc32(name.encode()))
         K = _intrinsics(camera, rng)
         distortion = np.array(DISTORTION) * rng.uniform(0.85, 1.15, 5)
         T = _pose(place, rng)
         truth[name] = _calibration(camera, K, distortion, T)
-        K_found = K.copy()
-        K_found[[0, 1], [0, 1]] *= 1.0 + rng.uniform(-FOCAL_ERROR, FOCAL_ERROR)
-        K_found[:2, 2] += rng.uniform(-CENTER_ERROR_PX, CENTER_ERROR_PX, 2)
-        T_found = T.copy()
-        if place > 0:
-            # Each component within bound / √3, so that the whole stays within the bound.
-            turn = rng.uniform(-1.0, 1.0, 3) * (ROTATION_ERROR_RAD / np.sqrt(3.0))
-            T_found[:3, :3] = T[:3, :3] @ rotation_from_vector(turn)
-            T_found[:3, 3] += rng.uniform(-1.0, 1.0, 3) * (TRANSLATION_ERROR_M / np.sqrt(3.0))
-        found[name] = _calibration(camera, K_found, distortion * (1.0 + rng.uniform(-0.02, 0.02, 5)), T_found)
+        found_intrinsics[name] = _intrinsics_found(K, distortion, rng)
+    found = _poses_found(truth, found_intrinsics, seed)
     note = {"source": "simulated", "seed": seed}
     return SimulatedCalibration(
         truth=CamerasFile(date=today(), quality={**note, "errors": "none"}, cameras=truth),
         found=CamerasFile(date=today(), quality={**note, "errors": "as of a calibration"}, cameras=found),
     )
+
+
+def _intrinsics_found(K: FloatArray, distortion: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return intrinsics with a calibration's errors."""
+    K_found = K.copy()
+    K_found[[0, 1], [0, 1]] *= 1.0 + rng.uniform(-FOCAL_ERROR, FOCAL_ERROR)
+    K_found[:2, 2] += rng.uniform(-CENTER_ERROR_PX, CENTER_ERROR_PX, 2)
+    return K_found, distortion * (1.0 + rng.uniform(-DISTORTION_ERROR, DISTORTION_ERROR, 5))
+
+
+def _poses_found(
+    truth: Mapping[str, CameraCalibration], intrinsics: Mapping[str, tuple[FloatArray, FloatArray]], seed: int
+) -> dict[str, CameraCalibration]:
+    """Return every camera with the pose that fits its found intrinsics best.
+
+    Errors drawn for each parameter alone would not do: a calibration minimises what it sees, so an error of the centre
+    comes with a turn that makes up for it, and points near the boards come out far better than either error suggests.
+    """
+    boards = _board_points(seeded(seed, 21))
+    poses: dict[str, FloatArray] = {}
+    for place, (name, calibration) in enumerate(truth.items()):
+        camera = CameraModel.from_calibration(calibration)
+        noise = seeded(seed, 22, place, zlib.crc32(name.encode())).normal(0.0, CORNER_SIGMA_PX, (len(boards), 2))
+        pixels = camera.project(boards)
+        seen = camera.contains(pixels)
+        turn = vector_from_rotation(camera.R_camera_rig)
+        _, turn_found, t_found = cv2.solvePnP(
+            boards[seen], (pixels + noise)[seen], *intrinsics[name], turn.copy(), camera.t_camera_rig.copy(), True
+        )
+        T_camera_rig = np.eye(4)
+        T_camera_rig[:3, :3] = rotation_from_vector(np.asarray(turn_found, dtype=np.float64).ravel())
+        T_camera_rig[:3, 3] = np.asarray(t_found).ravel()
+        poses[name] = np.asarray(np.linalg.inv(T_camera_rig), dtype=np.float64)
+    # The rig frame that a calibration defines is its own reference camera, small turn and all.
+    T_reference_rig = np.linalg.inv(next(iter(poses.values())))
+    return {
+        name: _calibration(truth[name], *intrinsics[name], T_reference_rig @ T_rig_camera)
+        for name, T_rig_camera in poses.items()
+    }
+
+
+def _board_points(rng: np.random.Generator) -> FloatArray:
+    """Return corners (N, 3) of a chessboard held at many places above the desk, metres, rig frame."""
+    columns, rows = _BOARD_SIZE
+    x, y = np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2)
+    board = _BOARD_SQUARE_M * np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    views = []
+    for _ in range(_BOARD_VIEWS):
+        place = rng.uniform((-0.15, -0.12, 0.5), (0.2, 0.12, 0.9))
+        views.append(board @ rotation_from_vector(rng.uniform(-0.5, 0.5, 3)).T + place)
+    return np.concatenate(views)
 
 
 def _intrinsics(camera: CameraConfig, rng: np.random.Generator) -> FloatArray:
@@ -108,7 +157,9 @@ def _pose(place: int, rng: np.random.Generator) -> FloatArray:
     return T
 
 
-def _calibration(camera: CameraConfig, K: FloatArray, distortion: FloatArray, T: FloatArray) -> CameraCalibration:
+def _calibration(
+    camera: CameraConfig | CameraCalibration, K: FloatArray, distortion: FloatArray, T: FloatArray
+) -> CameraCalibration:
     k1, k2, p1, p2, k3 = (float(value) for value in distortion)
     return CameraCalibration(
         width=camera.width,

@@ -23,9 +23,9 @@ EASE_DEG: Final[FloatArray] = np.array([[6, 6, 10], [6, 4, 12], [5, 0, 13], [6, 
 """A hand at ease."""
 OPEN_DEG: Final[FloatArray] = np.array([[0, 12, 4], [2, 10, 4], [2, 0, 4], [2, -8, 5], [3, -12, 6]], dtype=float)
 """A spread hand."""
-GRIP_DEG: Final[FloatArray] = np.array([[14, 8, 20], [30, 2, 21], [28, 0, 22], [30, -1, 22], [33, -3, 21]], dtype=float)
+GRIP_DEG: Final[FloatArray] = np.array([[6, 4, 12], [26, 2, 14], [24, 0, 14], [26, -1, 14], [28, -3, 14]], dtype=float)
 """A hand around the object."""
-REACH_DEG: Final[FloatArray] = np.array([[-5, 8, 4], [8, 6, 8], [6, 0, 8], [8, -4, 9], [10, -8, 10]], dtype=float)
+REACH_DEG: Final[FloatArray] = np.array([[-6, 4, 4], [6, 6, 6], [4, 0, 6], [6, -4, 7], [8, -8, 8]], dtype=float)
 """A hand about to grasp."""
 
 Gesture = Callable[[FloatArray, Random], tuple[FloatArray, FloatArray]]

@@ -105,7 +105,7 @@ def home_x_m(side: Side, sides: Sequence[Side]) -> float:
     return -0.13 if side == "right" else 0.13
 
 
-OBJECT_SIZE_M: FloatArray = np.array([0.100, 0.060, 0.055])
+OBJECT_SIZE_M: FloatArray = np.array([0.100, 0.060, 0.065])
 """Extent of a simulated object (a rounded box) along its own axes: across the hand, up, along the fingers."""
 OBJECT_SIZE_M.setflags(write=False)
 

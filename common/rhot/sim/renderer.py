@@ -108,9 +108,11 @@ class Renderer:
                 for part in group.parts
                 for shade in part.shades
             }
-            for window in self._windows(drawn, groups):
+            windows = self._windows(drawn, groups)
+            for window in disjoint(windows.values()):
                 area = (slice(window.top, window.bottom), slice(window.left, window.right))
-                image[area] = self._exposed(window, drawn, groups, colors, large)
+                here = [group for group in groups if group.owner in windows and windows[group.owner].overlaps(window)]
+                image[area] = self._exposed(window, drawn, here, colors, large)
         digest = hashlib.blake2b(f"{self._seed} {round(t_first_row_s * 1e9)}".encode(), digest_size=4).digest()
         self._noise.add(image, int.from_bytes(digest, "big"))
         return image
@@ -122,21 +124,25 @@ class Renderer:
         """Return the moments of the exposure to draw, as shares of it: the mean of equal parts."""
         if span_s <= 0.0:
             return np.array([0.5])
-        moved_px = float(np.abs(paths.end - paths.start).max()) * exposure_s / span_s
+        # The forearm's far end swings widely, out of the picture.
+        seen = self.camera.contains(paths.middle.reshape(-1, 2)).reshape(paths.middle.shape[:2])
+        moved_px = float(np.abs(paths.end - paths.start).max(axis=-1)[seen].max(initial=0.0)) * exposure_s / span_s
         count = 1 if moved_px < _STILL_PX else min(MAX_MOMENTS, 1 + int(np.ceil(moved_px / 0.6)))
         shares: FloatArray = (np.arange(count) + 0.5) / count
         return shares
 
-    def _windows(self, drawn: list[FloatArray], groups: list[Group]) -> list[Window]:
-        """Return windows that hold every hand and object and do not overlap."""
+    def _windows(self, drawn: list[FloatArray], groups: list[Group]) -> dict[str, Window]:
+        """Return the window around each hand and object that is in the picture."""
         members: dict[str, set[int]] = {}
         for group in groups:
             members.setdefault(group.owner, set()).update(ring for part in group.parts for ring in part.rings)
-        found = (
-            Window.around(np.stack([points[sorted(rings)] for points in drawn]), self.camera.width, self.camera.height)
-            for rings in members.values()
-        )
-        return disjoint(window for window in found if window is not None)
+        windows: dict[str, Window] = {}
+        for owner, rings in members.items():
+            points = np.stack([points[sorted(rings)] for points in drawn])
+            window = Window.around(points, self.camera.width, self.camera.height)
+            if window is not None:
+                windows[owner] = window
+        return windows
 
     def _exposed(
         self,

@@ -193,8 +193,9 @@ def _line(elapsed_s: float, duration_s: float, figures: dict[str, Any]) -> str:
     if "median" not in tips or not latency:
         return f"{elapsed_s:5.1f} of {duration_s:.0f} s   no hand"
     return (
-        f"{elapsed_s:5.1f} of {duration_s:.0f} s   {figures['rate_hz']:.0f} poses/s   fingertips {tips['median']:.1f} mm "
-        f"(p95 {tips['p95']:.1f})   latency {latency['p50']:.1f} ms (p99 {latency['p99']:.1f})"
+        f"{elapsed_s:5.1f} of {duration_s:.0f} s   {figures['rate_hz']:.0f} poses/s   "
+        f"fingertips {tips['median']:.1f} mm (p95 {tips['p95']:.1f})   "
+        f"latency {latency['p50']:.1f} ms (p99 {latency['p99']:.1f})"
     )
 
 

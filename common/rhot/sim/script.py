@@ -37,7 +37,7 @@ HOVER_M: Final = 0.06
 """Height over the object before and after a grasp."""
 CARRY_M: Final = 0.10
 """How high an object is carried."""
-GRIP_M: Final[FloatArray] = np.array([0.0, -0.020 - OBJECT_SIZE_M[1] / 2.0, -0.102])
+GRIP_M: Final[FloatArray] = np.array([0.0, -0.026 - OBJECT_SIZE_M[1] / 2.0, -0.108])
 """Centre of a held object in the wrist frame, metres; the axes are the wrist's."""
 _STREAMS: Final = {"right": 1, "left": 2, "objects": 3, "person": 4}
 

@@ -82,7 +82,10 @@ def _step(J: FloatArray, gap: FloatArray, damping: FloatArray) -> FloatArray:
 
 
 def _jacobian(chains: Chains, angles: FloatArray, points: FloatArray, axes: FloatArray) -> FloatArray:
-    """Return the end's derivative by each angle (B, 3, 3n), metres per radian; a coupled hinge counts with its leader."""
+    """Return the end's derivative by each angle, (B, 3, 3n), metres per radian.
+
+    A coupled hinge counts with its leader.
+    """
     count, joints = angles.shape[:2]
     turn_axes = np.empty((count, joints, 3, 3))
     cos_f, sin_f = np.cos(angles[..., FLEXION]), np.sin(angles[..., FLEXION])

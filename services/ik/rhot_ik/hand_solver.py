@@ -26,6 +26,8 @@ FOLLOW_NEIGHBOURS_S: Final = 0.4
 """Time constant with which a hidden finger bends like its neighbours."""
 PREDICTED_WEIGHT: Final = 0.25
 """Trust in a marker that fusion bridged, relative to a measured one."""
+_RATE_BY_MISS: Final = (np.array([0.004, 0.020]), np.array([30.0, 4.0]))
+"""How fast a finger may turn, rad/s, by how far it misses its marker, metres."""
 GAP_S: Final = 1.0
 """After a silence this long nothing of the past is used."""
 LATE_S: Final = 0.1
@@ -197,9 +199,24 @@ class HandSolver:
         self._finger_lead[visible & ~self._finger_known] = 0.0
         remaining = np.maximum(0.0, 1.0 - self._finger_lead_s / REJOIN_S)[:, None]
         led = np.where(visible[:, None], solved + remaining * self._finger_lead, held)
+        led = self._rate_limited(led, local, dt_s)
         self._finger_known |= visible
         self._finger_hidden = ~visible
         return model.clamp(led)
+
+    def _rate_limited(self, angles: FloatArray, wanted: FloatArray, dt_s: float) -> FloatArray:
+        """Return angles (5, 4) no further from the last ones than a finger moves in `dt_s`.
+
+        A marker that the finger cannot reach says little, and its nearest legal pose may lie at the other end of a
+        range from one sample to the next: such a finger moves slowly.
+        """
+        missed = np.sqrt(((self._geometry.marker_points(angles) - wanted) ** 2).sum(-1))
+        rate = np.interp(np.where(np.isfinite(missed), missed, 0.0), *_RATE_BY_MISS)
+        change = angles - self._angles
+        share = np.minimum(1.0, rate * dt_s / np.maximum(np.abs(change).max(axis=1), 1e-9))
+        share[~self._finger_known] = 1.0
+        limited: FloatArray = self._angles + share[:, None] * change
+        return limited
 
     def _held(self, visible: BoolArray, dt_s: float) -> FloatArray:
         """Return the last angles (5, 4), hidden long fingers drawn towards the bend of their visible neighbours."""

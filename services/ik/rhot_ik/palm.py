@@ -44,7 +44,7 @@ MAX_CORNER_ERROR_M: Final = 0.006
 SIGMA_BACK: Final = 1.5
 TURN_RAD_PER_SQRT_S: Final = 0.7
 """Random walk of the palm's rotation about what constant turning predicts."""
-MAX_TURN_RAD_S: Final = 20.0
+MAX_TURN_RAD_S: Final = 10.0
 VELOCITY_GAIN: Final = 0.1
 VELOCITY_DECAY_S: Final = 0.15
 _DIFFERENCE_RAD: Final = 1e-3

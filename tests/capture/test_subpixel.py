@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rhot_capture.subpixel import centre_of, coverage
+
+
+def hard_mask(image: Any, paint: tuple[float, float, float], radius: float) -> Any:
+    near = np.linalg.norm(image[..., ::-1].astype(float) - paint, axis=-1) < radius
+    return np.where(near, 255, 0).astype(np.uint8)
+
+
+@given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-1.5, 1.5))
+@settings(deadline=None, max_examples=25)
+def test_moving_the_paint_moves_the_centre_alike(
+    scene: Callable[..., Any], shape: type[Any], paints: Any, du: float, dv: float, angle: float
+) -> None:
+    centres = []
+    for move_u, move_v in ((0.0, 0.0), (du, dv)):
+        drawn = scene([shape("index", 30 + move_u, 30 + move_v, angle=angle)], size=(61, 61))
+        mask = hard_mask(drawn.image, paints["index"], 60)
+        centre = centre_of(coverage(drawn.image, mask))
+        truth = drawn.truth["index"]
+        centres.append((centre.u, centre.v, truth[0], truth[1]))
+    (u0, v0, true_u0, true_v0), (u1, v1, true_u1, true_v1) = centres
+    assert u1 - u0 == pytest.approx(true_u1 - true_u0, abs=0.04)
+    assert v1 - v0 == pytest.approx(true_v1 - true_v0, abs=0.04)
+
+
+@pytest.mark.parametrize("blur", [0.4, 0.8, 1.2])
+@pytest.mark.parametrize("name", ["thumb", "middle", "ring"])
+def test_skin_on_one_side_does_not_pull_the_centre(
+    scene: Callable[..., Any], shape: type[Any], paints: Any, name: str, blur: float
+) -> None:
+    drawn = scene([shape(name, 30.3, 29.8)], size=(61, 61), blur=blur)
+    centre = centre_of(coverage(drawn.image, hard_mask(drawn.image, paints[name], 60)))
+    u, v, area = drawn.truth[name]
+    assert np.hypot(centre.u - u, centre.v - v) < 0.1
+    assert centre.area == pytest.approx(area, rel=0.02)
+
+
+@pytest.mark.parametrize("grow", [-1, 1])
+def test_a_mask_too_small_or_large_by_a_pixel_does_not_matter(
+    scene: Callable[..., Any], shape: type[Any], paints: Any, grow: int
+) -> None:
+    import cv2
+
+    drawn = scene([shape("ring", 30.4, 30.2)], size=(61, 61))
+    mask = hard_mask(drawn.image, paints["ring"], 60)
+    changed = (cv2.dilate if grow > 0 else cv2.erode)(mask, np.ones((3, 3), np.uint8))
+    centre = centre_of(coverage(drawn.image, np.asarray(changed, dtype=np.uint8)))
+    u, v, area = drawn.truth["ring"]
+    assert np.hypot(centre.u - u, centre.v - v) < 0.08
+    assert centre.area == pytest.approx(area, rel=0.04)
+
+
+def test_shares_are_zero_and_one_away_from_the_rim(scene: Callable[..., Any], shape: type[Any], paints: Any) -> None:
+    drawn = scene([shape("ring", 30, 30, radius=10)], size=(61, 61), noise=3.0)
+    share = coverage(drawn.image, hard_mask(drawn.image, paints["ring"], 60))
+    assert np.all(share[28:33, 28:33] == 1.0)
+    assert np.all(share[:6] == 0.0)
+
+
+def test_paint_like_its_surroundings_falls_back_to_the_mask() -> None:
+    image = np.full((40, 40, 3), 90, np.uint8)
+    mask = np.zeros((40, 40), np.uint8)
+    mask[10:20, 12:22] = 255
+    centre = centre_of(coverage(image, mask))
+    assert (centre.u, centre.v, centre.area) == (16.5, 14.5, 100.0)
+
+
+def test_a_window_without_surroundings_falls_back_to_the_mask() -> None:
+    image = np.random.default_rng(0).integers(0, 255, (12, 12, 3), dtype=np.uint8)
+    centre = centre_of(coverage(image, np.full((12, 12), 255, np.uint8)))
+    assert (centre.u, centre.v, centre.area) == (5.5, 5.5, 144.0)
+
+
+@pytest.mark.parametrize("radius", [1.6, 2.2, 3.0])
+def test_tiny_markers_have_a_centre_too(
+    scene: Callable[..., Any], shape: type[Any], paints: Any, radius: float
+) -> None:
+    drawn = scene([shape("index", 20.3, 20.6, radius=radius, on_skin=False)], size=(41, 41))
+    centre = centre_of(coverage(drawn.image, hard_mask(drawn.image, paints["index"], 110)))
+    u, v, _ = drawn.truth["index"]
+    assert np.hypot(centre.u - u, centre.v - v) < 0.12

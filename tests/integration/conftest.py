@@ -1,0 +1,41 @@
+"""A simulated rig of real processes on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from rig_processes import Processes
+
+from rhot.bus import Bus
+from rhot.rig import BusConfig
+from rhot.sim.folder import write_simulated_rig
+from rhot.sim.run import free_endpoint
+
+
+@pytest.fixture(scope="session")
+def simulated_rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A simulated rig folder and its router's endpoint."""
+    endpoint = free_endpoint("tcp/127.0.0.1:0")
+    path = tmp_path_factory.mktemp("rig")
+    write_simulated_rig(path, endpoint=endpoint)
+    return path, endpoint
+
+
+@pytest.fixture
+async def processes(simulated_rig: tuple[Path, str], tmp_path: Path) -> AsyncIterator[Processes]:
+    """No service runs yet; all are ended with the test."""
+    made = Processes(simulated_rig[0], tmp_path)
+    try:
+        yield made
+    finally:
+        await made.supervisor.stop()
+
+
+@pytest.fixture
+async def rig_bus(simulated_rig: tuple[Path, str], processes: Processes) -> AsyncIterator[Bus]:
+    """A session of the test's own; opens when the router is up."""
+    await processes.start("router")
+    async with await Bus.open(BusConfig(connect=(simulated_rig[1],)), timeout_s=15.0) as bus:
+        yield bus

@@ -1,0 +1,227 @@
+"""Real processes over a real router: any order of start, any death, garbage, plain queries."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+import zenoh
+from rig_processes import Processes, hand_measured_after, start_rig
+
+from rhot.bus import Bus
+from rhot.messages import HandPose, ServiceStatus, decode
+from rhot.rig import load_rig
+from rhot.sim.world import World
+from rhot.skeleton import FINGERS
+
+pytestmark = pytest.mark.integration
+
+UP_S = 20.0
+BACK_S = 3.0
+
+
+async def run_rhot(*arguments: str) -> tuple[int, str, str]:
+    """Run a command of ours; return exit code, output, errors."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "rhot", *arguments, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
+    )
+    async with asyncio.timeout(20):
+        output, errors = await process.communicate()
+    assert process.returncode is not None
+    return process.returncode, output.decode(), errors.decode()
+
+
+async def test_any_order_any_death(processes: Processes, rig_bus: Bus) -> None:
+    """Services find each other whatever comes first; each may be killed and the hand is back within three seconds."""
+    for name in ("ik", "capture right", "truth", "objects"):
+        await processes.start(name)
+    await asyncio.sleep(1.0)
+    await processes.start("fusion")
+    control = await start_rig(rig_bus)
+    await processes.start("capture left")
+    await hand_measured_after(rig_bus, control.start_t_ns, UP_S)
+    for name in ("capture left", "fusion", "ik", "router", "capture right", "objects"):
+        await processes.kill(name)
+        killed_ns = time.time_ns()
+        begun = time.monotonic()
+        await processes.start(name)
+        try:
+            await hand_measured_after(rig_bus, killed_ns, UP_S)
+        except TimeoutError:
+            pytest.fail(f"no hand after {name} was killed\n{processes.logs()}")
+        took_s = time.monotonic() - begun
+        assert took_s < BACK_S, f"the hand was back {took_s:.1f} s after {name} was killed"
+
+
+async def all_up(processes: Processes, bus: Bus) -> None:
+    for name in ("fusion", "ik", "capture left", "capture right", "objects", "truth"):
+        await processes.start(name)
+    control = await start_rig(bus)
+    await hand_measured_after(bus, control.start_t_ns, UP_S)
+
+
+KEYS = {
+    "rhot/control",
+    "rhot/markers/left",
+    "rhot/markers/right",
+    "rhot/points",
+    "rhot/hand/right",
+    "rhot/object/cube",
+    "rhot/truth",
+    "rhot/clock",
+    "rhot/preview/left",
+    *(f"rhot/{kind}/capture/left" for kind in ("status", "config")),
+    *(f"rhot/{kind}/{service}/main" for kind in ("status", "config") for service in ("fusion", "ik", "objects")),
+}
+
+
+async def test_every_key_can_be_looked_at(
+    processes: Processes, rig_bus: Bus, simulated_rig: tuple[Path, str], tmp_path: Path
+) -> None:
+    await all_up(processes, rig_bus)
+    rig, endpoint = simulated_rig
+    code, output, errors = await run_rhot("get", "rhot/**", "--rig", str(rig))
+    assert code == 0, errors
+    values = {line["key"]: line["value"] for line in map(json.loads, output.splitlines())}
+    assert set(values) >= KEYS
+    assert len(values["rhot/hand/right"]["joints"]) == 26
+    assert values["rhot/truth"]["objects"]["cube"]["position"][2] > 0.3
+
+    # The same from outside: Zenoh alone, msgpack as it comes and JSON where asked for.
+    config = zenoh.Config.from_json5(json.dumps({"mode": "client", "connect": {"endpoints": [endpoint]}}))
+
+    def ask() -> tuple[dict[str, bytes], dict[str, bytes]]:
+        with zenoh.open(config) as session:
+            packed, text = (
+                {str(reply.ok.key_expr): reply.ok.payload.to_bytes() for reply in session.get(selector) if reply.ok}
+                for selector in ("rhot/hand/**", "rhot/**?format=json")
+            )
+            return packed, text
+
+    packed, text = await asyncio.to_thread(ask)
+    assert msgpack.unpackb(packed["rhot/hand/right"])["side"] == "right"
+    assert set(text) >= KEYS
+    assert all(json.loads(value) is not None for value in text.values())
+
+    code, output, _ = await run_rhot("status", "--rig", str(rig))
+    assert code == 0
+    assert "capture/left" in output
+    assert "fusion/main" in output
+    code, output, _ = await run_rhot("watch", "rhot/hand/right", "--count", "3", "--rig", str(rig))
+    assert code == 0
+    assert [json.loads(line)["key"] for line in output.splitlines()] == ["rhot/hand/right"] * 3
+    code, output, errors = await run_rhot("doctor", "--rig", str(rig))
+    assert code == 0, output
+    assert "services are alive" in output
+
+    for selector in ("rhot/preview/left", "rhot/preview/left?overlay=markers", "rhot/preview/left?mask=thumb"):
+        (reply,) = await rig_bus.get(selector)
+        assert reply.encoding == "image/jpeg", reply.error
+        assert reply.payload[:2] == b"\xff\xd8"
+    (refused,) = await rig_bus.get("rhot/preview/left?mask=toe")
+    assert "thumb" in refused.error, "names the masks that there are"
+
+    code, output, errors = await run_rhot("config", "capture/left", "exposure_s=5", "--rig", str(rig))
+    assert code == 2
+    assert "exposure_s" in errors
+    code, output, errors = await run_rhot("config", "fusion/main", "hold_s=0.3", "--rig", str(rig))
+    assert code == 0, errors
+    assert json.loads(output)["hold_s"] == 0.3
+
+
+async def test_garbage_on_every_key_leaves_the_hand_alone(
+    processes: Processes, rig_bus: Bus, simulated_rig: tuple[Path, str]
+) -> None:
+    await all_up(processes, rig_bus)
+    world = World.from_rig(load_rig(simulated_rig[0]))
+    (reply,) = await rig_bus.get("rhot/control")
+    start_t_ns = msgpack.unpackb(reply.payload)["start_t_ns"]
+    good = {key: msgpack.unpackb((await rig_bus.get(key))[0].payload) for key in (*MESSAGES, "rhot/control")}
+    statuses = await status_of_all(rig_bus)
+    mailbox = rig_bus.events("rhot/hand/right")
+    stop = asyncio.create_task(throw_garbage(rig_bus, good))
+    poses = []
+    async with asyncio.timeout(30):
+        async for sample in mailbox:
+            try:
+                pose = decode(sample.payload, HandPose)
+            except Exception:
+                continue  # our own garbage on this key
+            poses.append(pose)
+            if stop.done() and pose.t_ns > time.time_ns() - 50_000_000 and len(poses) > 60:
+                break
+    stop.result()
+    errors_m = [
+        float(
+            np.linalg.norm(
+                np.array(pose.joints[f"{finger}_tip"].position) - true.hands["right"][f"{finger}_tip"].position
+            )
+        )
+        for pose in poses
+        if 0 < pose.t_ns - start_t_ns < 10**12
+        for true in [world.truth((pose.t_ns - start_t_ns) / 1e9, pose.t_ns)]
+        for finger in FINGERS
+    ]
+    assert len(errors_m) > 250
+    assert np.median(errors_m) < 0.008
+    after = await status_of_all(rig_bus)
+    for name in ("capture/left", "fusion/main", "ik/main", "objects/main"):
+        assert after[name].state == "running"
+        assert after[name].uptime_s > statuses[name].uptime_s, "it is still the same process"
+        assert after[name].counts["invalid"] > statuses[name].counts.get("invalid", 0), f"{name} counts what it refused"
+    for name, child in processes.running.items():
+        assert child.process.returncode is None, f"{name} ended\n{child.tail()}"
+        assert "Traceback" not in child.tail()
+
+
+MESSAGES = ("rhot/markers/left", "rhot/markers/right", "rhot/points", "rhot/hand/right", "rhot/object/cube")
+
+
+async def status_of_all(bus: Bus) -> dict[str, ServiceStatus]:
+    await asyncio.sleep(1.1)  # the status is published once a second
+    replies = await bus.get("rhot/status/**")
+    return {reply.key.removeprefix("rhot/status/"): decode(reply.payload, ServiceStatus) for reply in replies}
+
+
+async def throw_garbage(bus: Bus, good: dict[str, dict[str, object]]) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        now_ns = time.time_ns()
+        for key, value in good.items():
+            whole = msgpack.packb(value)
+            for payload in (
+                rng.bytes(int(rng.integers(0, 200))),
+                whole[: len(whole) // 2],
+                msgpack.packb([value]),
+                msgpack.packb(value | {"t_ns": "x"}),
+                msgpack.packb(value | {"t_ns": now_ns + 10**13}),
+                msgpack.packb(value | {"t_ns": now_ns - 10**13, "start_t_ns": now_ns + 10**14}),
+                msgpack.packb(value | {"t_ns": float("nan"), "seq": 2**63}),
+                msgpack.packb(
+                    value | {"t_ns": 2**63 - 1, "markers": {"thumb": {"u": 1e300}}, "points": 7, "action": "explode"}
+                ),
+            ):
+                await bus.put(key, payload, "application/msgpack")
+        for key in (
+            "rhot/config/fusion/main",
+            "rhot/config/capture/left",
+            "rhot/config/ik/main",
+            "rhot/config/objects/main",
+        ):
+            for payload in (rng.bytes(40), b'{"hold_s": -1}', b'{"exposure_s": 99}', b"{}}"):
+                await bus.put(key, payload, "application/json")
+        await asyncio.sleep(0.1)
+
+
+def test_nothing_is_left_running(simulated_rig: tuple[Path, str]) -> None:
+    from rig_processes import processes_that_name
+
+    assert os.getpid() > 0
+    assert list(processes_that_name(str(simulated_rig[0]))) == []

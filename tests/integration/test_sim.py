@@ -1,0 +1,93 @@
+"""`rhot sim` as a user runs it: its figures, its report, Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from rig_processes import processes_that_name
+
+from rhot.sim.run import free_endpoint
+
+pytestmark = pytest.mark.integration
+
+
+def test_tracks_within_its_figures(tmp_path: Path) -> None:
+    report_path = tmp_path / "r.json"
+    endpoint = free_endpoint("tcp/127.0.0.1:0")
+    command = [sys.executable, "-m", "rhot", "sim", "--duration", "20", "--headless"]
+    done = subprocess.run(
+        [*command, "--report", str(report_path), "--listen", endpoint],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr + done.stdout
+    report = json.loads(report_path.read_text())
+    assert report["rate_hz"] >= 55
+    assert report["coverage"] >= 0.99
+    assert report["coverage_samples"] > 500
+    assert report["fingertip_error_mm"]["median"] <= 5.0
+    assert all(finger["median"] <= 8.0 for finger in report["fingertip_error_mm"]["per_finger"].values())
+    assert report["object_error_mm"]["median"] <= 2.0
+    assert report["dropped_late"] == 0
+    assert report["latency_ms"]["p99"] <= 30.0
+    assert {"p50", "p99", "parts"} <= set(report["latency_ms"])
+    assert f"{report['fingertip_error_mm']['median']:.2f} mm" in done.stdout, "what is printed stands in the report"
+    assert list(processes_that_name(endpoint)) == []
+
+
+def test_ctrl_c_ends_everything_within_two_seconds(tmp_path: Path) -> None:
+    endpoint = free_endpoint("tcp/127.0.0.1:0")
+    command = [sys.executable, "-m", "rhot", "sim", "--duration", "60", "--headless", "--listen", endpoint]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        lines = [process.stdout.readline() for _ in range(2)]
+        assert "of 60 s" in "".join(lines)
+        begun = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=10)
+        took_s = time.monotonic() - begun
+        rest = process.stdout.read()
+    assert took_s < 2.0
+    assert process.returncode == 130
+    assert "Traceback" not in rest
+    assert list(processes_that_name(endpoint)) == []
+
+
+def test_a_parent_that_is_killed_leaves_no_child(tmp_path: Path) -> None:
+    endpoint = free_endpoint("tcp/127.0.0.1:0")
+    command = [sys.executable, "-m", "rhot", "sim", "--duration", "60", "--headless", "--listen", endpoint]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        assert "of 60 s" in "".join(process.stdout.readline() for _ in range(2))
+        assert len(list(processes_that_name(endpoint))) > 4
+        process.kill()
+    deadline = time.monotonic() + 3.0
+    while list(processes_that_name(endpoint)):
+        assert time.monotonic() < deadline, "a child outlived its parent"
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--report", "/nonexistent/r.json"], "does not exist"),
+        (["--duration", "0"], "duration"),
+        (["--cameras", "1"], "cameras"),
+        (["--rig", "/nonexistent"], "rhot init"),
+    ],
+)
+def test_wrong_words_get_one_clear_error(arguments: list[str], says: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "rhot", "sim", *arguments], capture_output=True, text=True, timeout=30, check=False
+    )
+    assert done.returncode != 0
+    assert says in done.stderr
+    assert "Traceback" not in done.stderr

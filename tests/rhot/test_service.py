@@ -1,0 +1,331 @@
+"""The service runner against a real router: start, late join, stop, restart of anything, garbage, configuration."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+
+import msgpack
+import pytest
+from pydantic import BaseModel
+
+from rhot.bus import Bus
+from rhot.clock import SkewedClock, SystemClock
+from rhot.errors import BusError, ConfigError, DeviceError, WireError
+from rhot.messages import Control, Marker, MarkerFrame, Point, PointSet, ServiceStatus, decode, encode
+from rhot.rig import BusConfig, FusionConfig
+from rhot.service import ControlState, Node, StageService, configuration, runner
+from rhot.service.runner import serve
+from rhot.stage import Output
+
+LIMIT_S = 10.0
+
+
+@pytest.fixture(autouse=True)
+def quick_status(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Publish the status often, so that tests need not wait for the next second."""
+    monkeypatch.setattr(runner, "_STATUS_INTERVAL_S", 0.05)
+
+
+class Doubler:
+    """A stage that puts each marker into space, and can be told to fail."""
+
+    def __init__(self, config: FusionConfig) -> None:
+        self.config = config
+        self.counts = {"fed": 0}
+
+    def configure(self, config: FusionConfig) -> None:
+        if config.hold_s > 10:
+            raise ConfigError("hold_s over 10 s")
+        self.config = config
+
+    def feed(self, message: MarkerFrame) -> list[Output]:
+        self.counts["fed"] += 1
+        points = {
+            name: Point(position=(marker.u, marker.v, self.config.hold_s), sigma=0.0, views=1, state="measured")
+            for name, marker in message.markers.items()
+        }
+        return [("rhot/points", PointSet(t_ns=message.t_ns, frame="rig", points=points))]
+
+
+def doubler(*, owns_clock: bool = True, name: str = "fusion") -> StageService[MarkerFrame, FusionConfig]:
+    return StageService(
+        name,
+        input_keys="rhot/markers/*",
+        model=MarkerFrame,
+        key_of=lambda frame: f"rhot/markers/{frame.camera}",
+        config=FusionConfig(),
+        make_stage=Doubler,
+        owns_clock=owns_clock,
+    )
+
+
+def frame(t_ns: int, camera: str = "left") -> MarkerFrame:
+    marker = Marker(u=1.0, v=2.0, area=3.0, score=0.5)
+    return MarkerFrame(t_ns=t_ns, camera=camera, width=640, height=480, markers={"thumb": marker})
+
+
+@asynccontextmanager
+async def running(service: StageService[MarkerFrame, FusionConfig], bus: BusConfig) -> AsyncIterator[None]:
+    """Run a service beside the test; ends it as a signal would."""
+    task = asyncio.create_task(serve(service, bus, SystemClock()))
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def status_of(bus: Bus, name: str) -> ServiceStatus | None:
+    replies = await bus.get(f"rhot/status/{name}", timeout_s=1.0)
+    return decode(replies[0].payload, ServiceStatus) if replies else None
+
+
+async def wait_for_status(bus: Bus, name: str, wanted: Callable[[ServiceStatus], bool]) -> ServiceStatus:
+    async with asyncio.timeout(LIMIT_S):
+        while True:
+            status = await status_of(bus, name)
+            if status is not None and wanted(status):
+                return status
+            await asyncio.sleep(0.02)
+
+
+async def start(bus: Bus, session: str = "s1", delay_s: float = 0.0) -> Control:
+    now_ns = time.time_ns()
+    publisher = bus.publisher("rhot/control", Control, reliable=True)
+    assert await publisher.wait_for_reader(LIMIT_S)
+    return publisher.put(
+        Control(t_ns=now_ns, action="start", session=session, start_t_ns=now_ns + round(delay_s * 1e9))
+    )
+
+
+async def points_follow(bus: Bus) -> PointSet:
+    """Publish markers until a point set comes back."""
+    mailbox = bus.latest("rhot/points")
+    publisher = bus.publisher("rhot/markers/left", MarkerFrame)
+    reading = asyncio.create_task(anext(aiter(mailbox)))
+    async with asyncio.timeout(LIMIT_S):
+        while not reading.done():
+            publisher.put(frame(time.time_ns()))
+            await asyncio.wait((reading,), timeout=0.02)
+    return decode((await reading).payload, PointSet)
+
+
+async def test_waits_for_start_then_works_then_stops(router: BusConfig) -> None:
+    async with running(doubler(), router), await Bus.open(router) as bus:
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
+        begun = time.time_ns()
+        await start(bus, delay_s=0.3)
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "running")
+        assert time.time_ns() - begun > 0.29e9, "nobody starts before the start time"
+        points = await points_follow(bus)
+        assert points.points["thumb"].position[:2] == (1.0, 2.0)
+        bus.publisher("rhot/control", Control, reliable=True).put(Control(t_ns=time.time_ns(), action="stop"))
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting" and not status.session)
+
+
+async def test_who_joins_late_learns_the_start_from_the_others(router: BusConfig) -> None:
+    async with running(doubler(), router):
+        async with await Bus.open(router) as bus:
+            await start(bus)
+            await wait_for_status(bus, "fusion/main", lambda status: status.state == "running")
+        # The one who said start is gone by now.
+        async with running(doubler(owns_clock=False, name="late"), router), await Bus.open(router) as bus:
+            status = await wait_for_status(bus, "late/main", lambda status: status.state == "running")
+            assert status.session == "s1"
+            assert status.clock_uncertainty_s is not None
+            assert status.clock_uncertainty_s < 0.05
+
+
+async def test_garbage_is_counted_and_harms_nothing(router: BusConfig) -> None:
+    good = msgpack.unpackb(encode(frame(time.time_ns())))
+
+    def with_markers(u: object) -> bytes:
+        markers = {"thumb": {"u": u, "v": 1.0, "area": 1.0, "score": 1.0}}
+        packed: bytes = msgpack.packb(good | {"markers": markers, "t_ns": time.time_ns()})
+        return packed
+
+    garbage = [
+        b"",
+        b"\xff\x00garbage",
+        encode(frame(time.time_ns()))[:-4],
+        msgpack.packb([1, 2, 3]),
+        msgpack.packb(good | {"t_ns": "now"}),
+        with_markers(math.nan),
+        with_markers(1e300),
+        with_markers("12"),
+        encode(frame(time.time_ns() + 10**10)),
+        encode(frame(time.time_ns() - 10**10)),
+        encode(frame(0)),
+        encode(frame(time.time_ns(), camera="other")),
+    ]
+    async with running(doubler(), router), await Bus.open(router) as bus:
+        await start(bus)
+        await points_follow(bus)
+        before = await wait_for_status(bus, "fusion/main", lambda status: status.state == "running")
+        for number, payload in enumerate(garbage, start=before.counts.get("invalid", 0) + 1):
+            await bus.put("rhot/markers/left", payload, "application/msgpack;MarkerFrame")
+            # Newest wins: the next would replace one that was not looked at yet.
+            await wait_for_status(
+                bus, "fusion/main", lambda status, number=number: status.counts.get("invalid", 0) >= number
+            )
+        for key in ("rhot/control", "rhot/config/fusion/main"):
+            for payload in (b"", b"\xc1", b"{", b"[]", b"\x93\x01\x02\x03", b'{"nonsense": 1}'):
+                await bus.put(key, payload, "application/octet-stream")
+        after = await wait_for_status(
+            bus,
+            "fusion/main",
+            lambda status: status.counts.get("invalid", 0) >= before.counts.get("invalid", 0) + len(garbage) + 8,
+        )
+        assert after.state == "running"
+        assert after.last_error
+        assert (await points_follow(bus)).points["thumb"].position[0] == 1.0
+
+
+async def test_configuration_changes_while_running_and_bad_values_are_refused(router: BusConfig) -> None:
+    key = "rhot/config/fusion/main"
+    async with running(doubler(), router), await Bus.open(router) as bus:
+        await start(bus)
+        first = await wait_for_status(bus, "fusion/main", lambda status: status.state == "running")
+
+        async def current() -> float:
+            (reply,) = await bus.get(f"{key}?format=json")
+            value: float = json.loads(reply.payload)["hold_s"]
+            return value
+
+        await bus.put(key, json.dumps({"hold_s": 0.75}).encode(), "application/json")
+        changed = await wait_for_status(bus, "fusion/main", lambda status: status.config_digest != first.config_digest)
+        assert await current() == 0.75
+        assert (await points_follow(bus)).points["thumb"].position[2] == 0.75
+        for refused in ({"hold_s": -1}, {"hold_s": "long"}, {"hold": 1}, {"hold_s": 11}):
+            await bus.put(key, msgpack.packb(refused), "application/msgpack")
+        status = await wait_for_status(bus, "fusion/main", lambda status: status.counts.get("config_refused", 0) == 4)
+        assert status.config_digest == changed.config_digest
+        assert await current() == 0.75
+        (answer,) = await bus.get(key, json.dumps({"hold_s": -2}).encode())
+        assert "hold_s" in answer.error
+        (answer,) = await bus.get(f"{key}?format=json", json.dumps({"hold_s": 0.5}).encode())
+        assert json.loads(answer.payload)["hold_s"] == 0.5
+
+
+async def test_the_router_may_die_and_come_back(endpoint: str) -> None:
+    client = BusConfig(connect=(endpoint,))
+    server = BusConfig(mode="router", connect=(), listen=(endpoint,))
+    first = await Bus.open(server)
+    async with running(doubler(), client), await Bus.open(client) as bus:
+        await start(bus)
+        await points_follow(bus)
+        await first.close()
+        async with await Bus.open(server):
+            begun = time.monotonic()
+            await points_follow(bus)
+            assert time.monotonic() - begun < 3.0
+
+
+class Failing(StageService[MarkerFrame, FusionConfig]):
+    """A service whose device is absent at first."""
+
+    tries = 0
+
+    async def run(self, node: Node, start: Control) -> None:
+        self.tries += 1
+        if self.tries < 3:
+            raise DeviceError("no camera at /dev/video7")
+        await super().run(node, start)
+
+
+async def test_a_device_that_is_absent_is_tried_again(router: BusConfig) -> None:
+    service = Failing(
+        "fusion",
+        input_keys="rhot/markers/*",
+        model=MarkerFrame,
+        key_of=None,
+        config=FusionConfig(),
+        make_stage=Doubler,
+        owns_clock=True,
+    )
+    async with running(service, router), await Bus.open(router) as bus:
+        await start(bus)
+        status = await wait_for_status(bus, "fusion/main", lambda status: status.counts.get("device_errors", 0) >= 1)
+        assert status.last_error == "no camera at /dev/video7"
+        await points_follow(bus)
+        assert service.tries == 3
+
+
+async def test_an_error_of_the_service_ends_it_with_that_error(router: BusConfig) -> None:
+    class Broken(Failing):
+        async def run(self, node: Node, start: Control) -> None:
+            raise ConfigError("colors.json vanished")
+
+    service = Broken(
+        "fusion",
+        input_keys="rhot/markers/*",
+        model=MarkerFrame,
+        key_of=None,
+        config=FusionConfig(),
+        make_stage=Doubler,
+        owns_clock=True,
+    )
+    task = asyncio.create_task(serve(service, router, SystemClock()))
+    async with await Bus.open(router) as bus:
+        await start(bus)
+        async with asyncio.timeout(LIMIT_S):
+            with pytest.raises(ConfigError, match=r"colors\.json vanished"):
+                await task
+
+
+async def test_a_node_with_a_wrong_clock_learns_rig_time(router: BusConfig) -> None:
+    clock = SkewedClock(offset_ns=-3_000_000_000, drift_ppm=30.0)
+    service = doubler(owns_clock=False, name="node")
+    async with running(doubler(), router), await Bus.open(router) as bus:
+        task = asyncio.create_task(serve(service, router, clock))
+        try:
+            status = await wait_for_status(
+                bus,
+                "node/main",
+                lambda status: status.clock_uncertainty_s is not None and status.clock_uncertainty_s < 0.01,
+            )
+            assert status.clock_offset_s == pytest.approx(3.0, abs=0.01)
+            assert abs(status.t_ns - time.time_ns()) < 3e9
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+
+def test_control_takes_the_newest_word_and_refuses_the_future() -> None:
+    control, now = ControlState(), 10**18
+    assert control.offer(Control(t_ns=now, action="start", session="a", start_t_ns=now), now)
+    assert not control.offer(Control(t_ns=now - 1, action="stop"), now), "older than what is known"
+    assert not control.offer(Control(t_ns=now + 1, action="stop", session="b"), now), "another session's stop"
+    with pytest.raises(WireError, match="in the future"):
+        control.offer(Control(t_ns=now + 10**14, action="stop"), now)
+    assert control.running is not None
+    assert control.offer(Control(t_ns=now + 2, action="stop"), now)
+    assert control.running is None
+
+
+class Nested(BaseModel):
+    """A configuration with maps."""
+
+    gains: dict[str, float] = {"a": 1.0, "b": 2.0}
+    name: str = "x"
+
+
+def test_changes_are_merged_field_by_field() -> None:
+    assert configuration.changed(Nested(), {"gains": {"b": 3.0}}) == Nested(gains={"a": 1.0, "b": 3.0})
+    with pytest.raises(ConfigError, match=r"gains\.b"):
+        configuration.changed(Nested(), {"gains": {"b": "wide"}})
+    with pytest.raises(WireError, match="map"):
+        configuration.parse_change(b"\x05")
+
+
+async def test_without_any_fusion_the_clock_is_unknown_and_said_so(router: BusConfig) -> None:
+    from rhot.cli.control import rig_now_ns
+
+    async with await Bus.open(router) as bus:
+        with pytest.raises(BusError, match="start fusion first"):
+            await rig_now_ns(bus, wait_s=0.0)
