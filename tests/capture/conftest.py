@@ -28,7 +28,6 @@ PAINTS: dict[str, RgbColor] = {
 }
 SKIN: RgbColor = (215, 170, 140)
 CLOTH: RgbColor = (30, 30, 32)
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "thesis_rig"
 _FINE = 8
 
 
@@ -165,7 +164,7 @@ def six_shapes() -> Callable[[int], list[Shape]]:
 
 
 @pytest.fixture
-def rig_folder(tmp_path: Path) -> Callable[..., Path]:
+def write_rig(tmp_path: Path) -> Callable[..., Path]:
     """Writes a rig of some cameras (name to lines of its table) with the six markers."""
 
     def make(cameras: Mapping[str, str], extra: str = "") -> Path:
@@ -181,7 +180,5 @@ def rig_folder(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def thesis_rig() -> Path:
-    if not DATA.is_dir():
-        pytest.skip(f"real data absent: {DATA}")
-    return DATA
+def thesis_rig(shared_data: Path) -> Path:
+    return shared_data / "thesis_rig"

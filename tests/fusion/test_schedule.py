@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from rhot_fusion.schedule import Schedule
@@ -64,7 +66,7 @@ def test_without_extrapolation_the_older_camera_sets_the_moment() -> None:
 def test_moments_increase_strictly_whatever_the_order_of_arrival() -> None:
     arrivals = [(0, 0.0), (1, 0.02), (1, 0.037), (0, 0.0167), (0, 0.033), (1, 0.054), (0, 0.05)]
     moments = [moment for moment in play(arrivals, 0.6) if moment is not None]
-    assert all(a < b for a, b in zip(moments, moments[1:], strict=False))
+    assert all(a < b for a, b in pairwise(moments))
 
 
 def test_period_is_the_median_interval() -> None:

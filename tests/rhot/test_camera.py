@@ -10,7 +10,7 @@ from rhot.camera import CameraModel
 
 FloatArray = NDArray[np.float64]
 
-# The distortions of real modules: Pi camera v2 (five coefficients) and the rational model of the 2018 rig's right camera.
+# Distortions as real modules have them: five coefficients, and the rational model of the 2018 rig's right camera.
 DISTORTIONS = {
     "none": np.zeros(0),
     "brown": np.array([0.19, -0.48, 0.001, -0.0007, 0.30]),

@@ -78,10 +78,8 @@ def thesis_cameras(thesis_rig: Path) -> dict[str, CameraCalibration]:
     T_left_right = np.eye(4)
     T_left_right[:3, :3] = outer.getNode("R").mat()
     T_left_right[:3, 3] = outer.getNode("T").mat().ravel() * SQUARE_M
-    return {
-        "left": calibration(inner.getNode("M2").mat(), inner.getNode("D2").mat(), np.eye(4)),
-        "right": calibration(inner.getNode("M1").mat(), inner.getNode("D1").mat(), T_left_right),
-    }
+    K1, D1, K2, D2 = (np.asarray(inner.getNode(name).mat(), dtype=np.float64) for name in ("M1", "D1", "M2", "D2"))
+    return {"left": calibration(K2, D2, np.eye(4)), "right": calibration(K1, D1, T_left_right)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +88,7 @@ class StreamFigures:
 
     Attributes:
         in_volume: share of published points with a depth of 0.50 to 1.20 m.
+        frames_in_volume: share of frames all of whose points have.
         step_p99_mm, step_max_mm: of the steps of a marker between consecutive frames of the recording.
         coverage: per marker, share of the frames in which both cameras truly saw it that report it.
         measured: same, reported as measured.
@@ -98,6 +97,7 @@ class StreamFigures:
     """
 
     in_volume: float
+    frames_in_volume: float
     step_p99_mm: float
     step_max_mm: float
     coverage: dict[str, float]
@@ -122,6 +122,7 @@ def replay_figures(rig: Rig, recording_path: Path, seen_bits: int) -> tuple[Stre
     outputs = [(frame.frame, output) for frame in frames for output in stage.feed(frame)]
     spent = time.perf_counter() - began
     for frame, (_, points) in outputs:
+        assert isinstance(points, PointSet)
         assert abs(points.t_ns - start_ns - (frame - int(left.frames[0])) * 1e9 / 30.0) < 1e6
         row = row_of[frame]
         for column, name in enumerate(MARKERS):
@@ -138,8 +139,10 @@ def replay_figures(rig: Rig, recording_path: Path, seen_bits: int) -> tuple[Stre
     reported = np.isfinite(places[:, :, 2])
     steps = np.linalg.norm(np.diff(places, axis=0), axis=2).ravel() * 1e3
     steps = steps[np.isfinite(steps)]
+    outside = reported & ~((places[:, :, 2] > 0.5) & (places[:, :, 2] < 1.2))
     figures = StreamFigures(
-        in_volume=float(np.mean((places[reported][:, 2] > 0.5) & (places[reported][:, 2] < 1.2))),
+        in_volume=1.0 - float(outside[reported].mean()),
+        frames_in_volume=1.0 - float(outside.any(axis=1).mean()),
         step_p99_mm=float(np.percentile(steps, 99)),
         step_max_mm=float(steps.max()),
         coverage={name: float(reported[seen[:, i], i].mean()) for i, name in enumerate(MARKERS)},
@@ -217,7 +220,8 @@ class Motion:
                 [0.0, 0.03, 0.02],
             ]
         )
-        return center[:, None, :] + spread
+        places: FloatArray = center[:, None, :] + spread
+        return places
 
 
 @dataclass(frozen=True, slots=True)

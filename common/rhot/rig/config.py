@@ -137,7 +137,8 @@ class FusionConfig(FileModel):
         depth_law: k and z of depth[cm] = k · disparity[px]^z, for `disparity`.
         min_cutoff_hz, beta, derivative_cutoff_hz: 1-euro filter, per marker and axis.
         volume_m: lowest and highest x, y, z of a believable point, rig frame.
-        max_speed_m_s: fastest believable marker.
+        max_speed_m_s: fastest believable marker; published points move no faster, in depth by as much less as depth is
+            noisier.
         hold_s: how long a marker is predicted after it was last measured.
         extrapolation: longest time, as a share of a frame period, that one camera's track is carried on to meet a
             newer frame of another; 0 waits for the next frame instead (later, less noisy).

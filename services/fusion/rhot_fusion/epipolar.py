@@ -99,7 +99,7 @@ class EpipolarModel:
         usable = accepted & accepted[0]
         if not usable[1:].any():
             return
-        forget = float(np.exp(-min(interval_s, 1.0) / _MEMORY_S))
+        forget = float(np.exp(-min(max(interval_s, 0.0), 1.0) / _MEMORY_S))
         residual = self.residual(xy)
         remaining: list[FloatArray] = []
         for camera in range(1, len(xy)):

@@ -8,11 +8,13 @@ from collections.abc import Mapping
 from rhot.camera import CameraModel
 from rhot.messages import MarkerFrame
 
-_FUTURE_NS = 1_000_000_000
+_FUTURE_NS = 500_000_000
 """A frame further ahead of the stream than this is doubted until frames agree with it."""
 _BACK_NS = 1_000_000_000
-_AGREEING = 8
-"""So many doubted frames in a row that agree with each other are a new stream."""
+_AGREEING_AHEAD = 3
+"""So many doubted frames in a row that follow each other are a stream that had paused."""
+_AGREEING_BACK = 8
+"""The same for frames from before the stream: one that was started again."""
 
 
 class StreamGuard:
@@ -50,11 +52,11 @@ class StreamGuard:
         return "accept"
 
     def _doubt(self, frame: MarkerFrame) -> str:
-        agrees = self._doubted_ns is not None and -_BACK_NS <= frame.t_ns - self._doubted_ns <= _FUTURE_NS
-        advances = agrees and self._doubted_ns is not None and frame.t_ns >= self._doubted_ns
-        self._doubted = self._doubted + 1 if advances else 1
+        follows = self._doubted_ns is not None and 0 <= frame.t_ns - self._doubted_ns <= _FUTURE_NS
+        self._doubted = self._doubted + 1 if follows else 1
         self._doubted_ns = frame.t_ns
-        if self._doubted < _AGREEING:
+        ahead = self._newest_ns is not None and frame.t_ns > self._newest_ns
+        if self._doubted < (_AGREEING_AHEAD if ahead else _AGREEING_BACK):
             return self._refuse("wrong_time")
         self._last.clear()
         self._newest_ns = None

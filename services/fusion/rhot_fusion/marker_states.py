@@ -17,12 +17,12 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
 
-MANEUVER_M_S = 1.0
+MANEUVER_M_S = 0.8
 """Standard deviation of what the predicted velocity may miss; times the interval it widens the gates."""
 _MANEUVER_LIMIT_M = 0.1
 """Hands turn back: however long nothing was seen, a marker is not expected further than this from its prediction."""
 _GATE_SIGMAS = 4.0
-_FULL_WEIGHT_SIGMAS = 2.5
+_FULL_WEIGHT_SIGMAS = 2.0
 _DAMPING_S = 0.1
 """A marker out of sight loses its speed with this time constant."""
 _QUIET_SIGMA_M = 0.002
@@ -31,12 +31,12 @@ _ELONGATED = 3.0
 """Depth noise counts as such above this multiple of the lateral noise."""
 _SLOWEST_CUTOFF = 0.5
 """Share of the 1-euro filter's cut-off at rest that is left along the noisiest axis."""
-_SLOWEST_GLIDE = 0.3
+_SLOWEST_GLIDE = 0.2
 """Share of the fastest believable speed that a marker may have along its noisiest axis."""
 _FEWEST_SIBLINGS = 2
 _AGREEMENT_S = 0.2
 _CONFIRMATIONS = 3
-_START_CONFIRMATIONS = 2
+"""Points that must agree one after another before a marker starts or goes where it was not expected."""
 
 
 class MarkerStates:
@@ -196,8 +196,7 @@ class MarkerStates:
         self._agreed[index] = np.where(agrees, self._agreed[index] + 1, 1)
         self._candidate[index] = position
         self._candidate_s[index] = t_s
-        needed = np.where(self.tracked[index], _CONFIRMATIONS, _START_CONFIRMATIONS)
-        confirmed: BoolArray = self._agreed[index] >= needed
+        confirmed: BoolArray = self._agreed[index] >= _CONFIRMATIONS
         new = confirmed & ~self.tracked[index]
         started = index[new]
         self.filter.start(started, position[new], t_s)

@@ -45,7 +45,7 @@ class Schedule:
     def arrived(self, camera: int, t_s: float) -> None:
         """Note a frame of a camera, true at t_s, later than its last."""
         interval = t_s - self.newest_s[camera]
-        if interval < _LONGEST_WAIT_S:
+        if 0.0 < interval < _LONGEST_WAIT_S:
             self._intervals[camera].append(interval)
         self.newest_s[camera] = t_s
         for other in range(len(self._unanswered)):

@@ -1,8 +1,8 @@
 """Short histories of what each camera saw of each marker, and reading them at one common moment.
 
 Cameras are not in step and rows are not exposed together, so every observation has its own time. Between two
-observations a track is interpolated; after the newest one it is carried on for a bounded time at the speed of its last
-steps.
+observations a track is interpolated; after the newest one it is carried on for a bounded time along a line bent by its
+last three.
 """
 
 from __future__ import annotations
@@ -78,16 +78,14 @@ class Tracks:
             max_extrapolation_s: a track whose newest observation is older than this has no value.
             max_gap_s: two observations further apart are neither interpolated between nor used for a speed.
         """
-        newest, before = self._t[:, :, -1], self._t[:, :, -2]
+        newest = self._t[:, :, -1]
         ahead = t_s - newest
         xy = self._xy[:, :, -1].copy()
         with np.errstate(invalid="ignore", divide="ignore"):
-            interval = newest - before
-            usable = self._linked[:, :, -1] & (interval > 0.0) & (interval <= max_gap_s)
-            rate = (self._xy[:, :, -1] - self._xy[:, :, -2]) / interval[:, :, None]
             valid = (ahead >= 0.0) & (ahead <= max_extrapolation_s)
-            moving = valid & usable & (ahead > 0.0)
-            xy[moving] += rate[moving] * ahead[moving, None]
+            carried = valid & (ahead > 0.0)
+            if carried.any():
+                xy[carried] += self._advance(carried, ahead[carried], max_gap_s)
             behind = t_s < newest
             for place in range(DEPTH - 1, 0, -1) if behind.any() else ():
                 late, early = self._t[:, :, place], self._t[:, :, place - 1]
@@ -98,6 +96,25 @@ class Tracks:
                 valid = valid | between
         xy[~valid] = np.nan
         return Snapshot(xy, valid)
+
+    def _advance(self, chosen: BoolArray, ahead_s: FloatArray, max_gap_s: float) -> FloatArray:
+        """Return the way (K, 2) of the chosen tracks in the time since their newest observations.
+
+        Newton's form of the parabola through the last three observations with half its bend, a line or nothing where
+        the track was cut or has gaps. A line misses ½·a·t·(t + T) of an accelerating marker, and in one camera only,
+        which a short baseline turns into ten times as much depth; the whole parabola amplifies noise 2.5 times. Half
+        had the smallest error over slow and fast motion with cameras 7 ms out of step.
+        """
+        t, xy, linked = self._t[chosen], self._xy[chosen], self._linked[chosen]
+        last, earlier = t[:, -1] - t[:, -2], t[:, -2] - t[:, -3]
+        straight = linked[:, -1] & (last <= max_gap_s)
+        curved = straight & linked[:, -2] & (earlier <= max_gap_s)
+        rate = (xy[:, -1] - xy[:, -2]) / last[:, None]
+        rate_before = (xy[:, -2] - xy[:, -3]) / earlier[:, None]
+        bend = (rate - rate_before) / (last + earlier)[:, None]
+        way = np.where(straight[:, None], rate * ahead_s[:, None], 0.0)
+        way += np.where(curved[:, None], 0.5 * bend * (ahead_s * (ahead_s + last))[:, None], 0.0)
+        return way
 
     def clear(self) -> None:
         """Forget everything."""

@@ -117,20 +117,29 @@ class Triangulation:
         information = np.where(single & solvable, (sigma / prior.sigma_m) ** 2, 0.0)
         start = np.where(single[:, None], np.nan_to_num(prior.position), 0.0)
         position = np.where(single[:, None], start, self._linear(xy, weight, solvable & ~single))
-        eye = np.eye(3)
-        blank = np.where(solvable, 0.0, 1.0)[:, None, None] * eye
+        blank = np.where(solvable, 0.0, 1.0)
         for _ in range(_ITERATIONS):
             error, jacobian, _ = self._linearise(position, xy, weight)
-            normal = np.einsum("cnri,cnrj->nij", jacobian, jacobian) + information[:, None, None] * eye + blank
+            normal = self._normal(jacobian, information, blank)
             gradient = np.einsum("cnri,cnr->ni", jacobian, error) + information[:, None] * (start - position)
             position = position + np.linalg.solve(normal, gradient[:, :, None])[:, :, 0]
         error, jacobian, depth = self._linearise(position, xy, weight)
-        normal = np.einsum("cnri,cnrj->nij", jacobian, jacobian) + information[:, None, None] * eye + blank
+        normal = self._normal(jacobian, information, blank)
         in_front = ((depth > _NEAREST_M) | ~used).all(axis=0) & solvable
         residual = np.sqrt((error * error).sum(axis=2).max(axis=0))
-        return Solution(
-            np.where(in_front[:, None], position, np.nan), sigma * sigma * np.linalg.inv(normal), residual, in_front
-        )
+        covariance = np.asarray(sigma * sigma * np.linalg.inv(normal), dtype=np.float64)
+        return Solution(np.where(in_front[:, None], position, np.nan), covariance, residual, in_front)
+
+    def _normal(self, jacobian: FloatArray, information: FloatArray, blank: FloatArray) -> FloatArray:
+        """Return the normal matrices (N, 3, 3), never singular.
+
+        Rays that meet nowhere (parallel, or cameras in one place) leave a direction free; damping it by a billionth
+        keeps the step finite and moves no point that the views do fix.
+        """
+        normal = np.einsum("cnri,cnrj->nij", jacobian, jacobian)
+        damping = 1e-9 * np.trace(normal, axis1=1, axis2=2) + 1e-15
+        damped: FloatArray = normal + (information + blank + damping)[:, None, None] * np.eye(3)
+        return damped
 
     def _linear(self, xy: FloatArray, weight: FloatArray, solvable: BoolArray) -> FloatArray:
         """Least squares of (r₁ − x r₃)·X = x t₃ − t₁ and its twin in y, over all views."""

@@ -1,0 +1,150 @@
+from __future__ import annotations
+
+import asyncio
+import queue
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from rhot.errors import ConfigError, DeviceError
+from rhot_capture.grabber import Grabber
+from rhot_capture.settings import CameraSettings
+from rhot_capture.sources import Frame
+
+
+class ScriptedSource:
+    """Delivers what a test puts into its queue: frames, None for the end, or an exception."""
+
+    def __init__(self) -> None:
+        self.items: queue.Queue[Frame | Exception | None] = queue.Queue()
+        self.taken = threading.Semaphore(0)
+        self.closed = threading.Event()
+
+    def open(self, start_ns: int, start_t_ns: int | None = None) -> None: ...
+
+    def read(self) -> Frame | None:
+        self.taken.release()
+        item = self.items.get()
+        if isinstance(item, Exception):
+            raise item
+        return item
+
+    def apply(self, settings: CameraSettings) -> None: ...
+
+    def close(self) -> None:
+        self.closed.set()
+        self.items.put(None)
+
+
+def frame(index: int) -> Frame:
+    return Frame(np.zeros((2, 2, 3), np.uint8), index, 1_000 * index, 0.0, 0.0)
+
+
+async def wait_for_reads(source: ScriptedSource, count: int) -> None:
+    for _ in range(count):
+        assert await asyncio.to_thread(source.taken.acquire, True, 5.0)
+
+
+async def test_the_newest_frame_is_delivered_and_the_others_are_counted() -> None:
+    source = ScriptedSource()
+    grabber = Grabber(source)
+    for index in (0, 1, 4):
+        source.items.put(frame(index))
+    grabber.start()
+    await wait_for_reads(source, 4)
+    newest = await grabber.next_frame()
+    assert newest is not None
+    assert newest.index == 4
+    assert (grabber.counts.read, grabber.counts.dropped_late, grabber.counts.missed) == (3, 2, 2)
+    await grabber.stop()
+
+
+async def test_a_reader_waits_for_the_next_frame() -> None:
+    source = ScriptedSource()
+    grabber = Grabber(source)
+    grabber.start()
+    waiting = asyncio.create_task(grabber.next_frame())
+    await wait_for_reads(source, 1)
+    assert not waiting.done()
+    source.items.put(frame(7))
+    got = await asyncio.wait_for(waiting, 5.0)
+    assert got is not None
+    assert got.index == 7
+    await grabber.stop()
+
+
+async def test_every_frame_arrives_when_the_reader_keeps_up() -> None:
+    source = ScriptedSource()
+    grabber = Grabber(source)
+    grabber.start()
+    for index in range(50):
+        source.items.put(frame(index))
+        got = await asyncio.wait_for(grabber.next_frame(), 5.0)
+        assert got is not None
+        assert got.index == index
+    assert grabber.counts.dropped_late == 0
+    await grabber.stop()
+
+
+async def test_the_last_frame_comes_before_the_end() -> None:
+    source = ScriptedSource()
+    source.items.put(frame(0))
+    source.items.put(None)
+    grabber = Grabber(source)
+    grabber.start()
+    await wait_for_reads(source, 2)
+    assert (await asyncio.wait_for(grabber.next_frame(), 5.0)) is not None
+    assert (await asyncio.wait_for(grabber.next_frame(), 5.0)) is None
+    await grabber.stop()
+
+
+@pytest.mark.parametrize(
+    ("raised", "expected", "words"),
+    [
+        (ConfigError("picture 3 is broken"), ConfigError, "picture 3 is broken"),
+        (ValueError("strange"), DeviceError, "camera left: ValueError: strange"),
+    ],
+)
+async def test_errors_reach_the_reader(raised: Exception, expected: type[Exception], words: str) -> None:
+    source = ScriptedSource()
+    source.items.put(raised)
+    grabber = Grabber(source, "left")
+    grabber.start()
+    with pytest.raises(expected, match=words):
+        await asyncio.wait_for(grabber.next_frame(), 5.0)
+    await grabber.stop()
+
+
+async def test_stop_ends_a_waiting_reader_and_closes_the_source() -> None:
+    source = ScriptedSource()
+    grabber = Grabber(source)
+    grabber.start()
+    waiting = asyncio.create_task(grabber.next_frame())
+    await wait_for_reads(source, 1)
+    begun = time.monotonic()
+    await grabber.stop()
+    assert (await asyncio.wait_for(waiting, 5.0)) is None
+    assert time.monotonic() - begun < 1.0
+    assert source.closed.is_set()
+
+
+async def test_a_driver_that_hangs_does_not_hold_up_the_stop() -> None:
+    class Hanging(ScriptedSource):
+        def close(self) -> None:
+            self.closed.set()
+
+    source = Hanging()
+    grabber = Grabber(source)
+    grabber.start()
+    await wait_for_reads(source, 1)
+    begun = time.monotonic()
+    await grabber.stop()
+    assert time.monotonic() - begun < 2.0
+    source.items.put(None)
+
+
+async def test_reading_before_the_start_is_an_error() -> None:
+    with pytest.raises(DeviceError, match="not started"):
+        await Grabber(ScriptedSource()).next_frame()

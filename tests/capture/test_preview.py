@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from rhot.errors import ConfigError
+from rhot_capture.detector import MarkerDetector
+from rhot_capture.preview import marker_mask, preview_jpeg
+
+
+def decoded(data: bytes) -> Any:
+    assert data[:2] == b"\xff\xd8"
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+
+
+def test_plain_preview_is_the_frame(scene: Any, shape: Any) -> None:
+    image = scene([shape("ring", 60, 60)], size=(121, 121)).image
+    shown = decoded(preview_jpeg(image))
+    assert shown.shape == image.shape
+    assert np.abs(shown.astype(int) - image).mean() < 4.0
+
+
+def test_overlay_marks_the_centre_and_leaves_the_frame_alone(
+    scene: Any, shape: Any, markers: Any, table: Any
+) -> None:
+    image = scene([shape("base", 60, 60, kind="rectangle")], size=(121, 121)).image
+    kept = image.copy()
+    found = MarkerDetector(markers, table, 121, 121).detect(image)
+    shown = decoded(preview_jpeg(image, found))
+    assert np.array_equal(image, kept)
+    assert shown[60, 60].min() > 200
+    assert np.abs(shown.astype(int) - image).mean() > 1.0
+
+
+def test_mask_darkens_everything_else(scene: Any, shape: Any, markers: Any, table: Any) -> None:
+    image = scene([shape("ring", 60, 60)], size=(121, 121)).image
+    detector = MarkerDetector(markers, table, 121, 121)
+    detector.detect(image)
+    mask = marker_mask(detector.labels, table.names, "ring")
+    assert set(np.unique(mask)) == {0, 255}
+    shown = decoded(preview_jpeg(image, mask=mask))
+    assert shown[60, 60, 0] > 150
+    assert shown[45, 60].max() < 90
+
+
+def test_unknown_marker_is_named(table: Any) -> None:
+    with pytest.raises(ConfigError, match="mask=nose.*thumb"):
+        marker_mask(np.zeros((2, 2), np.uint8), table.names, "nose")

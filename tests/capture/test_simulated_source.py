@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rhot.clock import SkewedClock, SystemClock
+from rhot.errors import ConfigError
+from rhot.rig import CameraConfig, load_rig
+from rhot.rig.colors import nominal_colors
+from rhot_capture.color_table import ImageArray
+from rhot_capture.settings import CameraSettings
+from rhot_capture.sources import Frame, open_source
+from rhot_capture.sources.simulated import SimulatedSource
+
+RATE_HZ = 200.0
+
+
+@dataclass(frozen=True)
+class Moment:
+    t_first_row_s: float
+    delivered_s: float
+    dropped: bool
+
+
+class Schedule:
+    """Frames every 5 ms, delivered 3 ms later; every fourth is lost."""
+
+    def frame(self, index: int) -> Moment:
+        return Moment(index / RATE_HZ, index / RATE_HZ + 0.003, index % 4 == 3)
+
+    def first_after(self, t_s: float) -> int:
+        return int(np.ceil(t_s * RATE_HZ))
+
+
+def render(t_s: float) -> ImageArray:
+    return np.full((4, 4, 3), round(1000 * t_s) % 256, np.uint8)
+
+
+def source_with(clock: SystemClock | SkewedClock) -> SimulatedSource:
+    return SimulatedSource("left", CameraConfig(source="simulated", rate_hz=RATE_HZ), render, Schedule(), clock)
+
+
+def test_frames_come_when_due_and_lost_ones_do_not() -> None:
+    source = source_with(SystemClock())
+    start_t_ns = time.time_ns() + 10_000_000
+    source.open(time.monotonic_ns() + 10_000_000, start_t_ns)
+    frames: list[Frame] = []
+    for _ in range(6):
+        frame = source.read()
+        assert frame is not None
+        assert time.time_ns() >= start_t_ns + round(1e9 * (frame.index / RATE_HZ + 0.003))
+        frames.append(frame)
+    assert all(frame.index % 4 != 3 for frame in frames)
+    for frame in frames:
+        assert int(frame.image[0, 0, 0]) == round(1000 * frame.index / RATE_HZ) % 256
+
+
+def test_frames_are_timed_on_the_nodes_own_wrong_clock() -> None:
+    clock = SkewedClock(offset_ns=200_000_000, drift_ppm=40.0)
+    source = source_with(clock)
+    start_t_ns = time.time_ns() + 5_000_000
+    source.open(clock.from_true_ns(start_t_ns), start_t_ns)
+    frame = source.read()
+    assert frame is not None
+    assert frame.t_first_row_ns == clock.from_true_ns(start_t_ns + round(1e9 * frame.index / RATE_HZ))
+
+
+def test_without_rig_time_the_nodes_start_is_converted() -> None:
+    clock = SkewedClock(offset_ns=-150_000_000, drift_ppm=-40.0)
+    source = source_with(clock)
+    start_ns = clock.now_ns() + 5_000_000
+    source.open(start_ns)
+    frame = source.read()
+    assert frame is not None
+    assert frame.t_first_row_ns - start_ns == pytest.approx(1e9 * frame.index / RATE_HZ, abs=2_000)
+
+
+def test_late_start_joins_at_the_frame_due_next() -> None:
+    source = source_with(SystemClock())
+    source.open(0, time.time_ns() - 2_000_000_000)
+    frame = source.read()
+    assert frame is not None
+    assert frame.index >= 2.0 * RATE_HZ
+
+
+def test_close_ends_a_waiting_read() -> None:
+    source = source_with(SystemClock())
+    source.open(0, time.time_ns() + 60_000_000_000)
+    results: list[Frame | None] = []
+    reader = threading.Thread(target=lambda: results.append(source.read()))
+    reader.start()
+    source.close()
+    reader.join(5.0)
+    assert results == [None]
+
+
+def test_the_real_simulation_shows_markers(write_rig: Callable[..., Path]) -> None:
+    from rhot.sim.paint import paints_of
+    from rhot_capture.color_table import build_color_table
+    from rhot_capture.detector import MarkerDetector
+
+    folder = write_rig({"left": 'source = "simulated"\n'}, "[sim]\nmotion = 'still'\ndrop_rate = 0.0\n")
+    rig = load_rig(folder)
+    source = open_source("left", rig, SystemClock())
+    source.open(0, time.time_ns())
+    frame = source.read()
+    source.close()
+    assert frame is not None
+    assert frame.image.shape == (480, 640, 3)
+    names = list(rig.config.markers)
+    colors = nominal_colors({name: (red, green, blue) for name, (blue, green, red) in paints_of(names).items()})
+    found = MarkerDetector(rig.config.markers, build_color_table(colors, names), 640, 480).detect(frame.image)
+    assert set(found) == set(names)
+
+
+def test_simulated_light_cannot_be_exposed_anew() -> None:
+    source = source_with(SystemClock())
+    settings = CameraSettings.from_config(CameraConfig(), nominal_colors({}))
+    source.apply(settings)
+    with pytest.raises(ConfigError, match="only colours can change"):
+        source.apply(settings.changed({"gain": 2.0}, 60.0))
