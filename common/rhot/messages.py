@@ -234,6 +234,8 @@ class ServiceStatus(Message):
         rates: events per second over the last interval, by name.
         counts: events since start, by name: `invalid`, `dropped_late`, `missed`, …
         latency_s: percentiles over the last seconds, by stage: `{"total": {"p50": …, "p99": …}}`.
+        figures: other figures of this kind of service, such as `epipolar_px`, the mean epipolar residual.
+        problem: what is wrong with the rig as a whole right now, one sentence; empty when nothing is.
         last_error: newest error, empty when none.
         config_digest: changes when the configuration does.
         clock_offset_s: rig clock minus this node's clock.
@@ -248,6 +250,8 @@ class ServiceStatus(Message):
     rates: Annotated[dict[Name, float], Field(max_length=256)] = {}
     counts: Annotated[dict[Name, Count], Field(max_length=256)] = {}
     latency_s: Annotated[dict[Name, dict[Name, float]], Field(max_length=64)] = {}
+    figures: Annotated[dict[Name, float], Field(max_length=64)] = {}
+    problem: Annotated[str, Field(max_length=4096)] = ""
     last_error: Annotated[str, Field(max_length=4096)] = ""
     config_digest: str = ""
     clock_offset_s: float | None = None

@@ -49,7 +49,8 @@ class Shape:
         """(4, 2) true corners of a rectangle."""
         half = np.array([[-1.5, -1.0], [1.5, -1.0], [1.5, 1.0], [-1.5, 1.0]]) * self.radius
         cos, sin = np.cos(self.angle), np.sin(self.angle)
-        return half @ np.array([[cos, sin], [-sin, cos]]) + (self.u, self.v)
+        placed: FloatArray = half @ np.array([[cos, sin], [-sin, cos]]) + (self.u, self.v)
+        return placed
 
 
 @dataclass(frozen=True)

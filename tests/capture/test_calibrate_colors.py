@@ -14,7 +14,9 @@ from rhot_capture.calibrate_colors import colors, parse_picks
 
 
 @pytest.fixture
-def pictured(scene: Any, six_shapes: Any, tmp_path: Path, write_rig: Callable[..., Path]) -> tuple[Path, Path, list[str]]:
+def pictured(
+    scene: Any, six_shapes: Any, tmp_path: Path, write_rig: Callable[..., Path]
+) -> tuple[Path, Path, list[str]]:
     """A picture, a rig, and the pick options for all markers."""
     drawn = scene(six_shapes(4), noise=2.0)
     cv2.imwrite(str(tmp_path / "hand.png"), drawn.image)

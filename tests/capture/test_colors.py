@@ -43,9 +43,7 @@ def test_correlation_that_contradicts_itself_is_refused() -> None:
 
 
 def test_covariance_holds_sigma_and_correlation() -> None:
-    covariance = ColorComponent(
-        rgb=(10, 20, 30), sigma=(0.1, 0.2, 0.3), correlation=(0.5, 0.0, -0.5)
-    ).covariance()
+    covariance = ColorComponent(rgb=(10, 20, 30), sigma=(0.1, 0.2, 0.3), correlation=(0.5, 0.0, -0.5)).covariance()
     assert np.allclose(np.sqrt(np.diag(covariance)), (0.1, 0.2, 0.3))
     assert covariance[0, 1] == pytest.approx(0.5 * 0.1 * 0.2)
     assert covariance[1, 2] == pytest.approx(-0.5 * 0.2 * 0.3)

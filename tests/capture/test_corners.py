@@ -37,7 +37,9 @@ def test_corners_are_sub_pixel(
     assert np.percentile(errors, 95) < limit_px
 
 
-def test_order_is_clockwise_from_the_upper_left(scene: Callable[..., Any], shape: type[Any], markers: Any, table: Any) -> None:
+def test_order_is_clockwise_from_the_upper_left(
+    scene: Callable[..., Any], shape: type[Any], markers: Any, table: Any
+) -> None:
     drawn = scene([shape("base", 60, 60, radius=10, angle=0.1, kind="rectangle")], size=(121, 121))
     corners = MarkerDetector(markers, table, 121, 121).detect(drawn.image)["base"].corners
     assert corners is not None

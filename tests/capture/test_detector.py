@@ -111,9 +111,7 @@ def test_a_marker_cut_by_the_border_is_its_visible_part_with_a_lower_score(
     assert found.score < 0.9 * whole.score
 
 
-def test_touching_markers_of_different_colours_are_told_apart(
-    detector: MarkerDetector, scene: Any, shape: Any
-) -> None:
+def test_touching_markers_of_different_colours_are_told_apart(detector: MarkerDetector, scene: Any, shape: Any) -> None:
     drawn = scene([shape("ring", 300, 240), shape("index", 315.5, 240), shape("middle", 331, 240)])
     found = detector.detect(drawn.image)
     assert set(found) == {"ring", "index", "middle"}
@@ -153,7 +151,9 @@ def test_a_split_marker_is_found_in_its_middle(detector: MarkerDetector, scene: 
     assert np.hypot(found.u - u, found.v - v) < 1.0
 
 
-def test_the_mixed_rim_of_another_marker_is_no_marker(markers: Any, paints: dict[str, RgbColor], scene: Any, shape: Any) -> None:
+def test_the_mixed_rim_of_another_marker_is_no_marker(
+    markers: Any, paints: dict[str, RgbColor], scene: Any, shape: Any
+) -> None:
     # A darker shade of the same hue is exactly what light green becomes where it fades into black cloth.
     colors = {**paints, "thumb": (105.0, 130.0, 60.0)}
     detector = MarkerDetector(markers, build_color_table(nominal_colors(colors), list(colors)), 640, 480)

@@ -67,12 +67,12 @@ def test_an_unknown_camera_is_an_error(recorded: tuple[Path, Path]) -> None:
     rig, recording = recorded
     (recording / "right").rename(recording / "middle")
     (recording / "recording.toml").unlink()
-    with pytest.raises(ConfigError, match="camera middle is not in .*left, right"):
+    with pytest.raises(ConfigError, match=r"camera middle is not in .*left, right"):
         next(iter(marker_frames(load_rig(rig), load_recording(recording))))
 
 
 def test_pictures_of_another_size_are_an_error(recorded: tuple[Path, Path]) -> None:
     rig, recording = recorded
     cv2.imwrite(str(recording / "left" / "000000.png"), np.zeros((60, 80, 3), np.uint8))
-    with pytest.raises(ConfigError, match="80x60.*160x120"):
+    with pytest.raises(ConfigError, match=r"80x60.*160x120"):
         list(marker_frames(load_rig(rig), load_recording(recording)))

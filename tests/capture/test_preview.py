@@ -23,9 +23,7 @@ def test_plain_preview_is_the_frame(scene: Any, shape: Any) -> None:
     assert np.abs(shown.astype(int) - image).mean() < 4.0
 
 
-def test_overlay_marks_the_centre_and_leaves_the_frame_alone(
-    scene: Any, shape: Any, markers: Any, table: Any
-) -> None:
+def test_overlay_marks_the_centre_and_leaves_the_frame_alone(scene: Any, shape: Any, markers: Any, table: Any) -> None:
     image = scene([shape("base", 60, 60, kind="rectangle")], size=(121, 121)).image
     kept = image.copy()
     found = MarkerDetector(markers, table, 121, 121).detect(image)
@@ -47,5 +45,5 @@ def test_mask_darkens_everything_else(scene: Any, shape: Any, markers: Any, tabl
 
 
 def test_unknown_marker_is_named(table: Any) -> None:
-    with pytest.raises(ConfigError, match="mask=nose.*thumb"):
+    with pytest.raises(ConfigError, match=r"mask=nose.*thumb"):
         marker_mask(np.zeros((2, 2), np.uint8), table.names, "nose")

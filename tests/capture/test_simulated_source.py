@@ -38,12 +38,25 @@ class Schedule:
         return int(np.ceil(t_s * RATE_HZ))
 
 
-def render(t_s: float) -> ImageArray:
-    return np.full((4, 4, 3), round(1000 * t_s) % 256, np.uint8)
+class Renderer:
+    """Small pictures whose grey level tells their time."""
+
+    def __init__(self) -> None:
+        self.begun: list[float] = []
+        self.closed = False
+
+    def begin(self, t_first_row_s: float) -> None:
+        self.begun.append(t_first_row_s)
+
+    def finish(self) -> ImageArray:
+        return np.full((4, 4, 3), round(1000 * self.begun.pop(0)) % 256, np.uint8)
+
+    def close(self) -> None:
+        self.closed = True
 
 
 def source_with(clock: SystemClock | SkewedClock) -> SimulatedSource:
-    return SimulatedSource("left", CameraConfig(source="simulated", rate_hz=RATE_HZ), render, Schedule(), clock)
+    return SimulatedSource("left", CameraConfig(source="simulated", rate_hz=RATE_HZ), Renderer(), Schedule(), clock)
 
 
 def test_frames_come_when_due_and_lost_ones_do_not() -> None:

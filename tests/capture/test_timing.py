@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot.messages import decode, encode, MarkerFrame
+from rhot.messages import MarkerFrame, decode, encode
 from rhot_capture.detector import Detection
 from rhot_capture.timing import marker_frame, row_time_ns
 

@@ -142,7 +142,7 @@ async def test_a_router_that_comes_later_is_waited_for_and_one_that_returns_is_u
         assert await publisher.wait_for_reader(5.0)
         await first.close()
         async with await Bus.open(server), asyncio.timeout(10):
-            reading = asyncio.create_task(anext(aiter(mailbox)))
+            reading = asyncio.create_task(mailbox.next())
             while not reading.done():
                 publisher.put(Control(t_ns=9, action="stop"))
                 await asyncio.wait((reading,), timeout=0.05)

@@ -5,9 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import os
+import signal
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
+from functools import partial
 
 import msgpack
 import pytest
@@ -37,6 +40,9 @@ class Doubler:
     def __init__(self, config: FusionConfig) -> None:
         self.config = config
         self.counts = {"fed": 0}
+
+    figures: Mapping[str, float] = {"epipolar_px": 0.5}
+    problem = ""
 
     def configure(self, config: FusionConfig) -> None:
         if config.hold_s > 10:
@@ -107,7 +113,7 @@ async def points_follow(bus: Bus) -> PointSet:
     """Publish markers until a point set comes back."""
     mailbox = bus.latest("rhot/points")
     publisher = bus.publisher("rhot/markers/left", MarkerFrame)
-    reading = asyncio.create_task(anext(aiter(mailbox)))
+    reading = asyncio.create_task(mailbox.next())
     async with asyncio.timeout(LIMIT_S):
         while not reading.done():
             publisher.put(frame(time.time_ns()))
@@ -141,6 +147,10 @@ async def test_who_joins_late_learns_the_start_from_the_others(router: BusConfig
             assert status.clock_uncertainty_s < 0.05
 
 
+def has_refused(number: int, status: ServiceStatus) -> bool:
+    return status.counts.get("invalid", 0) >= number
+
+
 async def test_garbage_is_counted_and_harms_nothing(router: BusConfig) -> None:
     good = msgpack.unpackb(encode(frame(time.time_ns())))
 
@@ -170,9 +180,7 @@ async def test_garbage_is_counted_and_harms_nothing(router: BusConfig) -> None:
         for number, payload in enumerate(garbage, start=before.counts.get("invalid", 0) + 1):
             await bus.put("rhot/markers/left", payload, "application/msgpack;MarkerFrame")
             # Newest wins: the next would replace one that was not looked at yet.
-            await wait_for_status(
-                bus, "fusion/main", lambda status, number=number: status.counts.get("invalid", 0) >= number
-            )
+            await wait_for_status(bus, "fusion/main", partial(has_refused, number))
         for key in ("rhot/control", "rhot/config/fusion/main"):
             for payload in (b"", b"\xc1", b"{", b"[]", b"\x93\x01\x02\x03", b'{"nonsense": 1}'):
                 await bus.put(key, payload, "application/octet-stream")
@@ -254,6 +262,40 @@ async def test_a_device_that_is_absent_is_tried_again(router: BusConfig) -> None
         assert status.last_error == "no camera at /dev/video7"
         await points_follow(bus)
         assert service.tries == 3
+
+
+class SlowToStop(Failing):
+    """A service whose device takes its time to close."""
+
+    async def run(self, node: Node, start: Control) -> None:
+        try:
+            await asyncio.sleep(LIMIT_S)
+        finally:
+            self.tries += 1
+            await asyncio.sleep(0.3)
+
+
+async def test_a_signal_right_after_stop_is_not_lost(router: BusConfig) -> None:
+    service = SlowToStop(
+        "fusion",
+        input_keys="rhot/markers/*",
+        model=MarkerFrame,
+        key_of=None,
+        config=FusionConfig(),
+        make_stage=Doubler,
+        owns_clock=True,
+    )
+    async with await Bus.open(router) as bus:
+        task = asyncio.create_task(serve(service, router, SystemClock()))
+        await start(bus)
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "running")
+        bus.publisher("rhot/control", Control, reliable=True).put(Control(t_ns=time.time_ns(), action="stop"))
+        async with asyncio.timeout(LIMIT_S):
+            while not service.tries:
+                await asyncio.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGTERM)
+        async with asyncio.timeout(2.0):
+            assert await task == 0
 
 
 async def test_an_error_of_the_service_ends_it_with_that_error(router: BusConfig) -> None:

@@ -266,9 +266,12 @@ class Bus:
         # A daemon thread: a close that hangs must not keep the process alive.
         closed = asyncio.Event()
         loop = asyncio.get_running_loop()
-        threading.Thread(target=self._close_session, args=(loop, closed), name="rhot-close", daemon=True).start()
+        closer = threading.Thread(target=self._close_session, args=(loop, closed), name="rhot-close", daemon=True)
+        closer.start()
         try:
             await asyncio.wait_for(closed.wait(), _CLOSE_LIMIT_S)
+            # It has only to return: an interpreter that ends around a living thread aborts.
+            closer.join(_CLOSE_LIMIT_S)
         except TimeoutError:
             logger.warning("the Zenoh session did not close within %.0f s", _CLOSE_LIMIT_S)
 

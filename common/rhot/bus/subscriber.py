@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 import zenoh
 
+from rhot.errors import BusError
+
 
 @dataclass(frozen=True, slots=True)
 class Sample:
@@ -90,6 +92,16 @@ class _Mailbox:
 
     def _take(self) -> list[Sample]:
         raise TypeError("the subclass says how samples are kept")
+
+    async def next(self) -> Sample:
+        """Return the next sample.
+
+        Raises:
+            BusError: the mailbox was closed.
+        """
+        async for sample in self:
+            return sample
+        raise BusError("the session was closed while a sample was waited for")
 
     async def __aiter__(self) -> AsyncIterator[Sample]:
         """Yield samples as they come, until closed."""

@@ -129,6 +129,8 @@ async def check_running(config: BusConfig, rig: Rig | None) -> list[Finding]:
 
 
 def _check_service(name: str, status: ServiceStatus) -> Iterator[Finding]:
+    if status.problem:
+        yield Finding("bad", f"{name}: {status.problem}")
     if status.last_error:
         yield Finding("warn", f"{name}: {status.last_error}")
     if status.clock_uncertainty_s is None:

@@ -11,7 +11,9 @@ from rhot import __version__
 from rhot.cli.group import LazyCommand, LazyGroup, MainGroup
 
 _COMMANDS: Final = {
-    "sim": LazyCommand("Run a whole simulated rig on this machine and show how well it tracks.", "rhot.cli.sim:sim", "sim"),
+    "sim": LazyCommand(
+        "Run a whole simulated rig on this machine and show how well it tracks.", "rhot.cli.sim:sim", "sim"
+    ),
     "init": LazyCommand("Make a new rig folder with a commented rig.toml.", "rhot.cli.init:init"),
     "up": LazyCommand("Run everything of the PC side: router, fusion, ik, objects.", "rhot.cli.up:up", "pc"),
     "start": LazyCommand("Tell every service of the rig to start, all at one moment.", "rhot.cli.control:start"),
@@ -20,16 +22,20 @@ _COMMANDS: Final = {
     "get": LazyCommand("Print the last value of keys as JSON.", "rhot.cli.inspect:get"),
     "watch": LazyCommand("Print messages as JSON while they come.", "rhot.cli.inspect:watch"),
     "config": LazyCommand("Show or change a running service's configuration.", "rhot.cli.configure:config"),
-    "process": LazyCommand("Track a recording offline and write the result as JSON Lines.", "rhot.cli.process:process", "pc"),
+    "process": LazyCommand(
+        "Track a recording offline and write the result as JSON Lines.", "rhot.cli.process:process", "pc"
+    ),
     "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
-    "doctor": LazyCommand("Check this machine, a rig folder and the running rig, and say what to do.", "rhot.cli.doctor:doctor"),
+    "doctor": LazyCommand(
+        "Check this machine, a rig folder and the running rig, and say what to do.", "rhot.cli.doctor:doctor"
+    ),
     "capture": LazyCommand("Service: find the markers in one camera's pictures.", extra="capture"),
     "fusion": LazyCommand("Service: turn the cameras' markers into points in space.", extra="fusion"),
     "ik": LazyCommand("Service: turn points into a hand.", extra="ik"),
     "objects": LazyCommand("Service: poses of tracked objects and the headset.", extra="objects"),
     "router": LazyCommand("Service: the Zenoh router that all others connect to.", "rhot.cli.router:router"),
     "truth": LazyCommand("Service: publish what is true in the simulated world.", "rhot.cli.truth:truth", "sim"),
-}  # fmt: skip
+}
 
 _CALIBRATIONS: Final = {
     "colors": LazyCommand("Learn the markers' colours from picks in pictures.", extra="capture"),

@@ -147,7 +147,7 @@ def _simulated_rig(path: Path) -> Rig:
     real = [name for name, camera in rig.config.cameras.items() if camera.source != "simulated"]
     if real:
         raise ConfigError(
-            f"{path / RIG_FILE}: camera {', '.join(real)} is not simulated; `rhot init RIG --sim` makes a simulated rig, "
-            "`rhot up` runs a real one"
+            f"{path / RIG_FILE}: camera {', '.join(real)} is not simulated; `rhot init RIG --sim` makes a simulated "
+            "rig, `rhot up` runs a real one"
         )
     return rig

@@ -39,7 +39,16 @@ async def _fetch(config: BusConfig) -> tuple[set[str], dict[str, ServiceStatus]]
 def status_table(alive: set[str], statuses: dict[str, ServiceStatus]) -> Table:
     """Return the table that people read."""
     table = Table(title="Services", title_justify="left", header_style="bold")
-    for column in ("service", "state", "session", "rates /s", "counts", "age p50/p99 ms", "clock ± ms", "last error"):
+    for column in (
+        "service",
+        "state",
+        "session",
+        "rates /s",
+        "counts, figures",
+        "age p50/p99 ms",
+        "clock ± ms",
+        "trouble",
+    ):
         table.add_column(column, overflow="fold")
     for name in sorted(alive | set(statuses)):
         status = statuses.get(name)
@@ -57,7 +66,11 @@ def status_table(alive: set[str], statuses: dict[str, ServiceStatus]) -> Table:
         )
         uncertainty = status.clock_uncertainty_s
         clock = "[yellow]unknown[/]" if uncertainty is None else f"{1e3 * uncertainty:.2f}"
-        table.add_row(name, state, status.session, rates, counts, ages, clock, status.last_error)
+        figures = "\n".join(f"{key} {value:.2f}" for key, value in sorted(status.figures.items()))
+        trouble = "\n".join(text for text in (status.problem, status.last_error) if text)
+        table.add_row(
+            name, state, status.session, rates, "\n".join(filter(None, (counts, figures))), ages, clock, trouble
+        )
     return table
 
 

@@ -119,13 +119,13 @@ def service_figures(before: Mapping[str, ServiceStatus], after: Mapping[str, Ser
 def latency_parts(services: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """Return the parts of the way from mid-exposure to pose, milliseconds, the slowest instance of each."""
     wanted = {
-        "exposure, read-out and delivery": ("capture/", "frame_age"),
-        "finding the markers": ("capture/", "detect"),
-        "published by capture": ("capture/", "output_age"),
-        "points published by fusion": ("fusion/", "output_age"),
-        "fusion's own work": ("fusion/", "compute"),
-        "hand published by ik": ("ik/", "output_age"),
-        "ik's own work": ("ik/", "compute"),
+        "age when the picture is there": ("capture/", "frame_age"),
+        "work: finding the markers": ("capture/", "detect"),
+        "age when capture publishes": ("capture/", "output_age"),
+        "age when fusion publishes": ("fusion/", "output_age"),
+        "work: fusion": ("fusion/", "compute"),
+        "age when ik publishes": ("ik/", "output_age"),
+        "work: ik": ("ik/", "compute"),
     }
     parts: dict[str, dict[str, float]] = {}
     for text, (prefix, stage) in wanted.items():

@@ -83,32 +83,37 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
     table.add_column("figure")
     table.add_column("value", justify="right")
     table.add_column("", style="dim")
+    coverage = f"{100 * report['coverage']:.2f} %" if "coverage" in report else _NOTHING
+
+    def millimetres(*path: str) -> str:
+        return f"{_number(report, *path, digits=2)} mm"
+
     rows = [
         ("hand poses per second", _number(report, "rate_hz"), f"cameras at {report['camera_rate_hz']:g} Hz"),
+        ("coverage", coverage, f"measured, of {report.get('coverage_samples', 0)} markers that two cameras could see"),
+        ("fingertip error, median", millimetres("fingertip_error_mm", "median"), "tip joint of the hand against truth"),
+        ("fingertip error, p95", millimetres("fingertip_error_mm", "p95"), ""),
+        ("marker error, median", millimetres("point_error_mm", "median"), "centre of the paint, before ik"),
+        ("joint error, median", millimetres("joint_error_mm", "median"), "all 26 joints"),
+        ("object error, median", millimetres("object_error_mm", "median"), _degrees(report)),
         (
-            "coverage",
-            f"{100 * report['coverage']:.2f} %" if "coverage" in report else _NOTHING,
-            f"of {report.get('coverage_samples', 0)} markers that two cameras could see, measured",
+            "latency, p50",
+            f"{_number(report, 'latency_ms', 'p50')} ms",
+            "mid-exposure of the row to the pose at the reader",
         ),
-        ("fingertip error, median", f"{_number(report, 'fingertip_error_mm', 'median', digits=2)} mm", "tip joint of the hand against truth"),
-        ("fingertip error, p95", f"{_number(report, 'fingertip_error_mm', 'p95', digits=2)} mm", ""),
-        ("marker point error, median", f"{_number(report, 'point_error_mm', 'median', digits=2)} mm", "centre of the painted volume, before ik"),
-        ("joint error, median", f"{_number(report, 'joint_error_mm', 'median', digits=2)} mm", "all 26 joints"),
-        ("object error, median", f"{_number(report, 'object_error_mm', 'median', digits=2)} mm", f"{_number(report, 'object_error_deg', 'median', digits=2)}°"),
-        ("latency, p50", f"{_number(report, 'latency_ms', 'p50')} ms", "mid-exposure of the marker's row to the pose at the reader"),
         ("latency, p99", f"{_number(report, 'latency_ms', 'p99')} ms", ""),
-        ("frames dropped for lateness", str(report["dropped_late"]), f"after the first {report['steady_from_s']:g} s"),
-        ("frames lost by the cameras", str(report["missed"]), "simulated loss; bridged"),
-    ]  # fmt: skip
+        ("frames dropped as late", str(report["dropped_late"]), f"after the first {report['steady_from_s']:g} s"),
+        ("frames lost by cameras", str(report["missed"]), "simulated loss, bridged"),
+    ]
     for row in rows:
         table.add_row(*row)
-    parts = Table(
-        title="Where the latency goes (age of the sample at each step, slowest camera)",
-        title_justify="left",
-        header_style="bold",
-    )
+    parts = Table(title="Where the latency goes", title_justify="left", header_style="bold")
     for column in ("step", "p50 ms", "p99 ms"):
         parts.add_column(column, justify="left" if column == "step" else "right")
     for name, part in report.get("latency_ms", {}).get("parts", {}).items():
         parts.add_row(name, f"{part['p50']:.1f}", f"{part['p99']:.1f}")
     return Group(table, parts)
+
+
+def _degrees(report: Mapping[str, Any]) -> str:
+    return f"orientation {_number(report, 'object_error_deg', 'median', digits=2)}°"

@@ -34,7 +34,7 @@ Correlation = Annotated[float, Field(gt=-1.0, lt=1.0)]
 Tolerance = Annotated[float, Field(ge=0.1, le=10.0)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
-DARK_OFFSET: Final = 12.0
+DARK_OFFSET: Final = 20.0
 """Grey levels added before logarithms: ratios of dark pixels are noise and must count for little."""
 
 FloatArray = NDArray[np.float64]
@@ -104,7 +104,7 @@ class GaussianColor(FileModel):
     """
 
     kind: Literal["gaussian"] = "gaussian"
-    components: Annotated[tuple[ColorComponent, ...], Field(min_length=1, max_length=32)]
+    components: Annotated[tuple[ColorComponent, ...], Field(min_length=1, max_length=128)]
     limit: Positive = 3.5
     tolerance: Tolerance = 1.0
 

@@ -214,8 +214,8 @@ class _Runner:
             finally:
                 run.cancel()
                 change.cancel()
-                with contextlib.suppress(asyncio.CancelledError):
-                    await run
+                # Waited for, not awaited: a signal that arrives meanwhile must still end this task.
+                await asyncio.wait((run, change))
 
     async def _run_session(self, node: Node, start: Control) -> None:
         """Run one session; a device that fails is tried again until the session ends."""
@@ -246,6 +246,7 @@ class _Runner:
         while True:
             clock, board = node.clock, self._status
             offset, uncertainty = clock.offset_ns, clock.uncertainty_ns
+            figures, problem = board.figures_and_problem()
             publisher.put(
                 ServiceStatus(
                     t_ns=clock.now_ns() if clock.ready else 0,
@@ -257,6 +258,8 @@ class _Runner:
                     rates=board.rates(),
                     counts=board.all_counts(),
                     latency_s=board.percentiles(),
+                    figures=figures,
+                    problem=problem,
                     last_error=board.last_error,
                     config_digest=self._digest,
                     clock_offset_s=None if offset is None else offset / 1e9,

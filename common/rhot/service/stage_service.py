@@ -27,6 +27,16 @@ class ConfigurableStage(Protocol[M_contra, C_contra]):
         """Events since it was made, by name."""
         ...
 
+    @property
+    def figures(self) -> Mapping[str, float]:
+        """Figures for the status, such as residuals, by name."""
+        ...
+
+    @property
+    def problem(self) -> str:
+        """What is wrong with the rig as a whole, one sentence; empty when nothing is."""
+        ...
+
     def configure(self, config: C_contra) -> None:
         """Take a new configuration; a ConfigError refuses it."""
         ...
@@ -81,6 +91,7 @@ class StageService(Generic[M, C]):
         """Subscribe to the input; publishers follow with their first message."""
         self._mailbox = node.bus.latest(self._input_keys)
         node.status.include(self._counts)
+        node.status.watch(lambda: (self._stage.figures, self._stage.problem))
 
     def _counts(self) -> dict[str, int]:
         counts = dict(self._stage.counts)

@@ -34,6 +34,7 @@ class StatusBoard:
     _before: dict[str, int] = field(default_factory=dict)
     _before_at: float = field(default_factory=time.monotonic)
     _sources: list[Callable[[], Mapping[str, int]]] = field(default_factory=list)
+    _watched: list[Callable[[], tuple[Mapping[str, float], str]]] = field(default_factory=list)
     _latencies: dict[str, deque[float]] = field(default_factory=dict)
 
     def count(self, name: str, number: int = 1) -> None:
@@ -43,6 +44,20 @@ class StatusBoard:
     def include(self, source: Callable[[], Mapping[str, int]]) -> None:
         """Show the counts that somebody else keeps, such as a stage, beside our own."""
         self._sources.append(source)
+
+    def watch(self, source: Callable[[], tuple[Mapping[str, float], str]]) -> None:
+        """Show the figures that somebody keeps, and the problem that it sees."""
+        self._watched.append(source)
+
+    def figures_and_problem(self) -> tuple[dict[str, float], str]:
+        """Return the watched figures, and the first problem there is."""
+        figures: dict[str, float] = {}
+        problem = ""
+        for source in self._watched:
+            more, seen = source()
+            figures.update(more)
+            problem = problem or seen
+        return figures, problem
 
     def all_counts(self) -> dict[str, int]:
         """Return all counts, our own and the included ones."""

@@ -26,7 +26,7 @@ from rhot.sim.world import World
 
 CAMERA_NAMES: Final = ("left", "right", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
-_PICK_TIMES_S: Final = (0.4, 3.1, 6.3, 9.7)
+_PICK_TIMES_S: Final = (0.4, 6.3)
 _PICK_SHARE: Final = 0.4
 """A marker is picked only where at least this share of it can be seen."""
 

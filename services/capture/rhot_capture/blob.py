@@ -21,6 +21,8 @@ _MERGE_GAP_RATIO: Final = 0.3
 _MERGE_GAP_MIN_PX: Final = 2.0
 _MERGE_MIN_SHARE: Final = 0.05
 _MERGE_MIN_SOLIDITY: Final = 0.75
+# Reaches less far than the padding, so that closing a gap does not meet the window's edge.
+_GAP_FILLER: Final = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * PADDING_PX - 1, 2 * PADDING_PX - 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,8 @@ def find_blobs(labels: ImageArray, label: int, min_area: float, max_area: float)
     Args:
         labels: (H, W) uint8.
         label: of the marker.
-        min_area, max_area: size gate, square pixels, on the joined blob.
+        min_area: smallest joined blob, square pixels.
+        max_area: largest joined blob, square pixels.
     """
     contours, _ = cv2.findContours(cv2.inRange(labels, label, label), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     # A part below a twentieth of the smallest marker cannot matter to any blob that is kept.
@@ -135,9 +138,7 @@ def _blob(contours: Sequence[ContourArray], shape: tuple[int, ...]) -> Blob:
     mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
     cv2.drawContours(mask, contours, -1, 255, cv2.FILLED, offset=(-x0, -y0))
     if len(contours) > 1:
-        size = 2 * int(np.ceil(_MERGE_GAP_RATIO * np.sqrt(cv2.countNonZero(mask)))) + 1
-        element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-        cv2.morphologyEx(mask, cv2.MORPH_CLOSE, element, dst=mask)
+        cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _GAP_FILLER, dst=mask, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     area = float(cv2.countNonZero(mask))
     u, v = points[:, 0, 0], points[:, 0, 1]
     border = np.count_nonzero((u == 0) | (v == 0) | (u == shape[1] - 1) | (v == shape[0] - 1))

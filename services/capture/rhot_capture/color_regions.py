@@ -25,12 +25,21 @@ SEARCH_PX: Final = 12
 _PATCH_PX: Final = 2
 _WINDOW_PX: Final = 130
 """Half the width of what is looked at around a pick: room for a marker in a close-up."""
-_SEEDS: Final = 5
+_RARE_SEEDS: Final = 5
+_AROUND_PX: Final = 8
 _SEED_SPACING_PX: Final = 5
 _NEAR_PX: Final = 6.0
+_SIZE_WEIGHT: Final = 1.9
+_EVENNESS_WEIGHT: Final = 12.0
+_COMPACT_WEIGHT: Final = 6.0
+_CENTRE_WEIGHT: Final = 3.0
+_LIKENESS_WEIGHT: Final = 0.3
+_LEAST_DENSITY: Final = -12.0
+_DRIFT: Final = (0.40, 0.40, 0.9)
+"""No pixel may lie further than this from the seed's own colour in log-ratio space, however the region drifts."""
 _BINS: Final = (0.06, 0.06, 0.30)
 _DISTANCE_WEIGHT: Final = 1.2
-_GROW_FLOOR: Final = (0.07, 0.07, 0.20)
+_GROW_FLOOR: Final = (0.045, 0.045, 0.15)
 _GROW_LIMIT: Final = 3.0
 _GROW_ROUNDS: Final = 8
 _MIN_FIT_PIXELS: Final = 20
@@ -128,8 +137,6 @@ def grow(picture: PickImage, u: float, v: float) -> BoolArray:
     )
     best, best_worth = np.zeros(view.surroundings.shape, bool), -np.inf
     for seed in _seeds(view, u - left, v - top):
-        if best[seed[1], seed[0]]:
-            continue
         region = _grow_from(view, seed, _MAX_SHARE * height * width)
         worth = _worth(view, region, u - left, v - top)
         if worth > best_worth:
@@ -140,15 +147,22 @@ def grow(picture: PickImage, u: float, v: float) -> BoolArray:
 
 
 def _seeds(view: PickImage, u: float, v: float) -> list[tuple[int, int]]:
-    """Return the rarest places near a pick, apart from one another, and the pick itself."""
+    """Return the pick, places around it, and the rarest places near it.
+
+    The rarest alone may all lie in one highlight, those around the pick alone may all miss a small marker.
+    """
     size = 2 * _PATCH_PX + 1
     patch_commonness = cv2.dilate(view.commonness, np.ones((size, size), np.uint8))
     rows, columns = np.mgrid[: patch_commonness.shape[0], : patch_commonness.shape[1]]
     away = np.hypot(columns - u, rows - v) / SEARCH_PX
     cost = patch_commonness + _DISTANCE_WEIGHT * away**2
     cost[away > 1.0] = np.inf
-    seeds = [(round(u), round(v))]
-    while len(seeds) <= _SEEDS:
+    height, width = patch_commonness.shape
+    around = [(0, 0), (_AROUND_PX, 0), (-_AROUND_PX, 0), (0, _AROUND_PX), (0, -_AROUND_PX)]
+    seeds = [
+        (min(max(round(u) + du, 0), width - 1), min(max(round(v) + dv, 0), height - 1)) for du, dv in around
+    ]
+    for _ in range(_RARE_SEEDS):
         place = int(np.argmin(cost))
         row, column = divmod(place, cost.shape[1])
         if not np.isfinite(cost[row, column]):
@@ -163,7 +177,18 @@ def _worth(view: PickImage, region: BoolArray, u: float, v: float) -> float:
     if len(rows) == 0:
         return -np.inf
     away = float(np.hypot(columns - u, rows - v).min()) / _NEAR_PX
-    return 1.5 * float(np.log(len(rows))) - float(view.commonness[region].mean()) - 2.0 * away**2
+    off_centre = float(np.hypot(columns.mean() - u, rows.mean() - v)) / (SEARCH_PX + 0.3 * float(np.sqrt(len(rows))))
+    hull = cv2.convexHull(np.column_stack([columns, rows]).astype(np.int32))
+    solidity = min(1.0, len(rows) / (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1.0))
+    return (
+        _SIZE_WEIGHT * float(np.log(len(rows)))
+        - _EVENNESS_WEIGHT * float(view.features[region][:, 2].var())
+        - float(view.commonness[region].mean())
+        + _COMPACT_WEIGHT * float(np.log(solidity))
+        - 2.0 * away**2
+        - _CENTRE_WEIGHT * off_centre**2
+        - _LIKENESS_WEIGHT * float(np.maximum(view.surroundings[region], _LEAST_DENSITY).mean())
+    )
 
 
 def _grow_from(view: PickImage, seed: tuple[int, int], most_pixels: float) -> BoolArray:
@@ -172,8 +197,9 @@ def _grow_from(view: PickImage, seed: tuple[int, int], most_pixels: float) -> Bo
     columns = slice(max(0, seed[0] - _PATCH_PX), seed[0] + _PATCH_PX + 1)
     region[rows, columns] = True
     patch = region
+    like_seed = np.all(np.abs(view.features - view.features[patch].mean(axis=0)) <= _DRIFT, axis=-1)
     for _ in range(_GROW_ROUNDS):
-        grown = _grown(view, region, seed)
+        grown = _grown(view, region, seed, like_seed)
         if np.count_nonzero(grown) > most_pixels:
             # Leaked into the surroundings, and the round before already had begun to.
             return patch
@@ -183,13 +209,13 @@ def _grow_from(view: PickImage, seed: tuple[int, int], most_pixels: float) -> Bo
     return region
 
 
-def _grown(view: PickImage, region: BoolArray, seed: tuple[int, int]) -> BoolArray:
+def _grown(view: PickImage, region: BoolArray, seed: tuple[int, int], allowed: BoolArray) -> BoolArray:
     inner = cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     own = inner if np.count_nonzero(inner) >= _MIN_FIT_PIXELS else region
     color = GaussianColor(components=(fit_component(view.features[own], _GROW_FLOOR),))
     density, squared = mixture_fit(color, view.features.reshape(-1, 3))
     fits = (squared <= _GROW_LIMIT**2).reshape(region.shape) & (density.reshape(region.shape) > view.surroundings)
-    opened = cv2.morphologyEx(fits.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    opened = cv2.morphologyEx((fits & allowed).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     _, labels = cv2.connectedComponents(opened, connectivity=4)
     label = labels[seed[1], seed[0]]
     if label == 0:

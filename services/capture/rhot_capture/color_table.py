@@ -164,13 +164,14 @@ def _range_distance(values: FloatArray, low: float, high: float, tolerance: floa
 
 def _box_distance(color: RgbBoxColor, rgb: FloatArray) -> FloatArray:
     # Half a cell (4, 2, 4 grey levels) is forgiven, so that a box narrower than a cell still catches its colour.
-    return np.max(
+    relative: FloatArray = np.max(
         [
             _range_distance(rgb[:, axis], color.low[axis], color.high[axis], color.tolerance, cell)
             for axis, cell in enumerate((7.0, 3.0, 7.0))
         ],
         axis=0,
     )
+    return relative
 
 
 def _hsv_distance(color: HsvRangeColor, rgb: FloatArray) -> FloatArray:
@@ -179,7 +180,7 @@ def _hsv_distance(color: HsvRangeColor, rgb: FloatArray) -> FloatArray:
     width = (end - start) % 360.0 if end - start != 360.0 else 360.0
     middle = start + 0.5 * width
     hue_offset = np.abs((hsv[:, 0] - middle + 180.0) % 360.0 - 180.0)
-    return np.max(
+    relative: FloatArray = np.max(
         [
             hue_offset / max(0.5 * width * color.tolerance, 1e-9),
             _range_distance(hsv[:, 1], *color.saturation, color.tolerance, 0.0),
@@ -187,3 +188,4 @@ def _hsv_distance(color: HsvRangeColor, rgb: FloatArray) -> FloatArray:
         ],
         axis=0,
     )
+    return relative

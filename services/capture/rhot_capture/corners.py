@@ -20,9 +20,13 @@ FloatArray = NDArray[np.float64]
 _POINTS_PER_SIDE: Final = 16
 _SIDE_MARGIN: Final = 0.18
 """Share of a side left out at either end: corners are rounded by blur and by the brush."""
-_SEARCH_PX: Final = 2.5
-_STEPS: Final = 11
-_MIN_SIDE_PX: Final = 6.0
+_SEARCH_PX: Final = (-3.0, 4.5)
+"""How far inside and outside of the coarse side the edge is looked for; the mask's outline runs through the centres of
+its outermost pixels, so the edge is rather outside."""
+_STEPS: Final = 26
+_ROUNDS: Final = 2
+_MAX_SHIFT_PX: Final = 6.0
+_MIN_SIDE_PX: Final = 7.0
 _MAX_RESIDUAL_PX: Final = 0.8
 _AREA_TOLERANCE: Final = 0.15
 
@@ -41,7 +45,22 @@ def find_corners(share: CoverageArray, mask: ImageArray) -> FloatArray | None:
     coarse = _coarse_quadrilateral(mask)
     if coarse is None:
         return None
-    lines = [_fit_side(share, coarse[side], coarse[(side + 1) % 4]) for side in range(4)]
+    corners = coarse
+    # The second round samples straight across the sides that the first one found.
+    for _ in range(_ROUNDS):
+        refined = _refine(share, corners)
+        if refined is None or np.max(np.linalg.norm(refined - coarse, axis=1)) > _MAX_SHIFT_PX:
+            return None
+        corners = refined
+    area = _signed_area(corners)
+    painted = float(share.sum())
+    if abs(area - painted) > _AREA_TOLERANCE * painted:
+        return None
+    return corners
+
+
+def _refine(share: CoverageArray, corners: FloatArray) -> FloatArray | None:
+    lines = [_fit_side(share, corners[side], corners[(side + 1) % 4]) for side in range(4)]
     fitted = [line for line in lines if line is not None]
     if len(fitted) < 4:
         return None
@@ -49,14 +68,8 @@ def find_corners(share: CoverageArray, mask: ImageArray) -> FloatArray | None:
     crossings = np.array([np.cross(fitted[side - 1], fitted[side]) for side in range(4)])
     if np.any(np.abs(crossings[:, 2]) < 1e-9):
         return None
-    corners: FloatArray = crossings[:, :2] / crossings[:, 2:]
-    if np.max(np.linalg.norm(corners - coarse, axis=1)) > 3.0 * _SEARCH_PX:
-        return None
-    area = _signed_area(corners)
-    painted = float(share.sum())
-    if abs(area - painted) > _AREA_TOLERANCE * painted:
-        return None
-    return corners
+    refined: FloatArray = crossings[:, :2] / crossings[:, 2:]
+    return refined
 
 
 def _coarse_quadrilateral(mask: ImageArray) -> FloatArray | None:
@@ -92,7 +105,7 @@ def _fit_side(share: CoverageArray, start: FloatArray, end: FloatArray) -> Float
     along = along / length
     outward = np.array([along[1], -along[0]])
     distances = np.linspace(_SIDE_MARGIN * length, (1.0 - _SIDE_MARGIN) * length, _POINTS_PER_SIDE)
-    steps = np.linspace(-_SEARCH_PX, _SEARCH_PX, _STEPS)
+    steps = np.linspace(*_SEARCH_PX, _STEPS)
     samples = (start + distances[:, None] * along)[:, None, :] + steps[None, :, None] * outward
     profile = cv2.remap(
         share,
@@ -107,13 +120,12 @@ def _fit_side(share: CoverageArray, start: FloatArray, end: FloatArray) -> Float
     usable = (profile[:, 0] > 0.75) & (profile[:, -1] < 0.25)
     if np.count_nonzero(usable) < _POINTS_PER_SIDE // 2:
         return None
-    offsets = -_SEARCH_PX + painted[usable]
+    offsets = _SEARCH_PX[0] + painted[usable]
     edge = start + distances[usable, None] * along + offsets[:, None] * outward
-    centre = np.median(edge, axis=0)
     direction = cv2.fitLine(edge.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01).reshape(4).astype(np.float64)
     normal = np.array([-direction[1], direction[0]])
     offset = -float(normal @ direction[2:])
     residual = float(np.median(np.abs(edge @ normal + offset)))
-    if residual > _MAX_RESIDUAL_PX or not np.all(np.isfinite(centre)):
+    if residual > _MAX_RESIDUAL_PX:
         return None
     return np.array([normal[0], normal[1], offset])

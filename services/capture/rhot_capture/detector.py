@@ -68,7 +68,8 @@ class MarkerDetector:
         Args:
             markers: by name.
             table: built for these markers, in this order.
-            width, height: of the frames, pixels.
+            width: of the frames, pixels.
+            height: of the frames, pixels.
 
         Raises:
             ConfigError: the table was built for other markers.

@@ -28,7 +28,7 @@ def row_time_ns(t_first_row_ns: int, row: float, height: int, exposure_s: float,
     return t_first_row_ns + round(1e9 * (rolling_s + 0.5 * exposure_s))
 
 
-def marker_frame(  # noqa: PLR0917
+def marker_frame(
     camera: str,
     size: tuple[int, int],
     detections: Mapping[str, Detection],

@@ -80,6 +80,12 @@ class FusionStage:
         return self._association.epipolar.figures_px
 
     @property
+    def figures(self) -> dict[str, float]:
+        """`epipolar_px` and `epipolar_p95_px`: how well the rows of the views agree; grows when a camera was bumped."""
+        mean, p95 = self.epipolar_px
+        return {name: value for name, value in (("epipolar_px", mean), ("epipolar_p95_px", p95)) if np.isfinite(value)}
+
+    @property
     def problem(self) -> str:
         """What is wrong with the rig as a whole, one sentence; empty when nothing is."""
         behind, measured = self.counts["behind_cameras"], self.counts["measured"]

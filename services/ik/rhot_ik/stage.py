@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Mapping
 
@@ -17,8 +16,6 @@ from rhot.skeleton import FINGERS, JOINTS
 from rhot.stage import Output
 from rhot_ik.finger_geometry import base_marker
 from rhot_ik.hand_solver import HandObservation, HandSolution, HandSolver
-
-log = logging.getLogger(__name__)
 
 FloatArray = NDArray[np.float64]
 
@@ -35,11 +32,12 @@ class HandStage:
         self._solvers: dict[Side, HandSolver] = {}
         self._bases: dict[Side, str] = {}
         self._counts = {"hands": 0, "no_hand": 0}
+        self._problems: list[str] = []
         for side in rig.config.sides:
             model = HandModel.from_file(rig.hand, side)
             base = base_marker(model, self._markers)
             if base is None:
-                log.warning("the %s hand has no marker on wrist or palm in rig.toml: it is not solved", side)
+                self._problems.append(f"the {side} hand has no marker on wrist or palm in rig.toml and is not solved")
                 continue
             self._bases[side] = base
             self._solvers[side] = HandSolver(model, self._markers, base, rig.config.ik)
@@ -48,6 +46,16 @@ class HandStage:
         """Switch to another configuration from the next sample on."""
         for solver in self._solvers.values():
             solver.config = config
+
+    @property
+    def figures(self) -> Mapping[str, float]:
+        """None beyond the counts."""
+        return {}
+
+    @property
+    def problem(self) -> str:
+        """Hands that cannot be solved because `rig.toml` gives them no marker to hold the palm by."""
+        return "; ".join(self._problems)
 
     @property
     def counts(self) -> Mapping[str, int]:

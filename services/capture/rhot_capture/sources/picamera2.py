@@ -69,6 +69,13 @@ def import_picamera() -> PicameraModules:
         ) from error
 
 
+class _Lease:
+    """Stands for the memory of one array; every view of it keeps the lease alive, the array itself does not."""
+
+    def __init__(self, array: np.ndarray[Any, np.dtype[np.uint8]]) -> None:
+        self.__array_interface__ = array.__array_interface__
+
+
 def boottime_offset_ns() -> int:
     """Return monotonic minus boottime clock, nanoseconds; 0 unless the machine was suspended."""
     return time.monotonic_ns() - time.clock_gettime_ns(time.CLOCK_BOOTTIME)
@@ -288,15 +295,16 @@ class Picamera2Source:
             raise DeviceError(f"camera {self._name}: not open; start it first")
         mapped = self._modules.picamera2.MappedArray(request, "main", write=False)
         mapped.__enter__()
-        image: np.ndarray[Any, np.dtype[np.uint8]] = mapped.array
 
         def give_back() -> None:
             mapped.__exit__(None, None, None)
             request.release()
 
-        # The buffer returns to the camera when the last view of the picture is gone; nothing is copied.
-        weakref.finalize(image, give_back)
-        return image
+        # The buffer returns to the camera when the last view of the picture is gone; nothing is copied. The lease
+        # stands between, because numpy lets views skip arrays on the way to their memory, but no foreign object.
+        lease = _Lease(mapped.array)
+        weakref.finalize(lease, give_back)
+        return np.asarray(lease)
 
     def _check(self, metadata: Mapping[str, Any]) -> None:
         """Compare once, after new settings have had time to arrive, what the camera does with what it was told."""

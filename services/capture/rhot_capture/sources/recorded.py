@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import logging
+import itertools
 from collections.abc import Iterator
-
-import numpy as np
 
 from rhot.clock import NodeClock
 from rhot.errors import ConfigError
@@ -15,8 +13,6 @@ from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.pacing import Pacer
 from rhot_capture.sources.pictures import read_pictures
-
-_LOG = logging.getLogger(__name__)
 
 
 class RecordedSource:
@@ -78,9 +74,8 @@ class RecordedSource:
         scan_ns = round(1e9 * (timing.exposure_s + timing.readout_s))
         joined = False
         while True:
-            relative_ns = self._relative_times(period_ns)
-            first_index = index
-            for image, offset_ns in zip(read_pictures(self._track), relative_ns, strict=False):
+            first_index, offset_ns = index, 0
+            for image, offset_ns in zip(read_pictures(self._track), self._offsets_ns(period_ns), strict=False):
                 t_first_row_ns = pass_start_ns + offset_ns
                 due_ns = t_first_row_ns + scan_ns
                 index += 1
@@ -93,13 +88,13 @@ class RecordedSource:
                 yield Frame(image, index - 1, t_first_row_ns, timing.exposure_s, timing.readout_s)
             if not self._camera.loop or index == first_index or self._pacer.stopped:
                 return
-            pass_start_ns += relative_ns[index - first_index - 1] + period_ns
+            pass_start_ns += offset_ns + period_ns
 
-    def _relative_times(self, period_ns: int) -> list[int]:
+    def _offsets_ns(self, period_ns: int) -> Iterator[int]:
+        """Return each frame's distance from the first one."""
         if self._track.has_times:
-            return [int(t_ns) for t_ns in self._track.t_ns - self._track.t_ns[0]]
-        count = len(self._track.files) if isinstance(self._track, PictureTrack) else 1 << 24
-        return (np.arange(count, dtype=np.int64) * period_ns).tolist()
+            return iter((self._track.t_ns - self._track.t_ns[0]).tolist())
+        return itertools.count(0, period_ns)
 
     def _require_size(self, shape: tuple[int, ...]) -> None:
         if shape[:2] != (self._camera.height, self._camera.width):

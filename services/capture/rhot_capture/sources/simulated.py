@@ -6,21 +6,17 @@ the camera's own clock, which is off and drifts when it is a `SkewedClock`.
 
 from __future__ import annotations
 
-import logging
 import time
-from collections.abc import Callable
 from typing import Protocol
 
-from rhot.camera import CameraModel
 from rhot.clock import NodeClock, SkewedClock
-from rhot.errors import ConfigError
+from rhot.errors import ConfigError, DeviceError
 from rhot.rig import CameraConfig, Rig
 from rhot_capture.color_table import ImageArray
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.pacing import Pacer
-
-_LOG = logging.getLogger(__name__)
+from rhot_capture.sources.render_process import RenderProcess
 
 
 class FrameMoment(Protocol):
@@ -54,6 +50,22 @@ class Schedule(Protocol):
         ...
 
 
+class FrameRenderer(Protocol):
+    """Renders pictures; one may be begun while the one before it waits to be taken."""
+
+    def begin(self, t_first_row_s: float) -> None:
+        """Begin the picture whose first row begins at a time, seconds since the world's start."""
+        ...
+
+    def finish(self) -> ImageArray:
+        """Return the picture begun earliest."""
+        ...
+
+    def close(self) -> None:
+        """Let go of everything."""
+        ...
+
+
 class TrueClock:
     """The machine's wall clock, the true time of the simulation."""
 
@@ -69,7 +81,7 @@ class SimulatedSource:
         self,
         name: str,
         camera: CameraConfig,
-        render: Callable[[float], ImageArray],
+        renderer: FrameRenderer,
         schedule: Schedule,
         clock: NodeClock,
     ) -> None:
@@ -78,34 +90,30 @@ class SimulatedSource:
         Args:
             name: of the camera.
             camera: its configuration.
-            render: returns the picture whose first row begins at some seconds since the world's start.
+            renderer: makes its pictures.
             schedule: when its frames happen.
             clock: the node's own clock.
         """
         self._name = name
         self._camera = camera
-        self._render = render
+        self._renderer = renderer
         self._schedule = schedule
         self._clock = clock
         self._pacer = Pacer(TrueClock())
         self._world_start_ns = 0
         self._number = 0
+        self._begun: tuple[int, FrameMoment] | None = None
         self._settings: CameraSettings | None = None
 
     @classmethod
     def from_rig(cls, name: str, rig: Rig, clock: NodeClock) -> SimulatedSource:
         """Build the source of a simulated camera: rendered with its true geometry, not with what calibration found."""
-        from rhot.sim.calibration import simulated_rig_calibration  # noqa: PLC0415
-        from rhot.sim.renderer import Renderer  # noqa: PLC0415
         from rhot.sim.schedule import FrameSchedule  # noqa: PLC0415
-        from rhot.sim.world import World  # noqa: PLC0415
 
-        sim, cameras = rig.config.sim, rig.config.cameras
-        place = list(cameras).index(name)
-        truth = simulated_rig_calibration(cameras, sim.seed).truth.cameras[name]
-        renderer = Renderer(CameraModel.from_calibration(truth), World.from_rig(rig), sim, cameras[name], place)
-        schedule = FrameSchedule(name, place, cameras[name], sim)
-        return cls(name, cameras[name], renderer.render, schedule, clock)
+        cameras = rig.config.cameras
+        camera = cameras[name]
+        schedule = FrameSchedule(name, list(cameras).index(name), camera, rig.config.sim)
+        return cls(name, camera, RenderProcess(rig.path, name, camera.width, camera.height), schedule, clock)
 
     def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
         """Let the world begin at a moment; late, join at the frame that is due next."""
@@ -117,27 +125,48 @@ class SimulatedSource:
         self._number = self._schedule.first_after(passed_s) if passed_s > 0.0 else 0
 
     def read(self) -> Frame | None:
-        """Render the next frame, wait until it is due and return it."""
-        while not self._pacer.stopped:
-            moment = self._schedule.frame(self._number)
-            number = self._number
-            self._number += 1
-            if moment.dropped:
-                continue
-            if self._world_start_ns + round(1e9 * moment.delivered_s) < self._pacer.now_ns() - self._behind_ns():
-                # Rendering does not keep up: frames fall out as they would from a camera that nobody empties.
-                continue
-            image = self._render(moment.t_first_row_s)
-            if not self._pacer.wait_until(self._world_start_ns + round(1e9 * moment.delivered_s)):
+        """Wait until the next frame is due and return it; the one after it is begun by then."""
+        while True:
+            begun = self._begun or self._begin_next()
+            image = self._finish()
+            # Rendered ahead: the picture waits for its time, never the other way round.
+            self._begun = self._begin_next()
+            if begun is None or image is None:
                 return None
-            return Frame(
-                image,
-                number,
-                self._node_ns(self._world_start_ns + round(1e9 * moment.t_first_row_s)),
-                self._camera.exposure_s,
-                self._camera.readout_s,
-            )
+            number, moment = begun
+            if self._is_late(moment):
+                # The renderer was still starting; a camera would have delivered this frame long ago.
+                continue
+            if not self._pacer.wait_until(self._due_ns(moment)):
+                return None
+            break
+        return Frame(
+            image,
+            number,
+            self._node_ns(self._world_start_ns + round(1e9 * moment.t_first_row_s)),
+            self._camera.exposure_s,
+            self._camera.readout_s,
+        )
+
+    def _begin_next(self) -> tuple[int, FrameMoment] | None:
+        """Begin to render the next frame that is not lost; None when closed."""
+        while not self._pacer.stopped:
+            number, moment = self._number, self._schedule.frame(self._number)
+            self._number += 1
+            # Where rendering does not keep up, frames fall out as they would from a camera that nobody empties.
+            if moment.dropped or self._is_late(moment):
+                continue
+            self._renderer.begin(moment.t_first_row_s)
+            return number, moment
         return None
+
+    def _finish(self) -> ImageArray | None:
+        try:
+            return None if self._pacer.stopped else self._renderer.finish()
+        except DeviceError:
+            if self._pacer.stopped:
+                return None
+            raise
 
     def apply(self, settings: CameraSettings) -> None:
         """Accept settings that leave the optics alone: the simulated light is what it is."""
@@ -151,9 +180,13 @@ class SimulatedSource:
     def close(self) -> None:
         """Stop; a waiting `read` returns None."""
         self._pacer.stop()
+        self._renderer.close()
 
-    def _behind_ns(self) -> int:
-        return round(1e9 / self._camera.rate_hz)
+    def _due_ns(self, moment: FrameMoment) -> int:
+        return self._world_start_ns + round(1e9 * moment.delivered_s)
+
+    def _is_late(self, moment: FrameMoment) -> bool:
+        return self._due_ns(moment) < self._pacer.now_ns() - round(1e9 / self._camera.rate_hz)
 
     def _node_ns(self, true_ns: int) -> int:
         if isinstance(self._clock, SkewedClock):
