@@ -58,8 +58,11 @@ class Doubler:
         return [("rhot/points", PointSet(t_ns=message.t_ns, frame="rig", points=points))]
 
 
-def doubler(*, owns_clock: bool = True, name: str = "fusion") -> StageService[MarkerFrame, FusionConfig]:
-    return StageService(
+Doubling = StageService[MarkerFrame, FusionConfig]
+
+
+def doubler(*, owns_clock: bool = True, name: str = "fusion", kind: type[Doubling] = Doubling) -> Doubling:
+    return kind(
         name,
         input_keys="rhot/markers/*",
         model=MarkerFrame,
@@ -247,15 +250,8 @@ class Failing(StageService[MarkerFrame, FusionConfig]):
 
 
 async def test_a_device_that_is_absent_is_tried_again(router: BusConfig) -> None:
-    service = Failing(
-        "fusion",
-        input_keys="rhot/markers/*",
-        model=MarkerFrame,
-        key_of=None,
-        config=FusionConfig(),
-        make_stage=Doubler,
-        owns_clock=True,
-    )
+    service = doubler(kind=Failing)
+    assert isinstance(service, Failing)
     async with running(service, router), await Bus.open(router) as bus:
         await start(bus)
         status = await wait_for_status(bus, "fusion/main", lambda status: status.counts.get("device_errors", 0) >= 1)
@@ -276,15 +272,8 @@ class SlowToStop(Failing):
 
 
 async def test_a_signal_right_after_stop_is_not_lost(router: BusConfig) -> None:
-    service = SlowToStop(
-        "fusion",
-        input_keys="rhot/markers/*",
-        model=MarkerFrame,
-        key_of=None,
-        config=FusionConfig(),
-        make_stage=Doubler,
-        owns_clock=True,
-    )
+    service = doubler(kind=SlowToStop)
+    assert isinstance(service, SlowToStop)
     async with await Bus.open(router) as bus:
         task = asyncio.create_task(serve(service, router, SystemClock()))
         await start(bus)
@@ -303,15 +292,7 @@ async def test_an_error_of_the_service_ends_it_with_that_error(router: BusConfig
         async def run(self, node: Node, start: Control) -> None:
             raise ConfigError("colors.json vanished")
 
-    service = Broken(
-        "fusion",
-        input_keys="rhot/markers/*",
-        model=MarkerFrame,
-        key_of=None,
-        config=FusionConfig(),
-        make_stage=Doubler,
-        owns_clock=True,
-    )
+    service = doubler(kind=Broken)
     task = asyncio.create_task(serve(service, router, SystemClock()))
     async with await Bus.open(router) as bus:
         await start(bus)

@@ -85,6 +85,9 @@ class MainGroup(LazyGroup):
 
     def main(self, args: Sequence[str] | None = None, *more: Any, **extra: Any) -> Any:
         """Run the program and exit."""
+        # Before anything imports numpy: its matrices are tiny here, and threads that wait in a spin take the cores from
+        # the other services.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         try:
             extra["standalone_mode"] = False
             result = super().main(args, *more, **extra)

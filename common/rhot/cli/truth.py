@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import click
@@ -17,4 +18,6 @@ from rhot.sim.truth import TruthService
 @bus_options
 def truth(rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> int:
     """Publish rhot/truth, what is true in the simulated world, until Ctrl-C."""
+    # It must not disturb what it is there to judge.
+    os.nice(5)
     return run_service(TruthService(load_rig(rig_path)), tool_bus(rig_path, connect, namespace))

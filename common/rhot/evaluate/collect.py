@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
@@ -54,13 +55,14 @@ async def collect(bus: Bus, into: Collected, rig_now_ns: Callable[[], int]) -> N
 
     async def follow(mailbox: EventSubscriber, model: type[M], keep: Callable[[str, Arrival[M]], None]) -> None:
         async for sample in mailbox:
-            now_ns = rig_now_ns()
+            # Counted to the arrival, not to the moment at which this busy process found time to look.
+            arrived_t_ns = rig_now_ns() - (time.monotonic_ns() - sample.arrived_ns)
             try:
                 message = decode(sample.payload, model)
             except WireError:
                 into.invalid += 1
                 continue
-            keep(sample.key.rpartition("/")[2], Arrival(message, (now_ns - message.t_ns) / 1e9))
+            keep(sample.key.rpartition("/")[2], Arrival(message, (arrived_t_ns - message.t_ns) / 1e9))
 
     def keep_points(_: str, arrival: Arrival[PointSet]) -> None:
         into.points.append(arrival)
