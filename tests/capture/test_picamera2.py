@@ -12,7 +12,8 @@ from rhot.errors import DeviceError
 from rhot.rig import CameraConfig
 from rhot.rig.colors import nominal_colors
 from rhot_capture.settings import CameraSettings
-from rhot_capture.sources.picamera2 import Picamera2Source, PicameraModules, choose_mode, import_picamera
+from rhot_capture.sources.picamera2 import Picamera2Source, PicameraModules, import_picamera
+from rhot_capture.sources.sensor_modes import choose_mode
 
 MODES = [
     {"size": (640, 480), "bit_depth": 10, "fps": 103.33, "crop_limits": (1000, 752, 1280, 960)},

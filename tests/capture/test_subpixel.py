@@ -89,3 +89,18 @@ def test_tiny_markers_have_a_centre_too(
     centre = centre_of(coverage(drawn.image, hard_mask(drawn.image, paints["index"], 110)))
     u, v, _ = drawn.truth["index"]
     assert np.hypot(centre.u - u, centre.v - v) < 0.12
+
+
+def test_a_dark_edge_of_a_round_part_pulls_the_centre_less() -> None:
+    # A disc whose shaded ring is dark against black cloth, cut off on one side where it meets bright skin.
+    v, u = np.mgrid[0:41, 0:41].astype(float)
+    radius = np.hypot(u - 20.0, v - 20.0)
+    painted = (radius < 9.0) & (v >= 17)
+    image = np.zeros((41, 41, 3), np.uint8)
+    image[(radius < 9.0) & (v < 17)] = (140, 170, 215)
+    image[painted] = (200, 60, 40)
+    image[painted & (radius > 7.0)] = (160, 48, 32)
+    share = coverage(image, np.where(painted, 255, 0).astype(np.uint8))
+    true_v = float(v[painted].mean())
+    plain, rounded = centre_of(share), centre_of(share, round_part=True)
+    assert abs(rounded.v - true_v) < 0.5 * abs(plain.v - true_v)

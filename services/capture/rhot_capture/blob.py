@@ -17,6 +17,7 @@ ContourArray = NDArray[np.int32]
 PADDING_PX: Final = 6
 """Room around a blob for its rim and a strip of what surrounds it."""
 _MAX_CANDIDATES: Final = 6
+_MANY_CONTOURS: Final = 100
 _MERGE_GAP_RATIO: Final = 0.3
 _MERGE_GAP_MIN_PX: Final = 2.0
 _MERGE_MIN_SHARE: Final = 0.05
@@ -61,7 +62,43 @@ class _Part:
     outline: ContourArray
 
 
-def find_blobs(labels: ImageArray, label: int, min_area: float, max_area: float) -> list[Blob]:
+Region = tuple[int, int, int, int]
+"""Left, top, right, bottom in the image, pixels; right and bottom are not part of it."""
+
+
+def label_regions(labels: ImageArray, count: int) -> dict[int, Region]:
+    """Return for each label that occurs a region that holds all its pixels.
+
+    Most of a frame is background, so one search for anything labelled, and then small windows, cost far less than one
+    search of the whole frame for every label.
+
+    Args:
+        labels: (H, W) uint8.
+        count: labels run from 1 to this.
+    """
+    height, width = labels.shape
+    contours, _ = cv2.findContours(labels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    if len(contours) > _MANY_CONTOURS:
+        return dict.fromkeys(range(1, count + 1), (0, 0, width, height))
+    regions: dict[int, Region] = {}
+    for contour in contours:
+        left, top, across, down = cv2.boundingRect(contour)
+        right, bottom = left + across, top + down
+        present = np.bincount(labels[top:bottom, left:right].ravel(), minlength=count + 1)
+        for label in np.flatnonzero(present[1 : count + 1]).tolist():
+            known = regions.get(label + 1, (left, top, right, bottom))
+            regions[label + 1] = (
+                min(known[0], left),
+                min(known[1], top),
+                max(known[2], right),
+                max(known[3], bottom),
+            )
+    return regions
+
+
+def find_blobs(
+    labels: ImageArray, label: int, min_area: float, max_area: float, region: Region | None = None
+) -> list[Blob]:
     """Return the blobs of one label, largest first.
 
     Parts that a highlight or the shine of a nail has split are joined when they are near and together as compact as
@@ -72,8 +109,15 @@ def find_blobs(labels: ImageArray, label: int, min_area: float, max_area: float)
         label: of the marker.
         min_area: smallest joined blob, square pixels.
         max_area: largest joined blob, square pixels.
+        region: where the label occurs; the whole image when not given.
     """
-    contours, _ = cv2.findContours(cv2.inRange(labels, label, label), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    left, top, right, bottom = region or (0, 0, labels.shape[1], labels.shape[0])
+    contours, _ = cv2.findContours(
+        cv2.inRange(labels[top:bottom, left:right], label, label),
+        cv2.RETR_EXTERNAL,
+        cv2.CHAIN_APPROX_NONE,
+        offset=(left, top),
+    )
     # A part below a twentieth of the smallest marker cannot matter to any blob that is kept.
     least = max(3.0, _MERGE_MIN_SHARE * min_area)
     sized = [_Part(pixel_area(outline), outline) for outline in map(_as_outline, contours) if len(outline) > 2]

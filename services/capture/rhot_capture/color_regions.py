@@ -23,8 +23,8 @@ BoolArray = NDArray[np.bool_]
 
 SEARCH_PX: Final = 12
 _PATCH_PX: Final = 2
-_WINDOW_PX: Final = 130
-"""Half the width of what is looked at around a pick: room for a marker in a close-up."""
+_WINDOWS_PX: Final = (60, 130)
+"""Half the width of what is looked at around a pick; the second has room for a marker in a close-up."""
 _RARE_SEEDS: Final = 5
 _AROUND_PX: Final = 8
 _SEED_SPACING_PX: Final = 5
@@ -129,19 +129,22 @@ def grow(picture: PickImage, u: float, v: float) -> BoolArray:
         u: the pick, pixels to the right.
         v: the pick, pixels down.
     """
-    height, width = picture.surroundings.shape
-    left, top = max(0, round(u) - _WINDOW_PX), max(0, round(v) - _WINDOW_PX)
-    window = (slice(top, round(v) + _WINDOW_PX + 1), slice(left, round(u) + _WINDOW_PX + 1))
-    view = PickImage(
-        picture.image[window], picture.features[window], picture.commonness[window], picture.surroundings[window]
-    )
-    best, best_worth = np.zeros(view.surroundings.shape, bool), -np.inf
-    for seed in _seeds(view, u - left, v - top):
-        region = _grow_from(view, seed, _MAX_SHARE * height * width)
-        worth = _worth(view, region, u - left, v - top)
-        if worth > best_worth:
-            best, best_worth = region, worth
-    whole = np.zeros((height, width), bool)
+    whole = np.zeros(picture.surroundings.shape, bool)
+    for reach in _WINDOWS_PX:
+        left, top = max(0, round(u) - reach), max(0, round(v) - reach)
+        window = (slice(top, round(v) + reach + 1), slice(left, round(u) + reach + 1))
+        view = PickImage(
+            picture.image[window], picture.features[window], picture.commonness[window], picture.surroundings[window]
+        )
+        best, best_worth = np.zeros(view.surroundings.shape, bool), -np.inf
+        for seed in _seeds(view, u - left, v - top):
+            region = _grow_from(view, seed, _MAX_SHARE * whole.size)
+            worth = _worth(view, region, u - left, v - top)
+            if worth > best_worth:
+                best, best_worth = region, worth
+        rows, columns = np.nonzero(best)
+        if len(rows) and max(np.abs(columns + left - u).max(), np.abs(rows + top - v).max()) < reach - 1:
+            break
     whole[window] = best
     return whole
 
@@ -159,9 +162,7 @@ def _seeds(view: PickImage, u: float, v: float) -> list[tuple[int, int]]:
     cost[away > 1.0] = np.inf
     height, width = patch_commonness.shape
     around = [(0, 0), (_AROUND_PX, 0), (-_AROUND_PX, 0), (0, _AROUND_PX), (0, -_AROUND_PX)]
-    seeds = [
-        (min(max(round(u) + du, 0), width - 1), min(max(round(v) + dv, 0), height - 1)) for du, dv in around
-    ]
+    seeds = [(min(max(round(u) + du, 0), width - 1), min(max(round(v) + dv, 0), height - 1)) for du, dv in around]
     for _ in range(_RARE_SEEDS):
         place = int(np.argmin(cost))
         row, column = divmod(place, cost.shape[1])

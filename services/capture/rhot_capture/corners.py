@@ -24,11 +24,15 @@ _SEARCH_PX: Final = (-3.0, 4.5)
 """How far inside and outside of the coarse side the edge is looked for; the mask's outline runs through the centres of
 its outermost pixels, so the edge is rather outside."""
 _STEPS: Final = 26
-_ROUNDS: Final = 2
 _MAX_SHIFT_PX: Final = 6.0
 _MIN_SIDE_PX: Final = 7.0
-_MAX_RESIDUAL_PX: Final = 0.8
+_MAX_RESIDUAL_PX: Final = 0.6
+_OUTLIER_PX: Final = 1.0
 _AREA_TOLERANCE: Final = 0.15
+_PLACES: Final = np.linspace(_SIDE_MARGIN, 1.0 - _SIDE_MARGIN, _POINTS_PER_SIDE)
+_OFFSETS: Final = np.linspace(*_SEARCH_PX, _STEPS)
+_NEXT: Final = np.array([1, 2, 3, 0])
+_BEFORE: Final = np.array([3, 0, 1, 2])
 
 
 def find_corners(share: CoverageArray, mask: ImageArray) -> FloatArray | None:
@@ -45,13 +49,9 @@ def find_corners(share: CoverageArray, mask: ImageArray) -> FloatArray | None:
     coarse = _coarse_quadrilateral(mask)
     if coarse is None:
         return None
-    corners = coarse
-    # The second round samples straight across the sides that the first one found.
-    for _ in range(_ROUNDS):
-        refined = _refine(share, corners)
-        if refined is None or np.max(np.linalg.norm(refined - coarse, axis=1)) > _MAX_SHIFT_PX:
-            return None
-        corners = refined
+    corners = _refine(share, coarse)
+    if corners is None or np.max(np.linalg.norm(corners - coarse, axis=1)) > _MAX_SHIFT_PX:
+        return None
     area = _signed_area(corners)
     painted = float(share.sum())
     if abs(area - painted) > _AREA_TOLERANCE * painted:
@@ -60,16 +60,65 @@ def find_corners(share: CoverageArray, mask: ImageArray) -> FloatArray | None:
 
 
 def _refine(share: CoverageArray, corners: FloatArray) -> FloatArray | None:
-    lines = [_fit_side(share, corners[side], corners[(side + 1) % 4]) for side in range(4)]
-    fitted = [line for line in lines if line is not None]
-    if len(fitted) < 4:
+    """Return the meeting points of the lines fitted along four sides; side k runs from corner k to corner k + 1."""
+    along = corners[_NEXT] - corners
+    length = np.sqrt(np.einsum("ij,ij->i", along, along))
+    along = along / length[:, None]
+    outward = np.column_stack([along[:, 1], -along[:, 0]])
+    distances = length[:, None] * _PLACES
+    samples = (
+        corners[:, None, None, :]
+        + distances[:, :, None, None] * along[:, None, None, :]
+        + _OFFSETS[None, None, :, None] * outward[:, None, None, :]
+    ).astype(np.float32)
+    flat = samples.reshape(4 * _POINTS_PER_SIDE, _STEPS, 2)
+    profile = np.asarray(
+        cv2.remap(share, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    ).reshape(4, _POINTS_PER_SIDE, _STEPS)
+    usable = (profile[..., 0] > 0.75) & (profile[..., -1] < 0.25)
+    # The painted length along the profile ends at the edge: exact for any symmetric blur.
+    step = _OFFSETS[1] - _OFFSETS[0]
+    edge = _OFFSETS[0] + step * (profile.sum(axis=-1) - 0.5 * (profile[..., 0] + profile[..., -1]))
+    fitted = _fit_lines(distances, edge, usable)
+    if fitted is None:
         return None
-    # Side k runs from corner k to corner k + 1, so corner k is where sides k − 1 and k meet.
-    crossings = np.array([np.cross(fitted[side - 1], fitted[side]) for side in range(4)])
-    if np.any(np.abs(crossings[:, 2]) < 1e-9):
+    # edge = intercept + slope · distance, so the line runs through corner + intercept · outward.
+    intercept, slope = fitted
+    origin = corners + intercept[:, None] * outward
+    direction = along + slope[:, None] * outward
+    return _meeting_points(origin[_BEFORE], direction[_BEFORE], origin, direction)
+
+
+def _fit_lines(x: FloatArray, y: FloatArray, usable: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray] | None:
+    """Fit y = intercept + slope · x in each row, twice, the second time without what lies far off."""
+    for _ in range(2):
+        weights = usable.astype(np.float64)
+        total = weights.sum(axis=1)
+        if np.any(total < _POINTS_PER_SIDE // 2):
+            return None
+        mean_x = (weights * x).sum(axis=1) / total
+        mean_y = (weights * y).sum(axis=1) / total
+        centred = x - mean_x[:, None]
+        slope = (weights * centred * y).sum(axis=1) / (weights * centred**2).sum(axis=1)
+        intercept = mean_y - slope * mean_x
+        residual = np.abs(y - intercept[:, None] - slope[:, None] * x)
+        usable &= residual <= _OUTLIER_PX
+    if np.any((weights * residual).sum(axis=1) > _MAX_RESIDUAL_PX * total):
         return None
-    refined: FloatArray = crossings[:, :2] / crossings[:, 2:]
-    return refined
+    return intercept, slope
+
+
+def _meeting_points(
+    origin_1: FloatArray, direction_1: FloatArray, origin_2: FloatArray, direction_2: FloatArray
+) -> FloatArray | None:
+    """Return where lines meet pairwise, (N, 2); None when some are parallel."""
+    cross = direction_1[:, 0] * direction_2[:, 1] - direction_1[:, 1] * direction_2[:, 0]
+    if np.any(np.abs(cross) < 1e-6):
+        return None
+    between = origin_2 - origin_1
+    along = (between[:, 0] * direction_2[:, 1] - between[:, 1] * direction_2[:, 0]) / cross
+    meeting: FloatArray = origin_1 + along[:, None] * direction_1
+    return meeting
 
 
 def _coarse_quadrilateral(mask: ImageArray) -> FloatArray | None:
@@ -87,45 +136,12 @@ def _coarse_quadrilateral(mask: ImageArray) -> FloatArray | None:
         quadrilateral = np.asarray(cv2.boxPoints(cv2.minAreaRect(hull)), dtype=np.float64)
     if _signed_area(quadrilateral) < 0.0:
         quadrilateral = quadrilateral[::-1].copy()
-    if np.min(np.linalg.norm(quadrilateral - np.roll(quadrilateral, -1, axis=0), axis=1)) < _MIN_SIDE_PX:
+    if np.min(np.linalg.norm(quadrilateral - quadrilateral[_NEXT], axis=1)) < _MIN_SIDE_PX:
         return None
     return np.roll(quadrilateral, -int(np.argmin(quadrilateral.sum(axis=1))), axis=0)
 
 
 def _signed_area(corners: FloatArray) -> float:
     """Area of a polygon, positive when clockwise as seen (v points down)."""
-    u, v = corners.T
-    return 0.5 * float(np.sum(u * np.roll(v, -1) - np.roll(u, -1) * v))
-
-
-def _fit_side(share: CoverageArray, start: FloatArray, end: FloatArray) -> FloatArray | None:
-    """Return the line (a, b, c) with a·u + b·v + c = 0 along one side."""
-    along = end - start
-    length = float(np.linalg.norm(along))
-    along = along / length
-    outward = np.array([along[1], -along[0]])
-    distances = np.linspace(_SIDE_MARGIN * length, (1.0 - _SIDE_MARGIN) * length, _POINTS_PER_SIDE)
-    steps = np.linspace(*_SEARCH_PX, _STEPS)
-    samples = (start + distances[:, None] * along)[:, None, :] + steps[None, :, None] * outward
-    profile = cv2.remap(
-        share,
-        samples[..., 0].astype(np.float32),
-        samples[..., 1].astype(np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    # The painted length along the profile ends at the edge: exact for any symmetric blur.
-    step = steps[1] - steps[0]
-    painted = step * (profile.sum(axis=1) - 0.5 * (profile[:, 0] + profile[:, -1]))
-    usable = (profile[:, 0] > 0.75) & (profile[:, -1] < 0.25)
-    if np.count_nonzero(usable) < _POINTS_PER_SIDE // 2:
-        return None
-    offsets = _SEARCH_PX[0] + painted[usable]
-    edge = start + distances[usable, None] * along + offsets[:, None] * outward
-    direction = cv2.fitLine(edge.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01).reshape(4).astype(np.float64)
-    normal = np.array([-direction[1], direction[0]])
-    offset = -float(normal @ direction[2:])
-    residual = float(np.median(np.abs(edge @ normal + offset)))
-    if residual > _MAX_RESIDUAL_PX:
-        return None
-    return np.array([normal[0], normal[1], offset])
+    following = corners[_NEXT]
+    return 0.5 * float(np.sum(corners[:, 0] * following[:, 1] - following[:, 0] * corners[:, 1]))

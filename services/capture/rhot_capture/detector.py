@@ -6,7 +6,7 @@ where a marker was before only decides between several blobs of its colour.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
 from rhot.rig.config import MarkerConfig
-from rhot_capture.blob import Blob, find_blobs
+from rhot_capture.blob import Blob, find_blobs, label_regions
 from rhot_capture.color_table import ColorTable, ImageArray
 from rhot_capture.corners import find_corners
 from rhot_capture.subpixel import centre_of, coverage
@@ -33,6 +33,7 @@ _TYPICAL_SOLIDITY: Final = 0.85
 _MIN_SOLIDITY: Final = 0.5
 _MIN_FILL: Final = 0.5
 _MAX_ADJACENCY: Final = 0.4
+_CLING_RATIO: Final = 1.5
 _BOX_3: Final = np.ones((3, 3), np.uint8)
 _BOX_5: Final = np.ones((5, 5), np.uint8)
 
@@ -119,18 +120,30 @@ class MarkerDetector:
         raw, packed = self._table.classify(image)
         # Single wrong pixels go; a label wins a pixel only where its neighbours carry it too.
         self._labels = np.asarray(cv2.medianBlur(raw, 3), dtype=np.uint8)
+        regions = label_regions(self._labels, len(self._markers))
         found = {}
         for label, (name, marker) in enumerate(self._markers.items(), start=1):
-            detection = self._detect_one(image, packed, label, marker, self._tracks[name])
+            if label not in regions:
+                self._tracks[name].miss()
+                continue
+            blobs = find_blobs(self._labels, label, marker.min_area_px, marker.max_area_px, regions[label])
+            detection = self._choose(image, packed, label, marker, blobs, self._tracks[name])
             if detection is not None:
                 found[name] = detection
         return found
 
-    def _detect_one(
-        self, image: ImageArray, packed: NDArray[np.uint16], label: int, marker: MarkerConfig, track: MarkerTrack
+    def _choose(
+        self,
+        image: ImageArray,
+        packed: NDArray[np.uint16],
+        label: int,
+        marker: MarkerConfig,
+        blobs: Sequence[Blob],
+        track: MarkerTrack,
     ) -> Detection | None:
+        """Measure the blob that is most surely the marker; None when none is surely enough."""
         candidates = []
-        for blob in find_blobs(self._labels, label, marker.min_area_px, marker.max_area_px):
+        for blob in blobs:
             score = self._score(blob, packed, label, marker)
             if score > 0.0:
                 candidates.append((score * track.preference(*_middle(blob), blob.area) * blob.area, score, blob))
@@ -174,7 +187,7 @@ class MarkerDetector:
         other = int(np.argmax(counts))
         if counts[other] <= _MAX_ADJACENCY * len(ring):
             return False
-        return bool(np.count_nonzero(labels == other) > blob.area)
+        return bool(np.count_nonzero(labels == other) > _CLING_RATIO * blob.area)
 
 
 def _middle(blob: Blob) -> tuple[float, float]:
@@ -184,7 +197,7 @@ def _middle(blob: Blob) -> tuple[float, float]:
 
 def _measure(image: ImageArray, blob: Blob, score: float, marker: MarkerConfig) -> Detection:
     share = coverage(image[blob.window], blob.mask)
-    centre = centre_of(share)
+    centre = centre_of(share, round_part=marker.kind == "cap")
     corners = find_corners(share, blob.mask) if marker.kind == "patch" and blob.border_share == 0.0 else None
     if corners is not None:
         corners += np.array([blob.x0, blob.y0])

@@ -30,6 +30,7 @@ _NOISE: Final = 5.0
 _MIN_CONTRAST: Final = 12.0
 """Grey levels between paint and surroundings below which their mixture cannot be told."""
 _MIN_CORE_SHARE: Final = 0.08
+ROUND_GAIN: Final = 1.2
 _OVERSHOOT: Final = 0.25
 """Noise may push a share this far below 0 or above 1; clipping tighter would favour one side of the rim."""
 
@@ -64,10 +65,10 @@ def coverage(image: ImageArray, mask: ImageArray) -> CoverageArray:
     """
     core = _core(mask)
     outside: ImageArray = np.asarray(cv2.bitwise_not(cv2.dilate(mask, _DISC_OUTSIDE)), dtype=np.uint8)
-    around = image[outside > 0].astype(np.float64)
+    around = image[outside > 0].astype(np.float32)
     if len(around) < 8:
         return _hard(mask)
-    mean_around = around.mean(axis=0)
+    mean_around = np.einsum("ij->j", around) / len(around)
     around -= mean_around
     paint = np.array(cv2.mean(image, core)[:3]) - mean_around
     if np.linalg.norm(paint) < _MIN_CONTRAST:
@@ -115,8 +116,17 @@ def _local_mean(values: CoverageArray, source: ImageArray, default: float) -> Co
     return np.where(count > 0.5, total / np.maximum(count, 1.0), np.float32(default))
 
 
-def centre_of(share: CoverageArray) -> Centre:
-    """Return the centroid of the painted share, whose sum must be above 0."""
-    moments = cv2.moments(share)
-    area = moments["m00"]
-    return Centre(moments["m10"] / area, moments["m01"] / area, area)
+def centre_of(share: CoverageArray, round_part: bool = False) -> Centre:
+    """Return the centroid of the painted share, whose sum must be above 0.
+
+    Round parts are darker towards their edge, so that paint there looks like a mixture with a dark background and
+    would count for less on the shaded side. Counting a share of 1 / `ROUND_GAIN` and more as full takes most of that
+    back; it moves the rim outwards by the same small amount on all sides.
+
+    Args:
+        share: (h, w) float32.
+        round_part: whether the paint covers something round, such as a fingertip.
+    """
+    moments = cv2.moments(np.minimum(ROUND_GAIN * share, 1.0) if round_part else share)
+    total = moments["m00"]
+    return Centre(moments["m10"] / total, moments["m01"] / total, float(share.sum()))
