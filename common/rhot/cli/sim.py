@@ -108,7 +108,7 @@ def sim(
         else:
             rig = _simulated_rig(rig_path)
         if chosen != DEFAULT_ENDPOINT:
-            console.print(f"The router listens on {chosen}: give the other commands --connect {chosen}")
+            console.print(f"The router listens on {chosen}: give the other commands --connect {chosen}", soft_wrap=True)
         run = SimRun(rig, chosen, duration_s, work)
         interrupted = asyncio.run(_run(run, console, headless))
         if interrupted:

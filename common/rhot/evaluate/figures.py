@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,23 @@ from rhot.skeleton import FINGERS
 
 FloatArray = NDArray[np.float64]
 
+_DISORDER_NS: Final = 1_000_000_000
+
 
 def window(arrivals: Sequence[Arrival[M]], start_t_ns: int, from_s: float, to_s: float) -> list[Arrival[M]]:
     """Return what was true between two times, seconds since the start."""
     low, high = start_t_ns + round(from_s * 1e9), start_t_ns + round(to_s * 1e9)
-    return [arrival for arrival in arrivals if low <= arrival.message.t_ns < high]
+    chosen = []
+    # From the end, because a live table wants the last second of a long run; what is older than the window by more than
+    # any disorder ends the search.
+    for arrival in reversed(arrivals):
+        t_ns = arrival.message.t_ns
+        if t_ns < low - _DISORDER_NS:
+            break
+        if low <= t_ns < high:
+            chosen.append(arrival)
+    chosen.reverse()
+    return chosen
 
 
 def spread(values: FloatArray, scale: float) -> dict[str, float]:

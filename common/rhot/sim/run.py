@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import socket
+import sys
 import time
 from pathlib import Path
 from typing import Any, Final
@@ -36,6 +38,7 @@ _SHOW_EVERY_S: Final = 0.5
 _LIVE_WINDOW_S: Final = 2.0
 _LINE_EVERY_S: Final = 5.0
 _COVERAGE_MOMENTS: Final = 200
+_SWITCH_S: Final = 0.0005
 
 
 class SimRun:
@@ -77,6 +80,10 @@ class SimRun:
         Raises:
             RhotError: the router or a service did not come up, or one ended by itself.
         """
+        # This process takes the time of arrival of every pose: neither its table nor the collector, which would look
+        # through all that was received so far again and again, may hold that up.
+        sys.setswitchinterval(_SWITCH_S)
+        gc.disable()
         supervisor = Supervisor(self._logs)
         router = BusConfig(mode="router", connect=(), listen=(self._endpoint,))
         client = BusConfig(connect=(self._endpoint,))
@@ -96,6 +103,7 @@ class SimRun:
                     failed.cancel()
                     await asyncio.gather(work, failed, return_exceptions=True)
         finally:
+            gc.enable()
             await supervisor.stop()
 
     async def _follow(self, bus: Bus, console: Console, live: bool) -> None:
@@ -131,19 +139,20 @@ class SimRun:
         with Live(console=console, auto_refresh=False, transient=False) if live else _Quiet() as display:
             next_line_s = _LINE_EVERY_S
             while (elapsed_s := self._elapsed_s()) < self._duration_s:
-                statuses = (await fetch_status(bus, timeout_s=0.5))[1]
                 if not self._before and elapsed_s >= self._steady_from_s:
-                    self._before = statuses
-                figures = tracking_figures(
-                    self._world, self._start_t_ns, self._collected, elapsed_s - _LIVE_WINDOW_S, elapsed_s
-                )
+                    self._before = (await fetch_status(bus, timeout_s=0.5))[1]
                 if isinstance(display, Live):
-                    services = service_figures({}, statuses)["services"]
+                    services = service_figures({}, (await fetch_status(bus, timeout_s=0.5))[1])["services"]
+                    figures = self._recent(elapsed_s)
                     display.update(live_table(max(elapsed_s, 0.0), self._duration_s, figures, services), refresh=True)
                 elif elapsed_s >= next_line_s:
-                    console.print(_line(elapsed_s, self._duration_s, figures))
+                    console.print(_line(elapsed_s, self._duration_s, self._recent(elapsed_s)), soft_wrap=True)
                     next_line_s += _LINE_EVERY_S
                 await asyncio.sleep(min(_SHOW_EVERY_S, max(0.0, self._duration_s - self._elapsed_s())))
+
+    def _recent(self, elapsed_s: float) -> dict[str, Any]:
+        from_s = elapsed_s - _LIVE_WINDOW_S
+        return tracking_figures(self._world, self._start_t_ns, self._collected, from_s, elapsed_s)
 
     def report(self) -> dict[str, Any]:
         """Return every figure of the run, JSON-ready."""
