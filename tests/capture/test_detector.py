@@ -229,3 +229,26 @@ def test_one_pass_costs_no_more_than_six_threshold_pipelines(
     finally:
         cv2.setNumThreads(threads)
     assert ratio < 1.2
+
+
+def covered_from(image: Any, row: int) -> Any:
+    """The picture with a dark object over everything from a row on."""
+    covered = image.copy()
+    covered[row:] = (32, 30, 30)
+    return covered
+
+
+def test_a_marker_that_is_being_covered_is_followed_to_its_last_sliver(
+    detector: MarkerDetector, scene: Any, shape: Any
+) -> None:
+    image = scene([shape("ring", 320.0, 240.0, radius=14.0)]).image
+    for row in range(244, 224, -1):
+        assert "ring" in detector.detect(covered_from(image, row))
+    seen = detector.detect(covered_from(image, 224))
+    assert seen["ring"].score < 0.5, "a sliver is not as sure as a whole marker"
+    assert abs(seen["ring"].u - 320.0) < 1.5
+
+
+def test_a_sliver_out_of_nowhere_is_no_marker(detector: MarkerDetector, scene: Any, shape: Any) -> None:
+    image = scene([shape("ring", 320.0, 240.0, radius=14.0)]).image
+    assert "ring" not in detector.detect(covered_from(image, 224))

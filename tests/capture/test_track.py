@@ -39,3 +39,13 @@ def test_motion_is_forgotten_across_a_gap() -> None:
     track.miss()
     track.hit(300.0, 50.0, 200.0)
     assert track.preference(300.0, 50.0, 200.0) == 1.0
+
+
+def test_only_what_lies_where_the_marker_must_be_continues_it() -> None:
+    track = moving_track()
+    assert track.continues(132.0, 50.0)
+    assert not track.continues(142.0, 50.0)
+    for _ in range(3):
+        track.miss()
+    assert not track.continues(160.0, 50.0)
+    assert not MarkerTrack().continues(0.0, 0.0)

@@ -34,6 +34,7 @@ _MIN_SOLIDITY: Final = 0.5
 _MIN_FILL: Final = 0.5
 _MAX_ADJACENCY: Final = 0.4
 _CLING_RATIO: Final = 1.5
+_SLIVER_SCORE: Final = 0.5
 _BOX_3: Final = np.ones((3, 3), np.uint8)
 _BOX_5: Final = np.ones((5, 5), np.uint8)
 
@@ -144,7 +145,7 @@ class MarkerDetector:
         """Measure the blob that is most surely the marker; None when none is surely enough."""
         candidates = []
         for blob in blobs:
-            score = self._score(blob, packed, label, marker)
+            score = self._score(blob, packed, label, marker, track.continues(*_middle(blob)))
             if score > 0.0:
                 candidates.append((score * track.preference(*_middle(blob), blob.area) * blob.area, score, blob))
         if not candidates:
@@ -161,15 +162,25 @@ class MarkerDetector:
         track.hit(detection.u, detection.v, detection.area)
         return detection
 
-    def _score(self, blob: Blob, packed: NDArray[np.uint16], label: int, marker: MarkerConfig) -> float:
-        """How surely a blob is its marker, 0 to 1, from the blob alone; 0 = it is not."""
+    def _score(self, blob: Blob, packed: NDArray[np.uint16], label: int, marker: MarkerConfig, expected: bool) -> float:
+        """How surely a blob is its marker, 0 to 1; 0 = it is not.
+
+        Args:
+            blob: to judge.
+            packed: colours of the frame as of `ColorTable.classify`.
+            label: of the marker.
+            marker: its size gate.
+            expected: the marker was just here, so that a sliver of it is believed.
+        """
         if blob.solidity < _MIN_SOLIDITY:
             return 0.0
         labels = self._labels[blob.window]
         own = cv2.bitwise_and(cv2.inRange(labels, label, label), blob.mask)
         own_pixels = cv2.countNonZero(own)
-        # A thin line or a ring is the mixed rim of another marker, not paint of its own.
-        if own_pixels < _MIN_FILL * blob.area or cv2.countNonZero(cv2.erode(own, _BOX_3)) == 0:
+        # A thin line or a ring is the mixed rim of another marker, not paint of its own; unless the marker was just
+        # here and is being covered.
+        thin = cv2.countNonZero(cv2.erode(own, _BOX_3)) == 0
+        if own_pixels < _MIN_FILL * blob.area or (thin and not expected):
             return 0.0
         if self._clings(blob, labels, label):
             return 0.0
@@ -177,7 +188,8 @@ class MarkerDetector:
         colour = cv2.mean(likelihoods, own)[0] / (255.0 * _TYPICAL_LIKELIHOOD)
         compact = blob.solidity / _TYPICAL_SOLIDITY
         size = blob.area / (blob.area + marker.min_area_px)
-        return min(1.0, colour) * min(1.0, compact) * size * (1.0 - blob.border_share)
+        whole = _SLIVER_SCORE if thin else 1.0
+        return whole * min(1.0, colour) * min(1.0, compact) * size * (1.0 - blob.border_share)
 
     def _clings(self, blob: Blob, labels: ImageArray, label: int) -> bool:
         """Tell whether a blob hangs on a larger blob of another marker, as the stained rim of that marker does."""

@@ -9,6 +9,8 @@ _MEMORY_FRAMES: Final = 10
 _GATE_MIN_PX: Final = 25.0
 _GATE_RATIO: Final = 1.5
 _GATE_GROWTH: Final = 0.5
+_SLIVER_FRAMES: Final = 3
+_SLIVER_GATE_PX: Final = 6.0
 _FLOOR: Final = 0.05
 """A blob far from the prediction keeps this much: it must be 20 times better to win, and wins when it is alone."""
 
@@ -39,6 +41,17 @@ class MarkerTrack:
         away = math.hypot(u - self._u - frames * self._motion_u, v - self._v - frames * self._motion_v)
         ratio = min(area, self._area) / max(area, self._area)
         return max(_FLOOR, math.exp(-0.5 * (away / gate) ** 2) * math.sqrt(ratio))
+
+    def continues(self, u: float, v: float) -> bool:
+        """Tell whether a place is so near to where the marker must be that even a sliver of its colour is believed.
+
+        Args:
+            u: middle of the blob, pixels to the right.
+            v: middle of the blob, pixels down.
+        """
+        frames = self._missed + 1
+        away = math.hypot(u - self._u - frames * self._motion_u, v - self._v - frames * self._motion_v)
+        return frames <= _SLIVER_FRAMES and away <= _SLIVER_GATE_PX
 
     def hit(self, u: float, v: float, area: float) -> None:
         """Take the marker's place in this frame."""
