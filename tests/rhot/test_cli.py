@@ -120,7 +120,8 @@ def test_values_of_any_encoding_can_be_shown() -> None:
 
 
 def test_tools_reach_the_router_of_the_rig(rig_folder: Path) -> None:
-    assert tool_bus(rig_folder, (), None).connect == ("tcp/127.0.0.1:7447",)
+    bus = tool_bus(rig_folder, (), None)
+    assert (bus.connect, bus.listen) == (("tcp/127.0.0.1:7447",), ()), "listening is the router's"
     assert tool_bus(rig_folder, ("tcp/10.0.0.1:7447,tcp/10.0.0.2:7447",), "desk").connect == (
         "tcp/10.0.0.1:7447",
         "tcp/10.0.0.2:7447",

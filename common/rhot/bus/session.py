@@ -95,7 +95,7 @@ class Bus:
                 if timeout_s is not None and time.monotonic() - started >= timeout_s:
                     raise BusError(
                         f"no Zenoh router answers at {where}; is the rig running (`rhot sim`, `rhot up`), and does "
-                        "--connect (or [bus] connect in rig.toml) name its machine?"
+                        f"--connect (or [bus] connect in rig.toml) name its machine? (Zenoh: {_reason(error)})"
                     ) from error
                 if not told:
                     logger.info("waiting for the Zenoh router at %s", where)

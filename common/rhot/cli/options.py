@@ -71,5 +71,8 @@ def tool_bus(rig_path: Path, connect: tuple[str, ...], namespace: str | None) ->
         bus = BusConfig()
     if bus.mode == "router":
         # Tools and services are clients of the router that this rig runs.
-        bus = bus.model_copy(update={"mode": "client", "connect": bus.listen, "listen": ()})
+        bus = bus.model_copy(update={"mode": "client", "connect": bus.listen})
+    if bus.mode == "client":
+        # `listen` in rig.toml is the router's.
+        bus = bus.model_copy(update={"listen": ()})
     return overridden(bus, connect, namespace)

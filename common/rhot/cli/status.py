@@ -7,8 +7,10 @@ import json
 from pathlib import Path
 
 import click
-from rich.console import Console
+from rich import box
+from rich.console import Console, Group, RenderableType
 from rich.table import Table
+from rich.text import Text
 
 from rhot.bus import Bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
@@ -36,42 +38,33 @@ async def _fetch(config: BusConfig) -> tuple[set[str], dict[str, ServiceStatus]]
         return await fetch_status(bus)
 
 
-def status_table(alive: set[str], statuses: dict[str, ServiceStatus]) -> Table:
-    """Return the table that people read."""
-    table = Table(title="Services", title_justify="left", header_style="bold")
-    for column in (
-        "service",
-        "state",
-        "session",
-        "rates /s",
-        "counts, figures",
-        "age p50/p99 ms",
-        "clock ± ms",
-        "trouble",
-    ):
-        table.add_column(column, overflow="fold")
+def status_table(alive: set[str], statuses: dict[str, ServiceStatus]) -> RenderableType:
+    """Return what people read: one row a service, below it what is wrong in whole sentences."""
+    table = Table(header_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("service", "state", "out /s", "late", "missed", "invalid", "p50 ms", "p99 ms", "clock ±"):
+        table.add_column(column, justify="left" if column in ("service", "state") else "right", no_wrap=True)
+    trouble: list[RenderableType] = []
     for name in sorted(alive | set(statuses)):
         status = statuses.get(name)
         if status is None:
-            table.add_row(name, "[yellow]alive, no status yet[/]", *[""] * 6)
+            table.add_row(name, "[yellow]new[/]", *["–"] * 7)
             continue
-        state = status.state if name in alive else "[red]gone[/]"
-        rates = "\n".join(f"{key} {value:.1f}" for key, value in sorted(status.rates.items()))
-        ticked = set(status.rates)
-        counts = "\n".join(
-            f"{key} {value}" for key, value in sorted(status.counts.items()) if value and key not in ticked
-        )
-        ages = "\n".join(
-            f"{stage} {1e3 * p['p50']:.1f}/{1e3 * p['p99']:.1f}" for stage, p in sorted(status.latency_s.items())
-        )
-        uncertainty = status.clock_uncertainty_s
-        clock = "[yellow]unknown[/]" if uncertainty is None else f"{1e3 * uncertainty:.2f}"
-        figures = "\n".join(f"{key} {value:.2f}" for key, value in sorted(status.figures.items()))
-        trouble = "\n".join(text for text in (status.problem, status.last_error) if text)
-        table.add_row(
-            name, state, status.session, rates, "\n".join(filter(None, (counts, figures))), ages, clock, trouble
-        )
-    return table
+        table.add_row(name, status.state if name in alive else "[red]gone[/]", *_cells(status))
+        trouble += [Text.assemble((f"{name}: ", "bold"), text) for text in (status.problem, status.last_error) if text]
+    return Group(table, *trouble)
+
+
+def _cells(status: ServiceStatus) -> list[str]:
+    rates, counts, age = status.rates, status.counts, status.latency_s.get("output_age", {})
+    uncertainty = status.clock_uncertainty_s
+    return [
+        f"{rates.get('output', rates.get('frames', 0.0)):.1f}",
+        str(counts.get("dropped_late", 0)),
+        str(counts.get("missed", 0)),
+        str(counts.get("invalid", 0)),
+        *(f"{1e3 * age[key]:.1f}" if key in age else "–" for key in ("p50", "p99")),
+        "[yellow]unknown[/]" if uncertainty is None else f"{1e3 * uncertainty:.2f}",
+    ]
 
 
 @click.command()
@@ -79,7 +72,13 @@ def status_table(alive: set[str], statuses: dict[str, ServiceStatus]) -> Table:
 @rig_option
 @bus_options
 def status(as_json: bool, rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> None:
-    """Show which services are alive and how they do: state, rates, drops, latency, clock, last error."""
+    """Show which services are alive and how they do.
+
+    A row says how many messages a service publishes per second, how many frames it dropped as late, how many its source
+    lost, how many invalid messages it refused, how old its output is when it leaves, and how well it knows rig time.
+    What is wrong stands below the table. Everything that a service tells, such as all counts and the latency of each
+    stage, is in --json.
+    """
     alive, statuses = asyncio.run(_fetch(tool_bus(rig_path, connect, namespace)))
     if not alive and not statuses:
         raise BusError("the router answers, but no service is there; `rhot up` starts the PC side, `rhot sim` a demo")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -22,19 +23,19 @@ def _number(figures: Mapping[str, Any], *path: str, digits: int = 1) -> str:
 
 
 def live_table(
-    elapsed_s: float, duration_s: float, figures: Mapping[str, Any], services: Mapping[str, Any]
+    elapsed_s: float, duration_s: float, figures: Mapping[str, Any], services: RenderableType
 ) -> RenderableType:
     """Return the table that is shown while the rig runs.
 
     Args:
         elapsed_s, duration_s: of the run.
         figures: `tracking_figures` of the last second or two.
-        services: `service_figures(...)["services"]`.
+        services: table of the services.
     """
     head = Text.assemble(
         ("RHOT simulated rig", "bold"), f"   {elapsed_s:5.1f} of {duration_s:.0f} s   ", ("Ctrl-C ends it", "dim")
     )
-    tracking = Table(header_style="bold")
+    tracking = Table(header_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for column in ("tracked", "rate /s", "error median mm", "error p95 mm", "age p50 ms", "age p99 ms"):
         tracking.add_column(column, justify="left" if column == "tracked" else "right")
     tracking.add_row(
@@ -53,33 +54,12 @@ def live_table(
         "",
         "",
     )
-    return Group(head, tracking, service_table(services))
-
-
-def service_table(services: Mapping[str, Any]) -> Table:
-    """Return one row per service: rate, losses, how old its output is, how well it knows the time."""
-    table = Table(header_style="bold")
-    for column in ("service", "state", "out /s", "late", "missed", "invalid", "age p50 ms", "age p99 ms", "clock ± ms"):
-        table.add_column(column, justify="left" if column in ("service", "state") else "right")
-    for name, service in services.items():
-        counts, rates = service["counts"], service["rates_hz"]
-        table.add_row(
-            name,
-            service["state"],
-            f"{rates.get('output', rates.get('frames', 0.0)):.1f}",
-            str(counts.get("dropped_late", 0)),
-            str(counts.get("missed", 0)),
-            str(counts.get("invalid", 0)),
-            _number(service, "latency_ms", "output_age", "p50"),
-            _number(service, "latency_ms", "output_age", "p99"),
-            _number(service, "clock_uncertainty_ms", digits=2),
-        )
-    return table
+    return Group(head, tracking, services)
 
 
 def summary(report: Mapping[str, Any]) -> RenderableType:
     """Return the summary that ends a run; every number of it stands in the report."""
-    table = Table(title="Summary", title_justify="left", header_style="bold")
+    table = Table(title="Summary", title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("figure")
     table.add_column("value", justify="right")
     table.add_column("", style="dim")
@@ -107,7 +87,9 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
     ]
     for row in rows:
         table.add_row(*row)
-    parts = Table(title="Where the latency goes", title_justify="left", header_style="bold")
+    parts = Table(
+        title="Where the latency goes", title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, pad_edge=False
+    )
     for column in ("step", "p50 ms", "p99 ms"):
         parts.add_column(column, justify="left" if column == "step" else "right")
     for name, part in report.get("latency_ms", {}).get("parts", {}).items():

@@ -16,7 +16,7 @@ from rich.live import Live
 
 from rhot.bus import Bus
 from rhot.cli.control import broadcast
-from rhot.cli.status import fetch_status
+from rhot.cli.status import fetch_status, status_table
 from rhot.errors import BusError
 from rhot.evaluate.accuracy import seconds_since
 from rhot.evaluate.collect import Collected, collect
@@ -142,7 +142,7 @@ class SimRun:
                 if not self._before and elapsed_s >= self._steady_from_s:
                     self._before = (await fetch_status(bus, timeout_s=0.5))[1]
                 if isinstance(display, Live):
-                    services = service_figures({}, (await fetch_status(bus, timeout_s=0.5))[1])["services"]
+                    services = status_table(*await fetch_status(bus, timeout_s=0.5))
                     figures = self._recent(elapsed_s)
                     display.update(live_table(max(elapsed_s, 0.0), self._duration_s, figures, services), refresh=True)
                 elif elapsed_s >= next_line_s:
