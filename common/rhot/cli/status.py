@@ -40,8 +40,8 @@ async def _fetch(config: BusConfig) -> tuple[set[str], dict[str, ServiceStatus]]
 
 def status_table(alive: set[str], statuses: dict[str, ServiceStatus]) -> RenderableType:
     """Return what people read: one row a service, below it what is wrong in whole sentences."""
-    table = Table(header_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("service", "state", "out /s", "late", "missed", "invalid", "p50 ms", "p99 ms", "clock ±"):
+    table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+    for column in ("service", "state", "out /s", "late", "missed", "invalid", "p50 ms", "p99 ms", "± ms"):
         table.add_column(column, justify="left" if column in ("service", "state") else "right", no_wrap=True)
     trouble: list[RenderableType] = []
     for name in sorted(alive | set(statuses)):
@@ -75,7 +75,7 @@ def status(as_json: bool, rig_path: Path, connect: tuple[str, ...], namespace: s
     """Show which services are alive and how they do.
 
     A row says how many messages a service publishes per second, how many frames it dropped as late, how many its source
-    lost, how many invalid messages it refused, how old its output is when it leaves, and how well it knows rig time.
+    lost, how many invalid messages it refused, how old its output is when it leaves, and how well it knows rig time (±).
     What is wrong stands below the table. Everything that a service tells, such as all counts and the latency of each
     stage, is in --json.
     """

@@ -35,7 +35,7 @@ def live_table(
     head = Text.assemble(
         ("RHOT simulated rig", "bold"), f"   {elapsed_s:5.1f} of {duration_s:.0f} s   ", ("Ctrl-C ends it", "dim")
     )
-    tracking = Table(header_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    tracking = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for column in ("tracked", "rate /s", "error median mm", "error p95 mm", "age p50 ms", "age p99 ms"):
         tracking.add_column(column, justify="left" if column == "tracked" else "right")
     tracking.add_row(
@@ -59,7 +59,14 @@ def live_table(
 
 def summary(report: Mapping[str, Any]) -> RenderableType:
     """Return the summary that ends a run; every number of it stands in the report."""
-    table = Table(title="Summary", title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(
+        title="Summary",
+        title_justify="left",
+        header_style="bold",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        padding=(0, 1, 0, 0),
+    )
     table.add_column("figure")
     table.add_column("value", justify="right")
     table.add_column("", style="dim")
@@ -70,7 +77,7 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
 
     rows = [
         ("hand poses per second", _number(report, "rate_hz"), f"cameras at {report['camera_rate_hz']:g} Hz"),
-        ("coverage", coverage, f"measured, of {report.get('coverage_samples', 0)} markers that two cameras could see"),
+        ("coverage", coverage, f"measured, of {report.get('coverage_samples', 0)} in view of two cameras"),
         ("fingertip error, median", millimetres("fingertip_error_mm", "median"), "tip joint of the hand against truth"),
         ("fingertip error, p95", millimetres("fingertip_error_mm", "p95"), ""),
         ("marker error, median", millimetres("point_error_mm", "median"), "centre of the paint, before ik"),
@@ -79,7 +86,7 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
         (
             "latency, p50",
             f"{_number(report, 'latency_ms', 'p50')} ms",
-            "mid-exposure of the row to the pose at the reader",
+            "from mid-exposure to the pose at the reader",
         ),
         ("latency, p99", f"{_number(report, 'latency_ms', 'p99')} ms", ""),
         ("frames dropped as late", str(report["dropped_late"]), f"after the first {report['steady_from_s']:g} s"),
@@ -88,7 +95,12 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
     for row in rows:
         table.add_row(*row)
     parts = Table(
-        title="Where the latency goes", title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, pad_edge=False
+        title="Where the latency goes",
+        title_justify="left",
+        header_style="bold",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        padding=(0, 1, 0, 0),
     )
     for column in ("step", "p50 ms", "p99 ms"):
         parts.add_column(column, justify="left" if column == "step" else "right")

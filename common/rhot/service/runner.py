@@ -229,7 +229,7 @@ class _Runner:
         if delay_s > 0:
             await asyncio.sleep(delay_s)
         self._status.clear_latencies()
-        retry_s = _RETRY_FIRST_S
+        retry_s, told = _RETRY_FIRST_S, ""
         while True:
             self._status.state, self._status.session = "running", start.session
             logger.info("session %s runs", start.session)
@@ -239,7 +239,9 @@ class _Runner:
                 self._status.error(str(error))
                 self._status.count("device_errors")
                 self._status.state = "waiting"
-                logger.error("%s; trying again in %.1f s", error, retry_s)
+                if str(error) != told:
+                    told = str(error)
+                    logger.error("%s; trying again, at least every %.0f s", error, _RETRY_MAX_S)
                 await asyncio.sleep(retry_s)
                 retry_s = min(2 * retry_s, _RETRY_MAX_S)
             else:

@@ -1,0 +1,96 @@
+"""`rhot process` over recordings of both kinds: rendered pictures with truth, and the real marker streams."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rhot.cli.process import process
+from rhot.rig import load_rig
+from rhot.sim.folder import true_cameras
+from rhot.sim.renderer import Renderer
+from rhot.sim.schedule import FrameSchedule
+from rhot.sim.world import World
+from rhot.skeleton import FINGERS
+
+pytestmark = pytest.mark.integration
+
+START_NS = 1_790_000_000_000_000_000
+SECONDS = 1.5
+
+
+def lines_of(rig: Path, recording: Path, out: Path) -> list[dict[str, Any]]:
+    result = CliRunner().invoke(process, [str(recording), "--rig", str(rig), "--out", str(out)], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return [json.loads(line) for line in out.read_text().splitlines()]
+
+
+def record_simulation(rig_path: Path, folder: Path) -> None:
+    """Render what two simulated cameras see, as a recording of pictures."""
+    rig = load_rig(rig_path)
+    world = World.from_rig(rig)
+    settings = []
+    for place, (name, camera) in enumerate(true_cameras(rig).items()):
+        config = rig.config.cameras[name]
+        renderer = Renderer(camera, world, rig.config.sim, config, place)
+        schedule = FrameSchedule(name, place, config, rig.config.sim)
+        (folder / name).mkdir(parents=True)
+        rows = ["frame,t_ns"]
+        for number in range(round(SECONDS * config.rate_hz)):
+            frame = schedule.frame(number)
+            if frame.dropped:
+                continue
+            cv2.imwrite(str(folder / name / f"{number:06d}.png"), renderer.render(frame.t_first_row_s))
+            rows.append(f"{number},{START_NS + round(1e9 * frame.t_first_row_s)}")
+        (folder / name / "timestamps.csv").write_text("\n".join(rows) + "\n")
+        settings.append(f"[cameras.{name}]\nexposure_s = {config.exposure_s}\nreadout_s = {config.readout_s}\n")
+    (folder / "recording.toml").write_text("version = 1\n" + "\n".join(settings))
+
+
+def test_pictures_give_the_hand_that_was_rendered(simulated_rig: tuple[Path, str], tmp_path: Path) -> None:
+    rig_path, _ = simulated_rig
+    record_simulation(rig_path, tmp_path / "recording")
+    lines = lines_of(rig_path, tmp_path / "recording", tmp_path / "out.jsonl")
+    hands = [line["value"] for line in lines if line["key"] == "rhot/hand/right"]
+    assert len(hands) > 1.8 * SECONDS * 60, "cameras out of step give nearly two poses per frame period"
+    world = World.from_rig(load_rig(rig_path))
+    errors = [
+        np.linalg.norm(
+            np.array(hand["joints"][f"{finger}_tip"]["position"]) - true.hands["right"][f"{finger}_tip"].position
+        )
+        for hand in hands
+        for true in [world.truth((hand["t_ns"] - START_NS) / 1e9, hand["t_ns"])]
+        for finger in FINGERS
+    ]
+    assert 1e3 * np.median(errors) < 3.0
+    assert {line["key"] for line in lines} == {
+        "rhot/markers/left",
+        "rhot/markers/right",
+        "rhot/points",
+        "rhot/hand/right",
+    }
+
+
+def test_a_real_marker_stream_gives_a_hand(rig_folder: Path, shared_data: Path, tmp_path: Path) -> None:
+    """Rough data on a rig that is not calibrated: a hand in nearly every frame, inside the desk volume, never torn."""
+    stream = shared_data / "thesis_rig" / "recordings" / "hand_recovered"
+    lines = lines_of(rig_folder, stream, tmp_path / "out.jsonl")
+    hands = [line["value"] for line in lines if line["key"] == "rhot/hand/right"]
+    frames = sum(line["key"] == "rhot/markers/left" for line in lines)
+    assert len(hands) > 0.95 * frames
+    wrists = np.array([hand["joints"]["wrist"]["position"] for hand in hands])
+    assert np.mean((wrists[:, 2] > 0.5) & (wrists[:, 2] < 1.2)) > 0.995
+    for hand in hands[::50]:
+        joints = {name: np.array(joint["position"]) for name, joint in hand["joints"].items()}
+        assert all(np.isfinite(place).all() for place in joints.values())
+        reach = np.linalg.norm(joints["middle_tip"] - joints["wrist"])
+        assert 0.02 < reach < 0.22
+    steps = np.linalg.norm(np.diff(wrists, axis=0), axis=1)
+    successive = np.diff([hand["t_ns"] for hand in hands]) < 50_000_000
+    assert np.percentile(steps[successive], 99) < 0.06
