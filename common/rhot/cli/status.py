@@ -75,7 +75,7 @@ def status(as_json: bool, rig_path: Path, connect: tuple[str, ...], namespace: s
     """Show which services are alive and how they do.
 
     A row says how many messages a service publishes per second, how many frames it dropped as late, how many its source
-    lost, how many invalid messages it refused, how old its output is when it leaves, and how well it knows rig time (±).
+    lost, how many invalid messages it refused, how old its output is when it leaves, and how well it knows rig time.
     What is wrong stands below the table. Everything that a service tells, such as all counts and the latency of each
     stage, is in --json.
     """
