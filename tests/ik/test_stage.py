@@ -157,7 +157,8 @@ def test_hidden_base_is_carried_by_the_tips_then_given_up(
 def test_nothing_seen_nothing_published(right_rig: Rig) -> None:
     stage = HandStage(right_rig)
     assert stage.feed(PointSet(t_ns=10**18, frame="rig", points={})) == []
-    assert stage.counts == {"hands": 0, "no_hand": 1}
+    assert stage.counts["no_hand"] == 1
+    assert stage.counts["hands"] == 0
 
 
 def test_time_may_stand_still_jump_and_go_back(
@@ -192,6 +193,29 @@ def test_wild_points_never_break_it(
                 angles = np.array(list(pose.angles[finger].model_dump().values()))
                 assert (angles >= right_hand.angle_min[place] - 1e-9).all()
                 assert (angles <= right_hand.angle_max[place] + 1e-9).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "position"), [("thumb", (1e3, -1e3, 1e3)), ("thumb", (0.5, 0.3, 0.8)), ("base", (1e3, 0.0, 0.0))]
+)
+def test_a_point_where_it_cannot_be_counts_as_not_seen(
+    right_rig: Rig,
+    right_hand: HandModel,
+    make_points: MakePoints,
+    wrist: Wrist,
+    name: str,
+    position: tuple[float, float, float],
+) -> None:
+    """The farthest that a message can say, and a tip half a metre from its palm."""
+    stage, without = HandStage(right_rig), HandStage(right_rig)
+    joints = right_hand.forward(wrist(), EASE)
+    for k in range(30):
+        points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0)
+        hidden = make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=(name,))
+        wild = points.points | {name: points.points[name].model_copy(update={"position": position})}
+        seen, expected = (points, points) if k < 10 else (points.model_copy(update={"points": wild}), hidden)
+        assert np.allclose(positions(only_pose(stage, seen)), positions(only_pose(without, expected)))
+    assert stage.counts["outside"] + stage.counts["not_of_this_hand"] == 20
 
 
 def test_two_hands_mirror_each_other(two_hands_rig: Rig, make_points: MakePoints, wrist: Wrist) -> None:

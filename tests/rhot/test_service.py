@@ -51,6 +51,8 @@ class Doubler:
 
     def feed(self, message: MarkerFrame) -> list[Output]:
         self.counts["fed"] += 1
+        if "toe" in message.markers:
+            raise ValueError("no toes here")
         points = {
             name: Point(position=(marker.u, marker.v, self.config.hold_s), sigma=0.0, views=1, state="measured")
             for name, marker in message.markers.items()
@@ -195,6 +197,17 @@ async def test_garbage_is_counted_and_harms_nothing(router: BusConfig) -> None:
         assert after.state == "running"
         assert after.last_error
         assert (await points_follow(bus)).points["thumb"].position[0] == 1.0
+
+
+async def test_a_sample_that_the_core_cannot_digest_costs_only_itself(router: BusConfig) -> None:
+    async with running(doubler(), router), await Bus.open(router) as bus:
+        await start(bus)
+        await points_follow(bus)
+        toe = frame(time.time_ns()).model_copy(update={"markers": {"toe": Marker(u=1.0, v=1.0, area=1.0, score=1.0)}})
+        await bus.put("rhot/markers/left", encode(toe), "application/msgpack;MarkerFrame")
+        status = await wait_for_status(bus, "fusion/main", lambda status: status.counts.get("failed", 0) == 1)
+        assert "no toes here" in status.last_error
+        await points_follow(bus)
 
 
 async def test_configuration_changes_while_running_and_bad_values_are_refused(router: BusConfig) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Mapping
 from typing import Generic, Protocol, TypeVar
@@ -12,6 +13,8 @@ from rhot.bus import LatestSubscriber
 from rhot.messages import Control, Message
 from rhot.service.node import Node
 from rhot.stage import Output
+
+logger = logging.getLogger(__name__)
 
 M = TypeVar("M", bound=Message)
 M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
@@ -110,7 +113,15 @@ class StageService(Generic[M, C]):
             status.tick("input")
             begun = time.perf_counter()
             status.latency("input_age", (clock.now_ns() - message.t_ns) / 1e9)
-            outputs = self._stage.feed(message)
+            try:
+                outputs = self._stage.feed(message)
+            except (ValueError, ArithmeticError) as error:
+                # A sample that the core cannot digest costs that sample and the core's memory, never the service.
+                status.count("failed")
+                status.error(f"{self.name}: {type(error).__name__}: {error}")
+                logger.exception("%s could not digest a sample and starts afresh", self.name)
+                self._stage = self._make_stage(self._config)
+                continue
             status.latency("compute", time.perf_counter() - begun)
             for key, output in outputs:
                 node.publish(key, output)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.hand import HandModel
-from rhot.messages import FingerAngles, HandPose, Joint, PointSet, Side
+from rhot.messages import FingerAngles, HandPose, Joint, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
 from rhot.rotations import quaternion_from_rotation
 from rhot.skeleton import FINGERS, JOINTS
@@ -18,6 +18,9 @@ from rhot_ik.finger_geometry import base_marker
 from rhot_ik.hand_solver import HandObservation, HandSolution, HandSolver
 
 FloatArray = NDArray[np.float64]
+
+_REACH = 1.6
+"""No fingertip is further from the back of its hand than this many hand lengths."""
 
 
 class HandStage:
@@ -31,7 +34,8 @@ class HandStage:
         self._markers: Mapping[str, MarkerConfig] = rig.config.markers
         self._solvers: dict[Side, HandSolver] = {}
         self._bases: dict[Side, str] = {}
-        self._counts = {"hands": 0, "no_hand": 0}
+        self._counts = {"hands": 0, "no_hand": 0, "outside": 0, "not_of_this_hand": 0}
+        self._volume_m = rig.config.fusion.volume_m
         self._problems: list[str] = []
         for side in rig.config.sides:
             model = HandModel.from_file(rig.hand, side)
@@ -59,7 +63,11 @@ class HandStage:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """`hands` solved and published, and `no_hand`: samples of a hand that showed too little of it."""
+        """What became of the samples.
+
+        `hands` solved and published; `no_hand`: too little of a hand was seen. Points left out: `outside` of where
+        markers can be, or `not_of_this_hand` because they are too far from its palm.
+        """
         return self._counts
 
     def feed(self, points: PointSet) -> list[Output]:
@@ -76,12 +84,17 @@ class HandStage:
 
     def _observation(self, points: PointSet, base_name: str, solver: HandSolver) -> HandObservation:
         tips, measured = np.full((len(FINGERS), 3), np.nan), np.zeros(len(FINGERS), dtype=np.bool_)
+        base = self._believable(points, base_name)
+        reach_m = _REACH * solver.geometry.model.length_m
         for place, finger in enumerate(FINGERS):
-            point = points.points.get(solver.geometry.markers.get(finger, ""))
-            if point is not None:
-                tips[place] = point.position
-                measured[place] = point.state == "measured"
-        base = points.points.get(base_name)
+            point = self._believable(points, solver.geometry.markers.get(finger, ""))
+            if point is None:
+                continue
+            if base is not None and math.dist(point.position, base.position) > reach_m:
+                self._counts["not_of_this_hand"] += 1
+                continue
+            tips[place] = point.position
+            measured[place] = point.state == "measured"
         return HandObservation(
             t_ns=points.t_ns,
             base=None if base is None else np.array(base.position),
@@ -90,6 +103,16 @@ class HandStage:
             tips=tips,
             tips_measured=measured,
         )
+
+    def _believable(self, points: PointSet, name: str) -> Point | None:
+        """Return a point of a set if it lies where markers can be; fusion sends no others, but the bus may."""
+        point = points.points.get(name)
+        if point is None:
+            return None
+        if all(low <= x <= high for x, low, high in zip(point.position, *self._volume_m, strict=True)):
+            return point
+        self._counts["outside"] += 1
+        return None
 
 
 def hand_pose(points: PointSet, model: HandModel, solution: HandSolution) -> HandPose:
