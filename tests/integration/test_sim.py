@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rig_processes import processes_that_name
@@ -17,8 +18,9 @@ from rhot.sim.run import free_endpoint
 pytestmark = pytest.mark.integration
 
 
-def test_tracks_within_its_figures(tmp_path: Path) -> None:
-    report_path = tmp_path / "r.json"
+def run_sim(folder: Path) -> tuple[dict[str, Any], str]:
+    """Run the simulation for 20 s as a user would; return its report and what it printed."""
+    report_path = folder / "r.json"
     endpoint = free_endpoint("tcp/127.0.0.1:0")
     command = [sys.executable, "-m", "rhot", "sim", "--duration", "20", "--headless"]
     done = subprocess.run(
@@ -29,18 +31,32 @@ def test_tracks_within_its_figures(tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr + done.stdout
-    report = json.loads(report_path.read_text())
-    assert report["rate_hz"] >= 55
-    assert report["coverage"] >= 0.99
+    assert list(processes_that_name(endpoint)) == []
+    return json.loads(report_path.read_text()), done.stdout
+
+
+def undisturbed(report: dict[str, Any]) -> bool:
+    """Whether the figures that depend on the machine being free are within their limits."""
+    return (
+        report["latency_ms"]["p99"] <= 30.0
+        and report["dropped_late"] == 0
+        and report["coverage"] >= 0.99
+        and report["rate_hz"] >= 55
+    )
+
+
+def test_tracks_within_its_figures(tmp_path: Path) -> None:
+    """All limits hold in one and the same run; something else on the machine may spoil one run, not two."""
+    report, printed = run_sim(tmp_path)
+    if not undisturbed(report):
+        report, printed = run_sim(tmp_path)
+    assert undisturbed(report), {name: report[name] for name in ("latency_ms", "dropped_late", "coverage", "rate_hz")}
     assert report["coverage_samples"] > 500
     assert report["fingertip_error_mm"]["median"] <= 5.0
-    assert all(finger["median"] <= 8.0 for finger in report["fingertip_error_mm"]["per_finger"].values())
-    assert report["object_error_mm"]["median"] <= 2.0
-    assert report["dropped_late"] == 0
-    assert report["latency_ms"]["p99"] <= 30.0
+    assert all(finger["median"] <= 5.0 for finger in report["fingertip_error_mm"]["per_finger"].values())
+    assert report["object_error_mm"]["median"] <= 1.0
     assert {"p50", "p99", "parts"} <= set(report["latency_ms"])
-    assert f"{report['fingertip_error_mm']['median']:.2f} mm" in done.stdout, "what is printed stands in the report"
-    assert list(processes_that_name(endpoint)) == []
+    assert f"{report['fingertip_error_mm']['median']:.2f} mm" in printed, "what is printed stands in the report"
 
 
 def test_ctrl_c_ends_everything_within_two_seconds(tmp_path: Path) -> None:

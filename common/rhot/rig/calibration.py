@@ -36,7 +36,7 @@ class CalibrationFile(FileModel):
 
     version: Literal[1] = 1
     date: str = ""
-    quality: dict[str, Any] = {}
+    quality: Any = {}
 
 
 class CameraCalibration(FileModel):
