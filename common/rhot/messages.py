@@ -129,14 +129,25 @@ class Point(WireModel):
 
 
 class PointSet(Message):
-    """All marker points at one moment, from fusion."""
+    """All marker points at one moment, from fusion.
+
+    Attributes:
+        frame: frame of all positions, `rig`.
+        points: by marker name; a marker of which nothing is known is absent.
+    """
 
     frame: Name
     points: Annotated[dict[Name, Point], Field(max_length=256)]
 
 
 class Joint(WireModel):
-    """One joint of the hand: OpenXR axes, +Z from the tip to the wrist, +Y out of the back of the hand."""
+    """One joint of the hand.
+
+    Attributes:
+        position: metres.
+        orientation: unit quaternion x, y, z, w; OpenXR axes, +Z from the tip to the wrist, +Y out of the back of the hand.
+        radius: of the flesh around it, metres.
+    """
 
     position: Position
     orientation: Quaternion
@@ -148,7 +159,9 @@ class Joint(WireModel):
 class FingerAngles(WireModel):
     """Joint angles of one finger, radians; flexion is positive towards the palm.
 
-    Abduction is positive away from the middle finger's axis towards the thumb's side.
+    Attributes:
+        mcp_flexion, mcp_abduction: at the knuckle; abduction is positive towards the thumb's side.
+        pip_flexion, dip_flexion: at the middle and the last hinge.
     """
 
     mcp_flexion: float
@@ -181,7 +194,14 @@ class HandPose(Message):
 
 
 class ObjectPose(Message):
-    """Pose of a tracked object."""
+    """Pose of a tracked object.
+
+    Attributes:
+        frame: frame of the pose, `rig`.
+        position: metres.
+        orientation: unit quaternion x, y, z, w.
+        state: measured, or predicted where tracking was lost a moment ago.
+    """
 
     frame: Name
     position: Position
@@ -259,7 +279,7 @@ class ServiceStatus(Message):
 
 
 class TruePose(WireModel):
-    """A pose of the simulated world."""
+    """A pose of the simulated world: position in metres, orientation as unit quaternion x, y, z, w."""
 
     position: Position
     orientation: Quaternion

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from rhot.errors import RhotError
-from rhot.service.runner import EXIT_WITH_PARENT
+from rhot.service.stop import EXIT_WITH_PARENT
 
 logger = logging.getLogger(__name__)
 

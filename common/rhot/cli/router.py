@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import signal
 from pathlib import Path
 
 import click
@@ -15,7 +14,7 @@ from rhot.cli.options import rig_option
 from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE, load_config
 from rhot.service import systemd
-from rhot.service.runner import install_stop
+from rhot.service.stop import install_stop
 
 logger = logging.getLogger(__name__)
 
@@ -32,7 +31,7 @@ async def _route(config: BusConfig) -> int:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(stopping.requested.wait(), interval_s)
             systemd.notify("WATCHDOG=1")
-    return 128 + signal.SIGINT if stopping.interrupted else 0
+    return stopping.exit_code
 
 
 @click.command()

@@ -17,7 +17,7 @@ from rhot.errors import ConfigError
 from rhot.evaluate.table import summary
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import RIG_FILE, write_text_atomic
-from rhot.service.runner import install_stop
+from rhot.service.stop import install_stop
 from rhot.sim.folder import DEFAULT_ENDPOINT, write_simulated_rig
 from rhot.sim.run import SimRun, free_endpoint
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import signal
 import time
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from rhot.cli.control import broadcast
 from rhot.cli.options import rig_option, tool_bus
 from rhot.errors import BusError
 from rhot.rig import load_rig
-from rhot.service.runner import install_stop
+from rhot.service.stop import install_stop
 from rhot.supervisor import Supervisor
 
 logger = logging.getLogger(__name__)
@@ -60,7 +59,7 @@ async def _up(rig_path: Path, *, start: bool) -> int:
         failed.cancel()
     finally:
         await supervisor.stop()
-    return 128 + signal.SIGINT if stop.interrupted else 0
+    return stop.exit_code
 
 
 async def _answers(rig_path: Path) -> bool:

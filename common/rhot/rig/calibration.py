@@ -106,7 +106,12 @@ class HandFile(CalibrationFile):
 
 
 class RigidTransform(FileModel):
-    """A pose: rotation as unit quaternion and translation in metres."""
+    """A pose.
+
+    Attributes:
+        position: translation, metres.
+        orientation: rotation, unit quaternion x, y, z, w.
+    """
 
     position: Vector3 = (0.0, 0.0, 0.0)
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)

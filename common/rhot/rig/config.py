@@ -213,7 +213,6 @@ class SimConfig(FileModel):
 
     Attributes:
         seed: of the whole world; with the time it determines everything.
-        faults: `all`, `none`, or single faults by name are set per camera below.
         noise_sigma: of the sensor, grey levels.
         light_drift: relative amplitude of slow brightness changes.
         drop_rate: share of frames that a camera loses.
@@ -244,6 +243,9 @@ class RigConfig(FileModel):
         name: of the rig, for people.
         cameras: by name; the first is the reference that defines the rig frame until calibration.
         markers: by name, as painted.
+        bus, hand, fusion, ik: settings of the parts; each may be left out.
+        objects: tracked objects by id.
+        sim: the simulated world, for simulated cameras and objects alone.
     """
 
     version: Literal[1] = 1

@@ -10,10 +10,6 @@ import asyncio
 import contextlib
 import gc
 import logging
-import os
-import signal
-import sys
-from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from pydantic import BaseModel
@@ -29,12 +25,11 @@ from rhot.service.clock_sync import keep_synced, serve_clock
 from rhot.service.control import ControlState
 from rhot.service.node import Node
 from rhot.service.status import StatusBoard
+from rhot.service.stop import install_stop
 
 logger = logging.getLogger(__name__)
 
 CONTROL_KEY: Final = "rhot/control"
-EXIT_WITH_PARENT: Final = "RHOT_EXIT_WITH_PARENT"
-"""Set by a parent that holds the other end of standard input: when that closes, however the parent died, end too."""
 _STATUS_INTERVAL_S: Final = 1.0
 _CONTROL_QUERY_S: Final = 2.0
 _RETRY_FIRST_S: Final = 0.5
@@ -101,48 +96,7 @@ async def serve(service: Service, bus_config: BusConfig, node_clock: NodeClock) 
             await work
     except BaseExceptionGroup as group:
         raise _first_cause(group) from group
-    return 128 + signal.SIGINT if stop.interrupted else 0
-
-
-@dataclass(slots=True)
-class Stop:
-    """Whether the process was asked to end.
-
-    Attributes:
-        requested: set by SIGINT, SIGTERM or the parent's end.
-        interrupted: it was Ctrl-C.
-    """
-
-    requested: asyncio.Event = field(default_factory=asyncio.Event)
-    interrupted: bool = False
-
-
-def install_stop() -> Stop:
-    """Catch SIGINT and SIGTERM, and the parent's end where it asked for that; the second signal ends at once."""
-    stop = Stop()
-    loop = asyncio.get_running_loop()
-
-    def on_signal(number: int) -> None:
-        if stop.requested.is_set():
-            # Asked twice: somebody is impatient, or closing hangs.
-            os._exit(128 + number)
-        stop.interrupted = number == signal.SIGINT
-        stop.requested.set()
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, on_signal, number)
-    if os.environ.get(EXIT_WITH_PARENT):
-        _watch_parent(loop, stop.requested)
-    return stop
-
-
-def _watch_parent(loop: asyncio.AbstractEventLoop, stopping: asyncio.Event) -> None:
-    def readable() -> None:
-        if not os.read(sys.stdin.fileno(), 4096):
-            loop.remove_reader(sys.stdin.fileno())
-            stopping.set()
-
-    loop.add_reader(sys.stdin.fileno(), readable)
+    return stop.exit_code
 
 
 def _first_cause(group: BaseExceptionGroup) -> BaseException:

@@ -129,6 +129,8 @@ class CaptureService:
             grabber.start()
             while (frame := await grabber.next_frame()) is not None:
                 await self._process(node, frame)
+                # Kept during the wait for the next one, it would hold one of the camera's own buffers.
+                del frame
         finally:
             self._source, self._running = None, False
             await grabber.stop()

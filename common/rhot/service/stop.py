@@ -1,0 +1,59 @@
+"""How a process of ours is asked to end."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from dataclasses import dataclass, field
+from typing import Final
+
+EXIT_WITH_PARENT: Final = "RHOT_EXIT_WITH_PARENT"
+"""Set by a parent that holds the other end of standard input: when that closes, however the parent died, end too."""
+
+
+@dataclass(slots=True)
+class Stop:
+    """Whether the process was asked to end.
+
+    Attributes:
+        requested: set by SIGINT, SIGTERM or the parent's end.
+        interrupted: it was Ctrl-C.
+    """
+
+    requested: asyncio.Event = field(default_factory=asyncio.Event)
+    interrupted: bool = False
+
+    @property
+    def exit_code(self) -> int:
+        """What the process ends with: 130 after Ctrl-C, 0 after an orderly SIGTERM."""
+        return 128 + signal.SIGINT if self.interrupted else 0
+
+
+def install_stop() -> Stop:
+    """Catch SIGINT and SIGTERM, and the parent's end where it asked for that; the second signal ends at once."""
+    stop = Stop()
+    loop = asyncio.get_running_loop()
+
+    def on_signal(number: int) -> None:
+        if stop.requested.is_set():
+            # Asked twice: somebody is impatient, or closing hangs.
+            os._exit(128 + number)
+        stop.interrupted = number == signal.SIGINT
+        stop.requested.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, on_signal, number)
+    if os.environ.get(EXIT_WITH_PARENT):
+        _watch_parent(loop, stop.requested)
+    return stop
+
+
+def _watch_parent(loop: asyncio.AbstractEventLoop, stopping: asyncio.Event) -> None:
+    def readable() -> None:
+        if not os.read(sys.stdin.fileno(), 4096):
+            loop.remove_reader(sys.stdin.fileno())
+            stopping.set()
+
+    loop.add_reader(sys.stdin.fileno(), readable)
