@@ -145,7 +145,7 @@ class Joint(WireModel):
 
     Attributes:
         position: metres.
-        orientation: unit quaternion x, y, z, w; OpenXR axes, +Z from the tip to the wrist, +Y out of the back of the hand.
+        orientation: unit quaternion x, y, z, w; OpenXR axes, +Z from tip to wrist, +Y out of the back of the hand.
         radius: of the flesh around it, metres.
     """
 
