@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+from rich.console import Console
 
 from rhot.errors import ConfigError
 from rhot.rig.folder import RIG_FILE, write_text_atomic
@@ -34,7 +35,8 @@ def init(path: Path, simulated: bool) -> None:
     if simulated:
         from rhot.sim.folder import write_simulated_rig  # noqa: PLC0415  # only this needs the simulator's packages
 
-        write_simulated_rig(path)
+        with Console(stderr=True).status("preparing the simulated rig: cameras, colours, hand"):
+            write_simulated_rig(path)
         click.echo(f"{path}: a simulated rig. Run it with: rhot sim --rig {path}")
         return
     write_text_atomic(path / RIG_FILE, rig_template(folder=str(path), name=path.resolve().name))

@@ -61,9 +61,10 @@ def colors(images: tuple[Path, ...], picks: tuple[str, ...], rig_path: Path, pre
     rig = load_rig(rig_path)
     pictures = [_read(path) for path in images]
     chosen = parse_picks(picks, images)
-    result = calibrate(pictures, chosen, rig.config.markers)
-    write_json_model(rig.colors_path, result.colors)
-    detections = [_detect(rig, result, picture) for picture in pictures]
+    with Console(stderr=True).status(f"learning colours from {len(pictures)} picture(s)"):
+        result = calibrate(pictures, chosen, rig.config.markers)
+        write_json_model(rig.colors_path, result.colors)
+        detections = [_detect(rig, result, picture) for picture in pictures]
     _report(result, images, detections, rig.colors_path)
     if preview_path is not None:
         try:
