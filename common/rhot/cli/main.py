@@ -39,6 +39,7 @@ _COMMANDS: Final = {
 
 _CALIBRATIONS: Final = {
     "colors": LazyCommand("Learn the markers' colours from picks in pictures.", extra="capture"),
+    "depth": LazyCommand("Fit the law of depth over disparity to measured distances.", extra="fusion"),
 }
 
 
