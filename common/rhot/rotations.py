@@ -82,3 +82,15 @@ def quaternion_from_rotation(R: FloatArray) -> FloatArray:
     quaternion = np.take_along_axis(table, largest[..., None, None], axis=-2)[..., 0, :]
     unit: FloatArray = quaternion / np.sqrt((quaternion * quaternion).sum(axis=-1, keepdims=True))
     return unit
+
+
+def rotation_from_quaternion(xyzw: FloatArray) -> FloatArray:
+    """Return rotations (..., 3, 3) of quaternions (..., 4), x y z w, of any length but zero."""
+    x, y, z, w = np.moveaxis(xyzw / np.linalg.norm(xyzw, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    R: FloatArray = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    return R

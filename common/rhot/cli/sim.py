@@ -128,7 +128,7 @@ def sim(
 async def _run(run: SimRun, console: Console, headless: bool) -> bool:
     """Run until the duration is over (False) or somebody interrupts (True)."""
     stop = install_stop()
-    work = asyncio.create_task(run.execute(console, live=not headless))
+    work = asyncio.create_task(run.execute(console, live=not headless and console.is_terminal))
     asked = asyncio.create_task(stop.requested.wait())
     await asyncio.wait((work, asked), return_when=asyncio.FIRST_COMPLETED)
     asked.cancel()

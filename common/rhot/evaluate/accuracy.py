@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.evaluate.collect import Arrival
-from rhot.messages import HandPose, ObjectPose, PointSet
+from rhot.evaluate.collect import HandSample, ObjectSample, PointsSample
+from rhot.rotations import rotation_from_quaternion
 from rhot.sim.world import World
 from rhot.skeleton import FINGERS, JOINTS
 
@@ -43,64 +43,42 @@ def seconds_since(start_t_ns: int, t_ns: Sequence[int]) -> FloatArray:
     return np.array([(t - start_t_ns) / 1e9 for t in t_ns], dtype=np.float64)
 
 
-def hand_errors(world: World, start_t_ns: int, poses: Sequence[Arrival[HandPose]]) -> HandErrors:
-    """Compare hand poses with the world at their own times."""
-    t_s = seconds_since(start_t_ns, [arrival.message.t_ns for arrival in poses])
-    tracked = np.full((len(poses), len(JOINTS), 3), np.nan)
-    measured = np.zeros((len(poses), len(FINGERS)), dtype=np.bool_)
-    for row, arrival in enumerate(poses):
-        joints = arrival.message.joints
-        tracked[row] = [joints[name].position if name in joints else (np.nan,) * 3 for name in JOINTS]
-        measured[row] = [arrival.message.fingers.get(finger) == "measured" for finger in FINGERS]
+def hand_errors(world: World, start_t_ns: int, poses: Sequence[HandSample]) -> HandErrors:
+    """Compare poses of one hand with the world at their own times."""
+    t_s = seconds_since(start_t_ns, [pose.t_ns for pose in poses])
     if not poses:
-        return HandErrors(t_s, np.empty((0, 5)), np.empty((0, 26)), measured)
-    true = world.sample(t_s).joints[poses[0].message.side].positions
+        return HandErrors(t_s, np.empty((0, 5)), np.empty((0, 26)), np.empty((0, 5), dtype=np.bool_))
+    tracked = np.stack([pose.positions for pose in poses]).astype(np.float64)
+    true = world.sample(t_s).joints[poses[0].side].positions
     distances = np.linalg.norm(tracked - true, axis=2)
-    return HandErrors(t_s, distances[:, _TIP_ROWS], distances, measured)
+    return HandErrors(t_s, distances[:, _TIP_ROWS], distances, np.array([pose.measured for pose in poses]))
 
 
-def point_errors(world: World, start_t_ns: int, sets: Sequence[Arrival[PointSet]]) -> dict[str, FloatArray]:
-    """Return per marker the vector (N, 3) from its true to its measured place, metres; without the predicted."""
+def point_errors(world: World, start_t_ns: int, sets: Sequence[PointsSample]) -> dict[str, FloatArray]:
+    """Return per marker the vector (N, 3) from its true to its measured place, metres, without the predicted."""
     if not sets:
         return {}
-    t_s = seconds_since(start_t_ns, [arrival.message.t_ns for arrival in sets])
-    truth = world.sample(t_s).markers
+    truth = world.sample(seconds_since(start_t_ns, [points.t_ns for points in sets])).markers
     errors: dict[str, FloatArray] = {}
     for name, true in truth.items():
-        rows = [
-            (row, arrival.message.points[name].position)
-            for row, arrival in enumerate(sets)
-            if name in arrival.message.points and arrival.message.points[name].state == "measured"
-        ]
+        rows = [row for row, points in enumerate(sets) if name in points.measured]
         if rows:
-            errors[name] = np.array([position for _, position in rows]) - true[[row for row, _ in rows]]
+            errors[name] = np.array([sets[row].measured[name] for row in rows]) - true[rows]
     return errors
 
 
 def object_errors(
-    world: World, start_t_ns: int, poses: Mapping[str, Sequence[Arrival[ObjectPose]]]
+    world: World, start_t_ns: int, poses: Mapping[str, Sequence[ObjectSample]]
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Return per object the distance (N,), metres, and the angle (N,), radians, to its true pose."""
     errors = {}
-    for name, arrivals in poses.items():
-        measured = [arrival.message for arrival in arrivals if arrival.message.state == "measured"]
+    for name, samples in poses.items():
+        measured = [sample for sample in samples if sample.measured]
         if not measured or name not in world.objects:
             continue
-        t_s = seconds_since(start_t_ns, [message.t_ns for message in measured])
-        T = world.sample(t_s).objects[name]
-        distance = np.linalg.norm(np.array([message.position for message in measured]) - T[:, :3, 3], axis=1)
-        R = _rotations(np.array([message.orientation for message in measured]))
+        T = world.sample(seconds_since(start_t_ns, [sample.t_ns for sample in measured])).objects[name]
+        distance = np.linalg.norm(np.array([sample.position for sample in measured]) - T[:, :3, 3], axis=1)
+        R = rotation_from_quaternion(np.array([sample.orientation for sample in measured]))
         cosine = 0.5 * (np.einsum("nij,nij->n", R, T[:, :3, :3]) - 1.0)
         errors[name] = (distance, np.arccos(np.clip(cosine, -1.0, 1.0)))
     return errors
-
-
-def _rotations(xyzw: FloatArray) -> FloatArray:
-    """Return rotation matrices (N, 3, 3) of unit quaternions (N, 4), x y z w."""
-    x, y, z, w = (xyzw / np.linalg.norm(xyzw, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)

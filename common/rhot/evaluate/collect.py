@@ -1,4 +1,7 @@
-"""Keeping what a running rig publishes, with its age on arrival, for later comparison."""
+"""Keeping what a running rig publishes, with its age on arrival, for later comparison.
+
+Only what the comparison needs is kept, so that an hour of poses fits into memory.
+"""
 
 from __future__ import annotations
 
@@ -6,31 +9,76 @@ import asyncio
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rhot.bus import Bus, EventSubscriber
 from rhot.errors import WireError
-from rhot.messages import HandPose, Message, ObjectPose, PointSet, decode
+from rhot.messages import HandPose, Message, ObjectPose, PointSet, Position, Quaternion, Side, decode
+from rhot.skeleton import FINGERS, JOINTS
 
 M = TypeVar("M", bound=Message)
 
 
 @dataclass(frozen=True, slots=True)
-class Arrival(Generic[M]):
-    """One received message.
+class HandSample:
+    """One hand as it arrived.
 
     Attributes:
-        message: as published.
-        age_s: from the moment it was true (mid-exposure) to its arrival here, seconds.
+        t_ns: when it was true, rig clock.
+        age_s: from then to its arrival here.
+        side: whose hand.
+        positions: (26, 3) float32 metres, rig frame, in the order of `rhot.skeleton.JOINTS`; NaN = no such joint.
+        measured: (5,) which fingers were measured.
     """
 
-    message: M
+    t_ns: int
     age_s: float
+    side: Side
+    positions: NDArray[np.float32]
+    measured: tuple[bool, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PointsSample:
+    """One point set as it arrived.
+
+    Attributes:
+        t_ns: when it was true, rig clock.
+        age_s: from then to its arrival here.
+        measured: measured points, metres, rig frame.
+        predicted: names of the points that were only predicted.
+    """
+
+    t_ns: int
+    age_s: float
+    measured: dict[str, Position]
+    predicted: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectSample:
+    """One object as it arrived.
+
+    Attributes:
+        t_ns: when it was true, rig clock.
+        age_s: from then to its arrival here.
+        position, orientation: metres, rig frame; unit quaternion x, y, z, w.
+        measured: whether it was.
+    """
+
+    t_ns: int
+    age_s: float
+    position: Position
+    orientation: Quaternion
+    measured: bool
 
 
 @dataclass(slots=True)
 class Collected:
-    """Everything of one run.
+    """Everything of one run, in order of arrival.
 
     Attributes:
         hands, objects: by side and by object id.
@@ -38,10 +86,29 @@ class Collected:
         invalid: messages that were none.
     """
 
-    hands: dict[str, list[Arrival[HandPose]]] = field(default_factory=dict)
-    objects: dict[str, list[Arrival[ObjectPose]]] = field(default_factory=dict)
-    points: list[Arrival[PointSet]] = field(default_factory=list)
+    hands: dict[str, list[HandSample]] = field(default_factory=dict)
+    objects: dict[str, list[ObjectSample]] = field(default_factory=dict)
+    points: list[PointsSample] = field(default_factory=list)
     invalid: int = 0
+
+
+def hand_sample(pose: HandPose, age_s: float) -> HandSample:
+    """Return what is kept of a hand pose."""
+    nowhere = (np.nan, np.nan, np.nan)
+    positions = [pose.joints[name].position if name in pose.joints else nowhere for name in JOINTS]
+    measured = tuple(pose.fingers.get(finger) == "measured" for finger in FINGERS)
+    return HandSample(pose.t_ns, age_s, pose.side, np.array(positions, dtype=np.float32), measured)
+
+
+def points_sample(points: PointSet, age_s: float) -> PointsSample:
+    """Return what is kept of a point set."""
+    measured = {name: point.position for name, point in points.points.items() if point.state == "measured"}
+    return PointsSample(points.t_ns, age_s, measured, tuple(name for name in points.points if name not in measured))
+
+
+def object_sample(pose: ObjectPose, age_s: float) -> ObjectSample:
+    """Return what is kept of an object's pose."""
+    return ObjectSample(pose.t_ns, age_s, pose.position, pose.orientation, pose.state == "measured")
 
 
 async def collect(bus: Bus, into: Collected, rig_now_ns: Callable[[], int]) -> None:
@@ -53,7 +120,7 @@ async def collect(bus: Bus, into: Collected, rig_now_ns: Callable[[], int]) -> N
         rig_now_ns: reads the rig clock.
     """
 
-    async def follow(mailbox: EventSubscriber, model: type[M], keep: Callable[[str, Arrival[M]], None]) -> None:
+    async def follow(mailbox: EventSubscriber, model: type[M], keep: Callable[[str, M, float], None]) -> None:
         async for sample in mailbox:
             # Counted to the arrival, not to the moment at which this busy process found time to look.
             arrived_t_ns = rig_now_ns() - (time.monotonic_ns() - sample.arrived_ns)
@@ -62,16 +129,16 @@ async def collect(bus: Bus, into: Collected, rig_now_ns: Callable[[], int]) -> N
             except WireError:
                 into.invalid += 1
                 continue
-            keep(sample.key.rpartition("/")[2], Arrival(message, (arrived_t_ns - message.t_ns) / 1e9))
+            keep(sample.key.rpartition("/")[2], message, (arrived_t_ns - message.t_ns) / 1e9)
 
-    def keep_points(_: str, arrival: Arrival[PointSet]) -> None:
-        into.points.append(arrival)
+    def keep_points(_: str, points: PointSet, age_s: float) -> None:
+        into.points.append(points_sample(points, age_s))
 
-    def keep_hand(side: str, arrival: Arrival[HandPose]) -> None:
-        into.hands.setdefault(side, []).append(arrival)
+    def keep_hand(side: str, pose: HandPose, age_s: float) -> None:
+        into.hands.setdefault(side, []).append(hand_sample(pose, age_s))
 
-    def keep_object(name: str, arrival: Arrival[ObjectPose]) -> None:
-        into.objects.setdefault(name, []).append(arrival)
+    def keep_object(name: str, pose: ObjectPose, age_s: float) -> None:
+        into.objects.setdefault(name, []).append(object_sample(pose, age_s))
 
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(follow(bus.events("rhot/points"), PointSet, keep_points))

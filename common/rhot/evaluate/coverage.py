@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.evaluate.collect import Arrival
-from rhot.messages import PointSet
+from rhot.evaluate.collect import PointsSample
 from rhot.sim.coverage import MarkerCoverage
 
 VISIBLE_SHARE: Final = 0.25
@@ -52,7 +51,7 @@ def visible_to_two(cameras: Mapping[str, MarkerCoverage], t_s: float) -> set[str
 def coverage(
     cameras: Mapping[str, MarkerCoverage],
     times_s: NDArray[np.float64],
-    points: Sequence[Arrival[PointSet]],
+    points: Sequence[PointsSample],
     points_t_s: NDArray[np.float64],
 ) -> Coverage:
     """Compare what could be seen with what was reported.
@@ -67,15 +66,12 @@ def coverage(
     measured, reported = dict(visible), dict(visible)
     for t_s in times_s.tolist():
         near = np.flatnonzero(np.abs(points_t_s - t_s) <= _NEAR_S)
-        states = [
-            {name: point.state for name, point in points[int(row)].message.points.items()}
-            for row in near[np.argsort(np.abs(points_t_s[near] - t_s))][:2]
-        ]
+        nearest = [points[int(row)] for row in near[np.argsort(np.abs(points_t_s[near] - t_s))][:2]]
         for name in visible_to_two(cameras, t_s):
             visible[name] = visible.get(name, 0) + 1
-            found = [state[name] for state in states if name in state]
-            measured[name] = measured.get(name, 0) + ("measured" in found)
-            reported[name] = reported.get(name, 0) + bool(found)
+            seen = any(name in sample.measured for sample in nearest)
+            measured[name] = measured.get(name, 0) + seen
+            reported[name] = reported.get(name, 0) + (seen or any(name in sample.predicted for sample in nearest))
     total = sum(visible.values())
     return Coverage(
         samples=total,

@@ -3,34 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhot.evaluate.accuracy import hand_errors, object_errors, point_errors, seconds_since
-from rhot.evaluate.collect import Arrival, Collected, M
+from rhot.evaluate.collect import Collected, HandSample, ObjectSample, PointsSample
 from rhot.messages import ServiceStatus
 from rhot.sim.world import World
 from rhot.skeleton import FINGERS
 
 FloatArray = NDArray[np.float64]
 
+S = TypeVar("S", HandSample, PointsSample, ObjectSample)
+
 _DISORDER_NS: Final = 1_000_000_000
 
 
-def window(arrivals: Sequence[Arrival[M]], start_t_ns: int, from_s: float, to_s: float) -> list[Arrival[M]]:
+def window(samples: Sequence[S], start_t_ns: int, from_s: float, to_s: float) -> list[S]:
     """Return what was true between two times, seconds since the start."""
     low, high = start_t_ns + round(from_s * 1e9), start_t_ns + round(to_s * 1e9)
     chosen = []
     # From the end, because a live table wants the last second of a long run; what is older than the window by more than
     # any disorder ends the search.
-    for arrival in reversed(arrivals):
-        t_ns = arrival.message.t_ns
+    for sample in reversed(samples):
+        t_ns = sample.t_ns
         if t_ns < low - _DISORDER_NS:
             break
         if low <= t_ns < high:
-            chosen.append(arrival)
+            chosen.append(sample)
     chosen.reverse()
     return chosen
 
@@ -68,8 +70,8 @@ def tracking_figures(world: World, start_t_ns: int, collected: Collected, from_s
         poses_measured.append(errors.measured.astype(float).ravel())
         for place, finger in enumerate(FINGERS):
             per_finger[finger].append(errors.tips_m[:, place])
-        ages += [arrival.age_s for arrival in poses]
-        stamps += [arrival.message.t_ns for arrival in poses]
+        ages += [pose.age_s for pose in poses]
+        stamps += [pose.t_ns for pose in poses]
     figures["rate_hz"] = len(stamps) / seconds / max(len(world.hands), 1)
     figures["fingertip_error_mm"] = spread(_joined(tips), 1e3)
     figures["fingertip_error_mm"]["per_finger"] = {

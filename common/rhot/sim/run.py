@@ -167,7 +167,7 @@ class SimRun:
             {name: MarkerCoverage(camera, self._world) for name, camera in true_cameras(self._rig).items()},
             np.linspace(from_s, to_s - 0.25, _COVERAGE_MOMENTS),
             points,
-            seconds_since(self._start_t_ns, [arrival.message.t_ns for arrival in points]),
+            seconds_since(self._start_t_ns, [sample.t_ns for sample in points]),
         )
         return {
             "version": 1,
