@@ -173,8 +173,7 @@ class ClockEstimator:
             distance = abs(exchange.offset_ns - self.offset_at(exchange.mid_ns))
             allowed = exchange.round_trip_ns / 2 + self.uncertainty_at(exchange.mid_ns) + _STEP_MARGIN_NS
             if distance > allowed:
-                self._exchanges.clear()
-                self._drift = 0.0
+                self.reset()
                 self.steps += 1
         self._exchanges.append(exchange)
         self._fit()

@@ -65,7 +65,8 @@ async def _control(
         )
 
 
-def _new_session() -> str:
+def new_session() -> str:
+    """Return a name for a session that begins now."""
     return time.strftime("%Y%m%d-%H%M%S")
 
 
@@ -94,7 +95,7 @@ def start(
 ) -> None:
     """Tell every service of the rig to start at one moment; those that join later follow by themselves."""
     config = tool_bus(rig_path, connect, namespace)
-    asyncio.run(_control(config, "start", session or _new_session(), delay_s, wait_s))
+    asyncio.run(_control(config, "start", session or new_session(), delay_s, wait_s))
 
 
 @click.command()

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import time
 from pathlib import Path
+from typing import Any
 
 import click
 
 from rhot.bus import Bus
-from rhot.cli.control import broadcast
+from rhot.cli.control import broadcast, new_session
 from rhot.cli.options import rig_option, tool_bus
 from rhot.errors import BusError
-from rhot.rig import load_rig
+from rhot.rig import BusConfig, load_rig
 from rhot.service.stop import install_stop
 from rhot.supervisor import Supervisor
 
@@ -40,31 +40,42 @@ async def _up(rig_path: Path, *, start: bool) -> int:
     bus_config = tool_bus(rig_path, (), None)
     stop = install_stop()
     supervisor = Supervisor()
+    watching: list[asyncio.Task[Any]] = []
     try:
-        if not await _answers(rig_path):
+        if not await _answers(bus_config):
             await supervisor.start("router", ["router", "--rig", str(rig_path)])
         for name in ("fusion", "ik", *(["objects"] if rig.config.objects else [])):
             await supervisor.start(name, [name, "--rig", str(rig_path)])
-        if start:
-            async with await Bus.open(bus_config, timeout_s=_RIG_TIMEOUT_S) as bus:
-                session = time.strftime("%Y%m%d-%H%M%S")
-                await broadcast(bus, "start", session, 0.5, _RIG_TIMEOUT_S)
-                logger.info("session %s started; look with `rhot status`, end with Ctrl-C", session)
         failed = asyncio.create_task(supervisor.wait_for_failure())
         asked = asyncio.create_task(stop.requested.wait())
+        watching += [failed, asked]
+        if start:
+            # Ctrl-C and a service that ends at once count during the start, too.
+            starting = asyncio.create_task(_start(bus_config))
+            watching.append(starting)
+            await asyncio.wait((failed, asked, starting), return_when=asyncio.FIRST_COMPLETED)
+            if starting.done():
+                starting.result()
         await asyncio.wait((failed, asked), return_when=asyncio.FIRST_COMPLETED)
-        asked.cancel()
-        if not stop.requested.is_set():
+        if not asked.done():
             raise supervisor.failure(failed.result())
-        failed.cancel()
     finally:
+        for task in watching:
+            task.cancel()
+        await asyncio.gather(*watching, return_exceptions=True)
         await supervisor.stop()
     return stop.exit_code
 
 
-async def _answers(rig_path: Path) -> bool:
+async def _start(bus_config: BusConfig) -> None:
+    async with await Bus.open(bus_config, timeout_s=_RIG_TIMEOUT_S) as bus:
+        control = await broadcast(bus, "start", new_session(), 0.5, _RIG_TIMEOUT_S)
+        logger.info("session %s started; look with `rhot status`, end with Ctrl-C", control.session)
+
+
+async def _answers(bus_config: BusConfig) -> bool:
     try:
-        async with await Bus.open(tool_bus(rig_path, (), None), timeout_s=_ROUTER_TRY_S):
+        async with await Bus.open(bus_config, timeout_s=_ROUTER_TRY_S):
             return True
     except BusError:
         return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -40,11 +41,10 @@ class Coverage:
 
 def visible_to_two(cameras: Mapping[str, MarkerCoverage], t_s: float) -> set[str]:
     """Return the markers that at least two cameras can see at a moment."""
-    counts: dict[str, int] = {}
+    counts: Counter[str] = Counter()
     for camera in cameras.values():
         for name, view in camera.at(t_s).items():
-            if view.inside and view.visible_fraction >= VISIBLE_SHARE:
-                counts[name] = counts.get(name, 0) + 1
+            counts[name] += view.shows(VISIBLE_SHARE)
     return {name for name, number in counts.items() if number >= 2}
 
 
@@ -62,20 +62,21 @@ def coverage(
         points: reported point sets in order of time.
         points_t_s: (M,) their times, seconds since the start.
     """
-    visible = {"": 0}
-    measured, reported = dict(visible), dict(visible)
+    visible: Counter[str] = Counter()
+    measured: Counter[str] = Counter()
+    reported: Counter[str] = Counter()
     for t_s in times_s.tolist():
         near = np.flatnonzero(np.abs(points_t_s - t_s) <= _NEAR_S)
         nearest = [points[int(row)] for row in near[np.argsort(np.abs(points_t_s[near] - t_s))][:2]]
         for name in visible_to_two(cameras, t_s):
-            visible[name] = visible.get(name, 0) + 1
+            visible[name] += 1
             seen = any(name in sample.measured for sample in nearest)
-            measured[name] = measured.get(name, 0) + seen
-            reported[name] = reported.get(name, 0) + (seen or any(name in sample.predicted for sample in nearest))
+            measured[name] += seen
+            reported[name] += seen or any(name in sample.predicted for sample in nearest)
     total = sum(visible.values())
     return Coverage(
         samples=total,
         measured=sum(measured.values()) / total if total else 0.0,
         reported=sum(reported.values()) / total if total else 0.0,
-        by_marker={name: measured[name] / number for name, number in sorted(visible.items()) if number},
+        by_marker={name: measured[name] / number for name, number in sorted(visible.items())},
     )

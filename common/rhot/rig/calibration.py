@@ -6,7 +6,6 @@ import datetime as dt
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from rhot.messages import Name, Quaternion
@@ -134,10 +133,3 @@ class RegistrationFile(CalibrationFile):
 
     T_rig_tracker: RigidTransform = RigidTransform()
     T_tracker_object: dict[Name, RigidTransform] = {}
-
-
-def as_array(matrix: Matrix3 | Matrix4) -> NDArray[np.float64]:
-    """Return a matrix of a calibration file as a read-only float64 array."""
-    array = np.array(matrix, dtype=np.float64)
-    array.setflags(write=False)
-    return array

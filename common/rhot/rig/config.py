@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import PurePath
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -276,8 +275,3 @@ class RigConfig(FileModel):
         """Hands that wear markers, right before left."""
         worn = {marker.hand for marker in self.markers.values()}
         return tuple(side for side in ("right", "left") if side in worn)
-
-
-def is_relative_inside(path: str) -> bool:
-    """Tell whether a path of a rig stays inside its folder."""
-    return not PurePath(path).is_absolute() and ".." not in PurePath(path).parts

@@ -6,7 +6,7 @@ A service implements `Service`; `run_service` does the rest.
 from rhot.service.control import ControlState
 from rhot.service.node import Node
 from rhot.service.runner import Service, run_service
-from rhot.service.stage_service import ConfigurableStage, StageService
+from rhot.service.stage_service import StageService
 from rhot.service.status import StatusBoard
 
-__all__ = ["ConfigurableStage", "ControlState", "Node", "Service", "StageService", "StatusBoard", "run_service"]
+__all__ = ["ControlState", "Node", "Service", "StageService", "StatusBoard", "run_service"]

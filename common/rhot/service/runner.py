@@ -244,25 +244,24 @@ class _Runner:
 
     async def _hear_control(self, node: Node) -> None:
         async for sample in node.bus.events(CONTROL_KEY):
-            try:
-                self._offer(node, decode(sample.payload, Control))
-            except WireError as error:
-                node.refuse(CONTROL_KEY, error)
+            self._take_control(node, sample.payload)
 
     async def _ask_control(self, node: Node) -> None:
         """Learn the start signal from whoever knows it: for services that join late or missed it."""
         while True:
             for reply in await node.bus.get(CONTROL_KEY, timeout_s=1.0):
-                if reply.error:
-                    continue
-                try:
-                    self._offer(node, decode(reply.payload, Control))
-                except WireError as error:
-                    node.refuse(CONTROL_KEY, error)
+                if not reply.error:
+                    self._take_control(node, reply.payload)
             await asyncio.sleep(_CONTROL_QUERY_S)
 
-    def _offer(self, node: Node, control: Control) -> None:
-        if self._control.offer(control, node.clock.now_ns() if node.clock.ready else None):
+    def _take_control(self, node: Node, payload: bytes) -> None:
+        try:
+            control = decode(payload, Control)
+            taken = self._control.offer(control, node.clock.now_ns() if node.clock.ready else None)
+        except WireError as error:
+            node.refuse(CONTROL_KEY, error)
+            return
+        if taken:
             logger.info("%s %s", control.action, control.session)
 
     def _answer_control(self, request: Request) -> Answer | None:

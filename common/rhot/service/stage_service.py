@@ -4,49 +4,20 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
-from typing import Generic, Protocol, TypeVar
+from collections.abc import Callable
+from typing import Generic, TypeVar
 
 from pydantic import BaseModel
 
 from rhot.bus import LatestSubscriber
 from rhot.messages import Control, Message
 from rhot.service.node import Node
-from rhot.stage import Output
+from rhot.stage import Stage
 
 logger = logging.getLogger(__name__)
 
 M = TypeVar("M", bound=Message)
-M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
 C = TypeVar("C", bound=BaseModel)
-C_contra = TypeVar("C_contra", bound=BaseModel, contravariant=True)
-
-
-class ConfigurableStage(Protocol[M_contra, C_contra]):
-    """A stage with a configuration that can change while it runs, and counts of what it met."""
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Events since it was made, by name."""
-        ...
-
-    @property
-    def figures(self) -> Mapping[str, float]:
-        """Figures for the status, such as residuals, by name."""
-        ...
-
-    @property
-    def problem(self) -> str:
-        """What is wrong with the rig as a whole, one sentence; empty when nothing is."""
-        ...
-
-    def configure(self, config: C_contra) -> None:
-        """Take a new configuration; a ConfigError refuses it."""
-        ...
-
-    def feed(self, message: M_contra) -> list[Output]:
-        """Take one message and return what follows from it."""
-        ...
 
 
 class StageService(Generic[M, C]):
@@ -63,7 +34,7 @@ class StageService(Generic[M, C]):
         model: type[M],
         key_of: Callable[[M], str] | None,
         config: C,
-        make_stage: Callable[[C], ConfigurableStage[M, C]],
+        make_stage: Callable[[C], Stage[M, C]],
         instance: str = "main",
         owns_clock: bool = False,
     ) -> None:

@@ -7,7 +7,6 @@ default is for judging visibility many times.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -40,6 +39,10 @@ class MarkerView:
     area_px: float
     visible_fraction: float
     inside: bool
+
+    def shows(self, least_share: float) -> bool:
+        """Tell whether the camera sees at least this share of the marker, wholly inside its picture."""
+        return self.inside and self.visible_fraction >= least_share
 
 
 class MarkerCoverage:
@@ -108,14 +111,3 @@ class MarkerCoverage:
     def _hidden(self, outline: FloatArray) -> MarkerView:
         u, v = outline.mean(axis=0)
         return MarkerView(float(u), float(v), 0.0, 0.0, bool(self.camera.contains(outline).all()))
-
-
-def seen_by_all(views: Mapping[str, Mapping[str, MarkerView]], marker: str, min_fraction: float = 0.5) -> bool:
-    """Tell whether every camera sees at least `min_fraction` of a marker, wholly inside its picture.
-
-    Args:
-        views: camera to marker to view.
-        marker: name.
-        min_fraction: least visible share.
-    """
-    return all(view[marker].inside and view[marker].visible_fraction >= min_fraction for view in views.values())

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Final
 
 import cv2
-import numpy as np
 
 from rhot.camera import CameraModel
 from rhot.errors import CalibrationError
@@ -106,7 +105,7 @@ def _calibrate_colors(path: Path) -> None:
                 cv2.imwrite(str(picture), renderer.render(t_s))
                 pictures.append(str(picture))
                 for marker, view in seen.at(t_s).items():
-                    if view.inside and view.visible_fraction >= _PICK_SHARE and np.isfinite(view.u):
+                    if view.shows(_PICK_SHARE):
                         picks += ["--pick", f"{marker}={view.u:.0f},{view.v:.0f}@{len(pictures)}"]
         command = [sys.executable, "-m", "rhot", "-q", "calibrate", "colors", *pictures, *picks, "--rig", str(path)]
         done = subprocess.run(command, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)

@@ -20,7 +20,6 @@ from rhot.rig.config import CameraConfig, SimConfig
 from rhot.sim.backdrop import Backdrop, Image, SensorNoise
 from rhot.sim.body import Body, Group
 from rhot.sim.canvas import AA_GROWTH, AA_SEAM, Window, disjoint, far_to_near, paint_groups
-from rhot.sim.coverage import MarkerCoverage, MarkerView
 from rhot.sim.outline import OutlinePaths, Outliner, row_timed
 from rhot.sim.paint import OBJECT, SKIN, Bgr, paints_of, shaded
 from rhot.sim.script import seeded
@@ -72,7 +71,6 @@ class Renderer:
         self._paints: dict[str, Bgr] = {
             name: (color[0] * gain[0], color[1] * gain[1], color[2] * gain[2]) for name, color in colors.items()
         }
-        self._coverage = MarkerCoverage(camera, world)
         self._canvas: Image = self._backdrop.at(1.0)[1].copy()
 
     def light(self, t_s: float) -> float:
@@ -168,7 +166,3 @@ class Renderer:
                 return small
             cv2.accumulate(small, total)
         return np.asarray(cv2.convertScaleAbs(total, alpha=1.0 / len(drawn)), dtype=np.uint8)
-
-    def marker_coverage(self, t_s: float) -> Mapping[str, MarkerView]:
-        """Return what this camera sees of each marker at a moment, to about 0.1 px; see `MarkerCoverage`."""
-        return self._coverage.at(t_s)

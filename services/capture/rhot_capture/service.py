@@ -123,7 +123,8 @@ class CaptureService:
         grabber = Grabber(source, self.instance)
         try:
             await asyncio.to_thread(source.open, start_ns, start.start_t_ns)
-            source.apply(self._settings) if self._is_changed() else None
+            if self._is_changed():
+                source.apply(self._settings)
             self._source, self._grabber, self._running = source, grabber, True
             self._detector.reset()
             grabber.start()

@@ -46,11 +46,6 @@ class Tracks:
         """(C, M) time of the newest observation, −∞ before the first."""
         return self._t[:, :, -1]
 
-    @property
-    def last_xy(self) -> FloatArray:
-        """(C, M, 2) the newest observation."""
-        return self._xy[:, :, -1]
-
     def append(self, camera: int, markers: IndexArray, t_s: FloatArray, xy: FloatArray, max_rate: float) -> None:
         """Add one frame's observations.
 

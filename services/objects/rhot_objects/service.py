@@ -43,6 +43,7 @@ class ObjectsService:
             raise ConfigError(f"{rig.path / 'rig.toml'} names no objects; add [objects.NAME] with source and serial")
         plan_sources(rig)
         self._rig = rig
+        self._plans: list[SourcePlan] = []
         self._config = ObjectsConfig(objects=rig.config.objects)
 
     @property
@@ -55,12 +56,17 @@ class ObjectsService:
         raise ConfigError("objects are named in rig.toml; change it there and restart this service")
 
     def attach(self, node: Node) -> None:
-        """Nothing to declare: an object's key appears with its first pose."""
+        """Show what is left out; an object's key appears with its first pose."""
+        node.status.include(self._counts)
+
+    def _counts(self) -> dict[str, int]:
+        return {"unusable": sum(plan.stage.unusable for plan in self._plans)}
 
     async def run(self, node: Node, start: Control) -> None:
         """Read all sources until cancelled; one that is absent does not hold up the others."""
         async with asyncio.TaskGroup() as tasks:
-            for plan in plan_sources(self._rig):
+            self._plans = plan_sources(self._rig)
+            for plan in self._plans:
                 tasks.create_task(self._follow(node, start, plan))
 
     async def _follow(self, node: Node, start: Control, plan: SourcePlan) -> None:

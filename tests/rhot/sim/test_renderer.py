@@ -16,7 +16,7 @@ from rhot.hand import HandModel
 from rhot.messages import Side
 from rhot.rig import CameraConfig, MarkerConfig
 from rhot.rig.config import SimConfig
-from rhot.sim.coverage import MarkerCoverage, seen_by_all
+from rhot.sim.coverage import MarkerCoverage
 from rhot.sim.motion import StillMotion
 from rhot.sim.renderer import Renderer
 from rhot.sim.world import World
@@ -190,7 +190,7 @@ def test_cameras_see_the_markers_nearly_always(world: World, cameras: dict[str, 
     for t in np.arange(0.0, 48.0, 0.4):
         views = {name: coverage.at(t) for name, coverage in coverages.items()}
         inside += [view[marker].inside for view in views.values() for marker in world.markers]
-        seen += [seen_by_all(views, marker, 0.2) for marker in world.markers]
+        seen += [all(view[marker].shows(0.2) for view in views.values()) for marker in world.markers]
     assert np.mean(inside) >= 0.98
     assert np.mean(seen) >= 0.85
 

@@ -1,0 +1,65 @@
+"""`rhot up`: the PC side in one terminal, ended by Ctrl-C at any moment and by a service that cannot run."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from rig_processes import processes_that_name
+
+from rhot.rig.template import rig_template
+from rhot.sim.run import free_endpoint
+
+pytestmark = pytest.mark.integration
+
+
+def make_rig(folder: Path, cameras: tuple[str, ...]) -> Path:
+    endpoint = free_endpoint("tcp/127.0.0.1:0")
+    text = rig_template(
+        folder="rig",
+        name="up",
+        connect=(endpoint,),
+        listen=(endpoint,),
+        cameras=cameras,
+        camera_xs_m=[0.075 * place for place in range(len(cameras))],
+    )
+    folder.mkdir()
+    (folder / "rig.toml").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize("wait_for", ["routing on", "session"])
+def test_ctrl_c_ends_all_of_it_at_once_whatever_it_is_doing(tmp_path: Path, wait_for: str) -> None:
+    rig = make_rig(tmp_path / "rig", ("left", "right"))
+    command = [sys.executable, "-m", "rhot", "up", "--rig", str(rig)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if wait_for in line:
+                break
+        begun = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        rest = process.stdout.read()
+        process.wait(timeout=10)
+        took_s = time.monotonic() - begun
+    assert took_s < 2.0
+    assert process.returncode == 130
+    assert "Traceback" not in rest
+    assert list(processes_that_name(str(rig))) == []
+
+
+def test_a_service_that_cannot_run_ends_it_with_its_reason(tmp_path: Path) -> None:
+    rig = make_rig(tmp_path / "rig", ("left",))
+    begun = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-m", "rhot", "up", "--rig", str(rig)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert time.monotonic() - begun < 10.0, "nobody waits for a rig that cannot come up"
+    assert done.returncode == 1
+    assert "fusion needs two cameras or more" in done.stderr
+    assert "fusion ended by itself" in done.stderr
+    assert list(processes_that_name(str(rig))) == []
