@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import tempfile
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 import pytest
+
+# As the program itself does, before numpy is loaded: BLAS threads that wait for each other cost more than they bring.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from rhot.bus import Bus
 from rhot.rig import BusConfig

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.rig.calibration import CameraCalibration
+from rhot.rig.calibration import CameraCalibration, matrix3, matrix4
 
 FloatArray = NDArray[np.float64]
 
@@ -62,6 +62,16 @@ class CameraModel:
         for array in arrays:
             array.setflags(write=False)
         return cls(width, height, *arrays)
+
+    def to_calibration(self) -> CameraCalibration:
+        """Return the entry of `cameras.json`."""
+        return CameraCalibration(
+            width=self.width,
+            height=self.height,
+            K=matrix3(self.K),
+            distortion=tuple(self.distortion.tolist()),
+            T_rig_camera=matrix4(self.T_rig_camera),
+        )
 
     @property
     def T_rig_camera(self) -> FloatArray:

@@ -9,12 +9,14 @@ relaxed hand.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.errors import CalibrationError
 from rhot.rig.calibration import HandFile
 from rhot.rotations import rotation_x, rotation_y, rotation_z
 from rhot.skeleton import CHAINS, FINGERS, JOINTS
@@ -76,6 +78,9 @@ ANGLE_LIMITS_DEG: Final = {
 COUPLING: Final = {"thumb": 1.0, "index": 2.0 / 3.0, "middle": 2.0 / 3.0, "ring": 2.0 / 3.0, "little": 2.0 / 3.0}
 """Last hinge over middle hinge: DIP ≈ ⅔ PIP (Rijpkema & Girard 1991); for the thumb both bend alike."""
 
+SPREAD_LIMITS: Final = (0.5, 2.0)
+"""The knuckles may stand this many times as far apart as the proportions have them."""
+
 
 @dataclass(frozen=True, slots=True)
 class RestGeometry:
@@ -102,20 +107,25 @@ def rest_geometry(hand: HandFile) -> RestGeometry:
     """Return the rest geometry of a right hand; lengths in `hand.bones_m` replace the proportional ones.
 
     A length given for a metacarpal joint stretches the carpal bone before it, one for a proximal joint the
-    metacarpal, one for `palm` the way from the wrist to the palm joint.
+    metacarpal, one for `palm` the way from the wrist to the palm joint. A width fans the metacarpals of the four
+    fingers wider or narrower and keeps their lengths.
+
+    Raises:
+        CalibrationError: width, bones and radii contradict one another.
     """
     scale = hand.length_m / REFERENCE_LENGTH_M / 1000.0
     given = hand.bones_m
     radii = _radii(hand, scale)
+    spread = 1.0 if hand.width_m is None else _spread(hand, hand.width_m)
     metacarpals, knuckles, frames, metacarpal_frames, bones = [], [], [], [], []
     for finger in FINGERS:
         chain = CHAINS[finger]
-        base = _stretched(np.array(CARPAL_MM[finger]) * scale, given.get(chain[0]))
         rest = _frame(*REST_DEG[finger])
-        metacarpal_frame, knuckle = rest, base
-        if finger != "thumb":
-            metacarpal_frame = _frame(METACARPAL_YAW_DEG[finger], METACARPAL_DROP_DEG[finger], REST_DEG[finger][2])
-            knuckle = base - given.get(chain[1], METACARPAL_MM[finger] * scale) * metacarpal_frame[:, 2]
+        if finger == "thumb":
+            base = knuckle = _stretched(np.array(CARPAL_MM[finger]) * scale, given.get(chain[0]))
+            metacarpal_frame = rest
+        else:
+            base, knuckle, metacarpal_frame = _metacarpal(finger, given, scale, spread)
         tip_radius = radii[JOINTS.index(chain[-1])]
         lengths = np.array(BONES_MM[finger]) * scale - (0.0, 0.0, tip_radius)
         moving = chain[-3:]
@@ -138,6 +148,50 @@ def rest_geometry(hand: HandFile) -> RestGeometry:
         angle_max=limits[..., 1],
         coupling=np.array([COUPLING[finger] for finger in FINGERS]),
     )
+
+
+def width_across_knuckles(hand: HandFile, spread: float = 1.0) -> float:
+    """Return the width, metres, of a hand with these lengths and radii, whatever `hand.width_m` says.
+
+    Args:
+        hand: lengths and radii.
+        spread: factor on the knuckles' distances across the hand that its proportions give.
+    """
+    scale = hand.length_m / REFERENCE_LENGTH_M / 1000.0
+    radii = _radii(hand, scale)
+    index, little = (_metacarpal(finger, hand.bones_m, scale, 1.0)[1] for finger in ("index", "little"))
+    flesh = radii[JOINTS.index("index_proximal")] + radii[JOINTS.index("little_proximal")]
+    return float(spread * (little[0] - index[0]) + flesh)
+
+
+def _spread(hand: HandFile, width_m: float) -> float:
+    """Return the factor on the knuckles' distances that gives the hand this width."""
+    bare, natural = width_across_knuckles(hand, 0.0), width_across_knuckles(hand)
+    spread = (width_m - bare) / (natural - bare)
+    low, high = SPREAD_LIMITS
+    if not low <= spread <= high:
+        raise CalibrationError(
+            f"hand.json: width_m {width_m:g} puts the knuckles {spread:.2f} times as far apart as its lengths do, must "
+            f"be {low:g} to {high:g}; measure again with `rhot calibrate hand`"
+        )
+    return spread
+
+
+def _metacarpal(
+    finger: str, given: Mapping[str, float], scale: float, spread: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return base (3,) and head (3,), metres, wrist frame, and frame (3, 3) of the metacarpal of one of four fingers.
+
+    `spread` multiplies every distance across the hand (x): of the bases, and of the heads by turning the bones.
+    """
+    chain = CHAINS[finger]
+    base = _stretched(np.array(CARPAL_MM[finger]) * scale, given.get(chain[0])) * (spread, 1.0, 1.0)
+    yaw_deg = METACARPAL_YAW_DEG[finger]
+    if spread != 1.0:
+        yaw_deg = float(np.degrees(np.arcsin(spread * np.sin(np.radians(yaw_deg)))))
+    frame = _frame(yaw_deg, METACARPAL_DROP_DEG[finger], REST_DEG[finger][2])
+    head: FloatArray = base - given.get(chain[1], METACARPAL_MM[finger] * scale) * frame[:, 2]
+    return base, head, frame
 
 
 def _frame(yaw_deg: float, drop_deg: float, roll_deg: float) -> FloatArray:

@@ -26,6 +26,7 @@ _COMMANDS: Final = {
         "Track a recording offline and write the result as JSON Lines.", "rhot.cli.process:process", "pc"
     ),
     "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
+    "evaluate": LazyCommand("Measure how well a part of the rig does.", "rhot.cli.main:evaluate"),
     "doctor": LazyCommand(
         "Check this machine, a rig folder and the running rig, and say what to do.", "rhot.cli.doctor:doctor"
     ),
@@ -38,8 +39,16 @@ _COMMANDS: Final = {
 }
 
 _CALIBRATIONS: Final = {
-    "colors": LazyCommand("Learn the markers' colours from picks in pictures.", extra="capture"),
+    "cameras": LazyCommand("Calibrate lenses and places of all cameras from pictures of a board.", extra="fusion"),
+    "board": LazyCommand("Draw a calibration board to print.", extra="fusion"),
+    "colors": LazyCommand("Learn the markers' colours from pictures, or import them.", extra="capture"),
     "depth": LazyCommand("Fit the law of depth over disparity to measured distances.", extra="fusion"),
+    "hand": LazyCommand("Measure a hand: bone lengths and where its markers are.", extra="ik"),
+    "objects": LazyCommand("Register the space of a tracking system to the rig.", extra="objects"),
+}
+
+_EVALUATIONS: Final = {
+    "calibration": LazyCommand("Tell whether the cameras have moved since they were calibrated.", extra="fusion"),
 }
 
 
@@ -60,3 +69,8 @@ def main(verbose: int, quiet: bool) -> None:
 @click.group(cls=LazyGroup, lazy=_CALIBRATIONS, plugins="rhot.calibrations")
 def calibrate() -> None:
     """Calibrate a part of the rig; each writes its own file into the rig folder."""
+
+
+@click.group(cls=LazyGroup, lazy=_EVALUATIONS, plugins="rhot.evaluations")
+def evaluate() -> None:
+    """Measure how well a part of the rig does."""

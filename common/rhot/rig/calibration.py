@@ -6,6 +6,7 @@ import datetime as dt
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from rhot.messages import Name, Quaternion
@@ -17,6 +18,20 @@ Matrix3 = tuple[Row3, Row3, Row3]
 Matrix4 = tuple[Row4, Row4, Row4, Row4]
 
 _ROTATION_TOLERANCE = 1e-4
+WIDTH_OVER_LENGTH = (0.33, 0.60)
+"""Believable width of a hand across the knuckles over its length; an estimate with room on both sides."""
+
+
+def matrix3(M: NDArray[np.float64]) -> Matrix3:
+    """Return an array (3, 3) as the files hold it."""
+    a, b, c = ((float(row[0]), float(row[1]), float(row[2])) for row in M)
+    return a, b, c
+
+
+def matrix4(M: NDArray[np.float64]) -> Matrix4:
+    """Return an array (4, 4) as the files hold it."""
+    a, b, c, d = ((float(row[0]), float(row[1]), float(row[2]), float(row[3])) for row in M)
+    return a, b, c, d
 
 
 def today() -> str:
@@ -91,6 +106,7 @@ class HandFile(CalibrationFile):
 
     Attributes:
         length_m: from the wrist crease to the tip of the middle finger.
+        width_m: across the knuckles of the four fingers, flesh included; where absent it follows from `length_m`.
         bones_m: OpenXR joint name to the length of the bone from its parent to it, metres; what is absent follows
             from `length_m`.
         radii_m: OpenXR joint name to the radius of the flesh around it, metres.
@@ -99,9 +115,20 @@ class HandFile(CalibrationFile):
     """
 
     length_m: Annotated[float, Field(ge=0.10, le=0.26)] = 0.189
+    width_m: Annotated[float, Field(ge=0.03, le=0.16)] | None = None
     bones_m: dict[Name, Annotated[float, Field(gt=0.002, lt=0.2)]] = {}
     radii_m: dict[Name, Annotated[float, Field(gt=0.001, lt=0.05)]] = {}
     marker_offsets_m: dict[Name, Vector3] = {}
+
+    @model_validator(mode="after")
+    def _hand_shaped(self) -> HandFile:
+        low, high = WIDTH_OVER_LENGTH
+        if self.width_m is not None and not low <= self.width_m / self.length_m <= high:
+            raise ValueError(
+                f"width_m {self.width_m:g} is {self.width_m / self.length_m:.2f} of length_m {self.length_m:g}; "
+                f"human hands are {low:g} to {high:g} as wide as long"
+            )
+        return self
 
 
 class RigidTransform(FileModel):

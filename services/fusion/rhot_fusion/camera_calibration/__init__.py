@@ -1,0 +1,1 @@
+"""Calibration of the cameras: boards in pictures in, `cameras.json` out."""
