@@ -8,11 +8,11 @@ import pytest
 
 from rhot.errors import ConfigError
 from rhot_capture.detector import MarkerDetector
-from rhot_capture.preview import marker_mask, preview_jpeg
+from rhot_capture.preview import marker_mask, preview_jpeg, preview_png
 
 
 def decoded(data: bytes) -> Any:
-    assert data[:2] == b"\xff\xd8"
+    assert data[:4] in (b"\xff\xd8\xff\xe0", b"\x89PNG")
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
 
 
@@ -21,6 +21,11 @@ def test_plain_preview_is_the_frame(scene: Any, shape: Any) -> None:
     shown = decoded(preview_jpeg(image))
     assert shown.shape == image.shape
     assert np.abs(shown.astype(int) - image).mean() < 4.0
+
+
+def test_lossless_preview_is_the_frame_to_the_bit(scene: Any, shape: Any) -> None:
+    image = scene([shape("ring", 60, 60)], size=(121, 121)).image
+    assert np.array_equal(decoded(preview_png(image)), image)
 
 
 def test_overlay_marks_the_centre_and_leaves_the_frame_alone(scene: Any, shape: Any, markers: Any, table: Any) -> None:

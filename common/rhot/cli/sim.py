@@ -6,8 +6,10 @@ import asyncio
 import json
 import signal
 import tempfile
+from collections.abc import Coroutine
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any, Literal
 
 import click
 from rich.console import Console
@@ -18,13 +20,19 @@ from rhot.evaluate.table import summary
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.service.stop import install_stop
-from rhot.sim.folder import DEFAULT_ENDPOINT, write_simulated_rig
+from rhot.sim.board_run import run_board
+from rhot.sim.folder import DEFAULT_ENDPOINT, with_motion, write_simulated_rig
 from rhot.sim.run import SimRun, free_endpoint
 
 
 @click.command()
 @click.option(
-    "--duration", "duration_s", type=click.FloatRange(1, 86400), default=30.0, show_default=True, help="Seconds to run."
+    "--duration",
+    "duration_s",
+    type=click.FloatRange(1, 86400),
+    default=30.0,
+    show_default=True,
+    help="Seconds to run; with a board until Ctrl-C when not given.",
 )
 @click.option(
     "--seed",
@@ -49,6 +57,13 @@ from rhot.sim.run import SimRun, free_endpoint
     show_default=True,
     help="Hands in the world.",
 )
+@click.option(
+    "--motion",
+    type=click.Choice(["script", "still", "board"]),
+    default="script",
+    show_default=True,
+    help="What the cameras see: gestures and grasps, open hands that never move, or a chessboard to calibrate with.",
+)
 @click.option("--headless", is_flag=True, help="No live table, only a line now and then and the summary.")
 @click.option(
     "--report",
@@ -71,6 +86,7 @@ def sim(
     rate_hz: float,
     cameras: int,
     hands: str,
+    motion: Literal["script", "still", "board"],
     headless: bool,
     report_path: Path | None,
     endpoint: str | None,
@@ -87,7 +103,11 @@ def sim(
     rhot get 'rhot/**'
     rhot watch rhot/hand/right
 
-    With --rig, a simulated rig folder made by `rhot init RIG --sim` is used instead of a temporary one.
+    With --rig, a simulated rig folder made by `rhot init RIG --sim` is used instead of a temporary one; what moves
+    there is `motion` under [sim] in its rig.toml.
+
+    With --motion board, the cameras see a calibration chessboard that is held at one place after the other, and the rig
+    stays up until Ctrl-C: try `rhot calibrate cameras --live` on it.
     """
     console = Console()
     if report_path is not None and not report_path.resolve().parent.is_dir():
@@ -95,7 +115,7 @@ def sim(
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-sim-")))
         chosen = endpoint or free_endpoint(DEFAULT_ENDPOINT)
-        if context.get_parameter_source("rig_path") is click.core.ParameterSource.DEFAULT:
+        if not _is_given(context, "rig_path"):
             with console.status("preparing the simulated rig: cameras, colours, hand"):
                 rig = write_simulated_rig(
                     work / "rig",
@@ -105,12 +125,21 @@ def sim(
                     sides=("right", "left") if hands == "both" else ("left",) if hands == "left" else ("right",),
                     endpoint=chosen,
                 )
+            rig = with_motion(rig, motion)
         else:
             rig = _simulated_rig(rig_path)
+            if _is_given(context, "motion") and motion != rig.config.sim.motion:
+                raise ConfigError(
+                    f'--motion {motion}: {rig_path / RIG_FILE} says motion = "{rig.config.sim.motion}"; write '
+                    f'motion = "{motion}" under [sim] there, or leave --rig out'
+                )
         if chosen != DEFAULT_ENDPOINT:
             console.print(f"The router listens on {chosen}: give the other commands --connect {chosen}", soft_wrap=True)
+        if rig.config.sim.motion == "board":
+            board = run_board(rig, chosen, duration_s if _is_given(context, "duration_s") else None, work, console)
+            return 128 + signal.SIGINT if asyncio.run(_unless_interrupted(board)) else 0
         run = SimRun(rig, chosen, duration_s, work)
-        interrupted = asyncio.run(_run(run, console, headless))
+        interrupted = asyncio.run(_unless_interrupted(run.execute(console, live=not headless and console.is_terminal)))
         if interrupted:
             console.print("interrupted; no summary")
             return 128 + signal.SIGINT
@@ -125,10 +154,14 @@ def sim(
     return 0
 
 
-async def _run(run: SimRun, console: Console, headless: bool) -> bool:
-    """Run until the duration is over (False) or somebody interrupts (True)."""
+def _is_given(context: click.Context, option: str) -> bool:
+    return context.get_parameter_source(option) is not click.core.ParameterSource.DEFAULT
+
+
+async def _unless_interrupted(run: Coroutine[Any, Any, None]) -> bool:
+    """Run to the end (False) or until somebody interrupts (True)."""
     stop = install_stop()
-    work = asyncio.create_task(run.execute(console, live=not headless and console.is_terminal))
+    work = asyncio.create_task(run)
     asked = asyncio.create_task(stop.requested.wait())
     await asyncio.wait((work, asked), return_when=asyncio.FIRST_COMPLETED)
     asked.cancel()

@@ -85,6 +85,20 @@ def write_simulated_rig(
     return load_rig(path)
 
 
+def with_motion(rig: Rig, motion: str) -> Rig:
+    """Write into the `rig.toml` of `write_simulated_rig` what moves there, and return the rig loaded again.
+
+    Args:
+        rig: as written; its last table is [sim] and says nothing of the motion yet.
+        motion: as in `SimConfig`.
+    """
+    if motion == rig.config.sim.motion:
+        return rig
+    file = rig.path / RIG_FILE
+    write_text_atomic(file, file.read_text(encoding="utf-8") + f'motion = "{motion}"\n')
+    return load_rig(rig.path)
+
+
 def true_cameras(rig: Rig) -> dict[str, CameraModel]:
     """Return the true geometry of the simulated cameras, which their calibration only approaches."""
     truth = simulated_rig_calibration(rig.config.cameras, rig.config.sim.seed).truth.cameras

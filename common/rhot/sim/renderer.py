@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from rhot.camera import CameraModel
 from rhot.rig.config import CameraConfig, SimConfig
 from rhot.sim.backdrop import Backdrop, Image, SensorNoise
+from rhot.sim.board import BOARD
+from rhot.sim.board_painter import BoardPainter
 from rhot.sim.body import Body, Group
 from rhot.sim.canvas import AA_GROWTH, AA_SEAM, Window, disjoint, far_to_near, paint_groups
 from rhot.sim.outline import OutlinePaths, Outliner, row_timed
@@ -61,6 +63,7 @@ class Renderer:
         self._camera_config = camera_config
         self._seed = seed
         self._body = Body(world)
+        self._board = None if world.board is None else BoardPainter(camera, world.board)
         self._outliner = Outliner(camera, VERTICES, AA_GROWTH / SCALE, AA_SEAM)
         self._backdrop = Backdrop(camera.width, camera.height, SCALE, config.light_drift, seeded(config.seed, 10, seed))
         self._noise = SensorNoise(camera.width, camera.height, config.noise_sigma, seeded(config.seed, 11, seed))
@@ -111,9 +114,25 @@ class Renderer:
                 area = (slice(window.top, window.bottom), slice(window.left, window.right))
                 here = [group for group in groups if group.owner in windows and windows[group.owner].overlaps(window)]
                 image[area] = self._exposed(window, drawn, here, colors, large)
+        if self._board is not None:
+            self._paint_board(self._board, image, t_first_row_s, (exposure, readout), light)
         digest = hashlib.blake2b(f"{self._seed} {round(t_first_row_s * 1e9)}".encode(), digest_size=4).digest()
         self._noise.add(image, int.from_bytes(digest, "big"))
         return image
+
+    def _paint_board(
+        self, painter: BoardPainter, image: Image, t_first_row_s: float, spans_s: tuple[float, float], light: float
+    ) -> None:
+        """Paint the board into an image in place; `spans_s` are exposure and read-out."""
+        exposure_s, readout_s = spans_s
+
+        def poses(t_s: FloatArray) -> FloatArray:
+            return self.world.motion.sample(t_s).objects[BOARD]
+
+        begin = t_first_row_s + 0.5 * readout_s
+        moved_px = painter.travel_px(poses(np.array([begin, begin + exposure_s])))
+        moments_s = t_first_row_s + exposure_s * _shares_of_exposure(moved_px)
+        painter.paint(image, poses, moments_s, readout_s, light)
 
     def _color(self, paint: str, brightness: float) -> Bgr:
         return shaded(self._paints[paint], brightness)
@@ -125,9 +144,7 @@ class Renderer:
         # The forearm's far end swings widely, out of the picture.
         seen = self.camera.contains(paths.middle.reshape(-1, 2)).reshape(paths.middle.shape[:2])
         moved_px = float(np.abs(paths.end - paths.start).max(axis=-1)[seen].max(initial=0.0)) * exposure_s / span_s
-        count = 1 if moved_px < _STILL_PX else min(MAX_MOMENTS, 1 + int(np.ceil(moved_px / 0.6)))
-        shares: FloatArray = (np.arange(count) + 0.5) / count
-        return shares
+        return _shares_of_exposure(moved_px)
 
     def _windows(self, drawn: list[FloatArray], groups: list[Group]) -> dict[str, Window]:
         """Return the window around each hand and object that is in the picture."""
@@ -166,3 +183,10 @@ class Renderer:
                 return small
             cv2.accumulate(small, total)
         return np.asarray(cv2.convertScaleAbs(total, alpha=1.0 / len(drawn)), dtype=np.uint8)
+
+
+def _shares_of_exposure(moved_px: float) -> FloatArray:
+    """Return the moments of an exposure to draw, as shares of it: as many as a motion of so many pixels needs."""
+    count = 1 if moved_px < _STILL_PX else min(MAX_MOMENTS, 1 + int(np.ceil(moved_px / 0.6)))
+    shares: FloatArray = (np.arange(count) + 0.5) / count
+    return shares

@@ -7,6 +7,7 @@ import gc
 import socket
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,20 +18,18 @@ from rich.live import Live
 from rhot.bus import Bus
 from rhot.cli.control import broadcast
 from rhot.cli.status import fetch_status, status_table
-from rhot.errors import BusError
 from rhot.evaluate.accuracy import seconds_since
 from rhot.evaluate.collect import Collected, collect
 from rhot.evaluate.coverage import coverage
 from rhot.evaluate.figures import latency_parts, service_figures, tracking_figures
 from rhot.evaluate.table import live_table
 from rhot.messages import ServiceStatus
-from rhot.rig import BusConfig, Rig
+from rhot.rig import Rig
 from rhot.sim.coverage import MarkerCoverage
 from rhot.sim.folder import true_cameras
+from rhot.sim.processes import service_commands, with_processes
 from rhot.sim.world import World
-from rhot.supervisor import Supervisor
 
-_UP_LIMIT_S: Final = 30.0
 _START_DELAY_S: Final = 1.0
 _STEADY_FROM_S: Final = 3.0
 """Figures are taken from here on: caches are warm, every filter has started."""
@@ -67,12 +66,8 @@ class SimRun:
     @property
     def _services(self) -> dict[str, list[str]]:
         """Names on the bus and the commands that run them."""
-        rig = ["--rig", str(self._rig.path), "--connect", self._endpoint]
-        services = {f"capture/{name}": ["capture", "--camera", name, *rig] for name in self._rig.config.cameras}
-        services |= {f"{name}/main": [name, *rig] for name in ("fusion", "ik", "truth")}
-        if self._rig.config.objects:
-            services["objects/main"] = ["objects", *rig]
-        return services
+        names = ["fusion", "ik", "truth", *(["objects"] if self._rig.config.objects else [])]
+        return service_commands(self._rig, self._endpoint, names)
 
     async def execute(self, console: Console, *, live: bool) -> None:
         """Start everything, run for the duration, end everything.
@@ -84,30 +79,12 @@ class SimRun:
         # through all that was received so far again and again, may hold that up.
         sys.setswitchinterval(_SWITCH_S)
         gc.disable()
-        supervisor = Supervisor(self._logs)
-        router = BusConfig(mode="router", connect=(), listen=(self._endpoint,))
-        client = BusConfig(connect=(self._endpoint,))
         try:
-            async with await Bus.open(router), await Bus.open(client) as bus:
-                for name, arguments in self._services.items():
-                    await supervisor.start(name.replace("/", " "), arguments)
-                work = asyncio.create_task(self._follow(bus, console, live))
-                failed = asyncio.create_task(supervisor.wait_for_failure())
-                try:
-                    await asyncio.wait((work, failed), return_when=asyncio.FIRST_COMPLETED)
-                    if failed.done():
-                        raise supervisor.failure(failed.result())
-                    work.result()
-                finally:
-                    work.cancel()
-                    failed.cancel()
-                    await asyncio.gather(work, failed, return_exceptions=True)
+            await with_processes(self._endpoint, self._services, self._logs, partial(self._follow, console, live))
         finally:
             gc.enable()
-            await supervisor.stop()
 
-    async def _follow(self, bus: Bus, console: Console, live: bool) -> None:
-        await self._wait_for_services(bus)
+    async def _follow(self, console: Console, live: bool, bus: Bus) -> None:
         async with asyncio.TaskGroup() as tasks:
             collecting = tasks.create_task(collect(bus, self._collected, time.time_ns))
             control = await broadcast(bus, "start", "sim", _START_DELAY_S, wait_s=5.0)
@@ -116,20 +93,6 @@ class SimRun:
             self._after = (await fetch_status(bus))[1]
             await broadcast(bus, "stop", "sim", 0.0, wait_s=5.0)
             collecting.cancel()
-
-    async def _wait_for_services(self, bus: Bus) -> None:
-        deadline = time.monotonic() + _UP_LIMIT_S
-        wanted = set(self._services)
-        while True:
-            alive, _ = await fetch_status(bus, timeout_s=0.5)
-            if wanted <= alive:
-                return
-            if time.monotonic() > deadline:
-                raise BusError(
-                    f"{', '.join(sorted(wanted - alive))} did not come up within {_UP_LIMIT_S:.0f} s; is this machine "
-                    "overloaded?"
-                )
-            await asyncio.sleep(0.1)
 
     def _elapsed_s(self) -> float:
         return (time.time_ns() - self._start_t_ns) / 1e9

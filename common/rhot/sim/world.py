@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.camera import CameraModel
 from rhot.hand import HandJoints, HandModel
 from rhot.messages import Side, TruePose, Truth
 from rhot.rig.config import MarkerConfig, SimConfig
 from rhot.rig.folder import Rig
 from rhot.rotations import quaternion_from_rotation
+from rhot.sim.board import BoardMotion, ChessBoard
+from rhot.sim.calibration import simulated_rig_calibration
 from rhot.sim.motion import Motion, StillMotion
 from rhot.sim.script import ScriptedMotion
 from rhot.skeleton import JOINTS
@@ -29,7 +32,7 @@ class WorldSample:
         joints: side to its joints; positions (N, 26, 3) metres, rotations (N, 26, 3, 3).
         angles: side to joint angles (N, 5, 4), radians, as in `rhot.hand`.
         markers: marker name to the centre of its painted volume, (N, 3) metres.
-        objects: object id to the pose of its centre, (N, 4, 4), metres.
+        objects: object id to the pose of its centre, (N, 4, 4), metres; `board` to that of its first inner corner.
     """
 
     t_s: FloatArray
@@ -49,6 +52,7 @@ class World:
         objects: ids of the objects.
         motion: what moves; the scripted motion of the seed when not given.
         desk_z_m: distance of the desk from the reference camera.
+        board: a chessboard that `motion` moves as object `board`.
     """
 
     def __init__(
@@ -60,18 +64,23 @@ class World:
         *,
         motion: Motion | None = None,
         desk_z_m: float = 0.95,
+        board: ChessBoard | None = None,
     ) -> None:
         self.seed = seed
         self.hands = dict(hands)
         self.markers = {name: marker for name, marker in markers.items() if marker.hand in hands}
         self.objects = tuple(objects)
         self.desk_z_m = desk_z_m
+        self.board = board
         self.motion: Motion = motion or ScriptedMotion(seed, self.hands, self.objects, desk_z_m)
 
     @classmethod
     def from_rig(cls, rig: Rig) -> World:
-        """Build the world that a rig folder describes: its hands, its markers and its simulated objects."""
+        """Build the world that a rig folder describes: its hands, markers and simulated objects, or a board alone."""
         config = rig.config
+        if config.sim.motion == "board":
+            board = ChessBoard(config.sim.board_columns, config.sim.board_rows, config.sim.board_square_m)
+            return cls(config.sim.seed, {}, {}, motion=_board_motion(rig, board), board=board)
         hands: dict[Side, HandModel] = {side: HandModel.from_file(rig.hand, side) for side in config.sides}
         objects = [name for name, item in config.objects.items() if item.source == "simulated"]
         motion = _motion(config.sim, hands, objects)
@@ -105,6 +114,12 @@ def _motion(config: SimConfig, hands: Mapping[Side, HandModel], objects: Sequenc
     if config.motion == "still":
         return StillMotion(tuple(hands), objects, config.desk_z_m)
     return ScriptedMotion(config.seed, hands, objects, config.desk_z_m)
+
+
+def _board_motion(rig: Rig, board: ChessBoard) -> BoardMotion:
+    truth = simulated_rig_calibration(rig.config.cameras, rig.config.sim.seed).truth.cameras
+    cameras = [CameraModel.from_calibration(camera) for camera in truth.values()]
+    return BoardMotion(rig.config.sim.seed, cameras, board)
 
 
 def _joint_poses(joints: HandJoints) -> dict[str, TruePose]:
