@@ -105,8 +105,8 @@ def test_alike_paints_are_named(scene: Any, shape: Any, markers: Any) -> None:
     drawn = scene(shapes, noise=2.0, size=(400, 200))
     picks = {name: (u, v) for name, (u, v, _) in drawn.truth.items()}
     result = calibrate([drawn.image], [picks], markers)
-    assert [set(pair[:2]) for pair in result.confusable] == [{"ring", "index"}]
-    assert result.markers["ring"].nearest == "index"
+    assert [set(pair[:2]) for pair in result.separability.confusable()] == [{"ring", "index"}]
+    assert result.separability.nearest("ring")[0] == "index"
 
 
 def test_a_look_alike_in_the_room_is_not_the_marker(scene: Any, shape: Any, markers: Any) -> None:

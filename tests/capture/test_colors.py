@@ -108,9 +108,27 @@ def test_box_calibration_of_the_2018_tracker(tmp_path: Path) -> None:
     assert colors.markers["index"] == RgbBoxColor(low=(61, 61, 61), high=(255, 255, 255))
     with pytest.raises(ConfigError, match="2 colours, too few"):
         load_box_calibration(file, ["thumb", "index", "ring"])
-    file.write_text('{"colors": [{"rLower": "x"}]}')
-    with pytest.raises(ConfigError, match="RGB limits"):
-        load_box_calibration(file, ["thumb"])
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ("[", "not JSON"),
+        ("[]", "no list `colors`"),
+        ('{"colors": 3}', "no list `colors`"),
+        ('{"colors": [], "colorMode": "hsv"}', "colorMode = 'hsv'"),
+        ('{"colors": [7]}', r"colors\[0\] is not a set"),
+        ('{"colors": [{"rLower": "x"}]}', r"colors\[0\]\.rLower = 'x' is not a number"),
+        ('{"colors": [{"rLower": "1"}]}', r"colors\[0\]\.rUpper is missing"),
+        ('{"colors": [{"rLower": "1", "rUpper": "256"}]}', r"rUpper = 256 is out of bounds"),
+        ('{"colors": [{"rLower": "9", "rUpper": "8"}]}', r"rLower = 9 is above rUpper = 8"),
+    ],
+)
+def test_wrong_box_calibration_names_the_field(tmp_path: Path, data: str, words: str) -> None:
+    file = tmp_path / "colorCalibration.json"
+    file.write_text(data)
+    with pytest.raises(ConfigError, match=words):
+        load_box_calibration(file, ["thumb"] if data != '{"colors": [], "colorMode": "hsv"}' else [])
 
 
 def test_real_box_calibration_loads(thesis_rig: Path) -> None:

@@ -12,10 +12,10 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
-from rig_processes import Processes, hand_measured_after, start_rig
+from rig_processes import Processes, hand_measured_after, next_message, start_rig
 
 from rhot.bus import Bus
-from rhot.messages import HandPose, ServiceStatus, decode
+from rhot.messages import HandPose, MarkerFrame, Message, ServiceStatus, decode
 from rhot.rig import load_rig
 from rhot.sim.world import World
 from rhot.skeleton import FINGERS
@@ -223,3 +223,30 @@ def test_nothing_is_left_running(simulated_rig: tuple[Path, str]) -> None:
     from rig_processes import processes_that_name
 
     assert list(processes_that_name(str(simulated_rig[0]))) == []
+
+
+async def test_a_camera_runs_without_colours_and_takes_them_over(processes: Processes, rig_bus: Bus) -> None:
+    """Colours are calibrated from the running camera's own pictures, so it has to run before there are any."""
+    path = processes.rig / "colors.json"
+    aside = path.with_suffix(".aside")
+    path.rename(aside)
+    try:
+        await processes.start("fusion")
+        await processes.start("capture left")
+        await start_rig(rig_bus)
+
+        def empty(message: Message) -> bool:
+            assert isinstance(message, MarkerFrame)
+            return not message.markers
+
+        await next_message(rig_bus, "rhot/markers/left", MarkerFrame, empty, UP_S)
+        (preview,) = await rig_bus.get("rhot/preview/left?format=png", timeout_s=5.0)
+        assert preview.payload.startswith(b"\x89PNG")
+        path.write_text("{}")
+        await asyncio.sleep(1.0)
+    finally:
+        aside.replace(path)
+    await next_message(rig_bus, "rhot/markers/left", MarkerFrame, lambda message: not empty(message), BACK_S + 2.0)
+    (reply,) = await rig_bus.get("rhot/status/capture/left")
+    status = decode(reply.payload, ServiceStatus)
+    assert "new colours refused" in status.last_error

@@ -56,7 +56,6 @@ def test_the_overview_imports_no_command() -> None:
     [
         (["bogus"], "No such command"),
         (["fusion", "--rig", "/nonexistent"], "rhot init"),
-        (["capture", "--camera", "left", "--rig", "RIG"], "colors.json"),
         (["capture", "--camera", "middle", "--rig", "RIG"], "it has left, right"),
         (["objects", "--rig", "RIG"], "names no objects"),
         (["get", "rhot/**", "--connect", NOBODY], "no Zenoh router answers"),

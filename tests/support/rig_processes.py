@@ -30,12 +30,12 @@ class Processes:
     """Services as processes that can be started, killed and started again one by one."""
 
     def __init__(self, rig: Path, logs: Path) -> None:
-        self._rig = rig
+        self.rig = rig
         self.supervisor = Supervisor(logs)
         self.running: dict[str, Child] = {}
 
     async def start(self, name: str) -> None:
-        self.running[name] = await self.supervisor.start(name, [*SERVICES[name], "--rig", str(self._rig)])
+        self.running[name] = await self.supervisor.start(name, [*SERVICES[name], "--rig", str(self.rig)])
 
     async def kill(self, name: str) -> None:
         child = self.running.pop(name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import asyncio
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -11,90 +11,189 @@ import click
 import cv2
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
+from rhot.cli.options import bus_options, tool_bus
 from rhot.errors import ConfigError
 from rhot.rig import Rig, load_rig, write_json_model
-from rhot_capture.color_calibration import ColorCalibration, calibrate
-from rhot_capture.color_table import ImageArray, build_color_table
+from rhot.rig.calibration import today
+from rhot.rig.colors import load_box_calibration
+from rhot_capture.color_calibration import calibrate
+from rhot_capture.color_console import confusion_table, marker_table, suggestions, warnings
+from rhot_capture.color_import import load_camera_settings, rig_lines
+from rhot_capture.color_live import live_pictures
+from rhot_capture.color_picks import parse_places
+from rhot_capture.color_report import report_picture
+from rhot_capture.color_table import ColorTable, ImageArray, build_color_table
 from rhot_capture.detector import Detection, MarkerDetector
 from rhot_capture.preview import preview_jpeg
 
-_NUMBER: Final = r"\s*([-+]?\d+(?:\.\d+)?)\s*"
-_PICK: Final = re.compile(rf"([^=]+)={_NUMBER},{_NUMBER}(?:@\s*(\d+)\s*)?")
+_PICTURES: Final = (".png", ".jpg", ".jpeg")
 
 
 @click.command()
-@click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("images", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
     "--pick",
     "picks",
     multiple=True,
-    required=True,
-    metavar="NAME=U,V[@N]",
-    help="A place on a marker, pixels from the upper left; @2 picks in the second image. Repeat for each marker.",
+    metavar="NAME=U,V[@PICTURE]",
+    help="A place on a marker, pixels from the upper left. Repeat for each marker.",
+)
+@click.option(
+    "--box",
+    "boxes",
+    multiple=True,
+    metavar="NAME=U,V,W,H[@PICTURE]",
+    help="A rectangle around a marker: upper left corner and size, pixels. Some surroundings in it do no harm.",
+)
+@click.option("--live", is_flag=True, help="Take the pictures from the running capture services, one per camera.")
+@click.option(
+    "--save",
+    "save_path",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Keep the pictures of --live in this folder; without picks that is all that happens.",
 )
 @click.option(
     "--rig",
     "rig_path",
     required=True,
-    type=click.Path(path_type=Path),
+    type=click.Path(path_type=Path, file_okay=False),
     help="Rig folder; colors.json is written into it.",
+)
+@click.option(
+    "--report",
+    "report_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write a picture (PNG or JPEG) of what each colour takes in and how far the colours lie apart.",
 )
 @click.option(
     "--preview",
     "preview_path",
-    type=click.Path(path_type=Path),
-    help="Write the first image with what is found in it as a JPEG.",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write the first picture with what is found in it as a JPEG.",
 )
-def colors(images: tuple[Path, ...], picks: tuple[str, ...], rig_path: Path, preview_path: Path | None) -> None:
+@click.option(
+    "--import",
+    "import_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Take the colours from a colorCalibration.json of the 2018 tracker; no pictures are needed.",
+)
+@click.option(
+    "--camera-settings",
+    "settings_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="With --import: print the settings in its cameraCalib.json as lines for rig.toml.",
+)
+@bus_options
+def colors(
+    images: tuple[Path, ...],
+    picks: tuple[str, ...],
+    boxes: tuple[str, ...],
+    live: bool,
+    save_path: Path | None,
+    rig_path: Path,
+    report_path: Path | None,
+    preview_path: Path | None,
+    import_path: Path | None,
+    settings_path: Path | None,
+    connect: tuple[str, ...],
+    namespace: str | None,
+) -> None:
     """Learn the markers' colours from pictures of the painted hand.
 
     \b
-    rhot calibrate colors hand.jpg --pick thumb=281,215 --pick index=250,290 --rig myrig
-    rhot calibrate colors bright.jpg dark.jpg --pick thumb=281,215 --pick thumb=300,220@2 --rig myrig
+    From pictures; @2 or @bright says which one, the first needs none:
+      rhot calibrate colors hand.jpg --pick thumb=281,215 --box index=240,275,21,33 --rig myrig
+      rhot calibrate colors dark.jpg bright.jpg --pick thumb=281,215 --pick thumb=300,220@bright --rig myrig
+    From the running rig; hold the hand still between the two calls:
+      rhot calibrate colors --live --save pictures --rig myrig
+      rhot calibrate colors pictures/left.png pictures/right.png --pick thumb=281,215@left … --rig myrig
+    From the files of the 2018 tracker:
+      rhot calibrate colors --import colorCalibration.json --camera-settings cameraCalib.json --rig myrig
 
-    Take the pictures with the tracker's own cameras, locked as they will run:
-    rhot get --raw 'rhot/preview/left' > hand.jpg. One picture per camera and light makes the colours robust. A marker
-    without a pick gets no colour and is never reported.
+    Any image viewer shows the pixel under the mouse. Take the pictures with the tracker's own cameras, locked as they
+    will run; one picture per camera and light makes the colours robust. A marker that is not shown gets no colour and
+    is never reported.
+
+    Two tables say how well the colours can be told apart: each marker's nearest other one, and what share of every
+    class's pixels will be taken for which other. Pairs that will be mixed up are named, with a better paint.
     """  # noqa: D301
+    _check_options(images, picks, boxes, live, save_path, import_path, settings_path)
+    for path, suffixes in ((report_path, _PICTURES), (preview_path, (".jpg", ".jpeg"))):
+        _check_target(path, suffixes)
     rig = load_rig(rig_path)
-    pictures = [_read(path) for path in images]
-    chosen = parse_picks(picks, images)
+    if import_path is not None:
+        _import(rig, import_path, settings_path)
+        return
+    titles, pictures = _live(rig, connect, namespace, save_path) if live else _read_all(images)
+    if live and not picks and not boxes:
+        return
+    places = parse_places(picks, boxes, titles)
     with Console(stderr=True).status(f"learning colours from {len(pictures)} picture(s)"):
-        result = calibrate(pictures, chosen, rig.config.markers)
+        result = calibrate(pictures, places, rig.config.markers)
+        table = build_color_table(result.colors, list(rig.config.markers))
+        detections = [_detect(rig, table, picture) for picture in pictures]
         write_json_model(rig.colors_path, result.colors)
-        detections = [_detect(rig, result, picture) for picture in pictures]
-    _report(result, images, detections, rig.colors_path)
+    remarks = [*warnings(result), *suggestions(result)]
+    console = Console()
+    console.print(marker_table(result, titles, detections))
+    console.print(confusion_table(result.separability))
+    for remark in remarks:
+        console.print(remark, style="yellow" if remark.startswith("warning") else "cyan", markup=False, highlight=False)
+    if report_path is not None:
+        _write_image(report_path, report_picture(pictures, titles, result, table, detections, remarks))
     if preview_path is not None:
+        _write_bytes(preview_path, preview_jpeg(pictures[0], detections[0]))
+    _say_written(console, rig)
+
+
+def _check_options(
+    images: Sequence[Path],
+    picks: Sequence[str],
+    boxes: Sequence[str],
+    live: bool,
+    save_path: Path | None,
+    import_path: Path | None,
+    settings_path: Path | None,
+) -> None:
+    sources = [name for name, given in (("pictures", images), ("--live", live), ("--import", import_path)) if given]
+    if len(sources) != 1:
+        raise ConfigError(
+            "no pictures: name some, or use --live with a running rig or --import with a file of the 2018 tracker"
+            if not sources
+            else f"{' and '.join(sources)} exclude each other; use one"
+        )
+    if import_path is not None and (picks or boxes):
+        raise ConfigError("--pick and --box need pictures; --import brings finished colours")
+    if settings_path is not None and import_path is None:
+        raise ConfigError("--camera-settings goes with --import colorCalibration.json")
+    if save_path is not None and not live:
+        raise ConfigError("--save goes with --live: other pictures are files already")
+    if live and not (picks or boxes or save_path):
+        raise ConfigError(
+            "--live without --pick or --box: look at the pictures first, `--live --save pictures` writes them there"
+        )
+
+
+def _live(
+    rig: Rig, connect: tuple[str, ...], namespace: str | None, save_path: Path | None
+) -> tuple[list[str], list[ImageArray]]:
+    bus = tool_bus(rig.path, connect, namespace)
+    pictures = asyncio.run(live_pictures(bus, list(rig.config.cameras)))
+    if save_path is not None:
         try:
-            preview_path.write_bytes(preview_jpeg(pictures[0], detections[0]))
+            save_path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"{preview_path}: cannot be written: {error.strerror or error}") from error
+            raise ConfigError(f"{save_path}: cannot be made: {error.strerror or error}") from error
+        for camera, picture in pictures.items():
+            _write_image(save_path / f"{camera}.png", picture)
+        files = " ".join(str(save_path / f"{camera}.png") for camera in pictures)
+        click.echo(f"pictures written: {files}\nlearn from them with --pick NAME=U,V@{next(iter(pictures))} and so on")
+    return list(pictures), list(pictures.values())
 
 
-def parse_picks(picks: Sequence[str], images: Sequence[Path]) -> list[dict[str, tuple[float, float]]]:
-    """Return for each image the picks in it: marker name to (u, v), pixels.
-
-    Args:
-        picks: `NAME=U,V` for the first image, `NAME=U,V@N` for the N-th, counted from 1.
-        images: the images.
-
-    Raises:
-        ConfigError: not of that form, a number without an image, or a marker picked twice in one image.
-    """
-    chosen: list[dict[str, tuple[float, float]]] = [{} for _ in images]
-    for pick in picks:
-        match = _PICK.fullmatch(pick)
-        if match is None:
-            raise ConfigError(f"--pick {pick}: not NAME=U,V or NAME=U,V@N, such as thumb=281,215 or thumb=281,215@2")
-        name, u, v, number = match[1].strip(), float(match[2]), float(match[3]), int(match[4] or 1)
-        if not 1 <= number <= len(images):
-            raise ConfigError(f"--pick {pick}: there is no image {number}; {len(images)} given")
-        if name in chosen[number - 1]:
-            raise ConfigError(f"--pick {pick}: {name} is picked twice in {images[number - 1]}; keep one")
-        chosen[number - 1][name] = (u, v)
-    return chosen
+def _read_all(paths: Sequence[Path]) -> tuple[list[str], list[ImageArray]]:
+    return [path.stem for path in paths], [_read(path) for path in paths]
 
 
 def _read(path: Path) -> ImageArray:
@@ -106,43 +205,57 @@ def _read(path: Path) -> ImageArray:
     return np.asarray(image, dtype=np.uint8)
 
 
-def _detect(rig: Rig, result: ColorCalibration, picture: ImageArray) -> dict[str, Detection]:
-    names = list(rig.config.markers)
-    detector = MarkerDetector(
-        rig.config.markers, build_color_table(result.colors, names), picture.shape[1], picture.shape[0]
-    )
+def _check_target(path: Path | None, suffixes: Sequence[str]) -> None:
+    """Refuse a picture that could not be written before any work is done."""
+    if path is None:
+        return
+    if path.suffix.lower() not in suffixes:
+        raise ConfigError(f"{path}: this picture is written as {' or '.join(suffixes)}")
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path}: cannot be written: there is no folder {path.parent}")
+
+
+def _write_image(path: Path, picture: ImageArray) -> None:
+    ok, data = cv2.imencode(path.suffix.lower(), picture)
+    if not ok:
+        raise ConfigError(f"{path}: a picture of {picture.shape[1]}x{picture.shape[0]} cannot be coded")
+    _write_bytes(path, bytes(data))
+
+
+def _write_bytes(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _detect(rig: Rig, table: ColorTable, picture: ImageArray) -> dict[str, Detection]:
+    detector = MarkerDetector(rig.config.markers, table, picture.shape[1], picture.shape[0])
     return detector.detect(picture)
 
 
-def _report(
-    result: ColorCalibration, images: Sequence[Path], detections: Sequence[dict[str, Detection]], written: Path
-) -> None:
-    console = Console()
-    table = Table(title="Colours found", title_justify="left")
-    several = len(images) > 1
-    table.add_column("marker")
-    if several:
-        table.add_column("image")
-    for heading in ("u", "v", "area px", "score", "kept"):
-        table.add_column(heading, justify="right")
-    table.add_column("most like")
-    table.add_column("mixed up", justify="right")
-    for name, quality in result.markers.items():
-        for path, found in zip(images, detections, strict=True):
-            detection = found.get(name)
-            place = (
-                ("-", "-", "-", "not seen")
-                if detection is None
-                else (f"{detection.u:.1f}", f"{detection.v:.1f}", f"{detection.area:.0f}", f"{detection.score:.2f}")
-            )
-            kept, mixed = f"{100 * quality.recovered:.0f} %", f"< {100 * quality.confusion:.1f} %"
-            label = (name, path.name) if several else (name,)
-            table.add_row(*label, *place, kept, quality.nearest or "-", mixed if quality.nearest else "-")
-    console.print(table)
-    for first, second, bound in result.confusable:
-        console.print(
-            f"warning: {first} and {second} may be mixed up (up to {100 * bound:.0f} % of pixels); choose paints that "
-            "differ more in hue, or give picks in more pictures",
-            style="yellow",
+def _import(rig: Rig, import_path: Path, settings_path: Path | None) -> None:
+    markers = list(rig.config.markers)
+    found = load_box_calibration(import_path, markers)
+    settings = None if settings_path is None else load_camera_settings(settings_path)
+    quality = {"source": f"imported from {import_path.name}"}
+    write_json_model(rig.colors_path, found.model_copy(update={"date": today(), "quality": quality}))
+    click.echo(f"{', '.join(markers)}: in this order the colours of {import_path} were given to the rig's markers")
+    if settings is not None:
+        click.echo(
+            f"\nfor {rig.path / 'rig.toml'}, which stays as it is:\n\n{rig_lines(settings, list(rig.config.cameras))}\n"
         )
-    console.print(f"{written} written; look at it live with `rhot get --raw 'rhot/preview/<camera>?overlay=markers'`")
+        for remark in settings.remarks:
+            click.echo(f"- {remark}")
+    _say_written(Console(), rig)
+
+
+def _say_written(console: Console, rig: Rig) -> None:
+    camera = next(iter(rig.config.cameras))
+    console.print(
+        f"{rig.colors_path} written. Capture services that run on this folder take it over within a second; on a Pi "
+        "copy it into the rig folder there. "
+        f"Look with `rhot get --raw 'rhot/preview/{camera}?overlay=markers' > seen.jpg`",
+        markup=False,
+        highlight=False,
+    )

@@ -7,7 +7,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rhot.rig.colors import DARK_OFFSET, ColorComponent, FloatArray, RgbColor, log_ratio
+from rhot.rig.colors import DARK_OFFSET, ColorComponent, FloatArray, log_ratio
 
 MARKER_FLOOR: Final = (0.06, 0.06, 0.22)
 """Least σ of a marker's class: light changes between calibration and use, mostly its strength."""
@@ -40,8 +40,9 @@ def fit_component(samples: FloatArray, floor: tuple[float, float, float], weight
         values = [0.8 * value for value in values]
     first, second, third = (round(value, 3) for value in values)
     sigma_1, sigma_2, sigma_3 = (round(float(value), 4) for value in sigma)
+    red, green, blue = (round(float(value), 1) for value in rgb_of(mean))
     return ColorComponent(
-        rgb=_rgb_of(mean),
+        rgb=(red, green, blue),
         sigma=(sigma_1, sigma_2, sigma_3),
         correlation=(first, second, third),
         weight=weight,
@@ -64,16 +65,19 @@ def _correlation_matrix(values: list[float]) -> FloatArray:
     return matrix
 
 
-def _rgb_of(feature: FloatArray) -> RgbColor:
-    """Return the colour at a place in log-ratio space, inverse of `rhot.rig.colors.log_ratio`."""
-    brightness = np.exp(feature[2])
-    red_ratio, blue_ratio = np.exp(feature[0]), np.exp(feature[1])
+def rgb_of(features: FloatArray) -> FloatArray:
+    """Return the colours at places in log-ratio space, inverse of `rhot.rig.colors.log_ratio`.
+
+    Args:
+        features: (..., 3), no unit.
+
+    Returns:
+        (..., 3) float64 red, green, blue, 0 to 255.
+    """
+    brightness = np.exp(features[..., 2])
+    red_ratio, blue_ratio = np.exp(features[..., 0]), np.exp(features[..., 1])
     green = 4.0 * brightness / (red_ratio + 2.0 + blue_ratio)
-    red, green, blue = (
-        round(float(np.clip(value - DARK_OFFSET, 0.0, 255.0)), 1)
-        for value in (green * red_ratio, green, green * blue_ratio)
-    )
-    return red, green, blue
+    return np.clip(np.stack([green * red_ratio, green, green * blue_ratio], axis=-1) - DARK_OFFSET, 0.0, 255.0)
 
 
 def fit_mixture(samples: FloatArray, count: int, floor: tuple[float, float, float]) -> list[ColorComponent]:

@@ -7,19 +7,17 @@ connected pixels that fit its own normal distribution.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.rig.colors import FloatArray, GaussianColor, log_ratio
+from rhot_capture.color_boxes import BoolArray, box_region
 from rhot_capture.color_fit import COUNTER_FLOOR, fit_component, fit_mixture
+from rhot_capture.color_picks import Box, Place, Places
 from rhot_capture.color_table import ImageArray, mixture_fit
-
-BoolArray = NDArray[np.bool_]
 
 SEARCH_PX: Final = 12
 _PATCH_PX: Final = 2
@@ -67,37 +65,60 @@ class PickImage:
     surroundings: FloatArray
 
 
-def prepare(image: ImageArray, picks: Sequence[tuple[float, float]]) -> PickImage:
+def prepare(image: ImageArray, places: Places) -> PickImage:
     """Prepare a picture.
 
     Args:
         image: (H, W, 3) uint8 BGR.
-        picks: all picks in it, (u, v) pixels.
+        places: all markers shown in it.
     """
     smooth = cv2.GaussianBlur(image, (3, 3), 0)[..., ::-1].astype(np.float64)
     features = log_ratio(smooth)
-    around = np.zeros(image.shape[:2], np.uint8)
-    for u, v in picks:
-        cv2.circle(around, (round(u), round(v)), _CLEARANCE_PX, 1, cv2.FILLED)
-    return PickImage(image, features, _commonness(features), _density(features, around == 0))
+    around = np.zeros(image.shape[:2], bool)
+    for place in places.values():
+        around |= _surroundings_of(place, image.shape[:2])
+    return PickImage(image, features, _commonness(features), _density(features, ~around))
 
 
-def regions(image: ImageArray, picks: Mapping[str, tuple[float, float]]) -> dict[str, BoolArray]:
-    """Return each picked marker's pixels, (H, W) bool, in one picture.
+def _surroundings_of(place: Place, shape: tuple[int, ...]) -> BoolArray:
+    """Return where a marker may be, generously, (H, W) bool."""
+    around = np.zeros(shape, np.uint8)
+    if isinstance(place, Box):
+        corner, size = (round(place.u), round(place.v)), (max(round(place.width), 1), max(round(place.height), 1))
+        cv2.rectangle(around, (*corner, *size), 1, cv2.FILLED)
+    else:
+        cv2.circle(around, (round(place[0]), round(place[1])), _CLEARANCE_PX, 1, cv2.FILLED)
+    return around > 0
+
+
+def regions(image: ImageArray, places: Places) -> dict[str, BoolArray]:
+    """Return each shown marker's pixels, (H, W) bool, in one picture.
 
     Args:
         image: (H, W, 3) uint8 BGR.
-        picks: marker name to (u, v), pixels.
+        places: marker name to a place on it or a rectangle around it, pixels.
     """
-    picture = prepare(image, list(picks.values()))
-    grown = {name: grow(picture, *pick) for name, pick in picks.items()}
+    picture = prepare(image, places)
+    grown = {name: _region(picture, place, places) for name, place in places.items()}
+    if not any(isinstance(place, tuple) for place in places.values()):
+        return grown
     # Once the markers are known roughly, their surroundings are known exactly, and the rims come out sharper.
     taken = np.zeros(image.shape[:2], np.uint8)
     for region in grown.values():
         taken |= region
     free = cv2.dilate(taken, np.ones((7, 7), np.uint8)) == 0
     sharper = replace(picture, surroundings=_density(picture.features, free))
-    return {name: grow(sharper, *pick) for name, pick in picks.items()}
+    return {name: grown[name] if isinstance(place, Box) else grow(sharper, *place) for name, place in places.items()}
+
+
+def _region(picture: PickImage, place: Place, places: Places) -> BoolArray:
+    if not isinstance(place, Box):
+        return grow(picture, *place)
+    others = np.zeros(picture.surroundings.shape, bool)
+    for other in places.values():
+        if other is not place:
+            others |= _surroundings_of(other, others.shape)
+    return box_region(picture.features, place, others)
 
 
 def _density(features: FloatArray, where: BoolArray) -> FloatArray:

@@ -133,8 +133,9 @@ def mixture_fit(color: GaussianColor, features: FloatArray) -> tuple[FloatArray,
 
 def _mahalanobis(component: ColorComponent, features: FloatArray) -> tuple[FloatArray, float]:
     lower = np.linalg.cholesky(component.covariance())
-    whitened = np.linalg.solve(lower, (features - component.mean()).T)
-    squared = np.einsum("ij,ij->j", whitened, whitened)
+    # A product with the small inverse is several times as fast as solving for 65,536 colours.
+    whitened = (features - component.mean()) @ np.linalg.inv(lower).T
+    squared = np.einsum("ij,ij->i", whitened, whitened)
     return squared, -float(np.log(np.diag(lower)).sum()) - 1.5 * float(np.log(2.0 * np.pi))
 
 

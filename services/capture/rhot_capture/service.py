@@ -3,31 +3,37 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 from pydantic import BaseModel
 
 from rhot.bus import Answer, Publisher, Request, json_answer
 from rhot.clock import NodeClock
-from rhot.errors import ConfigError, DeviceError
+from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.messages import Control, MarkerFrame
 from rhot.rig import Rig
-from rhot.rig.colors import load_colors
+from rhot.rig.colors import ColorsFile, load_colors
 from rhot.service import Node
 from rhot_capture.color_table import ImageArray, build_color_table
 from rhot_capture.detector import Detection, MarkerDetector
 from rhot_capture.grabber import Grabber
-from rhot_capture.preview import marker_mask, preview_jpeg
+from rhot_capture.preview import marker_mask, preview_jpeg, preview_png
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources import Frame, Source, open_source
 from rhot_capture.timing import marker_frame, row_time_ns
 
 _PREVIEW_WAIT_S: Final = 0.4
 _KEEP_EVERY_S: Final = 1.0
+_LOOK_EVERY: Final = 32
+"""Frames between two looks at whether `colors.json` has changed."""
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +57,7 @@ class CaptureService:
 
         Args:
             camera: name of the camera in `rig.toml`.
-            rig: loaded, with colours.
+            rig: loaded; without colours the camera runs and no marker is found, so that they can be calibrated.
             clock: the node's own clock, in which frames are timed.
 
         Raises:
@@ -66,7 +72,8 @@ class CaptureService:
         self._clock = clock
         self._rate_hz = config.rate_hz
         self._size = (config.width, config.height)
-        self._colors = load_colors(rig.colors_path)
+        self._colors_stamp = _stamp(rig.colors_path)
+        self._colors = _colors_of(rig)
         self._names = tuple(rig.config.markers)
         self._settings = CameraSettings.from_config(config, self._colors)
         table = build_color_table(self._colors, self._names)
@@ -103,6 +110,25 @@ class CaptureService:
 
     def _rebuild(self, settings: CameraSettings) -> None:
         self._detector.table = build_color_table(self._colors.with_tolerances(settings.tolerances), self._names)
+
+    def _reload(self, node: Node) -> None:
+        """Take over a new `colors.json`; a wrong one leaves the old colours in force."""
+        try:
+            colors = _colors_of(self._rig)
+        except RhotError as error:
+            node.status.error(f"new colours refused, the old ones stay: {error}")
+            return
+        self._detector.table = build_color_table(colors, self._names)
+        self._colors = colors
+        tolerances = {name: color.tolerance for name, color in colors.markers.items()}
+        self._settings = self._settings.model_copy(update={"tolerances": tolerances})
+        logger.info("%s: new colours of %s", self.instance, ", ".join(colors.markers) or "no marker")
+
+    def _look_for_colors(self, node: Node) -> None:
+        stamp = _stamp(self._rig.colors_path)
+        if stamp != self._colors_stamp:
+            self._colors_stamp = stamp
+            self._building.submit(self._reload, node)
 
     def attach(self, node: Node) -> None:
         """Declare `rhot/markers/<camera>` and `rhot/preview/<camera>`."""
@@ -160,6 +186,8 @@ class CaptureService:
             self._settings.outlines,
         )
         self._publisher.put(message)
+        if frame.index % _LOOK_EVERY == 0:
+            self._look_for_colors(node)
         status = node.status
         status.tick("frames")
         status.latency("frame_age", age_s)
@@ -179,10 +207,12 @@ class CaptureService:
         return detections, seconds
 
     def _answer_preview(self, request: Request) -> Answer:
-        """Answer with a JPEG of the newest frame; runs on a worker thread."""
+        """Answer with a picture of the newest frame; runs on a worker thread."""
         if request.wants_json:
             width, height = self._size
-            return json_answer({"width": width, "height": height, "query": "?overlay=markers or ?mask=<marker>"})
+            return json_answer(
+                {"width": width, "height": height, "query": "?overlay=markers, ?mask=<marker> or ?format=png"}
+            )
         if self._running:
             self._fresh.clear()
             self._wanted.set()
@@ -193,6 +223,25 @@ class CaptureService:
         overlay = request.parameters.get("overlay", "")
         if overlay not in ("", "markers"):
             raise ConfigError(f"overlay={overlay}: only overlay=markers is known")
+        coding = request.parameters.get("format", "jpeg")
+        if coding not in ("jpeg", "png"):
+            raise ConfigError(f"format={coding}: only format=jpeg, format=png and format=json are known")
         name = request.parameters.get("mask")
         mask = None if name is None else marker_mask(seen.labels, self._names, name)
-        return Answer(preview_jpeg(seen.image, seen.detections if overlay else None, mask), "image/jpeg")
+        code = preview_png if coding == "png" else preview_jpeg
+        return Answer(code(seen.image, seen.detections if overlay else None, mask), f"image/{coding}")
+
+
+def _colors_of(rig: Rig) -> ColorsFile:
+    if rig.colors_path.exists():
+        return load_colors(rig.colors_path)
+    logger.warning("%s is missing: no marker is found until `rhot calibrate colors` has written it", rig.colors_path)
+    return ColorsFile(markers={})
+
+
+def _stamp(file: Path) -> int:
+    """Return what changes with a file's content, 0 without the file."""
+    try:
+        return file.stat().st_mtime_ns
+    except OSError:
+        return 0

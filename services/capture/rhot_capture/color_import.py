@@ -1,0 +1,107 @@
+"""Camera settings of the original 2018 tracker, in the terms of `rig.toml`.
+
+Its file holds percentages for the raspicam library, which turned them into camera parameters: `Exposure` 0 to 100
+into a shutter time of 0 to 330 ms, `Gain` 0 to 100 into ISO 0 to 800, white balance 0 into automatic, `Brightness`,
+`Contrast` and `Saturation` around a neutral 50 (raspicam, `RaspiCam_Cv::set`). On the camera module v2, ISO 100
+is an overall gain of 1.84 (picamera documentation, `PiCamera.iso`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from rhot.errors import ConfigError
+
+_SHUTTER_S: Final = 0.33
+_ISO: Final = 800.0
+_GAIN_AT_ISO_100: Final = 1.84
+_NEUTRAL: Final = 50.0
+_GAIN_BOUNDS: Final = (1.0, 64.0)
+_PERCENTAGES: Final = ("Exposure", "Gain", "Brightness", "Contrast", "Saturation")
+_WHITE_BALANCE: Final = ("awb red", "awb blue")
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedSettings:
+    """Camera settings as far as they have an equivalent.
+
+    Attributes:
+        lines: for the table of a camera in `rig.toml`.
+        remarks: what has no equivalent or needs a decision, for people.
+    """
+
+    lines: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+
+def load_camera_settings(path: Path) -> ImportedSettings:
+    """Read a `cameraCalib.json` of the original tracker.
+
+    Raises:
+        ConfigError: not such a file, or a value out of bounds; names the field.
+    """
+    values = _read(path)
+    lines: list[str] = []
+    remarks: list[str] = []
+    if values["Exposure"] > 0.0:
+        lines.append(f"exposure_s = {_SHUTTER_S * values['Exposure'] / 100.0:.4f}")
+    else:
+        remarks.append("Exposure = 0 was automatic; rhot locks it: set exposure_s yourself, 0.004 is a good start")
+    iso = _ISO * values["Gain"] / 100.0
+    gain = iso / 100.0 * _GAIN_AT_ISO_100
+    if iso > 0.0:
+        low, high = _GAIN_BOUNDS
+        lines.append(f"gain = {min(max(gain, low), high):.2f}")
+        remarks.append(
+            f"gain: Gain = {values['Gain']:g} was ISO {iso:.0f}, an overall gain of about {gain:.2f} on a camera "
+            "module v2; part of it was digital, so look at a picture before you trust it"
+        )
+    else:
+        remarks.append("Gain = 0 was automatic ISO; rhot locks it: set gain yourself, 4 is a good start")
+    red, blue = (values[name] for name in _WHITE_BALANCE)
+    if red > 0.0 and blue > 0.0:
+        lines.append(f"white_balance = [{red:.2f}, {blue:.2f}]")
+    else:
+        remarks.append(
+            "awb red, awb blue = 0 was automatic white balance; rhot locks it: set white_balance so that white paper "
+            "looks grey. Colours taken under an automatic one fit only roughly: calibrate anew from pictures"
+        )
+    remarks += [
+        f"{name} = {values[name]:g} (neutral was {_NEUTRAL:g}) has no equivalent: rhot leaves the image processor's "
+        "curve alone, so the imported colour limits will not fit exactly"
+        for name in ("Brightness", "Contrast", "Saturation")
+        if values[name] != _NEUTRAL
+    ]
+    return ImportedSettings(tuple(lines), tuple(remarks))
+
+
+def rig_lines(settings: ImportedSettings, cameras: Sequence[str]) -> str:
+    """Return the lines to put into `rig.toml`, for all cameras."""
+    return "\n".join(f"[cameras.{camera}]\n" + "\n".join(settings.lines) for camera in cameras)
+
+
+def _read(path: Path) -> dict[str, float]:
+    try:
+        data: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise ConfigError(f"{path}: not JSON: {error}") from error
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: holds a {type(data).__name__} where camera settings are expected")
+    values = {}
+    for name in (*_PERCENTAGES, *_WHITE_BALANCE):
+        if name not in data:
+            raise ConfigError(f"{path}: {name} is missing; a cameraCalib.json of the 2018 tracker has it")
+        try:
+            value = float(data[name])
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"{path}: {name} = {data[name]!r} is not a number") from error
+        if not 0.0 <= value <= 100.0:
+            raise ConfigError(f"{path}: {name} = {value:g} is out of bounds, 0 to 100")
+        values[name] = value
+    return values
