@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import datetime as dt
 import importlib.util
 import os
 import platform
@@ -10,6 +11,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Final, Literal
 
@@ -22,8 +24,10 @@ from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.cli.status import fetch_status
 from rhot.errors import BusError, RhotError
 from rhot.messages import ServiceStatus
-from rhot.rig import BusConfig, Rig, load_rig
-from rhot.rig.folder import RIG_FILE
+from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
+from rhot.rig.calibration import CalibrationFile
+from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE
+from rhot.rig.quality import epipolar_limit_px, figure, figures_with_units, pair_epipolar_p95_px
 
 _MARK: Final = {"ok": "[green]ok  [/]", "note": "[blue]note[/]", "warn": "[yellow]warn[/]", "bad": "[red]BAD [/]"}
 _ROLES: Final = {
@@ -32,6 +36,8 @@ _ROLES: Final = {
     "ik": ("rhot_ik",),
     "objects": ("rhot_objects",),
 }
+_DISTANCES: Final = ("50 cm", "75 cm", "100 cm")
+"""At which `rhot calibrate cameras` states the error to expect."""
 _MAX_CLOCK_UNCERTAINTY_S: Final = 0.002
 
 
@@ -70,10 +76,14 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
     cameras = ", ".join(f"{name} ({camera.source})" for name, camera in rig.config.cameras.items())
     findings = [Finding("ok", f"{path / RIG_FILE}: cameras {cameras}; {len(rig.config.markers)} markers")]
     if rig.calibrated:
-        findings.append(Finding("ok", "cameras.json: every camera is calibrated"))
+        findings.append(_check_cameras(rig))
     else:
         findings.append(
-            Finding("warn", "cameras.json is missing: lenses and places are only nominal", "calibrate the cameras")
+            Finding(
+                "warn",
+                "cameras.json is missing: lenses and places are only nominal",
+                f"calibrate the cameras: rhot calibrate cameras RECORDING --rig {path} --board 9x6 --square-mm 25",
+            )
         )
     if rig.colors_path.exists():
         findings.append(Finding("ok", "colors.json is there"))
@@ -85,22 +95,72 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
                 f"rhot calibrate colors PICTURE --pick thumb=U,V … --rig {path}",
             )
         )
-    if not (path / "hand.json").exists():
+    if (path / HAND_FILE).exists():
+        findings.append(Finding("ok", _summary(HAND_FILE, rig.hand)))
+    else:
         findings.append(
-            Finding("note", f"hand.json is missing: an average hand of {1e3 * rig.hand.length_m:.0f} mm is assumed")
+            Finding(
+                "note",
+                f"hand.json is missing: an average hand of {1e3 * rig.hand.length_m:.0f} mm is assumed",
+                f"rhot calibrate hand RECORDING --rig {path}",
+            )
         )
-    if rig.config.objects and not (path / "registration.json").exists():
+    if (path / REGISTRATION_FILE).exists():
+        findings.append(Finding("ok", _summary(REGISTRATION_FILE, rig.registration)))
+    elif rig.config.objects:
         findings.append(
-            Finding("warn", "registration.json is missing: objects are not in the cameras' frame", "register them")
+            Finding(
+                "warn",
+                "registration.json is missing: objects are not in the cameras' frame",
+                f"rhot calibrate objects --live --object {next(iter(rig.config.objects))} --marker NAME --rig {path}",
+            )
         )
+    return rig, [*findings, *_check_sources(rig)]
+
+
+def _check_sources(rig: Rig) -> Iterator[Finding]:
+    """Look for what the cameras read from on this machine."""
     for name, camera in rig.config.cameras.items():
         if camera.source == "v4l2":
             device = f"/dev/video{camera.device}" if isinstance(camera.device, int) else camera.device
             if not Path(device).exists():
-                findings.append(Finding("note", f"camera {name}: {device} is not on this machine"))
+                yield Finding("note", f"camera {name}: {device} is not on this machine")
         if camera.path and not rig.resolve(camera.path).exists():
-            findings.append(Finding("bad", f"camera {name}: {rig.resolve(camera.path)} does not exist", "correct path"))
-    return rig, findings
+            yield Finding("bad", f"camera {name}: {rig.resolve(camera.path)} does not exist", "correct path")
+
+
+def _check_cameras(rig: Rig) -> Finding:
+    """Say when and how well the cameras were calibrated."""
+    file = read_json_model(rig.path / CAMERAS_FILE, CamerasFile)
+    text = _summary(CAMERAS_FILE, file)
+    for name in rig.cameras:
+        rms_px = figure(file.quality, "cameras", name, "rms_px")
+        if rms_px is not None:
+            text += f"; {name} RMS {rms_px:.2f} px"
+    for first, second in combinations(rig.cameras, 2):
+        p95_px = pair_epipolar_p95_px(file.quality, first, second)
+        if p95_px is not None:
+            text += f"; {first}-{second} epipolar p95 {p95_px:.2f} px"
+    for distance in _DISTANCES:
+        error_mm = figure(file.quality, "expected_error_mm", distance, "with_marker_noise")
+        if error_mm is not None:
+            text += f"; {error_mm:.1f} mm expected at {distance}"
+    remedy = f"rhot evaluate calibration --live 30 --rig {rig.path} tells whether they have moved since"
+    return Finding("ok", text, remedy)
+
+
+def _summary(name: str, file: CalibrationFile) -> str:
+    """Return the date, age and figures of a calibration file."""
+    text = f"{name}: "
+    try:
+        days = (dt.datetime.now(dt.UTC).date() - dt.date.fromisoformat(file.date)).days
+        text += f"of {file.date}, {days} days old" if days > 0 else f"of {file.date}"
+    except ValueError:
+        text += "of unknown date"
+    for figure_name, value in figures_with_units(file.quality).items():
+        label, _, unit = figure_name.rpartition("_")
+        text += f", {label.replace('_', ' ')} {value:.3g} {unit}"
+    return text
 
 
 async def check_running(config: BusConfig, rig: Rig | None) -> list[Finding]:
@@ -125,7 +185,29 @@ async def check_running(config: BusConfig, rig: Rig | None) -> list[Finding]:
             findings.append(Finding("warn", f"{name} is alive but does not answer", "it may have just started"))
         else:
             findings += _check_service(name, status)
+            if rig is not None and rig.calibrated:
+                findings += _check_drift(name, status, rig)
     return findings
+
+
+def _check_drift(name: str, status: ServiceStatus, rig: Rig) -> Iterator[Finding]:
+    """Tell from what fusion has learnt whether the cameras have moved since they were calibrated."""
+    correction_px = status.figures.get("epipolar_correction_px")
+    if correction_px is None or not status.figures.get("epipolar_px"):
+        return  # no marker was seen by two cameras yet
+    quality = read_json_model(rig.path / CAMERAS_FILE, CamerasFile).quality
+    pairs = combinations(rig.cameras, 2)
+    limit_px = max(epipolar_limit_px(pair_epipolar_p95_px(quality, *pair)) for pair in pairs)
+    if correction_px > limit_px:
+        yield Finding(
+            "warn",
+            f"{name}: the cameras have moved since calibration ({correction_px:.1f} px, {limit_px:.1f} px is the "
+            "limit); points are corrected for it, but depth may be wrong: calibrate again",
+            f"rhot calibrate cameras RECORDING --rig {rig.path} --board 9x6 --square-mm 25; "
+            f"rhot evaluate calibration --live 30 --rig {rig.path} says more",
+        )
+    else:
+        yield Finding("ok", f"{name}: the cameras stand as calibrated, to {correction_px:.1f} px")
 
 
 def _check_service(name: str, status: ServiceStatus) -> Iterator[Finding]:

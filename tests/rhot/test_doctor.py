@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+
+import pytest
+
+from rhot.bus import Bus
+from rhot.cli.doctor import Finding, check_rig, check_running
+from rhot.messages import ServiceStatus
+from rhot.rig import BusConfig, CamerasFile, HandFile, RegistrationFile, Rig, load_rig, write_json_model
+
+
+def calibrate(rig_folder: Path, quality: object) -> Rig:
+    cameras = load_rig(rig_folder).cameras
+    date = (dt.datetime.now(dt.UTC).date() - dt.timedelta(days=40)).isoformat()
+    write_json_model(rig_folder / "cameras.json", CamerasFile(date=date, quality=quality, cameras=cameras))
+    return load_rig(rig_folder)
+
+
+def about(findings: list[Finding], word: str) -> Finding:
+    (found,) = [finding for finding in findings if word in finding.text]
+    return found
+
+
+def test_missing_calibrations_name_the_exact_command(rig_folder: Path) -> None:
+    toml = (rig_folder / "rig.toml").read_text() + '\n[objects.cup]\nsource = "steamvr"\nserial = "LHR-1"\n'
+    (rig_folder / "rig.toml").write_text(toml)
+    _, findings = check_rig(rig_folder)
+    for file, remedy in (
+        ("cameras.json", f"rhot calibrate cameras RECORDING --rig {rig_folder} --board 9x6 --square-mm 25"),
+        ("hand.json", f"rhot calibrate hand RECORDING --rig {rig_folder}"),
+        ("registration.json", f"rhot calibrate objects --live --object cup --marker NAME --rig {rig_folder}"),
+    ):
+        assert remedy in about(findings, file).remedy
+
+
+def test_calibrations_are_shown_with_date_age_and_figures(rig_folder: Path) -> None:
+    quality = {
+        "rms_px": 0.21,
+        "cameras": {"left": {"rms_px": 0.2}, "right": {"rms_px": "?"}},
+        "pairs": {"left-right": {"epipolar_p95_px": 0.34}},
+        "expected_error_mm": {"75 cm": {"with_marker_noise": 2.34}},
+    }
+    calibrate(rig_folder, quality)
+    write_json_model(rig_folder / "hand.json", HandFile(date="2026-01-01", quality={"bones_sd_mm": 1.5}))
+    registration = RegistrationFile(quality={"residual_rms_mm": 1.234, "covariance": [[1.0]], "places": 10})
+    write_json_model(rig_folder / "registration.json", registration)
+    _, findings = check_rig(rig_folder)
+    cameras = about(findings, "cameras.json")
+    assert (
+        "40 days old, rms 0.21 px; left RMS 0.20 px; left-right epipolar p95 0.34 px; 2.3 mm expected at 75 cm"
+        in cameras.text
+    )
+    assert "rhot evaluate calibration" in cameras.remedy
+    assert "of 2026-01-01" in about(findings, "hand.json").text
+    assert "bones sd 1.5 mm" in about(findings, "hand.json").text
+    assert about(findings, "registration.json").text == "registration.json: of unknown date, residual rms 1.23 mm"
+
+
+@pytest.mark.parametrize(
+    ("correction_px", "quality", "level", "says"),
+    [
+        (0.4, {}, "ok", "stand as calibrated, to 0.4 px"),
+        (1.7, {}, "warn", "have moved since calibration (1.7 px, 1.0 px is the limit)"),
+        (1.7, {"pairs": {"right-left": {"epipolar_p95_px": 0.7}}}, "ok", "stand as calibrated"),
+        (2.2, {"pairs": {"right-left": {"epipolar_p95_px": 0.7}}}, "warn", "2.1 px is the limit"),
+    ],
+)
+async def test_a_running_rig_whose_cameras_have_moved_is_told(
+    rig_folder: Path, router: BusConfig, correction_px: float, quality: object, level: str, says: str
+) -> None:
+    rig = calibrate(rig_folder, quality)
+    async with await Bus.open(router) as bus:
+        status = ServiceStatus(
+            t_ns=1,
+            service="fusion",
+            instance="main",
+            state="running",
+            figures={"epipolar_correction_px": correction_px, "epipolar_px": 0.3},
+            clock_uncertainty_s=0.0,
+        )
+        bus.publisher("rhot/status/fusion/main", ServiceStatus).put(status)
+        bus.alive("rhot/alive/fusion/main")
+        finding = about(await check_running(router, rig), "fusion/main: the cameras")
+    assert finding.level == level
+    assert says in finding.text
+    assert level == "ok" or f"rhot calibrate cameras RECORDING --rig {rig_folder}" in finding.remedy
+
+
+async def test_an_uncalibrated_rig_has_nothing_to_have_moved_from(rig_folder: Path, router: BusConfig) -> None:
+    async with await Bus.open(router) as bus:
+        figures = {"epipolar_correction_px": 9.0, "epipolar_px": 0.3}
+        status = ServiceStatus(t_ns=1, service="fusion", instance="main", state="running", figures=figures)
+        bus.publisher("rhot/status/fusion/main", ServiceStatus).put(status)
+        bus.alive("rhot/alive/fusion/main")
+        findings = await check_running(router, load_rig(rig_folder))
+    assert not [finding for finding in findings if "moved" in finding.text]
+
+
+async def test_before_anything_was_seen_nothing_is_said(rig_folder: Path, router: BusConfig) -> None:
+    rig = calibrate(rig_folder, {})
+    async with await Bus.open(router) as bus:
+        figures = {"epipolar_correction_px": 0.0, "epipolar_px": 0.0}
+        status = ServiceStatus(t_ns=1, service="fusion", instance="main", state="running", figures=figures)
+        bus.publisher("rhot/status/fusion/main", ServiceStatus).put(status)
+        bus.alive("rhot/alive/fusion/main")
+        findings = await check_running(router, rig)
+    assert not [finding for finding in findings if "stand as calibrated" in finding.text]
