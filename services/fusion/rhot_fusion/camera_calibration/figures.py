@@ -12,7 +12,7 @@ import numpy as np
 from rhot.camera import CameraModel
 from rhot.rotations import rotation_from_vector
 from rhot_fusion.camera_calibration.adjustment import Adjusted
-from rhot_fusion.camera_calibration.bundle import BoolArray
+from rhot_fusion.camera_calibration.bundle_model import BoolArray
 from rhot_fusion.camera_calibration.lens import LENS_NAMES, LENS_SIZE, camera_matrix
 from rhot_fusion.camera_calibration.placement import inverse, rigid
 from rhot_fusion.camera_calibration.views import FloatArray
@@ -290,5 +290,4 @@ def _intersect(cameras: Sequence[CameraModel], pixels: Sequence[FloatArray], see
         across = visible[:, None, None] * (np.eye(3) - directions[:, :, None] * directions[:, None, :])
         A += across
         b += across @ model.center
-    found: FloatArray = np.linalg.solve(A, b[..., None])[..., 0]
-    return found
+    return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=np.float64)

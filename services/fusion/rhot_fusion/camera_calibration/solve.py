@@ -9,25 +9,17 @@ from typing import Final
 
 import numpy as np
 
-from rhot.errors import CalibrationError
 from rhot_fusion.camera_calibration.adjustment import Adjusted, Key, Place, adjust_views
-from rhot_fusion.camera_calibration.bump import find_bump
 from rhot_fusion.camera_calibration.consensus import Placement, place_cameras, single_camera
 from rhot_fusion.camera_calibration.joint_fit import fit_together
-from rhot_fusion.camera_calibration.mistakes import common_mistake
 from rhot_fusion.camera_calibration.placement import Relation
+from rhot_fusion.camera_calibration.requirements import MIN_VIEWS, require_agreement, require_links, require_views
 from rhot_fusion.camera_calibration.views import Board, BoardView, FloatArray, ViewSet
 
-MIN_VIEWS: Final = 5
-"""Pictures that each camera needs …"""
-MIN_COMMON: Final = 3
-"""… and that two linked cameras need in common."""
 _ROUNDS: Final = 6
 _BAD_TIMES: Final = 3.0
 _BAD_PX: Final = 0.2
 """A view is bad when its RMS is above so many times the median of all, and this much above it."""
-_ENOUGH_AGREE: Final = 0.3
-"""Of two cameras' pictures this share has to agree roughly, or their relation is only a guess."""
 _BETTER_SHAPE: Final = 0.90
 """The board counts as bent when releasing its shape brings the residuals below this share."""
 
@@ -71,7 +63,7 @@ def solve(views: ViewSet, lenses: Mapping[str, FloatArray], progress: Progress =
         CalibrationError: too few views, cameras without a link, or parameters that the views do not determine.
     """
     board, widths = views.board, {name: size[0] for name, size in views.sizes.items()}
-    _require_views(views, tuple(lenses))
+    require_views(views, tuple(lenses))
     left_out: dict[Key, float] = {}
     alone: dict[str, Adjusted] = {}
     for name, lens in lenses.items():
@@ -82,72 +74,9 @@ def solve(views: ViewSet, lenses: Mapping[str, FloatArray], progress: Progress =
     kept = {key: view for key, view in views.views.items() if key not in left_out}
     progress("how the cameras stand")
     placement = place_cameras(board, kept, alone)
-    _require_links(placement)
-    _require_agreement(views, alone, placement)
+    require_links(placement)
+    require_agreement(views, alone, placement)
     return _refine(board, placement, alone, widths, left_out, progress)
-
-
-def _require_views(views: ViewSet, cameras: tuple[str, ...]) -> None:
-    for name in cameras:
-        number = sum(camera == name for camera, _ in views.views)
-        if number < MIN_VIEWS:
-            raise CalibrationError(
-                f"camera {name}: the board was found in {number} pictures only, {MIN_VIEWS} are the least and 15 to 30 "
-                f"are good; looked for: {views.board}"
-            )
-
-
-def _require_links(placement: Placement) -> None:
-    if len(placement.groups) > 1:
-        groups = " | ".join(", ".join(group) for group in placement.groups)
-        raise CalibrationError(
-            f"no picture of the board links these cameras: {groups}. Take some in which a camera of each group sees "
-            "the board at the same time"
-        )
-
-
-def _require_agreement(views: ViewSet, alone: Mapping[str, Adjusted], placement: Placement) -> None:
-    """Refuse pictures of which most contradict each other.
-
-    Raises:
-        CalibrationError: names the mistake behind it when one of the usual ones explains it.
-    """
-    lenses = {name: adjusted.lens(name) for name, adjusted in alone.items()}
-    for (first, second), relation in placement.relations.items():
-        agreeing, others = len(relation.agreeing), len(relation.others)
-        total = agreeing + others
-        if total < MIN_COMMON or agreeing > 0.5 * total or _linked_otherwise(placement, first, second):
-            continue
-        mistake = common_mistake(views, lenses, first, second)
-        if mistake is None and agreeing >= max(MIN_COMMON, _ENOUGH_AGREE * total):
-            continue
-        if mistake is None:
-            moved = find_bump(alone[first], alone[second])
-            mistake = "" if moved is None else moved.text(second, first)
-        raise CalibrationError(
-            f"the pictures of {first} and {second} contradict each other: only {agreeing} of {total} agree "
-            f"about how the cameras stand. "
-            + (mistake or "Were pictures of the same number taken at the same moment, with cameras that stand still?")
-        )
-
-
-def _linked_otherwise(placement: Placement, first: str, second: str) -> bool:
-    """Tell whether a chain of agreeing pairs links two cameras without their own common pictures."""
-    good = [
-        pair
-        for pair, relation in placement.relations.items()
-        if len(relation.agreeing) >= MIN_COMMON and len(relation.agreeing) > len(relation.others)
-    ]
-    reached, waiting = {first}, [first]
-    while waiting:
-        name = waiting.pop()
-        for pair in good:
-            if name in pair:
-                other = pair[1] if pair[0] == name else pair[0]
-                if other not in reached:
-                    reached.add(other)
-                    waiting.append(other)
-    return second in reached
 
 
 def _without_bad(

@@ -17,7 +17,8 @@ from rhot_fusion.camera_calibration.bump import find_bump
 from rhot_fusion.camera_calibration.causes import Cause
 from rhot_fusion.camera_calibration.coverage import camera_coverage, similar
 from rhot_fusion.camera_calibration.figures import CameraFigures, ExpectedError
-from rhot_fusion.camera_calibration.solve import MIN_COMMON, MIN_VIEWS, Solution
+from rhot_fusion.camera_calibration.requirements import MIN_COMMON, MIN_VIEWS
+from rhot_fusion.camera_calibration.solve import Solution
 from rhot_fusion.camera_calibration.views import BoardView, FloatArray, ViewSet
 
 MAX_CONTRADICTING: Final = 0.34
