@@ -248,3 +248,19 @@ def test_the_file_carries_its_figures() -> None:
     assert file.quality["pairs"]["left-right"]["epipolar_p95_px_held_out"] < 0.4
     assert set(file.quality["expected_error_mm"]) == {"50 cm", "75 cm", "100 cm"}
     assert np.allclose(file.cameras["left"].T_rig_camera, np.eye(4))
+
+
+def test_boards_that_are_seen_in_part_calibrate_as_well() -> None:
+    """A ChArUco board's corners are known one by one, so hands and the picture's border may hide some."""
+    simulated = simulated_views(6, 2, 40, board=Board(9, 6, 0.025, 0.018))
+    rng = np.random.default_rng(6)
+    views = {}
+    for key, view in simulated.views.views.items():
+        kept = np.sort(rng.permutation(54)[: rng.integers(12, 45)])
+        views[key] = BoardView(view.ids[kept], view.corners[kept])
+    solution = solved(replace(simulated, views=changed(simulated, views)))
+    assert not solution.left_out
+    place, turn, shares = pose_errors(solution, simulated)
+    assert place.max() < 0.4
+    assert turn.max() < 0.08
+    assert np.abs(shares).max() < 4.0

@@ -22,7 +22,7 @@ from rhot_fusion.camera_calibration.calibration import calibrate, cameras_file
 from rhot_fusion.camera_calibration.interchange import export_opencv_yaml, import_cameras
 from rhot_fusion.camera_calibration.live import collect
 from rhot_fusion.camera_calibration.pictures import PictureReading, read_pictures
-from rhot_fusion.camera_calibration.report import print_report
+from rhot_fusion.camera_calibration.report import print_problems, print_report
 from rhot_fusion.camera_calibration.verdict import Expected
 from rhot_fusion.camera_calibration.views import Board
 
@@ -150,8 +150,7 @@ def _read(rig: Rig, recording: Path, board: Board) -> PictureReading:
 def _calibrate(rig: Rig, reading: PictureReading, baseline_mm: float | None, dry_run: bool, console: Console) -> None:
     views = reading.views
     _refuse_other_board(reading)
-    for label, problem in reading.problems.items():
-        console.print(f"{label}: {problem}")
+    print_problems(console, reading.problems)
     # The lenses start from rig.toml, not from the last calibration: a new camera may be in its place.
     nominal = {name: nominal_camera(camera) for name, camera in rig.config.cameras.items()}
     expected = Expected(

@@ -21,6 +21,8 @@ from rhot_fusion.camera_calibration.views import Board, BoardView, ViewSet
 
 MAX_VIDEO_PICTURES: Final = 60
 _MAX_EXPLAINED: Final = 4
+_ENOUGH_FOUND: Final = 0.5
+"""Where this share of the pictures shows the stated board, it is the right one."""
 _THREADS: Final = 2
 
 Key = tuple[str, int]
@@ -132,6 +134,10 @@ def read_pictures(
     view_sizes = {name: _one_size(loaded.path, name, found) for name, found in seen.items()}
     for name, size in view_sizes.items():
         _require_size(loaded.path, name, size, (sizes or {}).get(name, size))
+    # Explaining takes seconds a picture; a board that is merely not wholly in view needs no explanation. A mirrored
+    # ChArUco board is told quickly, and one picture may be mirrored alone.
+    if len(views) >= _ENOUGH_FOUND * (len(views) + len(without)) and not board.is_charuco:
+        without = []
     counts, mirrored = _explain(without, board, problems)
     return PictureReading(ViewSet(board, view_sizes, views, labels), problems, counts, mirrored)
 

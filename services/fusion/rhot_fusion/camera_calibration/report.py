@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -28,6 +30,15 @@ def print_report(console: Console, calibrated: Calibrated) -> None:
             console.print(f"  {label}: {reason}")
     for warning in calibrated.warnings:
         console.print(f"warning: {warning}", style="yellow")
+
+
+def print_problems(console: Console, problems: Mapping[str, str]) -> None:
+    """Print which pictures could not be used, by reason."""
+    by_reason: dict[str, list[str]] = {}
+    for label, reason in problems.items():
+        by_reason.setdefault(reason, []).append(label)
+    for reason, labels in by_reason.items():
+        console.print(f"{reason}, {len(labels)} picture(s): {', '.join(labels)}")
 
 
 def _table(title: str, *columns: str) -> Table:
