@@ -1,0 +1,1 @@
+"""Calibration of the hand: points of the markers in, `hand.json` out."""
