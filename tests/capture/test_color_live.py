@@ -60,7 +60,7 @@ async def test_colours_are_learnt_live(
         save = ["--live", "--save", str(tmp_path / "seen"), *connect]
         saved = await asyncio.to_thread(CliRunner().invoke, colors, save)
         assert saved.exit_code == 0, saved.exception
-        assert np.array_equal(cv2.imread(str(tmp_path / "seen" / "right.png")), drawn["right"].image)
+        assert np.array_equal(np.asarray(cv2.imread(str(tmp_path / "seen" / "right.png"))), drawn["right"].image)
         assert not (rig / "colors.json").exists()
         picks = [
             f"--pick={marker}={u:.0f},{v:.0f}@{camera}"

@@ -50,7 +50,7 @@ def test_order_is_clockwise_from_the_upper_left(
 
 
 def test_foreshortened_patch_keeps_its_own_angles(markers: Any, table: Any, paints: Any) -> None:
-    true = np.array([[30.0, 34.0], [85.0, 28.0], [78.0, 70.0], [36.0, 64.0]])
+    true = np.array([[30.0, 34.0], [85.0, 28.0], [83.0, 66.0], [34.0, 68.0]])
     fine = np.zeros((121 * 8, 121 * 8, 3), np.uint8)
     cv2.fillPoly(fine, [np.rint((true + 0.5) * 8 - 0.5).astype(np.int32)], paints["base"][::-1])
     image = cv2.GaussianBlur(cv2.resize(fine, (121, 121), interpolation=cv2.INTER_AREA), (0, 0), 0.7)
@@ -69,3 +69,26 @@ def test_a_patch_cut_by_the_border_has_no_corners(
 ) -> None:
     drawn = scene([shape("base", 4, 60, radius=10, kind="rectangle")], size=(121, 121))
     assert MarkerDetector(markers, table, 121, 121).detect(drawn.image)["base"].corners is None
+
+
+def test_what_hides_a_corner_is_no_side(scene: Callable[..., Any], shape: type[Any], markers: Any, table: Any) -> None:
+    for turn in (0.4, 0.8, 1.2):
+        drawn = scene([shape("base", 60, 60, radius=11, kind="rectangle")], size=(121, 121))
+        image = drawn.image.copy()
+        v, u = np.mgrid[0:121, 0:121]
+        image[(u - 60) * np.cos(turn) + (v - 60) * np.sin(turn) > 9.0] = (140, 170, 215)
+        detection = MarkerDetector(markers, table, 121, 121).detect(image)["base"]
+        assert detection.corners is None
+
+
+@pytest.mark.parametrize("motion_px", [2, 4])
+def test_corners_of_a_smeared_patch_are_those_at_mid_exposure(
+    scene: Callable[..., Any], shape: type[Any], markers: Any, table: Any, motion_px: int
+) -> None:
+    moments = np.linspace(-0.5, 0.5, 9) * motion_px
+    patches = [shape("base", 60 + move, 60, radius=10, angle=0.3, kind="rectangle") for move in moments]
+    pictures = [scene([patch], size=(121, 121)).image.astype(float) for patch in patches]
+    image = np.rint(np.mean(pictures, axis=0)).astype(np.uint8)
+    corners = MarkerDetector(markers, table, 121, 121).detect(image)["base"].corners
+    assert corners is not None
+    assert corner_errors(corners, patches[4].corners).max() < 0.4

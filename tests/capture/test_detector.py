@@ -104,9 +104,9 @@ def test_a_marker_cut_by_the_border_is_its_visible_part_with_a_lower_score(
     detector.reset()
     found = detector.detect(drawn.image)["ring"]
     true_u, true_v, area = drawn.truth["ring"]
-    assert np.hypot(found.u - true_u, found.v - true_v) < 0.4
+    assert np.hypot(found.u - true_u, found.v - true_v) < 0.3
     assert found.area == pytest.approx(area, rel=0.1)
-    assert found.score < 0.9 * whole.score
+    assert found.score < 0.5 * whole.score
 
 
 def test_touching_markers_of_different_colours_are_told_apart(detector: MarkerDetector, scene: Any, shape: Any) -> None:
@@ -242,13 +242,93 @@ def test_a_marker_that_is_being_covered_is_followed_to_its_last_sliver(
     detector: MarkerDetector, scene: Any, shape: Any
 ) -> None:
     image = scene([shape("ring", 320.0, 240.0, radius=14.0)]).image
+    whole = detector.detect(image)["ring"]
     for row in range(244, 224, -1):
         assert "ring" in detector.detect(covered_from(image, row))
     seen = detector.detect(covered_from(image, 224))
-    assert seen["ring"].score < 0.5, "a sliver is not as sure as a whole marker"
+    assert seen["ring"].score < whole.score, "a sliver is not as sure as a whole marker"
     assert abs(seen["ring"].u - 320.0) < 1.5
 
 
 def test_a_sliver_out_of_nowhere_is_no_marker(detector: MarkerDetector, scene: Any, shape: Any) -> None:
     image = scene([shape("ring", 320.0, 240.0, radius=14.0)]).image
     assert "ring" not in detector.detect(covered_from(image, 224))
+
+
+def test_followed_and_searched_markers_are_the_same(scene: Any, shape: Any, markers: Any, table: Any) -> None:
+    following = MarkerDetector(markers, table, 640, 480)
+    for frame in range(40):
+        shapes = [shape(name, 60 + 60 * place + 6.3 * frame, 340 - 4.1 * frame) for place, name in enumerate(markers)]
+        image = scene(shapes, noise=3.0, seed=frame).image
+        searching = MarkerDetector(markers, table, 640, 480)
+        followed, searched = following.detect(image), searching.detect(image)
+        assert set(followed) == set(searched)
+        for name, one in followed.items():
+            assert (one.u, one.v, one.area) == pytest.approx((searched[name].u, searched[name].v, searched[name].area))
+        assert np.array_equal(following.labels, searching.labels)
+
+
+def test_a_better_marker_elsewhere_is_found_within_half_a_second(
+    detector: MarkerDetector, scene: Any, shape: Any, paints: Any
+) -> None:
+    """While all are followed the rest of the picture is not looked at, but for a survey now and then."""
+    names = list(paints)
+    spot = [shape(name, 60 + 50 * place, 60, radius=4, on_skin=False) for place, name in enumerate(names)]
+    detector.detect(scene(spot).image)
+    image = scene([*spot[:-1], shape(names[-1], 500, 380, radius=26, on_skin=False)]).image
+    twin = scene([spot[-1]]).image
+    image[40:80, 290:330] = twin[40:80, 290:330]
+    ends = [detector.detect(image)[names[-1]] for _ in range(31)]
+    assert abs(ends[0].u - 310) < 2.0
+    assert abs(ends[-1].u - 500) < 2.0
+
+
+def shaded(image: Any, middle: tuple[float, float], direction: float, edge: bool) -> Any:
+    """The picture under light that falls off along a direction, or behind the edge of a shadow."""
+    v, u = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
+    along = (u - middle[0]) * np.cos(direction) + (v - middle[1]) * np.sin(direction)
+    light = np.where(along > 0.0, 0.6, 1.0) if edge else np.clip(0.8 - 0.015 * along, 0.5, 1.1)
+    return np.clip(np.rint(image * light[..., None]), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("edge", [False, True])
+@pytest.mark.parametrize("name", ["index", "little", "base"])
+def test_shade_on_one_side_does_not_pull_the_centre(
+    scene: Any, shape: Any, markers: Any, table: Any, name: str, edge: bool
+) -> None:
+    pulls = []
+    kind = "rectangle" if name == "base" else "ellipse"
+    for seed in range(8):
+        drawn = scene([shape(name, 60.2, 59.7, radius=9, angle=0.4, kind=kind)], size=(121, 121), noise=3.0, seed=seed)
+        direction = 2.0 * np.pi * seed / 8.0
+        u, v, _ = drawn.truth[name]
+        detector = MarkerDetector(markers, table, 121, 121)
+        found = detector.detect(shaded(drawn.image, (u, v), direction, edge))[name]
+        pulls.append((found.u - u) * np.cos(direction) + (found.v - v) * np.sin(direction))
+    assert abs(np.mean(pulls)) < 0.1
+
+
+@pytest.mark.parametrize(("motion_px", "limit_px"), [(2, 0.1), (4, 0.1), (8, 0.3)])
+def test_a_smeared_marker_is_where_it_was_at_mid_exposure(
+    scene: Any, shape: Any, markers: Any, table: Any, motion_px: int, limit_px: float
+) -> None:
+    moments = np.linspace(-0.5, 0.5, 4 * motion_px + 1) * motion_px
+    scenes = [scene([shape("ring", 60 + move, 60 + 0.5 * move, radius=9)], size=(121, 121)) for move in moments]
+    image = np.rint(np.mean([each.image.astype(float) for each in scenes], axis=0)).astype(np.uint8)
+    found = MarkerDetector(markers, table, 121, 121).detect(image)["ring"]
+    u, v, _ = scenes[len(moments) // 2].truth["ring"]
+    assert np.hypot(found.u - u, found.v - v) < limit_px
+
+
+def test_a_cover_of_skin_leaves_the_centre_of_what_is_seen(scene: Any, shape: Any, markers: Any, table: Any) -> None:
+    for turn in np.linspace(0.0, 2.0 * np.pi, 7)[:-1]:
+        fine = scene([shape("ring", 242.0, 242.0, radius=40)], size=(484, 484), blur=0.0).image
+        v, u = np.mgrid[0:484, 0:484]
+        painted = np.all(fine == np.array((200, 60, 40), np.uint8), axis=-1)
+        hidden = (u - 242) * np.cos(turn) + (v - 242) * np.sin(turn) > 14.0
+        fine[hidden] = (140, 170, 215)
+        image = cv2.GaussianBlur(cv2.resize(fine, (121, 121), interpolation=cv2.INTER_AREA), (0, 0), 0.7)
+        found = MarkerDetector(markers, table, 121, 121).detect(np.asarray(image, np.uint8))["ring"]
+        seen = painted & ~hidden
+        assert abs(found.u - (float(u[seen].mean()) - 1.5) / 4.0) < 0.1
+        assert abs(found.v - (float(v[seen].mean()) - 1.5) / 4.0) < 0.1

@@ -8,7 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhot_capture.subpixel import centre_of, coverage
+from rhot_capture.subpixel import Window, find_centres
+
+
+def centre_in(image: Any, mask: Any, round_part: bool = False) -> Any:
+    (centre,) = find_centres([Window(image, mask, round_part)])
+    return centre
 
 
 def hard_mask(image: Any, paint: tuple[float, float, float], radius: float) -> Any:
@@ -25,7 +30,7 @@ def test_moving_the_paint_moves_the_centre_alike(
     for move_u, move_v in ((0.0, 0.0), (du, dv)):
         drawn = scene([shape("index", 30 + move_u, 30 + move_v, angle=angle)], size=(61, 61))
         mask = hard_mask(drawn.image, paints["index"], 60)
-        centre = centre_of(coverage(drawn.image, mask))
+        centre = centre_in(drawn.image, mask)
         truth = drawn.truth["index"]
         centres.append((centre.u, centre.v, truth[0], truth[1]))
     (u0, v0, true_u0, true_v0), (u1, v1, true_u1, true_v1) = centres
@@ -39,7 +44,7 @@ def test_skin_on_one_side_does_not_pull_the_centre(
     scene: Callable[..., Any], shape: type[Any], paints: Any, name: str, blur: float
 ) -> None:
     drawn = scene([shape(name, 30.3, 29.8)], size=(61, 61), blur=blur)
-    centre = centre_of(coverage(drawn.image, hard_mask(drawn.image, paints[name], 60)))
+    centre = centre_in(drawn.image, hard_mask(drawn.image, paints[name], 60))
     u, v, area = drawn.truth[name]
     assert np.hypot(centre.u - u, centre.v - v) < 0.1
     assert centre.area == pytest.approx(area, rel=0.02)
@@ -54,7 +59,7 @@ def test_a_mask_too_small_or_large_by_a_pixel_does_not_matter(
     drawn = scene([shape("ring", 30.4, 30.2)], size=(61, 61))
     mask = hard_mask(drawn.image, paints["ring"], 60)
     changed = (cv2.dilate if grow > 0 else cv2.erode)(mask, np.ones((3, 3), np.uint8))
-    centre = centre_of(coverage(drawn.image, np.asarray(changed, dtype=np.uint8)))
+    centre = centre_in(drawn.image, np.asarray(changed, dtype=np.uint8))
     u, v, area = drawn.truth["ring"]
     assert np.hypot(centre.u - u, centre.v - v) < 0.08
     assert centre.area == pytest.approx(area, rel=0.04)
@@ -62,7 +67,7 @@ def test_a_mask_too_small_or_large_by_a_pixel_does_not_matter(
 
 def test_shares_are_zero_and_one_away_from_the_rim(scene: Callable[..., Any], shape: type[Any], paints: Any) -> None:
     drawn = scene([shape("ring", 30, 30, radius=10)], size=(61, 61), noise=3.0)
-    share = coverage(drawn.image, hard_mask(drawn.image, paints["ring"], 60))
+    share = centre_in(drawn.image, hard_mask(drawn.image, paints["ring"], 60)).share
     assert np.all(share[28:33, 28:33] == 1.0)
     assert np.all(share[:6] == 0.0)
 
@@ -71,13 +76,13 @@ def test_paint_like_its_surroundings_falls_back_to_the_mask() -> None:
     image = np.full((40, 40, 3), 90, np.uint8)
     mask = np.zeros((40, 40), np.uint8)
     mask[10:20, 12:22] = 255
-    centre = centre_of(coverage(image, mask))
+    centre = centre_in(image, mask)
     assert (centre.u, centre.v, centre.area) == (16.5, 14.5, 100.0)
 
 
 def test_a_window_without_surroundings_falls_back_to_the_mask() -> None:
     image = np.random.default_rng(0).integers(0, 255, (12, 12, 3), dtype=np.uint8)
-    centre = centre_of(coverage(image, np.full((12, 12), 255, np.uint8)))
+    centre = centre_in(image, np.full((12, 12), 255, np.uint8))
     assert (centre.u, centre.v, centre.area) == (5.5, 5.5, 144.0)
 
 
@@ -86,7 +91,7 @@ def test_tiny_markers_have_a_centre_too(
     scene: Callable[..., Any], shape: type[Any], paints: Any, radius: float
 ) -> None:
     drawn = scene([shape("index", 20.3, 20.6, radius=radius, on_skin=False)], size=(41, 41))
-    centre = centre_of(coverage(drawn.image, hard_mask(drawn.image, paints["index"], 110)))
+    centre = centre_in(drawn.image, hard_mask(drawn.image, paints["index"], 110))
     u, v, _ = drawn.truth["index"]
     assert np.hypot(centre.u - u, centre.v - v) < 0.12
 
@@ -100,7 +105,25 @@ def test_a_dark_edge_of_a_round_part_pulls_the_centre_less() -> None:
     image[(radius < 9.0) & (v < 17)] = (140, 170, 215)
     image[painted] = (200, 60, 40)
     image[painted & (radius > 7.0)] = (160, 48, 32)
-    share = coverage(image, np.where(painted, 255, 0).astype(np.uint8))
+    mask = np.where(painted, 255, 0).astype(np.uint8)
     true_v = float(v[painted].mean())
-    plain, rounded = centre_of(share), centre_of(share, round_part=True)
+    plain, rounded = centre_in(image, mask), centre_in(image, mask, round_part=True)
     assert abs(rounded.v - true_v) < 0.5 * abs(plain.v - true_v)
+
+
+def test_blobs_measured_together_are_what_they_are_alone(
+    scene: Callable[..., Any], shape: type[Any], paints: Any
+) -> None:
+    windows = []
+    for place, (name, radius) in enumerate((("ring", 11.0), ("index", 3.0), ("thumb", 7.0), ("little", 2.5))):
+        drawn = scene([shape(name, 24.3, 25.6, radius=radius)], size=(47 + 3 * place, 51), noise=3.0, seed=place)
+        windows.append(Window(drawn.image, hard_mask(drawn.image, paints[name], 70), True))
+    for together, window in zip(find_centres(windows), windows, strict=True):
+        (alone,) = find_centres([window])
+        assert (together.u, together.v) == pytest.approx((alone.u, alone.v), abs=1e-3)
+        assert together.area == pytest.approx(alone.area, rel=1e-4)
+        assert together.share.shape == window.mask.shape
+
+
+def test_nothing_to_measure_gives_nothing() -> None:
+    assert find_centres([]) == []

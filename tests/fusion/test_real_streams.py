@@ -17,6 +17,8 @@ GLITCH = 2 | 8
 @pytest.mark.parametrize(
     ("recording", "geometry", "method"),
     [
+        ("hand_recovered", "nominal", "filter"),
+        ("hand_as_sent", "nominal", "filter"),
         ("hand_recovered", "nominal", "triangulate"),
         ("hand_recovered", "nominal", "disparity"),
         ("hand_recovered", "calibrated", "triangulate"),
@@ -40,6 +42,10 @@ def test_real_hand_is_followed(
     assert figures.in_volume > 0.995
     assert figures.frames_in_volume > 0.995
     assert figures.step_p99_mm < (80.0 if raw else 60.0)
+    if method == "filter":
+        # Where no mask says otherwise the picture alone moves by 28 px between frames at the 99th percentile: 46 mm at
+        # the median depth of 0.87 m.
+        assert figures.step_p99_mm < (60.0 if raw else 54.0)
     assert figures.step_max_mm < 150.0
     assert min(figures.coverage.values()) > 0.95
     assert min(figures.measured.values()) > 0.80

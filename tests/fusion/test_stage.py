@@ -113,16 +113,19 @@ def test_still_marker_is_quiet_and_true(make_rig: MakeRig) -> None:
     assert track.std(axis=0)[2] < 2.0
 
 
-def test_sigma_tells_the_size_of_the_error(make_rig: MakeRig) -> None:
-    rig = make_rig()
+@pytest.mark.parametrize(("method", "low_m", "high_m"), [("triangulate", 0.004, 0.010), ("filter", 0.003, 0.006)])
+def test_sigma_tells_the_size_of_the_error(make_rig: MakeRig, method: str, low_m: float, high_m: float) -> None:
+    rig = make_rig(fusion=f'method = "{method}"')
     points = run(FusionStage(rig), watch(rig, STILL, 2.0, noise_px=0.3, phase_s=0.0))[-1].points["index"]
     assert points.views == 2
-    # 0.3 px at 530 px of focal length, 75 mm of baseline, 0.8 m: 6.8 mm in depth before filtering.
-    assert 0.004 < points.sigma < 0.010
+    # 0.3 px at 530 px of focal length, 75 mm of baseline, 0.8 m: 6.8 mm in depth before filtering. The filter averages
+    # over all of the past; what remains is mostly that it does not know where the finger points.
+    assert low_m < points.sigma < high_m
 
 
-def test_marker_lost_by_one_camera_is_bridged_along_its_ray(make_rig: MakeRig) -> None:
-    rig = make_rig()
+@pytest.mark.parametrize(("method", "growth"), [("triangulate", 2.0), ("filter", 1.3)])
+def test_marker_lost_by_one_camera_is_bridged_along_its_ray(make_rig: MakeRig, method: str, growth: float) -> None:
+    rig = make_rig(fusion=f'method = "{method}"')
     stage = FusionStage(rig)
     seen = watch(rig, SLOW, 1.4)
     sets = run(
@@ -141,7 +144,8 @@ def test_marker_lost_by_one_camera_is_bridged_along_its_ray(make_rig: MakeRig) -
         assert np.linalg.norm(error) < 20.0
         assert points.points["thumb"].state == "measured"
     sigmas = [points.points["index"].sigma for points in bridged]
-    assert sigmas[-1] > 2.0 * sigmas[0]
+    # The filter knows the speed in depth; the shape of the fingertip, 3 mm, is in all of it.
+    assert sigmas[-1] > growth * sigmas[0]
     after = [points for points in sets if points.t_ns - EPOCH_NS > 1.25e9]
     assert all(points.points["index"].state == "measured" for points in after)
 

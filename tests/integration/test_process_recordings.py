@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from rhot.cli.process import process
+from rhot.errors import ConfigError
 from rhot.rig import load_rig
 from rhot.sim.folder import true_cameras
 from rhot.sim.renderer import Renderer
@@ -25,8 +26,9 @@ START_NS = 1_790_000_000_000_000_000
 SECONDS = 1.5
 
 
-def lines_of(rig: Path, recording: Path, out: Path) -> list[dict[str, Any]]:
-    result = CliRunner().invoke(process, [str(recording), "--rig", str(rig), "--out", str(out)], catch_exceptions=False)
+def lines_of(rig: Path, recording: Path, out: Path, *options: str) -> list[dict[str, Any]]:
+    arguments = [str(recording), "--rig", str(rig), "--out", str(out), *options]
+    result = CliRunner().invoke(process, arguments, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return [json.loads(line) for line in out.read_text().splitlines()]
 
@@ -75,6 +77,40 @@ def test_pictures_give_the_hand_that_was_rendered(simulated_rig: tuple[Path, str
         "rhot/points",
         "rhot/hand/right",
     }
+
+
+def tip_errors_mm(rig_path: Path, lines: list[dict[str, Any]]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    world = World.from_rig(load_rig(rig_path))
+    return 1e3 * np.array(
+        [
+            np.linalg.norm(np.array(point["position"]) - world.sample(np.array([t_s])).markers[name][0])
+            for line in lines
+            if line["key"] == "rhot/points"
+            for t_s in [(line["value"]["t_ns"] - START_NS) / 1e9]
+            for name, point in line["value"]["points"].items()
+            if name in FINGERS
+        ]
+    )
+
+
+def test_looking_back_finds_better_paths(simulated_rig: tuple[Path, str], tmp_path: Path) -> None:
+    rig_path, _ = simulated_rig
+    record_simulation(rig_path, tmp_path / "recording")
+    live = lines_of(rig_path, tmp_path / "recording", tmp_path / "live.jsonl")
+    smooth = lines_of(rig_path, tmp_path / "recording", tmp_path / "smooth.jsonl", "--smooth")
+    assert sorted(line["key"] for line in smooth) == sorted(line["key"] for line in live)
+    before, after = tip_errors_mm(rig_path, live), tip_errors_mm(rig_path, smooth)
+    assert len(after) == len(before)
+    assert np.sqrt(np.mean(after**2)) < np.sqrt(np.mean(before**2))
+
+
+def test_looking_back_needs_the_filter(rig_folder: Path, shared_data: Path, tmp_path: Path) -> None:
+    text = (rig_folder / "rig.toml").read_text().replace('method = "filter"', 'method = "triangulate"')
+    (rig_folder / "rig.toml").write_text(text)
+    stream = shared_data / "thesis_rig" / "recordings" / "hand_recovered"
+    with pytest.raises(ConfigError, match='method = "filter"'):
+        lines_of(rig_folder, stream, tmp_path / "out.jsonl", "--smooth")
+    assert not (tmp_path / "out.jsonl").exists()
 
 
 def test_a_real_marker_stream_gives_a_hand(rig_folder: Path, shared_data: Path, tmp_path: Path) -> None:

@@ -25,7 +25,15 @@ _COMMANDS: Final = {
     "process": LazyCommand(
         "Track a recording offline and write the result as JSON Lines.", "rhot.cli.process:process", "pc"
     ),
+    "record": LazyCommand(
+        "Record everything a running rig publishes into an MCAP file.", "rhot.cli.record:record", "record"
+    ),
+    "replay": LazyCommand("Put a recording back on the bus, as if live.", "rhot.cli.replay:replay", "record"),
+    "export": LazyCommand(
+        "Turn a recording into tables (CSV, Parquet) or an animation (BVH).", "rhot.cli.export:export", "record"
+    ),
     "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
+    "bench": LazyCommand("Measure speed beside the 2018 thesis's algorithms.", extra="sim"),
     "evaluate": LazyCommand("Measure how well a part of the rig does.", "rhot.cli.main:evaluate"),
     "doctor": LazyCommand(
         "Check this machine, a rig folder and the running rig, and say what to do.", "rhot.cli.doctor:doctor"
@@ -48,6 +56,10 @@ _CALIBRATIONS: Final = {
 }
 
 _EVALUATIONS: Final = {
+    "tracking": LazyCommand("Track simulated pictures and compare with the truth.", extra="sim"),
+    "hands": LazyCommand("Predict inner joints of recorded real hands.", extra="sim"),
+    "streams": LazyCommand("Fuse recorded marker tracks: steps, delay, noise at rest.", extra="sim"),
+    "thesis": LazyCommand("The 2018 thesis's tables with ours beside them.", extra="sim"),
     "calibration": LazyCommand("Tell whether the cameras have moved since they were calibrated.", extra="fusion"),
 }
 

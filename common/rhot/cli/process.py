@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from rhot.cli.options import rig_option
 from rhot.errors import ConfigError
-from rhot.messages import MarkerFrame, Message
+from rhot.messages import MarkerFrame, Message, PointSet
 from rhot.recording import Recording, load_recording, marker_track_frames
 from rhot.rig import Rig, load_rig
 
@@ -49,7 +49,34 @@ def track(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[str, Messag
         yield f"rhot/markers/{frame.camera}", frame
         for points_key, points in fusion.feed(frame):
             yield points_key, points
-            yield from ik.feed(points)
+            hands = ik.feed(points)
+            yield from hands
+            for _, hand in hands:
+                fusion.feed(hand)
+
+
+def track_smoothly(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[str, Message]]:
+    """Yield all marker frames, then all points as the whole recording shows them, and the hands from those.
+
+    Raises:
+        ConfigError: the rig's method keeps no paths to smooth.
+    """
+    method = rig.config.fusion.method
+    if method != "filter":
+        raise ConfigError(
+            f'{rig.path / "rig.toml"}: --smooth looks back at the paths of [fusion] method = "filter", '
+            f'it is "{method}"; set it to "filter" or leave --smooth out'
+        )
+    fusion, ik = _core("fusion")(rig, record=True), _core("ik")(rig)
+    for frame in frames:
+        yield f"rhot/markers/{frame.camera}", frame
+        for _, points in fusion.feed(frame):
+            for _, hand in ik.feed(points):
+                fusion.feed(hand)
+    ik = _core("ik")(rig)
+    for points in fusion.smoothed():
+        yield "rhot/points", points
+        yield from ik.feed(points)
 
 
 def marker_frames(rig: Rig, recording: Recording) -> Iterator[MarkerFrame]:
@@ -102,17 +129,30 @@ def _output(file: Path) -> Iterator[IO[str]]:
     metavar="KEY",
     help="Write only keys that begin with this, such as rhot/hand. May be repeated.",
 )
+@click.option(
+    "--smooth",
+    is_flag=True,
+    help="Look back from the end: each point as all frames together show it, those after it too. The best paths, for "
+    "study; a live rig cannot have them. Marker frames are written first, then points and hands.",
+)
 @rig_option
-def process(recording_path: Path, out_path: Path, only: tuple[str, ...], rig_path: Path) -> None:
+def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth: bool, rig_path: Path) -> None:
     """Track a recording and write every published message as one JSON object a line.
 
     RECORDING is a folder that holds, per camera of the rig, pictures with timestamps.csv, a video, or marker tracks
-    (markers.csv). Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it.
+    (markers.csv). Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it,
+    or better with --smooth.
     """
     rig = load_rig(rig_path)
     recording = load_recording(recording_path)
     counts: Counter[str] = Counter()
-    columns = (TextColumn("tracking"), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("frames"),
+        TimeRemainingColumn(),
+    )
     console = Console(stderr=True, soft_wrap=True)
     if not rig.calibrated:
         console.print(
@@ -120,11 +160,13 @@ def process(recording_path: Path, out_path: Path, only: tuple[str, ...], rig_pat
             "with the field of view of rig.toml[/]"
         )
     with _output(out_path) as stream, Progress(*columns, console=console) as progress:
-        task = progress.add_task("", total=_frame_count(recording))
-        for key, message in track(rig, marker_frames(rig, recording)):
+        task = progress.add_task("tracking", total=_frame_count(recording))
+        for key, message in (track_smoothly if smooth else track)(rig, marker_frames(rig, recording)):
             counts[key] += 1
             if isinstance(message, MarkerFrame):
                 progress.advance(task)
+            elif smooth and isinstance(message, PointSet):
+                progress.update(task, description="looking back")
             if not only or key.startswith(only):
                 value = message.model_dump_json(exclude_none=True)
                 stream.write(f'{{"key": {json.dumps(key)}, "value": {value}}}\n')

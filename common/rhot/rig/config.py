@@ -132,20 +132,25 @@ class FusionConfig(FileModel):
     """How two-dimensional markers become points.
 
     Attributes:
-        method: `triangulate` (calibrated lens models) or `disparity` (the depth law of the 2018 thesis).
+        method: `filter` (a Kalman filter per marker that takes each camera's view at its own time), `triangulate`
+            (tracks read at a common moment, lens models) or `disparity` (the same with the depth law of the 2018
+            thesis).
         depth_law: k and z of depth[cm] = k · disparity[px]^z, for `disparity`.
-        min_cutoff_hz, beta, derivative_cutoff_hz: 1-euro filter, per marker and axis.
+        min_cutoff_hz, beta, derivative_cutoff_hz: 1-euro filter, per marker and axis, of the other methods than
+            `filter`.
         volume_m: lowest and highest x, y, z of a believable point, rig frame.
         max_speed_m_s: fastest believable marker; published points move no faster, in depth by as much less as depth is
             noisier.
         hold_s: how long a marker is predicted after it was last measured.
         extrapolation: longest time, as a share of a frame period, that one camera's track is carried on to meet a
-            newer frame of another; 0 waits for the next frame instead (later, less noisy).
+            newer frame of another; 0 waits for the next frame instead (later, less noisy). Not used by `filter`.
+        predict_s: `filter` publishes where the markers will be this much after the newest frame, such as the time
+            until a display shows them.
         epipolar_limit_px: largest error across the epipolar lines that is learnt and corrected while running; cameras
             turn a little in their mounts.
     """
 
-    method: Literal["triangulate", "disparity"] = "triangulate"
+    method: Literal["filter", "triangulate", "disparity"] = "filter"
     depth_law: tuple[Positive, float] = (4543.3, -1.035)
     min_cutoff_hz: Positive = 4.0
     beta: NotNegative = 20.0
@@ -154,6 +159,7 @@ class FusionConfig(FileModel):
     max_speed_m_s: Positive = 4.0
     hold_s: NotNegative = 0.25
     extrapolation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.6
+    predict_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
     epipolar_limit_px: NotNegative = 15.0
 
     @model_validator(mode="after")
@@ -168,13 +174,14 @@ class IkConfig(FileModel):
     """How points become a hand.
 
     Attributes:
-        solver: of the fingers: `analytic` (closed form) or `fabrik` (iterative chain solver).
+        solver: of the fingers: `filter` (the whole hand with all its points in one filter), or, on the palm that this
+            filter finds, each sample by itself: `analytic` (closed form) or `fabrik` (iterative chain solver).
         tolerance_m: the chain solver stops when the marker is this near.
         max_iterations: of the chain solver, per finger and sample.
         hold_s: how long a hand is predicted after its last measured point.
     """
 
-    solver: Literal["analytic", "fabrik"] = "analytic"
+    solver: Literal["filter", "analytic", "fabrik"] = "filter"
     tolerance_m: Positive = 1e-4
     max_iterations: Annotated[int, Field(ge=1, le=1000)] = 24
     hold_s: NotNegative = 0.5
@@ -218,7 +225,10 @@ class SimConfig(FileModel):
         clock_offset_s, clock_drift_ppm: largest error of a camera node's clock.
         jitter_s: standard deviation of a frame's delivery.
         phase_s: cameras are this much out of step with one another.
-        motion: `script` (gestures and grasps) or `still` (open hands that never move).
+        motion: `script` (gestures and grasps), `still` (open hands that never move) or `board` (no hands: a chessboard
+            is held at one place after the other, for calibrating the cameras).
+        board_columns, board_rows: inner corners of that chessboard.
+        board_square_m: side of its squares.
         desk_z_m: distance of the desk from the reference camera.
     """
 
@@ -230,7 +240,10 @@ class SimConfig(FileModel):
     clock_drift_ppm: NotNegative = 40.0
     jitter_s: NotNegative = 0.0005
     phase_s: NotNegative = 0.007
-    motion: Literal["script", "still"] = "script"
+    motion: Literal["script", "still", "board"] = "script"
+    board_columns: Annotated[int, Field(ge=3, le=60)] = 9
+    board_rows: Annotated[int, Field(ge=3, le=60)] = 6
+    board_square_m: Annotated[float, Field(ge=0.001, le=0.5)] = 0.025
     desk_z_m: Annotated[float, Field(ge=0.5, le=2.0)] = 0.95
 
 

@@ -69,8 +69,9 @@ size_m = [0.04, 0.03]
 
 _TAIL: Final = """\
 [fusion]
-# triangulate: calibrated lens models. disparity: the depth law of the 2018 system, k and z of depth = k * disparity^z.
-method = "triangulate"
+# filter: each view at its own time through the lens models, and the shape of painted fingertips. triangulate: views at
+# a common time, each marker by itself. disparity: the depth law of the 2018 system, k and z of depth = k * disparity^z.
+method = "filter"
 # Where a marker can be: lowest and highest x, y, z in the frame of the first camera.
 volume_m = [[-0.8, -0.6, 0.3], [0.8, 0.6, 1.4]]
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import time
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from pydantic import BaseModel
 from rhot.bus import LatestSubscriber
 from rhot.messages import Control, Message
 from rhot.service.node import Node
-from rhot.stage import Stage
+from rhot.stage import Output, Stage
 
 logger = logging.getLogger(__name__)
 
@@ -37,7 +38,22 @@ class StageService(Generic[M, C]):
         make_stage: Callable[[C], Stage[M, C]],
         instance: str = "main",
         owns_clock: bool = False,
+        feedback_keys: str = "",
+        feedback_model: type[M] | None = None,
     ) -> None:
+        """Prepare a service.
+
+        Args:
+            name, instance: on the bus.
+            input_keys: what the stage is fed with.
+            model: what stands on them.
+            key_of: the only key on which a message may stand; None = any of them.
+            config: the first configuration.
+            make_stage: makes a stage for a session.
+            owns_clock: this machine's clock is the rig clock.
+            feedback_keys, feedback_model: what the stage is handed beside its input, such as what others made of its
+                output; nothing is published for it.
+        """
         self.name = name
         self.instance = instance
         self.owns_clock = owns_clock
@@ -48,6 +64,9 @@ class StageService(Generic[M, C]):
         self._make_stage = make_stage
         self._stage = make_stage(config)
         self._mailbox: LatestSubscriber | None = None
+        self._feedback_keys = feedback_keys
+        self._feedback_model = feedback_model
+        self._feedback: LatestSubscriber | None = None
 
     @property
     def config(self) -> C:
@@ -64,6 +83,8 @@ class StageService(Generic[M, C]):
     def attach(self, node: Node) -> None:
         """Subscribe to the input; publishers follow with their first message."""
         self._mailbox = node.bus.latest(self._input_keys)
+        if self._feedback_model is not None:
+            self._feedback = node.bus.latest(self._feedback_keys)
         node.status.include(self._counts)
         node.status.watch(lambda: (self._stage.figures, self._stage.problem))
 
@@ -79,20 +100,34 @@ class StageService(Generic[M, C]):
             raise RuntimeError("run before attach")
         self._stage = self._make_stage(self._config)
         self._mailbox.clear()
+        async with asyncio.TaskGroup() as tasks:
+            if self._feedback is not None and self._feedback_model is not None:
+                self._feedback.clear()
+                tasks.create_task(self._listen(node, self._feedback, self._feedback_model))
+            await self._work(node, self._mailbox)
+
+    async def _work(self, node: Node, mailbox: LatestSubscriber) -> None:
         status, clock = node.status, node.clock
-        async for message in node.receive(self._mailbox, self._model, self._key_of):
+        async for message in node.receive(mailbox, self._model, self._key_of):
             status.tick("input")
             begun = time.perf_counter()
             status.latency("input_age", (clock.now_ns() - message.t_ns) / 1e9)
-            try:
-                outputs = self._stage.feed(message)
-            except (ValueError, ArithmeticError) as error:
-                # A sample that the core cannot digest costs that sample and the core's memory, never the service.
-                status.count("failed")
-                status.error(f"{self.name}: {type(error).__name__}: {error}")
-                logger.exception("%s could not digest a sample and starts afresh", self.name)
-                self._stage = self._make_stage(self._config)
-                continue
+            outputs = self._digest(node, message)
             status.latency("compute", time.perf_counter() - begun)
             for key, output in outputs:
                 node.publish(key, output)
+
+    async def _listen(self, node: Node, mailbox: LatestSubscriber, model: type[M]) -> None:
+        async for message in node.receive(mailbox, model):
+            self._digest(node, message)
+
+    def _digest(self, node: Node, message: M) -> list[Output]:
+        try:
+            return self._stage.feed(message)
+        except (ValueError, ArithmeticError) as error:
+            # A sample that the core cannot digest costs that sample and the core's memory, never the service.
+            node.status.count("failed")
+            node.status.error(f"{self.name}: {type(error).__name__}: {error}")
+            logger.exception("%s could not digest a sample and starts afresh", self.name)
+            self._stage = self._make_stage(self._config)
+            return []

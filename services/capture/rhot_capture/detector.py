@@ -1,13 +1,15 @@
 """All markers of a frame in one pass.
 
-Each frame is classified as a whole by one table look-up, so a lost marker is found again wherever it turns up;
-where a marker was before only decides between several blobs of its colour.
+While every marker is where it was expected, only the part of the frame that holds them is classified. As soon as one
+is not, and every `_SURVEY_FRAMES` frames anyway, the same look-up runs over the whole frame, so a lost marker is found
+again wherever it turns up; where a marker was before only decides between several blobs of its colour.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
@@ -16,16 +18,17 @@ from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
 from rhot.rig.config import MarkerConfig
-from rhot_capture.blob import Blob, find_blobs, label_regions
+from rhot_capture.blob import PADDING_PX, Blob, Region, find_blobs, label_regions
 from rhot_capture.color_table import ColorTable, ImageArray
 from rhot_capture.corners import find_corners
-from rhot_capture.subpixel import centre_of, coverage
+from rhot_capture.score import Evidence, probability
+from rhot_capture.subpixel import Window, find_centres
 from rhot_capture.track import MarkerTrack
 
 FloatArray = NDArray[np.float64]
 
-MIN_SCORE: Final = 0.1
-"""A blob that is less surely a marker than this is not reported."""
+MIN_PLAUSIBILITY: Final = 0.1
+"""A blob that is less like a marker than this is not reported."""
 
 _TYPICAL_LIKELIHOOD: Final = 0.35
 """Mean of exp(−d²/2) over samples of a three-dimensional normal distribution: 2^(−3/2)."""
@@ -35,6 +38,9 @@ _MIN_FILL: Final = 0.5
 _MAX_ADJACENCY: Final = 0.4
 _CLING_RATIO: Final = 1.5
 _SLIVER_SCORE: Final = 0.5
+_SURVEY_FRAMES: Final = 30
+_REGION_MARGIN_PX: Final = 24.0
+"""Around where a marker is expected: a tip at 1.5 m/s moves 17 pixels in a frame of 1/60 s, 80 cm away."""
 _BOX_3: Final = np.ones((3, 3), np.uint8)
 _BOX_5: Final = np.ones((5, 5), np.uint8)
 
@@ -46,9 +52,8 @@ class Detection:
     Attributes:
         u, v: sub-pixel centre of the visible painted area, pixels, pixel centres on integers.
         area: visible painted area, square pixels.
-        score: 0 to 1, how surely this is the marker: the product of how typical its colour is, how compact it is,
-            how far it is above the smallest size, how much of it lies inside the image, and its share against a
-            second blob of the same colour.
+        score: the probability that this is the marker and its centre within a pixel of the truth; see
+            `rhot_capture.score`.
         corners: (4, 2) of a patch, pixels, clockwise as seen; None when they could not be found.
         outline: (n, 2) pixels on the rim of the painted area.
     """
@@ -59,6 +64,23 @@ class Detection:
     score: float
     corners: FloatArray | None
     outline: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A blob that may be a marker.
+
+    Attributes:
+        blob: where it is.
+        plausibility: 0 to 1, how much it is like the marker; decides which blob is chosen and whether one is.
+        evidence: for its score, but for what tracks and other blobs tell.
+        weight: plausibility, times how well it continues the track, times area.
+    """
+
+    blob: Blob
+    plausibility: float
+    evidence: Evidence
+    weight: float
 
 
 class MarkerDetector:
@@ -79,7 +101,11 @@ class MarkerDetector:
         self._markers = dict(markers)
         self._size = (height, width)
         self._tracks = {name: MarkerTrack() for name in markers}
+        self._image: ImageArray = np.zeros((height, width, 3), np.uint8)
         self._labels: ImageArray = np.zeros(self._size, np.uint8)
+        self._packed: NDArray[np.uint16] = np.zeros((height, width, 1), np.uint16)
+        self._complete = True
+        self._since_survey = 0
         self.table = table
 
     @property
@@ -98,6 +124,7 @@ class MarkerDetector:
     @property
     def labels(self) -> ImageArray:
         """Labels of the last frame, (H, W) uint8, 0 = no marker, i = the i-th marker."""
+        self._classify((0, 0, self._size[1], self._size[0]))
         return self._labels
 
     def reset(self) -> None:
@@ -108,7 +135,7 @@ class MarkerDetector:
         """Return the markers seen in a frame; one that is not seen is absent.
 
         Args:
-            image: (H, W, 3) uint8 BGR.
+            image: (H, W, 3) uint8 BGR; kept until the next frame for `labels`.
 
         Raises:
             ConfigError: the frame is not of the detector's size.
@@ -118,102 +145,163 @@ class MarkerDetector:
                 f"frame is {image.shape} {image.dtype}, the detector was made for {(*self._size, 3)} uint8; "
                 "set width and height of the camera in rig.toml to what it delivers"
             )
-        raw, packed = self._table.classify(image)
-        # Single wrong pixels go; a label wins a pixel only where its neighbours carry it too.
-        self._labels = np.asarray(cv2.medianBlur(raw, 3), dtype=np.uint8)
-        regions = label_regions(self._labels, len(self._markers))
-        found = {}
-        for label, (name, marker) in enumerate(self._markers.items(), start=1):
-            if label not in regions:
+        self._image = image
+        self._complete = False
+        chosen = self._follow()
+        if chosen is None:
+            chosen = self._survey()
+        for name in self._markers:
+            if name not in chosen:
                 self._tracks[name].miss()
-                continue
-            blobs = find_blobs(self._labels, label, marker.min_area_px, marker.max_area_px, regions[label])
-            detection = self._choose(image, packed, label, marker, blobs, self._tracks[name])
-            if detection is not None:
-                found[name] = detection
-        return found
+        return self._measure(image, chosen)
 
-    def _choose(
-        self,
-        image: ImageArray,
-        packed: NDArray[np.uint16],
-        label: int,
-        marker: MarkerConfig,
-        blobs: Sequence[Blob],
-        track: MarkerTrack,
-    ) -> Detection | None:
-        """Measure the blob that is most surely the marker; None when none is surely enough."""
-        candidates = []
-        for blob in blobs:
-            score = self._score(blob, packed, label, marker, track.continues(*_middle(blob)))
-            if score > 0.0:
-                candidates.append((score * track.preference(*_middle(blob), blob.area) * blob.area, score, blob))
+    def _classify(self, area: Region) -> None:
+        """Label a part of the frame."""
+        if self._complete:
+            return
+        left, top, right, bottom = area
+        rows, columns = slice(top, bottom), slice(left, right)
+        labels, self._packed[rows, columns] = self._table.classify(self._image[rows, columns])
+        # Single wrong pixels go; a label wins a pixel only where its neighbours carry it too.
+        self._labels[rows, columns] = cv2.medianBlur(labels, 3)
+        self._complete = (bottom - top, right - left) == self._size
+
+    def _follow(self) -> dict[str, _Candidate] | None:
+        """Look for each marker where it is expected; None when one of them is not wholly there."""
+        self._since_survey += 1
+        if self._since_survey >= _SURVEY_FRAMES:
+            return None
+        regions: dict[str, Region] = {}
+        for name, track in self._tracks.items():
+            region = track.region(_REGION_MARGIN_PX, *self._size)
+            if region is None:
+                return None
+            regions[name] = region
+        lefts, tops, rights, bottoms = zip(*regions.values(), strict=True)
+        self._classify(
+            (
+                max(0, min(lefts) - PADDING_PX),
+                max(0, min(tops) - PADDING_PX),
+                min(self._size[1], max(rights) + PADDING_PX),
+                min(self._size[0], max(bottoms) + PADDING_PX),
+            )
+        )
+        chosen: dict[str, _Candidate] = {}
+        for label, (name, region) in enumerate(regions.items(), start=1):
+            best = self._choose(label, name, region)
+            if best is None or not self._within(best.blob, region):
+                return None
+            chosen[name] = best
+        return chosen
+
+    def _within(self, blob: Blob, region: Region) -> bool:
+        """Tell whether a blob ends inside its region, but for where the picture ends."""
+        height, width = blob.mask.shape
+        left, top, right, bottom = region
+        return (
+            (blob.x0 + PADDING_PX > left or left == 0)
+            and (blob.y0 + PADDING_PX > top or top == 0)
+            and (blob.x0 + width - PADDING_PX < right or right == self._size[1])
+            and (blob.y0 + height - PADDING_PX < bottom or bottom == self._size[0])
+        )
+
+    def _survey(self) -> dict[str, _Candidate]:
+        """Look for every marker in the whole frame."""
+        self._since_survey = 0
+        self._classify((0, 0, self._size[1], self._size[0]))
+        regions = label_regions(self._labels, len(self._markers))
+        chosen: dict[str, _Candidate] = {}
+        for label, name in enumerate(self._markers, start=1):
+            best = self._choose(label, name, regions[label]) if label in regions else None
+            if best is not None:
+                chosen[name] = best
+        return chosen
+
+    def _choose(self, label: int, name: str, region: Region) -> _Candidate | None:
+        """Return the blob in a region that is most surely the marker; None when none is surely enough."""
+        marker, track = self._markers[name], self._tracks[name]
+        blobs = find_blobs(self._labels, label, marker.min_area_px, marker.max_area_px, region)
+        candidates = [found for blob in blobs if (found := self._judge(blob, label, marker, track)) is not None]
         if not candidates:
-            track.miss()
             return None
-        candidates.sort(key=lambda candidate: candidate[0], reverse=True)
-        preference, score, blob = candidates[0]
+        candidates.sort(key=lambda candidate: candidate.weight, reverse=True)
+        best = candidates[0]
         if len(candidates) > 1:
-            score *= preference / (preference + candidates[1][0])
-        if score < MIN_SCORE:
-            track.miss()
-            return None
-        detection = _measure(image, blob, score, marker)
-        track.hit(detection.u, detection.v, detection.area)
-        return detection
+            share = best.weight / (best.weight + candidates[1].weight)
+            best = replace(
+                best, plausibility=best.plausibility * share, evidence=best.evidence._replace(alone=math.log(share))
+            )
+        return best if best.plausibility >= MIN_PLAUSIBILITY else None
 
-    def _score(self, blob: Blob, packed: NDArray[np.uint16], label: int, marker: MarkerConfig, expected: bool) -> float:
-        """How surely a blob is its marker, 0 to 1; 0 = it is not.
-
-        Args:
-            blob: to judge.
-            packed: colours of the frame as of `ColorTable.classify`.
-            label: of the marker.
-            marker: its size gate.
-            expected: the marker was just here, so that a sliver of it is believed.
-        """
+    def _judge(self, blob: Blob, label: int, marker: MarkerConfig, track: MarkerTrack) -> _Candidate | None:
+        """Return a blob as candidate for a marker; None when it is none."""
         if blob.solidity < _MIN_SOLIDITY:
-            return 0.0
+            return None
+        middle = _middle(blob)
         labels = self._labels[blob.window]
-        own = cv2.bitwise_and(cv2.inRange(labels, label, label), blob.mask)
+        own = cv2.inRange(labels, label, label)
+        others = cv2.countNonZero(labels) > cv2.countNonZero(own)
+        own = cv2.bitwise_and(own, blob.mask)
         own_pixels = cv2.countNonZero(own)
         # A thin line or a ring is the mixed rim of another marker, not paint of its own; unless the marker was just
         # here and is being covered.
         thin = cv2.countNonZero(cv2.erode(own, _BOX_3)) == 0
-        if own_pixels < _MIN_FILL * blob.area or (thin and not expected):
-            return 0.0
-        if self._clings(blob, labels, label):
-            return 0.0
-        likelihoods = cv2.LUT(packed[blob.window], self._table.likelihoods)
-        colour = cv2.mean(likelihoods, own)[0] / (255.0 * _TYPICAL_LIKELIHOOD)
-        compact = blob.solidity / _TYPICAL_SOLIDITY
+        if own_pixels < _MIN_FILL * blob.area or (thin and not track.continues(*middle)):
+            return None
+        if others and _clings(blob, labels, label):
+            return None
+        likelihoods = cv2.LUT(self._packed[blob.window], self._table.likelihoods)
+        colour = min(1.0, cv2.mean(likelihoods, own)[0] / (255.0 * _TYPICAL_LIKELIHOOD))
+        compact = min(1.0, blob.solidity / _TYPICAL_SOLIDITY)
         size = blob.area / (blob.area + marker.min_area_px)
-        whole = _SLIVER_SCORE if thin else 1.0
-        return whole * min(1.0, colour) * min(1.0, compact) * size * (1.0 - blob.border_share)
+        # A sliver is all rim: none of its pixels is pure paint.
+        pure = colour * (_SLIVER_SCORE if thin else 1.0)
+        plausibility = pure * compact * size * (1.0 - blob.border_share)
+        if plausibility <= 0.0:
+            return None
+        evidence = Evidence(colour=math.log(pure), inside=-blob.border_share, alone=0.0)
+        weight = plausibility * track.preference(*middle, blob.area) * blob.area
+        return _Candidate(blob, plausibility, evidence, weight)
 
-    def _clings(self, blob: Blob, labels: ImageArray, label: int) -> bool:
-        """Tell whether a blob hangs on a larger blob of another marker, as the stained rim of that marker does."""
-        ring = labels[(cv2.dilate(blob.mask, _BOX_5) > 0) & (blob.mask == 0)]
-        counts = np.bincount(ring, minlength=label + 1)
-        counts[0] = counts[label] = 0
-        other = int(np.argmax(counts))
-        if counts[other] <= _MAX_ADJACENCY * len(ring):
-            return False
-        return bool(np.count_nonzero(labels == other) > _CLING_RATIO * blob.area)
+    def _measure(self, image: ImageArray, chosen: Mapping[str, _Candidate]) -> dict[str, Detection]:
+        """Measure the chosen blobs of a frame."""
+        # At the picture's border a rim is missing, and what the gain does on the other side would not cancel.
+        windows = [
+            Window(
+                image[one.blob.window],
+                one.blob.mask,
+                self._markers[name].kind == "cap" and one.blob.border_share == 0.0,
+            )
+            for name, one in chosen.items()
+        ]
+        found = {}
+        for (name, one), centre in zip(chosen.items(), find_centres(windows), strict=True):
+            blob = one.blob
+            corners = None
+            if self._markers[name].kind == "patch" and blob.border_share == 0.0:
+                corners = find_corners(centre.share, blob.mask)
+            if corners is not None:
+                corners += np.array([blob.x0, blob.y0])
+                corners.setflags(write=False)
+            outline = np.concatenate(blob.outlines).reshape(-1, 2).astype(np.float64)
+            outline.setflags(write=False)
+            u, v = blob.x0 + centre.u, blob.y0 + centre.v
+            found[name] = Detection(u, v, centre.area, probability(one.evidence), corners, outline)
+            self._tracks[name].hit(u, v, centre.area, 0.5 * max(blob.mask.shape))
+        return found
+
+
+def _clings(blob: Blob, labels: ImageArray, label: int) -> bool:
+    """Tell whether a blob hangs on a larger blob of another marker, as the stained rim of that marker does."""
+    ring = labels[(cv2.dilate(blob.mask, _BOX_5) > 0) & (blob.mask == 0)]
+    counts = np.bincount(ring, minlength=label + 1)
+    counts[0] = counts[label] = 0
+    other = int(np.argmax(counts))
+    if counts[other] <= _MAX_ADJACENCY * len(ring):
+        return False
+    return bool(np.count_nonzero(labels == other) > _CLING_RATIO * blob.area)
 
 
 def _middle(blob: Blob) -> tuple[float, float]:
     height, width = blob.mask.shape
     return blob.x0 + 0.5 * (width - 1), blob.y0 + 0.5 * (height - 1)
-
-
-def _measure(image: ImageArray, blob: Blob, score: float, marker: MarkerConfig) -> Detection:
-    share = coverage(image[blob.window], blob.mask)
-    centre = centre_of(share, round_part=marker.kind == "cap")
-    corners = find_corners(share, blob.mask) if marker.kind == "patch" and blob.border_share == 0.0 else None
-    if corners is not None:
-        corners += np.array([blob.x0, blob.y0])
-        corners.setflags(write=False)
-    outline = np.concatenate(blob.outlines).reshape(-1, 2).astype(np.float64)
-    outline.setflags(write=False)
-    return Detection(blob.x0 + centre.u, blob.y0 + centre.v, centre.area, score, corners, outline)

@@ -24,7 +24,27 @@ class MarkerTrack:
         self._motion_u = 0.0
         self._motion_v = 0.0
         self._area = 0.0
+        self._reach = 0.0
         self._missed = _MEMORY_FRAMES
+
+    def region(self, margin_px: float, height: int, width: int) -> tuple[int, int, int, int] | None:
+        """Return where in the picture the marker is expected; None when it was not in the last frame.
+
+        Args:
+            margin_px: room on all sides.
+            height: of the picture, pixels.
+            width: of the picture, pixels.
+
+        Returns:
+            left, top, right, bottom, pixels; right and bottom are not part of it.
+        """
+        if self._missed > 0:
+            return None
+        reach = self._reach + margin_px
+        u, v = self._u + self._motion_u, self._v + self._motion_v
+        left, top = max(0, int(u - reach)), max(0, int(v - reach))
+        right, bottom = min(width, int(u + reach) + 1), min(height, int(v + reach) + 1)
+        return (left, top, right, bottom) if left < right and top < bottom else None
 
     def preference(self, u: float, v: float, area: float) -> float:
         """Return how well a blob continues the track, 0 to 1; 1 when there is no track.
@@ -53,13 +73,20 @@ class MarkerTrack:
         away = math.hypot(u - self._u - frames * self._motion_u, v - self._v - frames * self._motion_v)
         return frames <= _SLIVER_FRAMES and away <= _SLIVER_GATE_PX
 
-    def hit(self, u: float, v: float, area: float) -> None:
-        """Take the marker's place in this frame."""
+    def hit(self, u: float, v: float, area: float, reach_px: float = 0.0) -> None:
+        """Take the marker's place in this frame.
+
+        Args:
+            u: centre, pixels to the right.
+            v: centre, pixels down.
+            area: square pixels.
+            reach_px: how far it extends from its centre.
+        """
         if self._missed == 0:
             self._motion_u, self._motion_v = u - self._u, v - self._v
         else:
             self._motion_u = self._motion_v = 0.0
-        self._u, self._v, self._area = u, v, area
+        self._u, self._v, self._area, self._reach = u, v, area, reach_px
         self._missed = 0
 
     def miss(self) -> None:

@@ -21,6 +21,7 @@ from rhot_fusion.disparity import DisparityLaw
 from rhot_fusion.epipolar import EpipolarModel
 from rhot_fusion.marker_states import MANEUVER_M_S, MarkerStates
 from rhot_fusion.one_euro import OneEuroSettings
+from rhot_fusion.sightings import Outcome
 from rhot_fusion.tracks import Snapshot
 from rhot_fusion.triangulate import Geometry, Prior, Solution, Triangulation, Views
 
@@ -56,25 +57,6 @@ class _Moment:
     plausible: BoolArray
     prior: Prior
     sigma: float
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """The markers at one moment.
-
-    Attributes:
-        position: (M, 3) metres, rig frame; NaN = absent.
-        sigma_m: (M,) standard deviation of the position.
-        views: (M,) cameras behind it.
-        measured: (M,) backed by views of this moment that agree.
-        xy: (C, M, 2) the corrected views, normalised coordinates; NaN = none.
-    """
-
-    position: FloatArray
-    sigma_m: FloatArray
-    views: CountArray
-    measured: BoolArray
-    xy: FloatArray
 
 
 class Association:
@@ -144,7 +126,7 @@ class Association:
         states.coast(self._hands.siblings, t_s)
         position = states.show(t_s, longest_step_s)
         age = np.where(states.tracked, t_s - states.backed_s, 0.0)
-        return Outcome(position, np.hypot(states.sigma_m, MANEUVER_M_S * age), views, measured, moment.views.xy)
+        return Outcome(t_s, position, np.hypot(states.sigma_m, MANEUVER_M_S * age), views, measured, moment.views.xy)
 
     def _prepare(self, shot: Snapshot, t_s: float) -> _Moment:
         views = Views(self.epipolar.correct(shot.xy), shot.valid & self._geometry.uses[:, None])

@@ -23,6 +23,7 @@ class HandCoherence:
 
     Attributes:
         siblings: per marker the indices of the others of its hand.
+        company: (M, M) the same as a matrix of ones.
     """
 
     def __init__(self, markers: Mapping[str, MarkerConfig], hand_length_m: float) -> None:
@@ -32,6 +33,7 @@ class HandCoherence:
         self.siblings: list[IndexArray] = [
             np.flatnonzero((sides == side) & (np.arange(len(sides)) != place)) for place, side in enumerate(sides)
         ]
+        self.company: FloatArray = (sides[:, None] == sides[None]) * (1.0 - np.eye(len(sides)))
         self._reach_m = _REACH * hand_length_m
 
     def near(self, index: IndexArray, position: FloatArray, known: FloatArray, tracked: BoolArray) -> BoolArray:

@@ -7,7 +7,7 @@ patch's size.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from rhot.camera import CameraModel
 from rhot.messages import MarkerFrame, Position
 from rhot.rig import MarkerConfig
-from rhot_fusion.triangulate import Prior, Triangulation, Views
 
 FloatArray = NDArray[np.float64]
 
@@ -50,9 +49,13 @@ class PatchCorners:
             name: sorted(marker.size_m) for name, marker in markers.items() if marker.kind == "patch" and marker.size_m
         }
         self._cameras = list(cameras)
-        self._triangulation = Triangulation(cameras)
         self._focal_px = float(np.mean([camera.K[0, 0] for camera in cameras]))
         self._seen: dict[tuple[str, int], _Seen] = {}
+
+    @property
+    def names(self) -> Container[str]:
+        """The markers that are rectangles of known size."""
+        return self._sizes
 
     def observe(self, camera: int, frame: MarkerFrame, frame_s: float) -> None:
         """Take the corners in a frame that came at frame_s."""
@@ -71,13 +74,11 @@ class PatchCorners:
         """Return a patch's corners, metres, rig frame, in cyclic order, or None where the views do not agree on them.
 
         Args:
-            name: of the marker.
+            name: of the marker, one of `names`.
             xy: (C, 2) where each camera sees the patch's centre at t_s; NaN = it does not.
             position: (3,) the published point; the corners are placed around it.
             t_s: the moment.
         """
-        if name not in self._sizes:
-            return None
         views = [
             (camera, seen.offsets + xy[camera])
             for camera in range(len(self._cameras))
@@ -88,16 +89,11 @@ class PatchCorners:
         if len(views) < 2:
             return None
         (first, first_xy), (second, second_xy) = views[:2]
-        stacked = np.full((len(self._cameras), 16, 2), np.nan)
-        used = np.zeros((len(self._cameras), 16), dtype=bool)
-        stacked[first] = np.tile(first_xy, (4, 1))
-        stacked[second] = second_xy[_ORDERS].reshape(16, 2)
-        used[[first, second]] = True
-        nothing = Prior(np.full((16, 3), np.nan), np.ones(16))
-        solution = self._triangulation.solve(Views(stacked, used), nothing, 1.0 / self._focal_px)
-        quads = solution.position.reshape(4, 4, 3)
-        residual_px = solution.residual.reshape(4, 4).max(axis=1) * self._focal_px
-        misfit = np.array([self._side_misfit(name, quad) for quad in quads])
+        # All four pairings at once: (4 shifts, 4 corners, 3).
+        quads, gap = self._meet(first, first_xy, second, second_xy[_ORDERS])
+        depth = np.maximum(np.abs(quads[0, 0] @ self._cameras[first].R_camera_rig[2]), 1e-3)
+        residual_px = 0.5 * gap.max(axis=1) / depth * self._focal_px
+        misfit = self._side_misfit(name, quads)
         fits = (residual_px <= _RESIDUAL_PX) & (misfit <= _SIDE_TOLERANCE)
         if not fits.any():
             return None
@@ -110,14 +106,32 @@ class PatchCorners:
         """Forget everything."""
         self._seen.clear()
 
-    def _side_misfit(self, name: str, quad: FloatArray) -> float:
-        """Return the largest relative error of the four sides, in whichever order of the two sizes fits better."""
-        if not np.isfinite(quad).all():
-            return float("inf")
-        sides = np.linalg.norm(np.roll(quad, -1, axis=0) - quad, axis=1)
+    def _meet(
+        self, first: int, first_xy: FloatArray, second: int, second_xy: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return where rays of two cameras come nearest to each other (..., 3), metres, and their distance (...) there.
+
+        The middle of the shortest line between two rays (Hartley and Sturm, "Triangulation", 1997, section 3.1) is as
+        good as a least-squares point for the shape of a patch, at a fraction of the cost.
+        """
+        a, b = self._cameras[first], self._cameras[second]
+        d = first_xy @ a.R_camera_rig[:2] + a.R_camera_rig[2]
+        e = second_xy @ b.R_camera_rig[:2] + b.R_camera_rig[2]
+        way = b.center - a.center
+        dd, de, ee = (d * d).sum(axis=-1), (d * e).sum(axis=-1), (e * e).sum(axis=-1)
+        dw, ew = d @ way, e @ way
+        # Parallel rays meet nowhere; the point is thrown far away and no side fits.
+        det = np.maximum(dd * ee - de * de, 1e-12)
+        p = a.center + ((dw * ee - ew * de) / det)[..., None] * d
+        q = b.center + ((dw * de - ew * dd) / det)[..., None] * e
+        miss = p - q
+        return 0.5 * (p + q), np.sqrt((miss * miss).sum(axis=-1))
+
+    def _side_misfit(self, name: str, quads: FloatArray) -> FloatArray:
+        """Return the largest relative error (N,) of the sides of quads (N, 4, 3), in the better order of the sizes."""
+        along = quads[:, (1, 2, 3, 0)] - quads
+        sides = np.sqrt((along * along).sum(axis=2))
         width, length = self._sizes[name]
-        fits = [
-            float(np.abs(sides / np.array([first, second, first, second]) - 1.0).max())
-            for first, second in ((width, length), (length, width))
-        ]
-        return min(fits)
+        orders = np.array([[width, length, width, length], [length, width, length, width]])
+        misfit: FloatArray = np.abs(sides[:, None] / orders - 1.0).max(axis=2).min(axis=1)
+        return misfit

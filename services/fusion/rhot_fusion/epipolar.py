@@ -69,17 +69,20 @@ class EpipolarModel:
 
     def correct(self, xy: FloatArray) -> FloatArray:
         """Return observations (C, M, 2) moved across their epipolar lines by the modelled error; NaN passes."""
-        corrected = xy.copy()
-        for camera in range(1, len(xy)):
-            a, b, c = self.coefficients[camera]
-            error = np.clip(a + b * xy[camera, :, 0] + c * xy[camera, :, 1], -self._limit, self._limit)
-            e = self._t[camera]
-            # Normal of the line through the epipole and the observation: the first two entries of e × (x, y, 1).
-            nx = e[1] - e[2] * xy[camera, :, 1]
-            ny = e[2] * xy[camera, :, 0] - e[0]
-            scale = error / np.maximum(np.hypot(nx, ny), 1e-9)
-            corrected[camera, :, 0] -= scale * nx
-            corrected[camera, :, 1] -= scale * ny
+        return np.stack([self.correct_one(camera, views) for camera, views in enumerate(xy)])
+
+    def correct_one(self, camera: int, xy: FloatArray) -> FloatArray:
+        """Return the observations (N, 2) of one camera moved across their epipolar lines; NaN passes."""
+        if camera == 0:
+            return xy
+        a, b, c = self.coefficients[camera].tolist()
+        x, y = xy[:, 0], xy[:, 1]
+        error = np.minimum(np.maximum(a + b * x + c * y, -self._limit), self._limit)
+        e0, e1, e2 = self._t[camera].tolist()
+        # Normal of the line through the epipole and the observation: the first two entries of e × (x, y, 1).
+        normal = np.stack([e1 - e2 * y, e2 * x - e0], axis=1)
+        length = np.maximum(np.sqrt((normal * normal).sum(axis=1)), 1e-9)
+        corrected: FloatArray = xy - normal * (error / length)[:, None]
         return corrected
 
     def residual(self, xy: FloatArray) -> FloatArray:
@@ -127,6 +130,19 @@ class EpipolarModel:
         spread = 1.4826 * median(np.abs(error_px).tolist())
         gain = 0.2 if self._place < 60 else 0.02
         self.spread_px = max(_SMALLEST_SPREAD_PX, self.spread_px + gain * (spread - self.spread_px))
+
+    @property
+    def correction_px(self) -> float:
+        """Root mean square of what was learnt over recent observations, pixels, of the camera with most of it.
+
+        It is what the cameras have moved since their calibration, as far as epipolar lines can tell.
+        """
+        largest = 0.0
+        for information, coefficients in zip(self._information, self.coefficients, strict=True):
+            if information[0, 0] > 0.0:
+                # Its entries are weighted sums of the products of 1, x and y.
+                largest = max(largest, float(coefficients @ information @ coefficients) / float(information[0, 0]))
+        return float(np.sqrt(largest)) * self._focal_px
 
     @property
     def figures_px(self) -> tuple[float, float]:

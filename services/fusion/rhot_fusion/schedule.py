@@ -33,20 +33,21 @@ class Schedule:
     def clear(self) -> None:
         """Forget all but the nominal periods."""
         self._intervals: list[deque[float]] = [deque(maxlen=_INTERVALS) for _ in self._nominal]
+        self._periods = list(self._nominal)
         self._unanswered = [0] * len(self._nominal)
         self.newest_s = [float("-inf")] * len(self._nominal)
         self.published_s = float("-inf")
 
     def period_s(self, camera: int) -> float:
         """Return a camera's frame period."""
-        intervals = self._intervals[camera]
-        return median(intervals) if intervals else self._nominal[camera]
+        return self._periods[camera]
 
     def arrived(self, camera: int, t_s: float) -> None:
         """Note a frame of a camera, true at t_s, later than its last."""
         interval = t_s - self.newest_s[camera]
         if 0.0 < interval < _LONGEST_WAIT_S:
             self._intervals[camera].append(interval)
+            self._periods[camera] = median(self._intervals[camera])
         self.newest_s[camera] = t_s
         for other in range(len(self._unanswered)):
             self._unanswered[other] += 1
@@ -77,3 +78,34 @@ class Schedule:
             return None
         self.published_s = moment
         return moment
+
+    @property
+    def newest(self) -> float:
+        """Time of the newest frame of all, −∞ before the first."""
+        return max(self.newest_s)
+
+    @property
+    def longest_period_s(self) -> float:
+        """The longest of the cameras' frame periods."""
+        return max(self._periods)
+
+    def common_moment(self) -> float:
+        """Return the latest moment up to which two cameras have seen; −∞ when there is none."""
+        return sorted(self.newest_s)[-2]
+
+    def newest_moment(self) -> float | None:
+        """Return the newest frame's moment, or None while another camera's frame of the same moment is due."""
+        newest = self.newest
+        for camera, seen in enumerate(self.newest_s):
+            lag = newest - seen
+            if lag == 0.0 or lag >= _LONGEST_WAIT_S:
+                continue
+            period = self.period_s(camera)
+            phase = lag % period
+            due = self._unanswered[camera] <= len(self.newest_s) - 1
+            if due and lag > 0.5 * period and min(phase, period - phase) < _IN_STEP * period:
+                return None
+        if newest <= self.published_s:
+            return None
+        self.published_s = newest
+        return newest

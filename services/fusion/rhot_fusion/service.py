@@ -1,14 +1,17 @@
-"""The fusion service: newest marker frames in, points out; owns the rig clock."""
+"""The fusion service: newest marker frames in, points out; owns the rig clock.
+
+Hands come back from inverse kinematics: where fingers point tells which part of a painted tip the cameras see.
+"""
 
 from __future__ import annotations
 
-from rhot.messages import MarkerFrame
+from rhot.messages import HandPose, MarkerFrame
 from rhot.rig import FusionConfig, Rig
 from rhot.service import StageService
 from rhot_fusion.stage import FusionStage
 
 
-def fusion_service(rig: Rig) -> StageService[MarkerFrame, FusionConfig]:
+def fusion_service(rig: Rig) -> StageService[MarkerFrame | HandPose, FusionConfig]:
     """Return the service that turns `rhot/markers/*` into `rhot/points`."""
 
     def make_stage(config: FusionConfig) -> FusionStage:
@@ -20,8 +23,10 @@ def fusion_service(rig: Rig) -> StageService[MarkerFrame, FusionConfig]:
         "fusion",
         input_keys="rhot/markers/*",
         model=MarkerFrame,
-        key_of=lambda frame: f"rhot/markers/{frame.camera}",
+        key_of=lambda message: f"rhot/markers/{message.camera}" if isinstance(message, MarkerFrame) else "",
         config=rig.config.fusion,
         make_stage=make_stage,
         owns_clock=True,
+        feedback_keys="rhot/hand/*",
+        feedback_model=HandPose,
     )

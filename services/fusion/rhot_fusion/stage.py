@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
 from rhot.errors import ConfigError
-from rhot.messages import MarkerFrame, Point, PointSet
+from rhot.messages import HandPose, MarkerFrame, Point, PointSet, State
 from rhot.rig import FusionConfig, Rig
 from rhot.stage import Output
-from rhot_fusion.association import Association, Outcome
 from rhot_fusion.corners import PatchCorners
+from rhot_fusion.filter_tracker import FilterTracker
 from rhot_fusion.guard import StreamGuard
-from rhot_fusion.schedule import Schedule
-from rhot_fusion.tracks import Tracks
-
-FloatArray = NDArray[np.float64]
+from rhot_fusion.paired_tracker import PairedTracker
+from rhot_fusion.sightings import Outcome, Sightings, Tracker
+from rhot_fusion.smoothed_points import PublishedSet, smoothed_points
 
 POINTS_KEY = "rhot/points"
 RIG_FRAME = "rig"
 
 _ROW_SPREAD_S = 0.1
 """A marker's own time may differ from its frame's by no more than a read-out takes."""
-_ROWS_SHARE = 0.5
-"""Markers in other rows than the frame's middle are carried on this much further, as a share of a period."""
-_LONGEST_GAP = 3.5
-"""Observations further apart than this many periods are not joined."""
 _SWAP_EVIDENCE = 50
 
 
@@ -40,8 +35,8 @@ class FusionStage:
         counts: what was ignored, by reason, beside `published` sets and `measured` points.
     """
 
-    def __init__(self, rig: Rig) -> None:
-        """Build the stage of a rig.
+    def __init__(self, rig: Rig, *, record: bool = False) -> None:
+        """Build the stage of a rig; `record` keeps what `smoothed` needs.
 
         Raises:
             ConfigError: the rig's cameras cannot be used with the method it asks for.
@@ -58,11 +53,14 @@ class FusionStage:
         self._markers = tuple(rig.config.markers)
         self._marker_index = {name: place for place, name in enumerate(self._markers)}
         self._config = rig.config.fusion
-        self._association = Association(self._models, rig.config.markers, rig.hand.length_m, self._config, self.counts)
+        self._periods_s = [1.0 / camera.rate_hz for camera in rig.config.cameras.values()]
+        self._rig = rig
+        self._record = record
+        self._published: list[PublishedSet] = []
+        self._smoothed: list[PointSet] = []
+        self._tracker = self._make_tracker(self._config)
         self._corners = PatchCorners(rig.config.markers, self._models)
         self._guard = StreamGuard(models, self.counts)
-        self._schedule = Schedule([1.0 / camera.rate_hz for camera in rig.config.cameras.values()])
-        self._tracks = Tracks(len(self._models), len(self._markers))
         self._base_ns: int | None = None
 
     def configure(self, config: FusionConfig) -> None:
@@ -71,19 +69,38 @@ class FusionStage:
         Raises:
             ConfigError: the rig's cameras cannot be used with the new method; the old settings stay.
         """
-        self._association.configure(config)
+        if config.method == self._config.method:
+            self._tracker.configure(config)
+        else:
+            tracker = self._make_tracker(config)
+            self.smoothed()
+            tracker.epipolar = self._tracker.epipolar
+            tracker.epipolar.set_limit(config.epipolar_limit_px)
+            self._tracker = tracker
         self._config = config
+
+    def smoothed(self) -> list[PointSet]:
+        """Return all sets published so far as later observations show them; empty unless recorded by `filter`."""
+        if isinstance(self._tracker, FilterTracker):
+            self._smoothed += smoothed_points(self._published, self._tracker.smoothed(), self._markers)
+            self._published.clear()
+        return self._smoothed
 
     @property
     def epipolar_px(self) -> tuple[float, float]:
         """Mean and 95th percentile of the recent epipolar residuals after the learnt correction, pixels."""
-        return self._association.epipolar.figures_px
+        return self._tracker.epipolar.figures_px
 
     @property
     def figures(self) -> dict[str, float]:
-        """`epipolar_px` and `epipolar_p95_px`: how well the rows of the views agree; grows when a camera was bumped."""
+        """How well the views agree (`epipolar_px`, `epipolar_p95_px`), and by how much they were corrected for it.
+
+        `epipolar_correction_px` is what the cameras have moved since their calibration; it grows when one was bumped.
+        """
         mean, p95 = self.epipolar_px
-        return {name: value for name, value in (("epipolar_px", mean), ("epipolar_p95_px", p95)) if np.isfinite(value)}
+        correction = self._tracker.epipolar.correction_px
+        figures = {"epipolar_px": mean, "epipolar_p95_px": p95, "epipolar_correction_px": correction}
+        return {name: value for name, value in figures.items() if np.isfinite(value)}
 
     @property
     def problem(self) -> str:
@@ -97,40 +114,46 @@ class FusionStage:
             )
         return ""
 
-    def feed(self, message: MarkerFrame) -> list[Output]:
-        """Take one frame of one camera; return the point set that it made possible, if any."""
+    def feed(self, message: MarkerFrame | HandPose) -> list[Output]:
+        """Take one frame of one camera and return the point set that it made possible, if any.
+
+        A hand that inverse kinematics made of earlier points may be handed back: the directions of its fingers tell
+        which part of each painted tip the cameras see.
+        """
+        if isinstance(message, HandPose):
+            self._tracker.learn(message)
+            return []
         verdict = self._guard.judge(message)
         if verdict == "refuse":
             return []
         known_ns = None if verdict == "restart" else self._base_ns
         base_ns = self._begin(message.t_ns) if known_ns is None else known_ns
-        self._observe(message, base_ns)
-        moment_s = self._schedule.moment(self._config.extrapolation)
-        if moment_s is None:
+        outcome = self._tracker.advance(self._sightings(message, base_ns))
+        if outcome is None:
             return []
-        period_s = max(self._schedule.period_s(camera) for camera in range(len(self._models)))
-        reach_s = (self._config.extrapolation + _ROWS_SHARE) * period_s
-        shot = self._tracks.at(moment_s, reach_s, _LONGEST_GAP * period_s)
-        points = self._points(self._association.advance(shot, moment_s, period_s), moment_s)
         seq = self.counts["published"]
         self.counts["published"] += 1
-        return [(POINTS_KEY, PointSet(t_ns=base_ns + round(moment_s * 1e9), seq=seq, frame=RIG_FRAME, points=points))]
+        t_ns = base_ns + round(outcome.t_s * 1e9)
+        points = PointSet(t_ns=t_ns, seq=seq, frame=RIG_FRAME, points=self._points(outcome))
+        if self._record and outcome.seen is not None:
+            self._published.append(PublishedSet(points, outcome.t_s, outcome.seen))
+        return [(POINTS_KEY, points)]
 
     def _begin(self, t_ns: int) -> int:
         """Start a stream at a time; seconds in here count from it, so that they fit a float64 to the nanosecond."""
-        self._schedule.clear()
-        self._tracks.clear()
+        self.smoothed()
         self._corners.clear()
-        self._association.clear()
+        self._tracker.clear()
         self._base_ns = t_ns
         return t_ns
 
-    def _observe(self, frame: MarkerFrame, base_ns: int) -> None:
+    def _sightings(self, frame: MarkerFrame, base_ns: int) -> Sightings:
         camera = self._camera_index[frame.camera]
         frame_s = (frame.t_ns - base_ns) * 1e-9
         places: list[int] = []
         uv: list[tuple[float, float]] = []
         times: list[float] = []
+        areas: list[float] = []
         for name, marker in frame.markers.items():
             place = self._marker_index.get(name)
             t_s = frame_s if marker.t_ns is None else (marker.t_ns - base_ns) * 1e-9
@@ -142,32 +165,34 @@ class FusionStage:
                 places.append(place)
                 uv.append((marker.u, marker.v))
                 times.append(t_s)
+                areas.append(marker.area)
         model = self._models[camera]
         index, pixels, t = np.array(places, dtype=np.intp), np.array(uv).reshape(-1, 2), np.array(times)
-        inside, later = model.contains(pixels), t > self._tracks.last_t_s[camera, index]
-        self.counts["outside"] += int(np.count_nonzero(~inside))
-        self.counts["late_marker"] += int(np.count_nonzero(~later))
-        usable = inside & later
-        index, pixels, t = index[usable], pixels[usable], t[usable]
-        low, high = self._config.volume_m
-        max_rate = self._config.max_speed_m_s / max(0.5 * (low[2] + high[2]), 0.1)
-        self._tracks.append(camera, index, t, model.undistort(pixels), max_rate)
+        area = np.array(areas)
+        inside = model.contains(pixels)
+        if not inside.all():
+            self.counts["outside"] += int(np.count_nonzero(~inside))
+            index, pixels, t, area = index[inside], pixels[inside], t[inside], area[inside]
         self._corners.observe(camera, frame, frame_s)
-        self._schedule.arrived(camera, median(t.tolist()) if len(t) else frame_s)
+        middle_s = median(t.tolist()) if len(t) else frame_s
+        return Sightings(camera, middle_s, index, t, model.undistort(pixels), area)
 
-    def _points(self, outcome: Outcome, t_s: float) -> dict[str, Point]:
+    def _make_tracker(self, config: FusionConfig) -> Tracker:
+        rig = self._rig
+        parts = (self._models, rig.config.markers, rig.hand, self._periods_s, config, self.counts)
+        return FilterTracker(*parts, record=self._record) if config.method == "filter" else PairedTracker(*parts)
+
+    def _points(self, outcome: Outcome) -> dict[str, Point]:
         points: dict[str, Point] = {}
-        for index, (name, position) in enumerate(zip(self._markers, outcome.position.tolist(), strict=True)):
-            if not np.isfinite(position[0]):
+        columns = (outcome.position, outcome.sigma_m, outcome.views, outcome.measured)
+        for index, (name, (x, y, z), sigma, views, measured) in enumerate(
+            zip(self._markers, *(column.tolist() for column in columns), strict=True)
+        ):
+            if math.isnan(x):
                 continue
-            measured = bool(outcome.measured[index])
-            points[name] = Point(
-                position=(position[0], position[1], position[2]),
-                sigma=float(outcome.sigma_m[index]),
-                views=int(outcome.views[index]),
-                state="measured" if measured else "predicted",
-                corners=self._corners.solve(name, outcome.xy[:, index], outcome.position[index], t_s)
-                if measured
-                else None,
-            )
+            corners = None
+            if measured and name in self._corners.names:
+                corners = self._corners.solve(name, outcome.xy[:, index], outcome.position[index], outcome.t_s)
+            state: State = "measured" if measured else "predicted"
+            points[name] = Point(position=(x, y, z), sigma=sigma, views=views, state=state, corners=corners)
         return points

@@ -1,4 +1,4 @@
-"""One hand over time: the palm, the fingers, and what is held when markers hide."""
+"""One hand over time: the filter of the whole hand, how it starts, and how what comes back is led in."""
 
 from __future__ import annotations
 
@@ -11,49 +11,29 @@ from numpy.typing import NDArray
 
 from rhot.hand import HandModel, patch_outline
 from rhot.rig import IkConfig, MarkerConfig
-from rhot.skeleton import FINGERS
+from rhot_ik.evidence import EvidenceModel, HandObservation
 from rhot_ik.finger_chains import FabrikFingers
 from rhot_ik.finger_geometry import FingerGeometry, marker_on_palm
 from rhot_ik.fingers import AnalyticFingers
-from rhot_ik.palm import PalmEstimator, PalmEvidence
+from rhot_ik.hand_filter import HandFilter, HandState
+from rhot_ik.kinematics import HandKinematics
+from rhot_ik.lead import HIDDEN_M_S, PATH_PER_TIP, SEEN_M_S, FingerLead, PalmLead
+from rhot_ik.sight import Sight
+from rhot_ik.start import HandStart
+
+__all__ = ["HandObservation", "HandSolution", "HandSolver"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-REJOIN_S: Final = 0.1
-"""A finger or palm that comes back is led to its measurement over this time."""
-FOLLOW_NEIGHBOURS_S: Final = 0.4
-"""Time constant with which a hidden finger bends like its neighbours."""
-PREDICTED_WEIGHT: Final = 0.25
-"""Trust in a marker that fusion bridged, relative to a measured one."""
-_RATE_BY_MISS: Final = (np.array([0.004, 0.020]), np.array([30.0, 4.0]))
-"""How fast a finger may turn, rad/s, by how far it misses its marker, metres."""
 GAP_S: Final = 1.0
 """After a silence this long nothing of the past is used."""
 LATE_S: Final = 0.1
 """A sample that is older than the last one by less than this came out of order and is left out."""
-RELAXED_RAD: Final = np.radians([[5.0, 0.0, 15.0, 15.0], *[[20.0, 0.0, 30.0, 20.0]] * 4])
-
-
-@dataclass(frozen=True, slots=True)
-class HandObservation:
-    """The markers of one hand at one moment, rig frame, metres.
-
-    Attributes:
-        t_ns: rig clock.
-        base: (3,) centre of the base marker, or not seen.
-        base_measured: whether it was measured at this moment rather than bridged.
-        corners: (4, 3) of its patch, or not seen.
-        tips: (5, 3); NaN rows = not seen.
-        tips_measured: (5,) whether each was measured at this moment.
-    """
-
-    t_ns: int
-    base: FloatArray | None
-    base_measured: bool
-    corners: FloatArray | None
-    tips: FloatArray
-    tips_measured: BoolArray
+LOST_M: Final = 0.012
+"""When the seen tips miss the model by more than this on average …"""
+LOST_S: Final = 0.3
+"""… for this long, the hand is looked for anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +43,8 @@ class HandSolution:
     Attributes:
         T_rig_wrist: (4, 4) metres.
         angles: (5, 4) radians, inside the limits.
+        positions: (26, 3) metres, rig frame, of all joints.
+        orientations: (26, 4) unit quaternions x, y, z, w, rig frame.
         residual: (5,) metres between measured and modelled marker; NaN where there was no measurement.
         fingers_measured: (5,).
         palm_measured: whether the base marker was.
@@ -70,6 +52,8 @@ class HandSolution:
 
     T_rig_wrist: FloatArray
     angles: FloatArray
+    positions: FloatArray
+    orientations: FloatArray
     residual: FloatArray
     fingers_measured: BoolArray
     palm_measured: bool
@@ -83,13 +67,27 @@ class HandSolver:
         markers: all markers of the rig; those of other hands are ignored.
         base: name of the marker on the back of this hand.
         config: which finger solver, and how long a hand is held.
+        viewpoints: (C, 3) metres, rig frame: the cameras' centres, for the shape of the points' errors; taken as round
+            when not given.
     """
 
-    def __init__(self, model: HandModel, markers: Mapping[str, MarkerConfig], base: str, config: IkConfig) -> None:
+    def __init__(
+        self,
+        model: HandModel,
+        markers: Mapping[str, MarkerConfig],
+        base: str,
+        config: IkConfig,
+        viewpoints: FloatArray | None = None,
+    ) -> None:
         self._geometry = FingerGeometry.of(model, markers)
         marker = markers[base]
+        base_offset = marker_on_palm(model, base, marker)
         outline = patch_outline(marker) if marker.kind == "patch" else None
-        self._palm = PalmEstimator(self._geometry, marker_on_palm(model, base, marker), outline)
+        sight = Sight(np.empty((0, 3)) if viewpoints is None else viewpoints)
+        self._evidence = EvidenceModel(outline, sight)
+        self._kinematics = HandKinematics(self._geometry)
+        self._filter = HandFilter(self._geometry, base_offset)
+        self._start = HandStart(self._filter, self._evidence, base_offset)
         self._analytic = AnalyticFingers(self._geometry)
         self._fabrik = FabrikFingers(self._geometry)
         self.config = config
@@ -102,20 +100,18 @@ class HandSolver:
 
     def reset(self) -> None:
         """Forget the past; the next sample starts anew."""
-        self._palm.reset()
         self._t_ns: int | None = None
         self._base_seen_ns = 0
         self._measured_ns = 0
-        self._base: FloatArray | None = None
-        self._base_hidden = False
-        self._base_lead = np.zeros(3)
-        self._base_lead_s = 0.0
+        self._state: HandState | None = None
+        self._lost_s = 0.0
+        self._finger_lead = FingerLead(self._geometry.model)
+        self._palm_lead = PalmLead()
+        self._known = np.zeros(5, dtype=np.bool_)
+        self._measured = np.zeros(5, dtype=np.bool_)
+        self._held_by = (False, False)
+        self._shown = np.zeros((5, 4))
         self._tips = np.full((5, 3), np.nan)
-        self._angles = self._geometry.model.clamp(RELAXED_RAD)
-        self._finger_known = np.zeros(5, dtype=np.bool_)
-        self._finger_hidden = np.zeros(5, dtype=np.bool_)
-        self._finger_lead = np.zeros((5, 4))
-        self._finger_lead_s = np.zeros(5)
 
     def solve(self, seen: HandObservation) -> HandSolution | None:
         """Return the hand after one more sample, or None when too little is known to show one."""
@@ -131,26 +127,45 @@ class HandSolver:
         if self._is_over(seen, visible):
             self.reset()
             return None
-        base = self._base_now(seen, visible, dt_s)
-        if base is None:
-            return None
-        weights = np.where(visible, np.where(seen.tips_measured, 1.0, PREDICTED_WEIGHT), 0.0)
-        corners = seen.corners if seen.base is not None else None
-        rotation = self._palm.update(PalmEvidence(base, corners, seen.tips, weights), dt_s)
-        if rotation is None:
-            return None
-        self._t_ns = seen.t_ns
+        if self._state is None:
+            expected = None
+            found = self._start.find(seen)
+            if found is None:
+                return None
+            state, evidence = found
+        else:
+            expected = self._filter.predict(self._state, dt_s)
+            evidence = self._evidence.of(seen, expected.R)
+            state = self._filter.correct(expected, evidence)
+            state = self._looked_for_anew(state, seen, visible, dt_s)
+        measured = visible & seen.tips_measured
+        held_by = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
+        if expected is not None:
+            if held_by != self._held_by or (measured & ~self._measured).any():
+                self._palm_lead.begin((expected.R, expected.p), (state.R, state.p))
+            self._palm_lead.advance(dt_s)
+        R, p = self._palm_lead.lead(state.R, state.p)
+        angles = self._angles(state, R, p, seen.tips, measured)
+        if expected is not None:
+            changed = (measured != self._measured) & self._known
+            if changed.any():
+                self._finger_lead.begin(changed, angles, self._shown)
+            self._finger_lead.advance(dt_s)
+        shown = self._finger_lead.lead(angles)
+        if expected is not None:
+            shown = self._finger_lead.bounded(shown, self._shown, self._room_m(seen.tips, measured, dt_s))
+        model = self._geometry.model
+        self._shown = np.minimum(np.maximum(shown, model.angle_min), model.angle_max)
+        self._known |= visible
         self._tips = seen.tips
+        self._t_ns, self._state, self._measured, self._held_by = seen.t_ns, state, measured, held_by
         T = np.eye(4)
-        T[:3, :3] = rotation
-        T[:3, 3] = self._palm.wrist(base, rotation)
-        self._base = base
-        self._angles = self._fingers(T, seen.tips, visible, dt_s)
-        modelled = self._geometry.marker_points(self._angles) @ rotation.T + T[:3, 3]
-        residual = np.where(visible, np.sqrt(((modelled - seen.tips) ** 2).sum(-1)), np.nan)
-        return HandSolution(
-            T, self._angles, residual, visible & seen.tips_measured, seen.base is not None and seen.base_measured
-        )
+        T[:3, :3], T[:3, 3] = R, p
+        positions, orientations, modelled = self._kinematics.pose(R, p, self._shown.reshape(-1))
+        gaps = modelled - seen.tips
+        # NaN where a tip was not seen, as it came.
+        residual = np.sqrt((gaps * gaps).sum(-1))
+        return HandSolution(T, self._shown, positions, orientations, residual, measured, held_by[1])
 
     def _is_over(self, seen: HandObservation, visible: BoolArray) -> bool:
         """Tell whether the palm, or everything, has been gone for longer than a hand is held."""
@@ -161,73 +176,40 @@ class HandSolver:
         oldest_ns = seen.t_ns - round(self.config.hold_s * 1e9)
         return self._base_seen_ns < oldest_ns or self._measured_ns < oldest_ns
 
-    def _base_now(self, seen: HandObservation, visible: BoolArray, dt_s: float) -> FloatArray | None:
-        """Return the base marker (3,), led back without a step after it was hidden; carried by the tips meanwhile."""
-        if seen.base is None:
-            if self._base is None:
-                return None
-            self._base_hidden = True
-            both = visible & np.isfinite(self._tips).all(axis=1)
-            moved = np.median(seen.tips[both] - self._tips[both], axis=0) if both.any() else np.zeros(3)
-            return self._base + moved
-        if self._base_hidden and self._base is not None:
-            self._base_lead, self._base_lead_s = self._base - seen.base, 0.0
-            self._base_hidden = False
-            return self._base
-        self._base_lead_s += dt_s
-        remaining = max(0.0, 1.0 - self._base_lead_s / REJOIN_S)
-        return seen.base + remaining * self._base_lead
+    def _room_m(self, tips: FloatArray, measured: BoolArray, dt_s: float) -> FloatArray:
+        """Return how far each finger (5,) may move its joints from one sample to the next, metres."""
+        way = tips - self._tips
+        marker_m = np.sqrt((way * way).sum(-1))
+        seen = SEEN_M_S * dt_s + PATH_PER_TIP * np.where(marker_m >= 0.0, marker_m, 0.0)
+        room = np.where(measured, seen, HIDDEN_M_S * dt_s)
+        return np.where(self._known, room, np.inf)
 
-    def _fingers(self, T: FloatArray, tips: FloatArray, visible: BoolArray, dt_s: float) -> FloatArray:
-        model = self._geometry.model
-        held = self._held(visible, dt_s)
-        if not visible.any():
-            self._finger_hidden[:] = True
-            return held
-        local = (tips - T[:3, 3]) @ T[:3, :3]
+    def _looked_for_anew(self, state: HandState, seen: HandObservation, visible: BoolArray, dt_s: float) -> HandState:
+        """Return the state, or a better one when the tips have missed the model for too long."""
+        if state.missed_m < LOST_M or np.count_nonzero(visible) < 3:
+            self._lost_s = 0.0
+            return state
+        self._lost_s += dt_s
+        if self._lost_s < LOST_S:
+            return state
+        self._lost_s = 0.0
+        found = self._start.find(seen)
+        if found is None or self._start.cost(*found) > 0.5 * self._start.cost(state, found[1]):
+            return state
+        self._held_by = (False, False)
+        return found[0]
+
+    def _angles(
+        self, state: HandState, R: FloatArray, p: FloatArray, tips: FloatArray, measured: BoolArray
+    ) -> FloatArray:
+        """Return the angles (5, 4) of the fingers on a palm at R, p; of those not measured as the filter has them."""
+        filtered = state.angles.reshape(5, 4)
+        if self.config.solver == "filter" or not measured.any():
+            return filtered
+        resting = self._geometry.marker_points(filtered)
+        local = np.where(measured[:, None], (tips - p) @ R, resting)
         if self.config.solver == "fabrik":
-            solved, _ = self._fabrik.solve(local, self._angles, self.config.tolerance_m, self.config.max_iterations)
+            solved, _ = self._fabrik.solve(local, self._shown, self.config.tolerance_m, self.config.max_iterations)
         else:
-            resting = self._geometry.marker_points(self._angles)
-            solved = self._analytic.solve(np.where(visible[:, None], local, resting)).angles
-        returning = visible & self._finger_hidden & self._finger_known
-        self._finger_lead_s += dt_s
-        if returning.any():
-            self._finger_lead[returning] = held[returning] - solved[returning]
-            self._finger_lead_s[returning] = 0.0
-        # A finger that was never seen has nothing to be led from.
-        self._finger_lead[visible & ~self._finger_known] = 0.0
-        remaining = np.maximum(0.0, 1.0 - self._finger_lead_s / REJOIN_S)[:, None]
-        led = np.where(visible[:, None], solved + remaining * self._finger_lead, held)
-        led = self._rate_limited(led, local, dt_s)
-        self._finger_known |= visible
-        self._finger_hidden = ~visible
-        return model.clamp(led)
-
-    def _rate_limited(self, angles: FloatArray, wanted: FloatArray, dt_s: float) -> FloatArray:
-        """Return angles (5, 4) no further from the last ones than a finger moves in `dt_s`.
-
-        A marker that the finger cannot reach says little, and its nearest legal pose may lie at the other end of a
-        range from one sample to the next: such a finger moves slowly.
-        """
-        missed = np.sqrt(((self._geometry.marker_points(angles) - wanted) ** 2).sum(-1))
-        rate = np.interp(np.where(np.isfinite(missed), missed, 0.0), *_RATE_BY_MISS)
-        change = angles - self._angles
-        share = np.minimum(1.0, rate * dt_s / np.maximum(np.abs(change).max(axis=1), 1e-9))
-        share[~self._finger_known] = 1.0
-        limited: FloatArray = self._angles + share[:, None] * change
-        return limited
-
-    def _held(self, visible: BoolArray, dt_s: float) -> FloatArray:
-        """Return the last angles (5, 4), hidden long fingers drawn towards the bend of their visible neighbours."""
-        held = self._angles.copy()
-        pull = 1.0 - np.exp(-dt_s / FOLLOW_NEIGHBOURS_S)
-        for finger in range(1, len(FINGERS)):
-            if visible[finger]:
-                continue
-            beside = [near for near in (finger - 1, finger + 1) if 1 <= near < len(FINGERS) and visible[near]]
-            if beside:
-                wanted = self._angles[beside].mean(axis=0)
-                bends = (0, 2, 3)
-                held[finger, bends] += pull * (wanted[[*bends]] - held[finger, bends])
-        return self._geometry.model.clamp(held)
+            solved = self._analytic.solve(local).angles
+        return np.where(measured[:, None], solved, filtered)

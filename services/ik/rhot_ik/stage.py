@@ -9,16 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.hand import HandModel
-from rhot.messages import FingerAngles, HandPose, Joint, Point, PointSet, Side
+from rhot.messages import FingerAngles, HandPose, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
-from rhot.rotations import quaternion_from_rotation
 from rhot.skeleton import FINGERS, JOINTS
 from rhot.stage import Output
+from rhot_ik.evidence import SIGMA_M, HandObservation
 from rhot_ik.finger_geometry import base_marker
-from rhot_ik.hand_solver import HandObservation, HandSolution, HandSolver
+from rhot_ik.hand_solver import HandSolution, HandSolver
 
 FloatArray = NDArray[np.float64]
 
+_ANGLES = tuple(FingerAngles.model_fields)
 _REACH = 1.6
 """No fingertip is further from the back of its hand than this many hand lengths."""
 
@@ -37,6 +38,7 @@ class HandStage:
         self._counts = {"hands": 0, "no_hand": 0, "outside": 0, "not_of_this_hand": 0}
         self._volume_m = rig.config.fusion.volume_m
         self._problems: list[str] = []
+        viewpoints = np.array([np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values()]).reshape(-1, 3)
         for side in rig.config.sides:
             model = HandModel.from_file(rig.hand, side)
             base = base_marker(model, self._markers)
@@ -44,7 +46,7 @@ class HandStage:
                 self._problems.append(f"the {side} hand has no marker on wrist or palm in rig.toml and is not solved")
                 continue
             self._bases[side] = base
-            self._solvers[side] = HandSolver(model, self._markers, base, rig.config.ik)
+            self._solvers[side] = HandSolver(model, self._markers, base, rig.config.ik, viewpoints)
 
     def configure(self, config: IkConfig) -> None:
         """Switch to another configuration from the next sample on."""
@@ -84,6 +86,7 @@ class HandStage:
 
     def _observation(self, points: PointSet, base_name: str, solver: HandSolver) -> HandObservation:
         tips, measured = np.full((len(FINGERS), 3), np.nan), np.zeros(len(FINGERS), dtype=np.bool_)
+        sigma = np.full(len(FINGERS), SIGMA_M)
         base = self._believable(points, base_name)
         reach_m = _REACH * solver.geometry.model.length_m
         for place, finger in enumerate(FINGERS):
@@ -94,6 +97,7 @@ class HandStage:
                 self._counts["not_of_this_hand"] += 1
                 continue
             tips[place] = point.position
+            sigma[place] = point.sigma
             measured[place] = point.state == "measured"
         return HandObservation(
             t_ns=points.t_ns,
@@ -102,6 +106,8 @@ class HandStage:
             corners=None if base is None or base.corners is None else np.array(base.corners),
             tips=tips,
             tips_measured=measured,
+            base_sigma=SIGMA_M if base is None else base.sigma,
+            tips_sigma=sigma,
         )
 
     def _believable(self, points: PointSet, name: str) -> Point | None:
@@ -109,7 +115,9 @@ class HandStage:
         point = points.points.get(name)
         if point is None:
             return None
-        if all(low <= x <= high for x, low, high in zip(point.position, *self._volume_m, strict=True)):
+        x, y, z = point.position
+        (low_x, low_y, low_z), (high_x, high_y, high_z) = self._volume_m
+        if low_x <= x <= high_x and low_y <= y <= high_y and low_z <= z <= high_z:
             return point
         self._counts["outside"] += 1
         return None
@@ -117,26 +125,27 @@ class HandStage:
 
 def hand_pose(points: PointSet, model: HandModel, solution: HandSolution) -> HandPose:
     """Return the message that carries a solution."""
-    joints = model.forward(solution.T_rig_wrist, solution.angles)
-    positions = joints.positions.tolist()
-    orientations = quaternion_from_rotation(joints.rotations).tolist()
+    positions = solution.positions.tolist()
+    orientations = solution.orientations.tolist()
     radii = model.radii.tolist()
     angles = solution.angles.tolist()
     residual = solution.residual.tolist()
     measured = solution.fingers_measured.tolist()
-    return HandPose(
-        t_ns=points.t_ns,
-        side=model.side,
-        frame=points.frame,
-        joints={
-            name: Joint(position=tuple(position), orientation=tuple(orientation), radius=radius)
-            for name, position, orientation, radius in zip(JOINTS, positions, orientations, radii, strict=True)
-        },
-        angles={
-            finger: FingerAngles(mcp_flexion=mcp, mcp_abduction=abduction, pip_flexion=pip, dip_flexion=dip)
-            for finger, (mcp, abduction, pip, dip) in zip(FINGERS, angles, strict=True)
-        },
-        residual={finger: error for finger, error in zip(FINGERS, residual, strict=True) if not math.isnan(error)},
-        fingers={finger: "measured" if found else "predicted" for finger, found in zip(FINGERS, measured, strict=True)},
-        state="measured" if solution.palm_measured and any(measured) else "predicted",
+    # One validation of the whole is a third faster than one of each joint.
+    return HandPose.model_validate(
+        {
+            "t_ns": points.t_ns,
+            "side": model.side,
+            "frame": points.frame,
+            "joints": {
+                name: {"position": tuple(position), "orientation": tuple(orientation), "radius": radius}
+                for name, position, orientation, radius in zip(JOINTS, positions, orientations, radii, strict=True)
+            },
+            "angles": {
+                finger: dict(zip(_ANGLES, values, strict=True)) for finger, values in zip(FINGERS, angles, strict=True)
+            },
+            "residual": {f: error for f, error in zip(FINGERS, residual, strict=True) if not math.isnan(error)},
+            "fingers": {f: "measured" if found else "predicted" for f, found in zip(FINGERS, measured, strict=True)},
+            "state": "measured" if solution.palm_measured and any(measured) else "predicted",
+        }
     )

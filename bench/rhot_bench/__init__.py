@@ -1,0 +1,1 @@
+"""Measurements of speed and accuracy beside re-implementations of what the 2018 thesis did."""

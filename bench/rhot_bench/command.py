@@ -1,0 +1,103 @@
+"""`rhot bench`: how fast each part is, beside what the 2018 thesis did, on this machine and in one run."""
+
+from __future__ import annotations
+
+import platform
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+import click
+import cv2
+from rich.console import Console
+from rich.progress import Progress
+
+from rhot.evaluate.rows import Section, check_output
+from rhot.rig import Rig
+from rhot_bench.cores import Scene, capture_section, fusion_section, ik_section, pipeline_section
+from rhot_bench.interleaved import Spread
+from rhot_bench.live import live_section, processes_section
+from rhot_bench.output import json_option, show
+from rhot_bench.pi_budget import budget_section
+from rhot_bench.scaling import scaling_section, scaling_steps
+from rhot_bench.simulated_rig import RATE_HZ, simulated_rig
+
+PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "live", "processes")
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="Fewer turns: about a quarter of the time, rougher figures.")
+@click.option(
+    "--part",
+    "parts",
+    multiple=True,
+    type=click.Choice(PARTS),
+    help="Measure only this; may be repeated. All parts when not given.",
+)
+@json_option
+@click.option(
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Simulated rig to measure on, made by `rhot init RIG --sim`; a temporary one when not given.",
+)
+def bench(quick: bool, parts: tuple[str, ...], json_path: Path | None, rig_path: Path | None) -> None:
+    """Measure how fast each part is on this machine, beside what the 2018 thesis did.
+
+    The thesis's own algorithms are re-implemented here and run in turns with ours on the same pictures, so that the
+    ratios hold on a busy machine too. Pictures come from the simulated rig, 640x480 with all its faults; OpenCV uses
+    one thread.
+
+    \b
+    capture    a frame with all markers tracked, and with all searched
+    fusion     one camera's markers into points
+    ik         five fingers; a whole hand
+    pipeline   picture in memory to encoded pose, in one process
+    scaling    cost as markers, cameras, hands and frame rate grow
+    budget     what capture would take on a Pi 3, 4 and 5: an estimate on paper
+    live       latency of the whole system, as processes on the bus
+    processes  start-up time and memory of each service
+
+    The machine should do nothing else meanwhile. Takes about two minutes, with --quick one.
+    """  # noqa: D301
+    check_output("--json", json_path)
+    chosen = parts or PARTS
+    console = Console(stderr=True, soft_wrap=True)
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with Progress(console=console, transient=True) as progress, simulated_rig(rig_path, progress) as rig:
+            sections = _measure(rig, chosen, quick, progress)
+    finally:
+        cv2.setNumThreads(threads)
+    about = {"date": datetime.now(UTC).isoformat(timespec="seconds"), "quick": quick, "machine": platform.machine()}
+    show("bench", sections, json_path, **about)
+
+
+def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) -> list[Section]:
+    seconds = 0.6 if quick else 6.0
+    sections: list[Section] = []
+    if set(parts) - {"live", "processes"}:
+        pictures = progress.add_task("rendering", total=2 * seconds * RATE_HZ)
+        scene = Scene(rig, seconds, lambda: progress.advance(pictures))
+        work = progress.add_task("measuring the cores", total=4 + scaling_steps())
+        capture: dict[str, Spread] = {}
+        if {"capture", "budget"} & set(parts):
+            section, capture = capture_section(scene)
+            sections += [section] if "capture" in parts else []
+        progress.advance(work)
+        for part, make in (("fusion", fusion_section), ("ik", ik_section), ("pipeline", pipeline_section)):
+            if part in parts:
+                sections.append(make(scene)[0])
+            progress.advance(work)
+        if "scaling" in parts:
+            sections.append(scaling_section(scene, 0.5 if quick else 3.0, lambda: progress.advance(work)))
+        if "budget" in parts:
+            medians = (capture[name].median for name in ("thesis tracked", "ours tracked", "ours searched"))
+            sections.append(budget_section(*medians))
+    for part, text in (("live", "the whole system live"), ("processes", "starting each service")):
+        if part in parts:
+            waiting = progress.add_task(text, total=None)
+            sections.append(live_section(6.0 if quick else 20.0) if part == "live" else processes_section(rig))
+            progress.remove_task(waiting)
+    return sections

@@ -1,0 +1,45 @@
+"""How the measuring commands end: tables on standard output, JSON when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+from rich.console import Console
+
+from rhot.evaluate.rows import Section, as_json, missed, section_table
+from rhot.rig.folder import write_text_atomic
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def json_option(command: F) -> F:
+    """Add `--json`."""
+    return click.option(
+        "--json",
+        "json_path",
+        type=click.Path(path_type=Path, dir_okay=False),
+        help="Write every figure as JSON to this file.",
+    )(command)
+
+
+def show(command: str, sections: Sequence[Section], json_path: Path | None, **about: Any) -> None:
+    """Print sections, say how many targets are missed, and write the JSON file.
+
+    Args:
+        command: that was run, for the file.
+        sections: its tables.
+        json_path: file to write; None = none.
+        about: how it was run, for the file.
+    """
+    out = Console()
+    for section in sections:
+        out.print(section_table(section))
+        out.print()
+    targets = sum(bool(row.verdict) for section in sections for row in section.rows)
+    out.print(f"{missed(sections)} of {targets} targets missed")
+    if json_path is not None:
+        write_text_atomic(json_path, as_json(command, sections, **about))
+        Console(stderr=True, soft_wrap=True).print(f"figures: {json_path}")

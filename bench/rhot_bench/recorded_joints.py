@@ -1,0 +1,164 @@
+"""Recorded hands: what is read of the files, and what our solver and plain FABRIK make of wrist and tips."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.errors import ConfigError
+from rhot.hand import HandModel
+from rhot.rig import HandFile, IkConfig, MarkerConfig
+from rhot.skeleton import FINGERS
+from rhot_ik.evidence import HandObservation
+from rhot_ik.hand_solver import HandSolver
+from rhot_ik.recorded_hands import palm_rotations, plain_hand
+
+FloatArray = NDArray[np.float64]
+
+RATE_HZ: Final = 30.0
+PREFIXES: Final = "TIMRP"
+_SIGMA_M: Final = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """Frames of one hand.
+
+    Attributes:
+        wrists: (N, 3) metres.
+        chains: (N, 5, 4, 3) metres, thumb first: knuckle, two hinges, tip; NaN where the file tells nothing.
+    """
+
+    wrists: FloatArray
+    chains: FloatArray
+
+    def part(self, rows: slice) -> Recorded:
+        """Return some of the frames."""
+        return Recorded(self.wrists[rows], self.chains[rows])
+
+
+def read_table(path: Path) -> dict[str, FloatArray]:
+    """Return the columns of a CSV file of numbers.
+
+    Raises:
+        ConfigError: it cannot be read, or a cell is not a number.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            head, *rows = list(csv.reader(file))
+        values = np.array(rows, dtype=np.float64)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}; is DATA the right folder?") from error
+    except (ValueError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is not a table of numbers under one header: {error}") from error
+    if values.ndim != 2 or values.shape[1] != len(head) or not np.isfinite(values).all():
+        raise ConfigError(f"{path}: holds {values.shape} numbers under {len(head)} columns; rows must be whole, finite")
+    return dict(zip(head, values.T, strict=True))
+
+
+def read_joints(path: Path, wrist: Sequence[str], chains: Sequence[Sequence[str]]) -> Recorded:
+    """Return recorded joints in metres of a file in millimetres.
+
+    Args:
+        path: the file; columns are `<joint>_x`, `_y`, `_z`.
+        wrist: joints whose mean is the wrist.
+        chains: per finger the four joints; an empty name = not in the file.
+
+    Raises:
+        ConfigError: it cannot be read, or a joint is missing.
+    """
+    table = read_table(path)
+
+    def point(name: str) -> FloatArray:
+        if not name:
+            return np.full((len(next(iter(table.values()))), 3), np.nan)
+        try:
+            return np.stack([table[f"{name}_{axis}"] for axis in "xyz"], axis=-1) / 1000.0
+        except KeyError as error:
+            raise ConfigError(f"{path}: has no column {error.args[0]}; it has {', '.join(table)}") from error
+
+    return Recorded(
+        np.mean([point(name) for name in wrist], axis=0),
+        np.stack([np.stack([point(name) for name in chain], axis=1) for chain in chains], axis=1),
+    )
+
+
+def whole_chains() -> list[list[str]]:
+    """Return the joint names of files that hold 21 joints."""
+    return [[f"{finger}_{joint}" for joint in ("mcp", "pip", "dip", "tip")] for finger in PREFIXES]
+
+
+def joined(recordings: Iterable[Recorded]) -> Recorded:
+    """Return all frames of several recordings."""
+    parts = list(recordings)
+    return Recorded(np.concatenate([p.wrists for p in parts]), np.concatenate([p.chains for p in parts]))
+
+
+def on_its_palm(model: HandModel, recorded: Recorded) -> FloatArray:
+    """Return chains (N, 5, 4, 3) in the wrist frame, each knuckle where the model has it: the palm is given."""
+    R = palm_rotations(recorded.wrists, recorded.chains, model.knuckles)
+    local: FloatArray = (recorded.chains - recorded.wrists[:, None, None]) @ R[:, None]
+    return local - (local[:, :, :1] - model.knuckles[:, None])
+
+
+def solved(model: HandModel, recorded: Recorded) -> FloatArray:
+    """Return chains (N, 5, 4, 3), metres, that the hand solver finds from wrist and tips alone, frame after frame.
+
+    Frames in which it finds no hand are NaN.
+    """
+    bare = dataclasses.replace(model, marker_offsets_m=dict.fromkeys((*FINGERS, "base"), (0.0, 0.0, 0.0)))
+    markers = {finger: MarkerConfig(joint=f"{finger}_tip") for finger in FINGERS}
+    solver = HandSolver(bare, markers | {"base": MarkerConfig(joint="wrist")}, "base", IkConfig())
+    found = np.full(recorded.chains.shape, np.nan)
+    all_seen, sigma = np.ones(5, dtype=np.bool_), np.full(5, _SIGMA_M)
+    for k, (wrist, chains) in enumerate(zip(recorded.wrists, recorded.chains, strict=True)):
+        t_ns = 10**18 + round(k / RATE_HZ * 1e9)
+        seen = HandObservation(t_ns, wrist, True, None, chains[:, 3], all_seen, _SIGMA_M, sigma)
+        solution = solver.solve(seen)
+        if solution is not None:
+            T = solution.T_rig_wrist
+            found[k] = bare.finger_chains(solution.angles)[0] @ T[:3, :3].T + T[:3, 3]
+    return found
+
+
+def plain(model: HandModel, recorded: Recorded) -> FloatArray:
+    """Return chains (N, 5, 4, 3), metres, of plain FABRIK from wrist and tips."""
+    pairs = zip(recorded.wrists, recorded.chains[:, :, 3], strict=True)
+    return np.array([plain_hand(model, wrist, tips) for wrist, tips in pairs])
+
+
+def error_mm(found: FloatArray, truth: FloatArray, fingers: slice, joints: slice) -> float:
+    """Return the mean distance of some joints of some fingers, millimetres, where both are known."""
+    apart = np.linalg.norm(found - truth, axis=-1)[:, fingers, joints]
+    return float(np.nanmean(apart) * 1e3) if np.isfinite(apart).any() else float("nan")
+
+
+def fit_open_hand(recorded: Recorded) -> HandModel:
+    """Return a person of whom no knuckle was recorded: the default hand, with lengths as the outstretched fingers show.
+
+    Per finger the reach from the middle joint to the tip, and over all fingers the reach from the wrist to the middle
+    joint, are those that 2 % of the frames exceed.
+    """
+    model = HandModel.from_file(HandFile(), "right")
+    bones, chains = model.bones.copy(), recorded.chains
+    straight = model.finger_chains(np.zeros((5, 4)))[0]
+    ratios = []
+    for finger in range(1, 5):
+        outer = np.percentile(np.linalg.norm(chains[:, finger, 3] - chains[:, finger, 1], axis=1), 98)
+        bones[finger, 1:] *= outer / bones[finger, 1:].sum()
+        inner = np.percentile(np.linalg.norm(chains[:, finger, 1] - recorded.wrists, axis=1), 98)
+        ratios.append(inner / np.linalg.norm(straight[finger, 1]))
+    scale = float(np.median(ratios))
+    bones[1:, 0] *= scale
+    bones[0, 0] *= scale
+    bones[0, 1:] = np.median(np.linalg.norm(np.diff(chains[:, 0, 1:], axis=1), axis=-1), axis=0)
+    return dataclasses.replace(
+        model, bones=bones, knuckles=model.knuckles * scale, metacarpals=model.metacarpals * scale
+    )

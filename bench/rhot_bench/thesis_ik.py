@@ -1,0 +1,155 @@
+"""How the 2018 thesis bent its fingers: FABRIK chain by chain, rotor and hinge limits, 1 cm of tolerance, no coupling.
+
+Each finger is three bones from its knuckle: the first is held in a cone about a direction of the palm (rotor), the
+others turn about the finger's x axis only (hinges, with limits). A chain starts from where it was; after each of at
+most ten iterations it is done when the tip is within 1 cm of its target or comes no nearer. Pure Python on triples, as
+the library it used was plain Java; axes and limits turn with the hand here, which they did not there.
+
+Source: Aristidou & Lasenby 2011 for the passes; chain build and limits from the set-up of the thesis's own solver.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+Vector = tuple[float, float, float]
+
+TOLERANCE_M: Final = 0.01
+MAX_ITERATIONS: Final = 10
+_LEAST_CHANGE_M: Final = 1e-4
+ROTOR_DEG: Final = (45.0, 20.0, 20.0, 20.0, 20.0)
+"""Half-angles of the cones of thumb, index, middle, ring and little finger."""
+HINGES_DEG: Final = ((95.0, 95.0), (110.0, 90.0), (110.0, 90.0), (110.0, 90.0), (110.0, 90.0))
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisFinger:
+    """One chain.
+
+    Attributes:
+        base: knuckle, metres, palm frame.
+        lengths: of the three bones, metres.
+        axis: of both hinges, unit; a positive turn bends towards the palm.
+        forward: unit; middle of the rotor's cone.
+        rotor_rad: half-angle of that cone.
+        hinges_rad: largest turns of the two hinges; the least is 0.
+    """
+
+    base: Vector
+    lengths: tuple[float, float, float]
+    axis: Vector
+    forward: Vector
+    rotor_rad: float
+    hinges_rad: tuple[float, float]
+
+    def straight(self) -> list[Vector]:
+        """Return the four joints of the straight finger."""
+        points = [self.base]
+        for length in self.lengths:
+            points.append(_along(points[-1], self.forward, length))
+        return points
+
+
+def solve_finger(finger: ThesisFinger, target: Vector, start: Sequence[Vector]) -> list[Vector]:
+    """Return the four joints, knuckle to tip, metres, that bring the tip near a target.
+
+    Args:
+        finger: the chain.
+        target: metres, palm frame.
+        start: joints to start from.
+    """
+    points = list(start)
+    last_miss = math.inf
+    for _ in range(MAX_ITERATIONS):
+        points[3] = target
+        for k in (2, 1, 0):
+            direction = _unit(_minus(points[k], points[k + 1]))
+            if k > 0:
+                direction = _unit(_in_plane(direction, finger.axis))
+            points[k] = _along(points[k + 1], direction, finger.lengths[k])
+        points[0] = finger.base
+        inner = _within_cone(_unit(_minus(points[1], points[0])), finger.forward, finger.rotor_rad)
+        points[1] = _along(points[0], inner, finger.lengths[0])
+        for k in (1, 2):
+            wanted = _unit(_in_plane(_minus(points[k + 1], points[k]), finger.axis))
+            inner = _hinged(inner, wanted, finger.axis, finger.hinges_rad[k - 1])
+            points[k + 1] = _along(points[k], inner, finger.lengths[k])
+        miss = math.dist(points[3], target)
+        if miss <= TOLERANCE_M or abs(last_miss - miss) < _LEAST_CHANGE_M:
+            break
+        last_miss = miss
+    return points
+
+
+class ThesisHand:
+    """Five fingers, each solved by itself from its last pose.
+
+    Args:
+        fingers: the chains.
+    """
+
+    def __init__(self, fingers: Sequence[ThesisFinger]) -> None:
+        self._fingers = tuple(fingers)
+        self._poses = [finger.straight() for finger in fingers]
+
+    def solve(self, targets: Sequence[Vector]) -> list[list[Vector]]:
+        """Return the four joints of every finger for tips, metres, palm frame."""
+        self._poses = [
+            solve_finger(finger, target, pose)
+            for finger, target, pose in zip(self._fingers, targets, self._poses, strict=True)
+        ]
+        return self._poses
+
+
+def _hinged(inner: Vector, wanted: Vector, axis: Vector, limit_rad: float) -> Vector:
+    """Return the direction of a bone: `wanted`, turned about the axis by 0 to the limit against the bone before."""
+    flat = _unit(_in_plane(inner, axis))
+    angle = math.atan2(_dot(_cross(flat, wanted), axis), _dot(flat, wanted))
+    angle = min(max(angle, 0.0), limit_rad)
+    side = _cross(axis, flat)
+    c, s = math.cos(angle), math.sin(angle)
+    return (c * flat[0] + s * side[0], c * flat[1] + s * side[1], c * flat[2] + s * side[2])
+
+
+def _within_cone(direction: Vector, middle: Vector, limit_rad: float) -> Vector:
+    cosine = min(max(_dot(direction, middle), -1.0), 1.0)
+    if math.acos(cosine) <= limit_rad:
+        return direction
+    across = _unit(
+        (
+            direction[0] - cosine * middle[0],
+            direction[1] - cosine * middle[1],
+            direction[2] - cosine * middle[2],
+        )
+    )
+    c, s = math.cos(limit_rad), math.sin(limit_rad)
+    return (c * middle[0] + s * across[0], c * middle[1] + s * across[1], c * middle[2] + s * across[2])
+
+
+def _in_plane(v: Vector, normal: Vector) -> Vector:
+    off = _dot(v, normal)
+    return (v[0] - off * normal[0], v[1] - off * normal[1], v[2] - off * normal[2])
+
+
+def _along(start: Vector, direction: Vector, length: float) -> Vector:
+    return (start[0] + length * direction[0], start[1] + length * direction[1], start[2] + length * direction[2])
+
+
+def _minus(a: Vector, b: Vector) -> Vector:
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def _unit(v: Vector) -> Vector:
+    size = math.sqrt(_dot(v, v))
+    return (v[0] / size, v[1] / size, v[2] / size) if size > 1e-12 else (0.0, 0.0, -1.0)

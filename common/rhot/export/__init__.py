@@ -1,0 +1,1 @@
+"""Recordings as what other programs read: tables of numbers and skeleton animations."""

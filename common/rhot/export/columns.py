@@ -1,0 +1,124 @@
+"""Tables of recorded messages: one table a key, one row a moment, one column a number."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+from rhot.messages import HandPose, MarkerFrame, Message, ObjectPose, PointSet
+from rhot.skeleton import FINGERS, JOINTS
+
+Value = float | str
+
+_ANGLES: Final = ("mcp_flexion", "mcp_abduction", "pip_flexion", "dip_flexion")
+
+
+class Table:
+    """Columns of equal length, ordered by time; the last message of a moment counts.
+
+    Attributes:
+        name: of the table, such as `hand_right`.
+        t_ns: (N,) capture times, nanoseconds since the Unix epoch, rig clock.
+        columns: by name: numbers (NaN = no value) or words (empty = no value).
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.t_ns: array[int] = array("q")
+        self.columns: dict[str, array[float] | list[str]] = {}
+
+    def add(self, t_ns: int, row: Mapping[str, Value]) -> None:
+        """Append one row; a column that is new has no value in the rows before."""
+        length = len(self.t_ns)
+        self.t_ns.append(t_ns)
+        for name, value in row.items():
+            if name not in self.columns:
+                empty: array[float] | list[str] = (
+                    [""] * length if isinstance(value, str) else array("d", [math.nan]) * length
+                )
+                self.columns[name] = empty
+            self.columns[name].append(value)  # type: ignore[arg-type]  # a column keeps the type of its first value
+        for column in self.columns.values():
+            if len(column) == length:
+                column.append("" if isinstance(column, list) else math.nan)  # type: ignore[arg-type]
+
+    def order(self) -> list[int]:
+        """Return the rows' numbers by time, for each moment the row that was added last."""
+        last = {t_ns: row for row, t_ns in enumerate(self.t_ns)}
+        return [last[t_ns] for t_ns in sorted(last)]
+
+
+def tables(messages: Iterable[tuple[str, Message]]) -> list[Table]:
+    """Return a table for every hand, point set, object, head and camera in a recording."""
+    found: dict[str, Table] = {}
+    for key, message in messages:
+        row = row_of(message)
+        if row is None:
+            continue
+        name = key.removeprefix("rhot/").replace("/", "_")
+        if name not in found:
+            found[name] = Table(name)
+        found[name].add(message.t_ns, row)
+    return [found[name] for name in sorted(found)]
+
+
+def row_of(message: Message) -> dict[str, Value] | None:
+    """Return the columns of a message; None for kinds that are not exported."""
+    match message:
+        case HandPose():
+            return _hand(message)
+        case PointSet():
+            return _points(message)
+        case ObjectPose():
+            return {"state": message.state, **_pose("", message.position, message.orientation)}
+        case MarkerFrame():
+            return _markers(message)
+        case _:
+            return None
+
+
+def _hand(hand: HandPose) -> dict[str, Value]:
+    row: dict[str, Value] = {"state": hand.state}
+    for name in JOINTS:
+        joint = hand.joints.get(name)
+        if joint is None:
+            row |= _pose(f"{name}_", (math.nan,) * 3, (math.nan,) * 4)
+        else:
+            row |= _pose(f"{name}_", joint.position, joint.orientation)
+    for finger in FINGERS:
+        angles = hand.angles.get(finger)
+        for angle in _ANGLES:
+            row[f"{finger}_{angle}"] = math.nan if angles is None else getattr(angles, angle)
+        row[f"{finger}_residual"] = hand.residual.get(finger, math.nan)
+        row[f"{finger}_state"] = hand.fingers.get(finger, "")
+    return row
+
+
+def _points(points: PointSet) -> dict[str, Value]:
+    row: dict[str, Value] = {}
+    for name, point in points.points.items():
+        row |= dict(zip((f"{name}_x", f"{name}_y", f"{name}_z"), point.position, strict=True))
+        row |= {f"{name}_sigma": point.sigma, f"{name}_views": float(point.views), f"{name}_state": point.state}
+    return row
+
+
+def _markers(frame: MarkerFrame) -> dict[str, Value]:
+    row: dict[str, Value] = {"frame": float(frame.frame)}
+    for name, marker in frame.markers.items():
+        row |= {
+            f"{name}_u": marker.u,
+            f"{name}_v": marker.v,
+            f"{name}_area": marker.area,
+            f"{name}_score": marker.score,
+        }
+        # Where the sensor scans by rows, a marker's own time differs from the frame's.
+        offset_ns = 0 if marker.t_ns is None else marker.t_ns - frame.t_ns
+        row[f"{name}_dt_s"] = offset_ns / 1e9
+    return row
+
+
+def _pose(prefix: str, position: Iterable[float], orientation: Iterable[float]) -> dict[str, Value]:
+    names = (f"{prefix}{part}" for part in ("x", "y", "z", "qx", "qy", "qz", "qw"))
+    return dict(zip(names, (*position, *orientation), strict=True))

@@ -1,0 +1,66 @@
+"""Point sets again, with the markers where later observations show that they were."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.messages import PointSet, Position
+from rhot_fusion.path_smoothing import SmoothedPath
+from rhot_fusion.sightings import SeenMiddles
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedSet:
+    """A point set and what went into it.
+
+    Attributes:
+        points: as published.
+        t_s: its moment, seconds since the stream's start.
+        seen: how the markers' places differ from what the cameras see.
+    """
+
+    points: PointSet
+    t_s: float
+    seen: SeenMiddles
+
+
+def smoothed_points(
+    published: Sequence[PublishedSet], paths: Sequence[SmoothedPath], names: Sequence[str]
+) -> list[PointSet]:
+    """Return the point sets with places and sigmas from the paths of the M markers; all else stays as it was."""
+    if not published:
+        return []
+    times = np.array([one.t_s for one in published])
+    read = [path.at(times) for path in paths]
+    place, variance = np.stack([position for position, _ in read], axis=1), np.stack([v for _, v in read], axis=1)
+    place -= np.stack([one.seen.offset for one in published])
+    sigma = np.sqrt(variance + np.stack([one.seen.sigma_m for one in published]) ** 2)
+    index = {name: marker for marker, name in enumerate(names)}
+    return [_moved(one.points, index, place[row], sigma[row]) for row, one in enumerate(published)]
+
+
+def _moved(points: PointSet, index: dict[str, int], place: FloatArray, sigma: FloatArray) -> PointSet:
+    moved = {}
+    for name, point in points.points.items():
+        marker = index[name]
+        if not np.isfinite(place[marker, 0]):
+            continue
+        corners = point.corners
+        if corners is not None:
+            a, b, c, d = (_triple(np.array(corner) - point.position + place[marker]) for corner in corners)
+            corners = (a, b, c, d)
+        moved[name] = point.model_copy(
+            update={"position": _triple(place[marker]), "sigma": float(sigma[marker]), "corners": corners}
+        )
+    return points.model_copy(update={"points": moved})
+
+
+def _triple(point: FloatArray) -> Position:
+    x, y, z = point.tolist()
+    return (x, y, z)

@@ -1,0 +1,321 @@
+"""The whole hand as one filter: wrist pose and twenty angles from all points of all samples together.
+
+State: the wrist's pose T_rig_wrist = (R, p), how fast it turns and moves, and the angles q of `rhot.hand`. Errors are
+R·exp(δθ), p + δp, ω + δω, v + δv, q + δq, in this order (`ROTATION` … `ANGLES`); P is their covariance.
+
+Time. The wrist turns and moves on steadily, disturbed by random accelerations, its speed fading; the angles are the
+Ornstein–Uhlenbeck process of `rhot_ik.hand_prior`. So a hidden finger goes with its neighbours and slowly back to rest,
+and nothing that is seen is held back.
+
+Measurements, each with its own 3x3 covariance: the base marker p + R·b; each tip p + R·m(q); and the corners of the
+base patch, which are first made into one rotation with its information matrix. The update is the iterated extended
+Kalman filter, which is Gauss–Newton on the posterior (Bell & Cathey 1993), with analytic derivatives. Limits are hard:
+angles that leave them are set to the limit and all others moved by what that says about them (projection of the
+estimate in the metric of P, Simon & Chia 2002).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot_ik.evidence import Evidence
+from rhot_ik.finger_geometry import FingerGeometry
+from rhot_ik.fingers import AnalyticFingers
+from rhot_ik.hand_prior import COUNT, angle_covariance, rest_angles
+from rhot_ik.kinematics import HandKinematics
+from rhot_ik.skew import CROSS
+from rhot_ik.turns import orthonormal, symmetric_inverse, turn_from_vector, vector_from_turn
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+ROTATION: Final = slice(0, 3)
+POSITION: Final = slice(3, 6)
+TURNING: Final = slice(6, 9)
+SPEED: Final = slice(9, 12)
+ANGLES: Final = slice(12, 12 + COUNT)
+SIZE: Final = 12 + COUNT
+
+TURN_ACCELERATION: Final = 6.0
+"""Random angular acceleration of the wrist, rad/s^1.5."""
+ACCELERATION: Final = 1.5
+"""Random acceleration of the wrist, m/s^1.5."""
+SPEED_FADES_S: Final = 0.3
+ANGLES_REST_S: Final = 1.5
+"""Time constant with which the angles return to rest when nothing is seen."""
+MOST_SURPRISE: Final = 30.0
+"""A finger that moves faster than the process expects gets up to this many times its room."""
+CLOSE_RAD: Final = 0.05
+"""Steps end when the derivatives were taken this near to where they led."""
+FAR_M: Final = 0.015
+"""When a tip lies further than this from where it was expected, the first step sets out from the closed form."""
+OUTLIER: Final = 10.0
+"""A tip this many standard deviations from what was expected loses weight."""
+MISS_M: Final = 0.012
+"""A tip that no legal pose meets within this loses weight."""
+
+_TIPS: Final = np.arange(5)
+_BLOCKS: Final = np.arange(7)
+"""Five tips, base and rotation: three rows of a measurement each."""
+_ROWS: Final = 21
+_OWN_ANGLES: Final = (3 * _TIPS[:, None, None] + np.arange(3)[:, None]) * SIZE + (
+    ANGLES.start + 4 * _TIPS[:, None, None] + np.arange(4)
+)
+"""(5, 3, 4) places of the derivatives of each tip by its own angles in a flat (21, 32) matrix."""
+
+
+@dataclass(frozen=True, slots=True)
+class HandState:
+    """The hand at one moment.
+
+    Attributes:
+        R: (3, 3) wrist to rig.
+        p: (3,) wrist, metres, rig frame.
+        turning: (3,) rad/s, wrist frame.
+        speed: (3,) m/s, rig frame.
+        angles: (20,) radians.
+        P: (32, 32) covariance of the errors.
+        spread: share of the angles' stationary covariance that the last prediction added to P.
+        missed_m: mean distance of the seen tips from where this state has them; 0 when none was seen.
+    """
+
+    R: FloatArray
+    p: FloatArray
+    turning: FloatArray
+    speed: FloatArray
+    angles: FloatArray
+    P: FloatArray
+    spread: float = 0.0
+    missed_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """A sample as 21 rows of measurement: five tips, the base, the rotation.
+
+    Attributes:
+        seen: (7,) which of them were.
+        counts: (21,) the same for each row, as 0 or 1.
+        points: (6, 3) metres, rig frame: tips and base; 0 where not seen.
+        rotation: (3, 3) wrist to rig, or not seen.
+        noise: (7, 3, 3) covariances.
+    """
+
+    seen: BoolArray
+    counts: FloatArray
+    points: FloatArray
+    rotation: FloatArray | None
+    noise: FloatArray
+
+
+def _rows(evidence: Evidence) -> _Rows | None:
+    points = np.concatenate([evidence.tips, evidence.base[None]])
+    seen = np.empty(7, dtype=np.bool_)
+    seen[:6], seen[6] = np.isfinite(points).all(axis=1), evidence.rotation is not None
+    if not seen.any():
+        return None
+    noise = np.empty((7, 3, 3))
+    noise[:5], noise[5] = evidence.tip_covariances, evidence.base_covariance
+    noise[6] = symmetric_inverse(evidence.rotation_information)
+    points = np.where(seen[:6, None], points, 0.0)
+    return _Rows(seen, np.repeat(seen, 3).astype(np.float64), points, evidence.rotation, noise)
+
+
+class HandFilter:
+    """Predicts and corrects `HandState`s of one hand; stateless after construction."""
+
+    def __init__(self, geometry: FingerGeometry, base_offset: FloatArray) -> None:
+        model = geometry.model
+        self._kinematics = HandKinematics(geometry)
+        self._rest = rest_angles(model)
+        self._stationary = angle_covariance(model)
+        self._stationary_inverse = np.linalg.inv(self._stationary)
+        self._own_stationary = self._stationary.reshape(5, 4, 5, 4)[_TIPS, :, _TIPS]
+        self._low, self._high = model.angle_min.reshape(COUNT), model.angle_max.reshape(COUNT)
+        self._fingers = AnalyticFingers(geometry)
+        self._resting = geometry.marker_points(self._rest.reshape(5, 4))
+        self._on_wrist = np.concatenate([np.zeros((5, 3)), base_offset[None]])
+        self._H = np.zeros((_ROWS, SIZE))
+        self._H[:18, POSITION] = np.tile(np.eye(3), (6, 1))
+        self._H[18:, ROTATION] = np.eye(3)
+        self._noise = _process_noise(self._stationary)
+
+    def start(self, R: FloatArray, p: FloatArray, angles: FloatArray | None = None) -> HandState:
+        """Return a state of which only the given is known: a turn to 30°, a place to 5 cm, angles as at rest."""
+        P = np.zeros((SIZE, SIZE))
+        P[ROTATION, ROTATION] = np.eye(3) * np.radians(30.0) ** 2
+        P[POSITION, POSITION] = np.eye(3) * 0.05**2
+        P[TURNING, TURNING] = np.eye(3) * 2.0**2
+        P[SPEED, SPEED] = np.eye(3) * 0.5**2
+        P[ANGLES, ANGLES] = self._stationary
+        return HandState(R, p, np.zeros(3), np.zeros(3), self._rest if angles is None else angles, P)
+
+    def predict(self, state: HandState, dt_s: float) -> HandState:
+        """Return the state `dt_s` later."""
+        if dt_s <= 0.0:
+            return state
+        fades = math.exp(-dt_s / SPEED_FADES_S)
+        path_s = SPEED_FADES_S * (1.0 - fades)
+        keeps = math.exp(-dt_s / ANGLES_REST_S)
+        spread = 1.0 - keeps * keeps
+        turn = turn_from_vector(state.turning * path_s)
+        F = np.zeros((SIZE, SIZE))
+        diagonal = F.reshape(-1)[:: SIZE + 1]
+        diagonal[POSITION], diagonal[6:12], diagonal[ANGLES] = 1.0, fades, keeps
+        F.reshape(-1)[TURNING.start : 6 * SIZE : SIZE + 1] = path_s
+        F[ROTATION, ROTATION] = turn.T
+        strengths = np.array([dt_s**3 / 3.0, dt_s**2 / 2.0, dt_s, spread])
+        return HandState(
+            orthonormal(state.R @ turn),
+            state.p + path_s * state.speed,
+            fades * state.turning,
+            fades * state.speed,
+            self._rest + keeps * (state.angles - self._rest),
+            F @ state.P @ F.T + (strengths @ self._noise).reshape(SIZE, SIZE),
+            spread,
+        )
+
+    def correct(self, prior: HandState, evidence: Evidence, steps: int = 2) -> HandState:
+        """Return the state after a sample, by at most `steps` Gauss–Newton steps."""
+        rows = _rows(evidence)
+        if rows is None:
+            return prior
+        P, weights = prior.P, np.ones(5)
+        R, p, q, dx = prior.R, prior.p, prior.angles, np.zeros(SIZE)
+        wanted = np.empty((_ROWS, SIZE + 1))
+        for step in range(steps):
+            if step == 0 and self._is_far(prior, rows):
+                q = self._closed_form(prior, rows)
+                dx[ANGLES] = q - prior.angles
+            used, y = self._linearised(rows, R, p, q)
+            innovation = y + used @ dx
+            PHt = P @ used.T
+            S = used @ PHt
+            blocks = S.reshape(7, 3, 7, 3)
+            blocks[_BLOCKS, :, _BLOCKS] += rows.noise
+            if step == 0:
+                surprise = self._surprise(innovation[:15].reshape(5, 3), blocks[_TIPS, :, _TIPS])
+                weights = np.minimum(1.0, OUTLIER**2 / (3.0 * np.maximum(surprise, 1.0)))
+                if prior.spread > 0.0 and surprise.max() > 1.0:
+                    P = self._with_room(prior, surprise)
+                    PHt = P @ used.T
+                    S = used @ PHt
+                    blocks = S.reshape(7, 3, 7, 3)
+                    blocks[_BLOCKS, :, _BLOCKS] += rows.noise
+            else:
+                missed = (y[:15].reshape(5, 3) ** 2).sum(-1)
+                weights = np.minimum(weights, 1.0 / (1.0 + missed / MISS_M**2))
+            if weights.min() < 1.0:
+                blocks[_TIPS, :, _TIPS] += rows.noise[:5] * (1.0 / weights - 1.0)[:, None, None]
+            wanted[:, :SIZE], wanted[:, SIZE] = PHt.T, innovation
+            solved = np.linalg.solve(S, wanted)
+            posterior = P - PHt @ solved[:, :SIZE]
+            about, dx = dx, self._within_limits(PHt @ solved[:, SIZE], prior.angles, posterior)
+            R, p = prior.R @ turn_from_vector(dx[ROTATION]), prior.p + dx[POSITION]
+            q = prior.angles + dx[ANGLES]
+            moved = np.abs(dx - about)
+            if max(moved[ROTATION].max(), moved[ANGLES].max()) < CLOSE_RAD:
+                break
+        left = ((innovation - used @ dx)[:15].reshape(5, 3) ** 2).sum(-1)
+        return HandState(
+            R,
+            p,
+            prior.turning + dx[TURNING],
+            prior.speed + dx[SPEED],
+            np.minimum(np.maximum(q, self._low), self._high),
+            0.5 * (posterior + posterior.T),
+            missed_m=float(np.sqrt(left).sum() / max(1, np.count_nonzero(rows.seen[:5]))),
+        )
+
+    def cost(self, state: HandState, evidence: Evidence) -> float:
+        """Return how ill a state explains a sample on its own: squared errors over their variances, angles included."""
+        seen = np.isfinite(evidence.tips).all(axis=1)
+        off = state.angles - self._rest
+        cost = float(off @ self._stationary_inverse @ off)
+        tips, _ = self._kinematics.markers(state.angles)
+        missed = (evidence.tips - state.p - tips @ state.R.T)[seen]
+        inverse = np.linalg.inv(evidence.tip_covariances[seen])
+        cost += float((missed[:, None] @ inverse @ missed[:, :, None]).sum())
+        if np.isfinite(evidence.base[0]):
+            gap = evidence.base - state.p - state.R @ self._on_wrist[5]
+            cost += float(gap @ np.linalg.solve(evidence.base_covariance, gap))
+        if evidence.rotation is not None:
+            turn = vector_from_turn(state.R.T @ evidence.rotation)
+            cost += float(turn @ evidence.rotation_information @ turn)
+        return cost
+
+    def _is_far(self, prior: HandState, rows: _Rows) -> bool:
+        """Tell whether any seen tip lies so far from where it was expected that derivatives there say little."""
+        off = (rows.points[:5] - prior.p) @ prior.R - self._kinematics.markers(prior.angles)[0]
+        return bool((np.abs(off).max(axis=1) * rows.seen[:5]).max() > FAR_M)
+
+    def _closed_form(self, prior: HandState, rows: _Rows) -> FloatArray:
+        """Return the angles (20,) to linearise about: where the seen tips put their fingers under the expected palm."""
+        seen = rows.seen[:5, None]
+        local = np.where(seen, (rows.points[:5] - prior.p) @ prior.R, self._resting)
+        angles: FloatArray = np.where(seen, self._fingers.solve(local).angles, prior.angles.reshape(5, 4))
+        return angles.reshape(COUNT)
+
+    def _linearised(self, rows: _Rows, R: FloatArray, p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return H (21, 32) and what was measured beyond what a pose has, (21,); rows of what was not seen are 0."""
+        tips, J = self._kinematics.markers(q)
+        arms = self._on_wrist.copy()
+        arms[:5] = tips
+        arms = arms @ R.T
+        y = np.zeros(_ROWS)
+        y[:18] = (rows.points - p - arms).reshape(-1)
+        if rows.rotation is not None:
+            y[18:] = vector_from_turn(R.T @ rows.rotation)
+        H = self._H.copy()
+        # d(R·exp(δθ)·m) = −R·[m]×·δθ = −[R·m]×·R·δθ
+        H[:18, ROTATION] = (arms @ CROSS).reshape(18, 3) @ -R
+        H.reshape(-1)[_OWN_ANGLES] = R @ J
+        return H * rows.counts[:, None], y * rows.counts
+
+    @staticmethod
+    def _surprise(innovation: FloatArray, S: FloatArray) -> FloatArray:
+        """Return by how much the errors (5, 3) exceed their expected covariances (5, 3, 3): (5,), 1 on average."""
+        surprise: FloatArray = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(-1) / 3.0
+        return surprise
+
+    def _with_room(self, prior: HandState, surprise: FloatArray) -> FloatArray:
+        """Return P with more room for fingers that move faster than the process expects."""
+        P = prior.P.copy()
+        own = P[ANGLES, ANGLES]
+        for finger, times in enumerate(surprise.tolist()):
+            if times > 1.0:
+                mine = slice(4 * finger, 4 * finger + 4)
+                own[mine, mine] += min(times, MOST_SURPRISE) * prior.spread * self._own_stationary[finger]
+        return P
+
+    def _within_limits(self, dx: FloatArray, angles: FloatArray, P: FloatArray) -> FloatArray:
+        """Return the errors with all angles legal, the others moved by what the limits say about them."""
+        for _ in range(3):
+            q = angles + dx[ANGLES]
+            over = np.minimum(np.maximum(q, self._low), self._high) - q
+            bad = np.flatnonzero(np.abs(over) > 1e-6)
+            if not len(bad):
+                break
+            columns = P[:, ANGLES.start + bad]
+            dx = dx + columns @ np.linalg.solve(columns[ANGLES.start + bad] + 1e-9 * np.eye(len(bad)), over[bad])
+        return dx
+
+    def tips(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 4) by the finger's angles."""
+        return self._kinematics.markers(q)
+
+
+def _process_noise(stationary: FloatArray) -> FloatArray:
+    """Return what a prediction by t adds to P, (4, 32·32): the factors of t³/3, t²/2, t and of the angles' spread."""
+    noise = np.zeros((4, SIZE, SIZE))
+    for value, rate, strength in ((ROTATION, TURNING, TURN_ACCELERATION), (POSITION, SPEED, ACCELERATION)):
+        noise[0][value, value] = noise[1][value, rate] = noise[1][rate, value] = noise[2][rate, rate] = (
+            strength** 2 * np.eye(3)
+        )
+    noise[3][ANGLES, ANGLES] = stationary
+    return noise.reshape(4, -1)

@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rhot.errors import ConfigError
+from rhot_bench.command import bench
+from rhot_bench.live import latency_rows
+from rhot_bench.pi_budget import slowness
+from rhot_bench.scaling import growth_row
+
+Invoke = Callable[..., str]
+
+ROWS = (
+    "tracked, ours / thesis, medians",
+    "searched, ours / thesis, medians",
+    "one camera frame, filter, median",
+    "one camera frame, ours / thesis, p95",
+    "five fingers, closed form, median",
+    "whole hand from a point set, p95",
+    "picture in memory to encoded pose, p50",
+    "picture in memory to encoded pose, p99",
+    "Pi 3, all markers tracked, a frame",
+    "Pi 5, frames a second on one core",
+    "capture, a frame grows as markers to the power",
+    "fusion, 8 cameras, 12 markers, a camera frame",
+    "fusion, 12 markers, a second grows as cameras to the power",
+    "fusion, a second grows as frame rate to the power",
+)
+
+
+def test_quick_bench_prints_every_row_and_valid_json(invoke: Invoke, rig_path: Path, tmp_path: Path) -> None:
+    file = tmp_path / "bench.json"
+    parts = [word for part in ("capture", "fusion", "ik", "pipeline", "scaling", "budget") for word in ("--part", part)]
+    text = invoke(bench, "--quick", "--rig", rig_path, "--json", file, *parts)
+    document = json.loads(file.read_text())
+    rows = {row["name"]: row for section in document["sections"] for row in section["rows"]}
+    for name in ROWS:
+        assert name in text
+        assert rows[name]["value"] is not None, name
+    assert rows["tracked, ours / thesis, medians"]["most"] == 1.0
+    assert rows["searched, ours / thesis, medians"]["most"] == 0.25
+    assert rows["one camera frame, filter, median"]["most"] == 250.0
+    assert rows["markers that the thesis's detector finds"]["value"] > 4.0
+    assert "targets missed" in text
+
+
+def test_wrong_rigs_and_outputs_are_refused_before_the_work(invoke: Invoke, rig_folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"holds no rig\.toml"):
+        invoke(bench, "--rig", tmp_path)
+    with pytest.raises(ConfigError, match="simulated cameras"):
+        invoke(bench, "--rig", rig_folder)
+    with pytest.raises(ConfigError, match="does not exist"):
+        invoke(bench, "--json", tmp_path / "nowhere" / "bench.json")
+
+
+def test_growth_is_the_slope_of_the_logarithms() -> None:
+    assert growth_row("linear", (2, 4, 8), (10.0, 20.0, 40.0)).value == pytest.approx(1.0)
+    assert growth_row("square", (2, 4, 8), (1.0, 4.0, 16.0)).verdict == "missed"
+
+
+def test_pis_are_ordered_and_anchored_at_the_thesis() -> None:
+    ratios = slowness(0.001)
+    assert ratios["Pi 3"] == pytest.approx(18.0)
+    assert ratios["Pi 3"] > ratios["Pi 4"] > ratios["Pi 5"] > 1.0
+
+
+def test_latency_counts_from_the_picture() -> None:
+    parts = {
+        "age when the picture is there": {"p50": 9.0, "p99": 9.5},
+        "age when ik publishes": {"p50": 12.5, "p99": 17.0},
+        "work: fusion": {"p50": 0.2, "p99": 0.4},
+    }
+    rows = {row.name: row for row in latency_rows({"latency_ms": {"p50": 13.0, "p99": 18.0, "parts": parts}})}
+    assert rows["picture in memory to published pose, p50"].value == pytest.approx(3.5)
+    assert rows["picture in memory to published pose, p99"].value == pytest.approx(8.0)
+    assert rows["work: fusion, p99"].value == pytest.approx(0.4)
+    assert {row.verdict for row in latency_rows({})} == {"not measured", ""}

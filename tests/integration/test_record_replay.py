@@ -1,0 +1,269 @@
+"""A full-rate session recorded, replayed and recorded again: nothing lost, nothing changed, the spacing kept."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import resource
+import signal
+import sys
+import time
+from collections.abc import AsyncIterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hand_messages import hand_pose, marker_frame, object_pose, point_set
+from numpy.typing import NDArray
+
+from rhot.bus import Bus
+from rhot.messages import (
+    Control,
+    HandPose,
+    MarkerFrame,
+    Message,
+    ObjectPose,
+    PointSet,
+    ServiceStatus,
+    encode,
+    encoding_of,
+)
+from rhot.recording.mcap_reader import RecordedSample, open_mcap
+from rhot.rig import BusConfig
+
+logger = logging.getLogger(__name__)
+
+pytestmark = pytest.mark.integration
+
+SESSION_S = 10.0
+CONFIG = ("rhot/config/fusion/main", "application/json", b'{"hold_s": 0.5}')
+Sent = tuple[str, str, bytes]
+
+
+async def start(command: str, *arguments: str, file_limit: int | None = None) -> asyncio.subprocess.Process:
+    """Start one of the two commands as a process of its own, which may be kept from writing files larger than that."""
+
+    def limit() -> None:
+        if file_limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
+
+    code = f"import sys; from rhot.cli.group import LazyCommand, MainGroup; MainGroup(name='rhot', lazy={{'{command}': \
+LazyCommand('', 'rhot.cli.{command}:{command}')}}).main(sys.argv[1:])"
+    return await asyncio.create_subprocess_exec(
+        *(sys.executable, "-c", code, command, *arguments),
+        preexec_fn=limit if file_limit is not None else None,
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+
+
+async def said(process: asyncio.subprocess.Process, words: str) -> str:
+    """Wait until a process says something on standard error; return the line."""
+    assert process.stderr is not None
+    async with asyncio.timeout(20):
+        while line := (await process.stderr.readline()).decode():
+            if words in line:
+                return line
+    raise AssertionError(f"it ended without saying {words!r}")
+
+
+@contextlib.asynccontextmanager
+async def recording(router: BusConfig, file: Path) -> AsyncIterator[None]:
+    """Record everything while the block runs, then end by Ctrl-C, which has to take less than two seconds."""
+    process = await start("record", "--out", str(file), "--connect", router.connect[0])
+    try:
+        await said(process, "recording to")
+        yield
+        # The last samples are on their way.
+        await asyncio.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        begun = time.monotonic()
+        output, errors = await asyncio.wait_for(process.communicate(), 10.0)
+        assert time.monotonic() - begun < 2.0
+        assert process.returncode == 0, errors.decode()
+        assert "were lost" not in errors.decode(), errors.decode() + output.decode()
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+
+
+async def replay(router: BusConfig, file: Path, *options: str) -> str:
+    process = await start("replay", str(file), "--connect", router.connect[0], *options)
+    async with asyncio.timeout(60):
+        _, errors = await process.communicate()
+    assert process.returncode == 0, errors.decode()
+    return errors.decode()
+
+
+async def publish_session(router: BusConfig, duration_s: float) -> list[Sent]:
+    """Publish six kinds of keys at 60 to 120 Hz beside control, status and a change of configuration."""
+    sent: list[Sent] = []
+    streams: list[tuple[str, type[Message], float]] = [
+        ("rhot/markers/left", MarkerFrame, 120.0),
+        ("rhot/markers/right", MarkerFrame, 120.0),
+        ("rhot/points", PointSet, 120.0),
+        ("rhot/hand/right", HandPose, 120.0),
+        ("rhot/object/cube", ObjectPose, 90.0),
+        ("rhot/object/cup", ObjectPose, 60.0),
+        ("rhot/status/fusion/main", ServiceStatus, 1.0),
+    ]
+
+    def message(key: str, t_s: float) -> Message:
+        t_ns = time.time_ns()
+        match key.split("/")[1]:
+            case "markers":
+                return marker_frame(key.rpartition("/")[2], t_ns)
+            case "points":
+                return point_set(t_ns)
+            case "hand":
+                return hand_pose(t_s, t_ns)
+            case "object":
+                return object_pose(t_ns, t_s)
+        return ServiceStatus(t_ns=t_ns, service="fusion", instance="main", state="running")
+
+    async with await Bus.open(router) as bus:
+        control = bus.publisher("rhot/control", Control, reliable=True)
+        publishers = {key: bus.publisher(key, model) for key, model, _ in streams}
+        assert await control.wait_for_reader(10.0)
+        for publisher in publishers.values():
+            assert await publisher.wait_for_reader(10.0)
+        first = control.put(Control(t_ns=time.time_ns(), action="start", session="s"))
+        sent.append((control.key, encoding_of(Control), encode(first)))
+        await bus.put(CONFIG[0], CONFIG[2], CONFIG[1])
+        sent.append(CONFIG)
+        times = sorted((step / rate, key) for key, _, rate in streams for step in range(int(duration_s * rate)))
+        begun = time.monotonic()
+        for t_s, key in times:
+            wait_s = begun + t_s - time.monotonic()
+            if wait_s > 0:
+                await asyncio.sleep(wait_s)
+            numbered = publishers[key].put(message(key, t_s))
+            sent.append((key, encoding_of(type(numbered)), encode(numbered)))
+        await asyncio.sleep(0.3)
+    return sent
+
+
+def content(samples: Sequence[RecordedSample]) -> list[Sent]:
+    return [(sample.key, sample.encoding, sample.payload) for sample in samples]
+
+
+def spacing_errors_ms(first: Sequence[RecordedSample], second: Sequence[RecordedSample]) -> NDArray[np.float64]:
+    """How much each sample's distance in time to the one before it has changed."""
+    gaps = [np.diff([sample.log_ns for sample in samples]) for samples in (first, second)]
+    errors_ms: NDArray[np.float64] = np.abs(gaps[1] - gaps[0]) / 1e6
+    return errors_ms
+
+
+async def test_a_session_survives_recording_and_replay(router: BusConfig, tmp_path: Path) -> None:
+    async with recording(router, tmp_path / "live.mcap"):
+        sent = await publish_session(router, SESSION_S)
+    live = list(open_mcap(tmp_path / "live.mcap").samples())
+    assert len(sent) > 600 * SESSION_S
+    # Control goes before what else waits, so that across keys only the order of arrival is there to compare.
+    assert sorted(content(live)) == sorted(sent), "no sample lost, every byte as published"
+    for key in {key for key, _, _ in sent}:
+        assert [entry for entry in content(live) if entry[0] == key] == [entry for entry in sent if entry[0] == key]
+
+    for attempt in ("first", "second"):  # other processes may disturb one run
+        file = tmp_path / f"{attempt}.mcap"
+        async with recording(router, file):
+            said_by_replay = await replay(router, tmp_path / "live.mcap")
+        again = list(open_mcap(file).samples())
+        assert content(again) == content(live), "the same bytes in the same order"
+        assert [sample.t_ns for sample in again if sample.key != CONFIG[0]] == [
+            sample.t_ns for sample in live if sample.key != CONFIG[0]
+        ]
+        errors_ms = spacing_errors_ms(live, again)
+        drift_s = abs((again[-1].log_ns - again[0].log_ns) - (live[-1].log_ns - live[0].log_ns)) / 1e9
+        figures = f"spacing p50 {np.median(errors_ms):.2f} p99 {np.percentile(errors_ms, 99):.2f} ms, {said_by_replay}"
+        logger.info("%d samples: %s", len(again), figures)
+        if np.percentile(errors_ms, 99) < 2.0:
+            break
+    assert np.percentile(errors_ms, 99) < 2.0, figures
+    assert drift_s < 0.02
+
+    async with recording(router, tmp_path / "quick.mcap"):
+        begun = time.monotonic()
+        await replay(router, tmp_path / "live.mcap", "--rate", "10")
+        assert time.monotonic() - begun < 0.5 * SESSION_S
+    assert content(list(open_mcap(tmp_path / "quick.mcap").samples())) == content(live), "ten times as fast, in order"
+
+
+async def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(router: BusConfig, tmp_path: Path) -> None:
+    file = tmp_path / "killed.mcap"
+    process = await start("record", "--out", str(file), "--connect", router.connect[0])
+    await said(process, "recording to")
+    sent = await publish_session(router, 2.5)
+    process.kill()
+    await process.wait()
+    recorded = open_mcap(file)
+    found = list(recorded.samples())
+    assert "was cut off" in recorded.note or recorded.note == ""
+    assert set(content(found)) <= set(sent)
+    assert len(found) > len(sent) / 2.5 * 1.4
+
+
+async def test_a_disk_that_fills_up_ends_the_recording_with_one_message(router: BusConfig, tmp_path: Path) -> None:
+    file = tmp_path / "full.mcap"
+    process = await start("record", "--out", str(file), "--connect", router.connect[0], file_limit=100_000)
+    await said(process, "recording to")
+    publishing = asyncio.create_task(publish_session(router, 3.0))
+    async with asyncio.timeout(10):
+        _, errors = await process.communicate()
+    assert process.returncode == 2
+    assert errors.decode().count("rhot: error:") == 1
+    assert "cannot be written any more" in errors.decode()
+    assert "Traceback" not in errors.decode()
+    sent = await publishing
+    found = content(list(open_mcap(file).samples()))
+    assert 0 < len(found) < len(sent)
+
+
+async def test_a_running_service_is_not_mixed_with(router: BusConfig, tmp_path: Path) -> None:
+    async with recording(router, tmp_path / "a.mcap"):
+        await publish_session(router, 0.3)
+    async with await Bus.open(router) as rig:
+        rig.alive("rhot/alive/ik/main")
+        process = await start("replay", str(tmp_path / "a.mcap"), "--connect", router.connect[0])
+        async with asyncio.timeout(20):
+            _, errors = await process.communicate()
+        assert process.returncode == 1
+        assert "ik/main is alive" in errors.decode()
+        assert "--force" in errors.decode()
+        received = rig.events("rhot/**")
+        await replay(router, tmp_path / "a.mcap", "--keys", "rhot/markers/*")
+        markers = received.received
+        await replay(router, tmp_path / "a.mcap", "--force")
+        await asyncio.sleep(0.2)
+        assert markers == 72, "0.3 s of two cameras at 120 Hz"
+        assert received.received > 2 * markers
+
+
+async def test_steps_follow_the_enter_key_and_the_last_value_answers(router: BusConfig, tmp_path: Path) -> None:
+    async with recording(router, tmp_path / "a.mcap"):
+        await publish_session(router, 0.3)
+    async with await Bus.open(router) as reader:
+        received = reader.events("rhot/markers/left")
+        process = await start(
+            "replay", str(tmp_path / "a.mcap"), "--connect", router.connect[0], "--step", "--keys", "rhot/markers/left"
+        )
+        assert process.stdin is not None
+        await said(process, "Enter puts out the next moment")
+        stream = aiter(received)
+        seen = []
+        for _ in range(3):
+            process.stdin.write(b"\n")
+            async with asyncio.timeout(5):
+                seen.append(await anext(stream))
+            await asyncio.sleep(0.1)
+            assert received.received == len(seen), "nothing moves without the key"
+        (last,) = await reader.get("rhot/markers/left")
+        assert last.payload == seen[-1].payload
+        assert last.encoding == seen[-1].encoding
+        process.stdin.write(b"q\n")
+        async with asyncio.timeout(5):
+            await process.wait()
+    assert all(before.payload != after.payload for before, after in pairwise(seen))
