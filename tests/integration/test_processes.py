@@ -153,7 +153,8 @@ async def test_garbage_on_every_key_leaves_the_hand_alone(
                 pose = decode(sample.payload, HandPose)
             except Exception:
                 continue  # our own garbage on this key
-            poses.append(pose)
+            if 0 < pose.t_ns - start_t_ns < 10**12:  # others are garbage that is valid but for its time
+                poses.append(pose)
             if stop.done() and pose.t_ns > time.time_ns() - 50_000_000 and len(poses) > 60:
                 break
     stop.result()
@@ -164,7 +165,6 @@ async def test_garbage_on_every_key_leaves_the_hand_alone(
             )
         )
         for pose in poses
-        if 0 < pose.t_ns - start_t_ns < 10**12
         for true in [world.truth((pose.t_ns - start_t_ns) / 1e9, pose.t_ns)]
         for finger in FINGERS
     ]

@@ -37,7 +37,7 @@ logger = logging.getLogger(__name__)
 
 pytestmark = pytest.mark.integration
 
-SESSION_S = 10.0
+SESSION_S = 5.0
 CONFIG = ("rhot/config/fusion/main", "application/json", b'{"hold_s": 0.5}')
 Sent = tuple[str, str, bytes]
 
