@@ -146,7 +146,7 @@ def test_cameras_on_the_other_side_than_in_rig_toml_are_pointed_out(pictures: Pa
     assert "swapped" not in run(pictures, rig).output
 
 
-@pytest.mark.parametrize("board", ["8x6", "9x7"])
+@pytest.mark.parametrize("board", ["8x6"])
 def test_a_wrong_count_of_corners_is_refused_with_the_right_one(pictures: Path, rig: Path, board: str) -> None:
     assert "--board 9x6" in refusal(run(pictures, rig, board=board))
 
