@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.rig.calibration import CameraCalibration, matrix3, matrix4
+from rhot.transforms import cross_matrix, rigid
 
 FloatArray = NDArray[np.float64]
 
@@ -76,10 +77,7 @@ class CameraModel:
     @property
     def T_rig_camera(self) -> FloatArray:
         """(4, 4), maps camera coordinates to rig coordinates."""
-        T = np.eye(4)
-        T[:3, :3] = self.R_camera_rig.T
-        T[:3, 3] = self.center
-        return T
+        return rigid(self.R_camera_rig.T, self.center)
 
     def to_camera(self, points: FloatArray) -> FloatArray:
         """Return rig points (N, 3) in the camera frame, metres."""
@@ -123,3 +121,14 @@ class CameraModel:
         u, v = pixels[:, 0], pixels[:, 1]
         inside: NDArray[np.bool_] = (u > -0.5) & (u < self.width - 0.5) & (v > -0.5) & (v < self.height - 0.5)
         return inside
+
+
+def essential_matrix(first: CameraModel, second: CameraModel) -> FloatArray:
+    """Return E (3, 3): normalised views x1, x2 (x, y, 1) of one point meet x2ᵀ · E · x1 = 0.
+
+    With X_second = R · X_first + t: E = [t]× · R (Hartley and Zisserman, "Multiple View Geometry", 2nd ed., eq. 9.12).
+    """
+    R = second.R_camera_rig @ first.R_camera_rig.T
+    t = second.to_camera(first.center[None])[0]
+    E: FloatArray = cross_matrix(t) @ R
+    return E

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
-from rhot.rig.calibration import CameraCalibration, CamerasFile, Matrix3, Matrix4, today
+from rhot.rig.calibration import CameraCalibration, CamerasFile, today
 from rhot.rig.config import CameraConfig
 from rhot.rotations import rotation_from_vector, vector_from_rotation
 from rhot.sim.script import seeded
+from rhot.transforms import inverse, rigid
 
 FloatArray = NDArray[np.float64]
 
@@ -68,7 +69,7 @@ def simulated_rig_calibration(cameras: Mapping[str, CameraConfig], seed: int) ->
         K = _intrinsics(camera, rng)
         distortion = np.array(DISTORTION) * rng.uniform(0.85, 1.15, 5)
         T = _pose(place, rng)
-        truth[name] = _calibration(camera, K, distortion, T)
+        truth[name] = CameraModel.from_arrays(camera.width, camera.height, K, distortion, T).to_calibration()
         found_intrinsics[name] = _intrinsics_found(K, distortion, rng)
     found = _poses_found(truth, found_intrinsics, seed)
     note = {"source": "simulated", "seed": seed}
@@ -105,14 +106,14 @@ def _poses_found(
         _, turn_found, t_found = cv2.solvePnP(
             boards[seen], (pixels + noise)[seen], *intrinsics[name], turn.copy(), camera.t_camera_rig.copy(), True
         )
-        T_camera_rig = np.eye(4)
-        T_camera_rig[:3, :3] = rotation_from_vector(np.asarray(turn_found, dtype=np.float64).ravel())
-        T_camera_rig[:3, 3] = np.asarray(t_found).ravel()
-        poses[name] = np.asarray(np.linalg.inv(T_camera_rig), dtype=np.float64)
+        R_found = rotation_from_vector(np.asarray(turn_found, dtype=np.float64).ravel())
+        poses[name] = inverse(rigid(R_found, np.asarray(t_found, dtype=np.float64).ravel()))
     # The rig frame that a calibration defines is its own reference camera, small turn and all.
-    T_reference_rig = np.linalg.inv(next(iter(poses.values())))
+    T_reference_rig = inverse(next(iter(poses.values())))
     return {
-        name: _calibration(truth[name], *intrinsics[name], T_reference_rig @ T_rig_camera)
+        name: CameraModel.from_arrays(
+            truth[name].width, truth[name].height, *intrinsics[name], T_reference_rig @ T_rig_camera
+        ).to_calibration()
         for name, T_rig_camera in poses.items()
     }
 
@@ -155,26 +156,3 @@ def _pose(place: int, rng: np.random.Generator) -> FloatArray:
     right /= np.linalg.norm(right)
     T[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
     return T
-
-
-def _calibration(
-    camera: CameraConfig | CameraCalibration, K: FloatArray, distortion: FloatArray, T: FloatArray
-) -> CameraCalibration:
-    k1, k2, p1, p2, k3 = (float(value) for value in distortion)
-    return CameraCalibration(
-        width=camera.width,
-        height=camera.height,
-        K=_matrix3(K),
-        distortion=(k1, k2, p1, p2, k3),
-        T_rig_camera=_matrix4(T),
-    )
-
-
-def _matrix3(M: FloatArray) -> Matrix3:
-    a, b, c = ((float(row[0]), float(row[1]), float(row[2])) for row in M)
-    return a, b, c
-
-
-def _matrix4(M: FloatArray) -> Matrix4:
-    a, b, c, d = ((float(row[0]), float(row[1]), float(row[2]), float(row[3])) for row in M)
-    return a, b, c, d

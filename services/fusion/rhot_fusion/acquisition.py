@@ -18,13 +18,11 @@ from rhot_fusion.coherence import HandCoherence
 from rhot_fusion.epipolar import EpipolarModel
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.sightings import BoolArray, FloatArray, IndexArray
-from rhot_fusion.tracks import Tracks
+from rhot_fusion.tracks import LONGEST_GAP, ROWS_SHARE, Tracks
 from rhot_fusion.triangulate import Prior, Triangulation, Views
 
 _GATE_SIGMAS = 5.0
 _SMALLEST_NOISE_PX = 0.05
-_ROWS_SHARE = 0.5
-_LONGEST_GAP = 3.5
 _AGREEMENT_S = 0.2
 _CONFIRMATIONS = 3
 """Points that must agree one after another."""
@@ -95,7 +93,7 @@ class Acquisition:
         if not np.isfinite(moment_s):
             return None
         period_s = schedule.longest_period_s
-        shot = tracks.at(moment_s, _ROWS_SHARE * period_s, _LONGEST_GAP * period_s)
+        shot = tracks.at(moment_s, ROWS_SHARE * period_s, LONGEST_GAP * period_s)
         index = index[shot.valid[:, index].sum(axis=0) >= 2]
         # The same pair again tells nothing new.
         index = index[self._candidate_s[index] < moment_s]

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.camera import CameraModel, essential_matrix
 from rhot.rotations import FloatArray
 
 PRIOR_SD_RAD = np.radians(2.0)
@@ -122,9 +122,7 @@ def pair_residuals(
         periods_s: time between two frames of each camera, seconds.
     """
     one, other = cameras[first], cameras[second]
-    t_second_first = other.to_camera(one.center[None])[0]
-    # E = [t]× R by columns.
-    E = np.cross(t_second_first, (other.R_camera_rig @ one.R_camera_rig.T).T).T
+    E = essential_matrix(one, other)
     bend = _LARGEST_BEND_PX / float(one.K[0, 0])
     times, seen, matched = [np.empty(0)], [np.empty((0, 2))], [np.empty((0, 2))]
     for marker, track in tracks[second].items():

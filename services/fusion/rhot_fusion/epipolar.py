@@ -19,7 +19,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.camera import CameraModel, essential_matrix
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -46,13 +46,8 @@ class EpipolarModel:
         self._focal_px = float(np.mean([camera.K[0, 0] for camera in cameras]))
         self._limit = limit_px / self._focal_px
         self._t: FloatArray = np.stack([camera.to_camera(reference.center[None])[0] for camera in cameras])
-        # E = [t]× R, by columns: the line of (x, y, 1) in the first camera is E · (x, y, 1).
-        self._essential: FloatArray = np.stack(
-            [
-                np.cross(t, (camera.R_camera_rig @ reference.R_camera_rig.T).T).T
-                for camera, t in zip(cameras, self._t, strict=True)
-            ]
-        )
+        # The line of (x, y, 1) in the first camera is E · (x, y, 1).
+        self._essential: FloatArray = np.stack([essential_matrix(reference, camera) for camera in cameras])
         prior = np.array([(_PRIOR_OFFSET_PX / self._focal_px) ** -2, _PRIOR_SLOPE**-2, _PRIOR_SLOPE**-2])
         # In units of an observation's information, which is that of one pixel.
         self._prior: FloatArray = np.diag(prior) / self._focal_px**2

@@ -27,7 +27,7 @@ from rhot_fusion.schedule import Schedule
 from rhot_fusion.showing import Showing, ahead_s
 from rhot_fusion.sightings import BoolArray, FloatArray, IndexArray, Outcome, Sightings
 from rhot_fusion.timing_noise import TimingNoise
-from rhot_fusion.tracks import Tracks
+from rhot_fusion.tracks import LONGEST_GAP, ROWS_SHARE, Tracks
 
 _GATE = 16.0
 """Squared innovation of a coordinate, in variances, beyond which an observation is refused: 4 sigma."""
@@ -37,9 +37,6 @@ _SMALLEST_NOISE_PX = 0.06
 _BLUR = 2.0
 """Of the variance that an error of time between two views means along the motion, this much counts for each view: more
 than half of it, for the error stays the same over several frames."""
-_ROWS_SHARE = 0.5
-_LONGEST_GAP = 3.5
-"""Tracks are carried on by this share of a period, and joined over gaps of this many."""
 _FIRST_NOISE_PX = 0.3
 _LONGEST_PAIR_S = 0.15
 _LATE_S = 0.002
@@ -239,7 +236,7 @@ class FilterTracker:
         if moment_s <= self._learnt_s or not np.isfinite(moment_s):
             return
         period_s = self._schedule.longest_period_s
-        shot = self._tracks.at(moment_s, _ROWS_SHARE * period_s, _LONGEST_GAP * period_s)
+        shot = self._tracks.at(moment_s, ROWS_SHARE * period_s, LONGEST_GAP * period_s)
         ok = shot.valid & self._presence.fresh & self._presence.tracked
         if ok[0].any() and ok[1:].any():
             self.epipolar.learn(shot.xy, ok, moment_s - self._learnt_s)

@@ -17,12 +17,7 @@ from rhot_fusion.association import Association
 from rhot_fusion.epipolar import EpipolarModel
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.sightings import Outcome, Sightings
-from rhot_fusion.tracks import Tracks
-
-_ROWS_SHARE = 0.5
-"""Markers in other rows than the frame's middle are carried on this much further, as a share of a period."""
-_LONGEST_GAP = 3.5
-"""Observations further apart than this many periods are not joined."""
+from rhot_fusion.tracks import LONGEST_GAP, ROWS_SHARE, Tracks
 
 
 class PairedTracker:
@@ -89,6 +84,6 @@ class PairedTracker:
         if moment_s is None:
             return None
         period_s = max(self._schedule.period_s(place) for place in range(self._cameras))
-        reach_s = (self._config.extrapolation + _ROWS_SHARE) * period_s
-        shot = self._tracks.at(moment_s, reach_s, _LONGEST_GAP * period_s)
+        reach_s = (self._config.extrapolation + ROWS_SHARE) * period_s
+        shot = self._tracks.at(moment_s, reach_s, LONGEST_GAP * period_s)
         return self._association.advance(shot, moment_s, period_s)

@@ -18,6 +18,10 @@ IndexArray = NDArray[np.intp]
 
 DEPTH = 4
 """Observations kept per camera and marker."""
+ROWS_SHARE = 0.5
+"""Markers in other rows than the frame's middle are carried on this much further, as a share of a period."""
+LONGEST_GAP = 3.5
+"""Observations further apart than this many periods are not joined."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,9 @@ from rhot.rig.calibration import CameraCalibration
 from rhot.rig.config import CameraConfig
 from rhot.rig.folder import nominal_camera
 from rhot.rotations import vector_from_rotation
+from rhot.transforms import inverse
 from rhot_fusion.camera_calibration.calibration import Calibrated, bow_mm, calibrate, cameras_file
 from rhot_fusion.camera_calibration.mistakes import mirrored
-from rhot_fusion.camera_calibration.placement import inverse
 from rhot_fusion.camera_calibration.solve import Solution, solve
 from rhot_fusion.camera_calibration.verdict import Expected
 from rhot_fusion.camera_calibration.views import Board, BoardView, FloatArray, ViewSet

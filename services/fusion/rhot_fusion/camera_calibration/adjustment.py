@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from rhot.transforms import rigid
 from rhot_fusion.camera_calibration.bundle import Bundle, adjust
 from rhot_fusion.camera_calibration.bundle_model import Geometry, Observations, Prior
-from rhot_fusion.camera_calibration.placement import rigid
 from rhot_fusion.camera_calibration.views import Board, BoardView, FloatArray
 
 Key = tuple[str, int]

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from rhot.rotations import vector_from_rotation
+from rhot.transforms import inverse
 from rhot_fusion.camera_calibration.adjustment import Adjusted
-from rhot_fusion.camera_calibration.placement import inverse
 from rhot_fusion.camera_calibration.views import FloatArray
 
 _LEAST: Final = 3

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rhot.rotations import rotation_from_vector
+from rhot.transforms import cross_matrix
 from rhot_fusion.camera_calibration.bundle_model import Geometry, Observations, Prior
 from rhot_fusion.camera_calibration.lens import LENS_SIZE, project_with_derivatives
 from rhot_fusion.camera_calibration.views import FloatArray
@@ -81,7 +82,8 @@ class BundleEquations:
         uv, by_lens, by_point = project_with_derivatives(geometry.lenses[camera][:, None], points)
         residuals = np.where(observations.seen[..., None], observations.uv - uv, 0.0)
         by_rig = by_point @ R_camera[:, None]
-        J = np.concatenate([by_lens, -by_point @ _cross(in_camera), by_point, -by_rig @ _cross(turned), by_rig], axis=3)
+        by_camera_turn, by_board_turn = -by_point @ cross_matrix(in_camera), -by_rig @ cross_matrix(turned)
+        J = np.concatenate([by_lens, by_camera_turn, by_point, by_board_turn, by_rig], axis=3)
         w = np.where(observations.seen, weights, 0.0)
         flat = J.reshape(len(place), 2 * corner_count, -1)
         weighted = (J * w[..., None, None]).reshape(flat.shape)
@@ -144,13 +146,3 @@ class BundleEquations:
 
 def _turned(vectors: FloatArray, R: FloatArray) -> FloatArray:
     return np.stack([rotation_from_vector(vector) @ each for vector, each in zip(vectors, R, strict=True)])
-
-
-def _cross(points: FloatArray) -> FloatArray:
-    """Return the matrices [p]× (..., 3, 3) of points (..., 3)."""
-    matrix = np.zeros((*points.shape, 3))
-    x, y, z = points[..., 0], points[..., 1], points[..., 2]
-    matrix[..., 0, 1], matrix[..., 0, 2] = -z, y
-    matrix[..., 1, 0], matrix[..., 1, 2] = z, -x
-    matrix[..., 2, 0], matrix[..., 2, 1] = -y, x
-    return matrix

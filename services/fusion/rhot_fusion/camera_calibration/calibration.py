@@ -11,6 +11,7 @@ import numpy as np
 from rhot.camera import CameraModel
 from rhot.rig import CameraCalibration, CamerasFile
 from rhot.rig.calibration import today
+from rhot.transforms import inverse
 from rhot_fusion.camera_calibration.adjustment import Adjusted, adjust_views
 from rhot_fusion.camera_calibration.causes import Cause, contradiction_cause, unfit_cause
 from rhot_fusion.camera_calibration.figures import (
@@ -24,7 +25,6 @@ from rhot_fusion.camera_calibration.figures import (
     pair_figures,
 )
 from rhot_fusion.camera_calibration.lens import camera_matrix, lens_of
-from rhot_fusion.camera_calibration.placement import inverse
 from rhot_fusion.camera_calibration.solve import Solution, solve
 from rhot_fusion.camera_calibration.verdict import (
     Expected,

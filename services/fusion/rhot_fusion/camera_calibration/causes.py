@@ -7,10 +7,11 @@ from typing import Final, Literal
 
 import numpy as np
 
+from rhot.transforms import inverse
 from rhot_fusion.camera_calibration.adjustment import Adjusted, Key
 from rhot_fusion.camera_calibration.joint_fit import fit_together
 from rhot_fusion.camera_calibration.mistakes import mirrored
-from rhot_fusion.camera_calibration.placement import angle_of, inverse
+from rhot_fusion.camera_calibration.placement import angle_of
 from rhot_fusion.camera_calibration.solve import Solution
 from rhot_fusion.camera_calibration.views import Board, FloatArray, ViewSet
 
@@ -31,32 +32,27 @@ class Cause:
         kind: which mistake.
         keys: (camera, picture number) of the views that it concerns.
         text: for people, without the names of the pictures.
-        scale: of a board of another size, how many times as large it is; else 1.
-        motion: of a camera or board that moved, T (4, 4): from where the first view saw the board to where the
-            second did, rig frame; else identity.
     """
 
     kind: Kind
     keys: tuple[Key, ...]
     text: str
-    scale: float
-    motion: FloatArray
 
 
 def unfit_cause(board: Board, solution: Solution, views: ViewSet, key: Key) -> Cause:
     """Return why a view does not fit its own camera."""
     alone = fit_together(board, solution.adjusted, {key: views.views[key]}, _widths(views))
     if alone is None:
-        return Cause("unfit", (key,), "does not fit its own camera at all: not this board", 1.0, np.eye(4))
+        return Cause("unfit", (key,), "does not fit its own camera at all: not this board")
     distance = np.linalg.norm(alone.bundle.residuals[0][alone.observations.seen[0]], axis=1)
     usual = max(float(np.median(distance)), solution.adjusted.bundle.sigma_px)
     wrong = distance > max(_MISREAD_TIMES * solution.adjusted.bundle.sigma_px, 4.0 * usual)
     if 0 < wrong.sum() <= 0.25 * len(distance):
         text = f"{int(wrong.sum())} of its {len(distance)} corners were misread, by up to {distance.max():.1f} px"
-        return Cause("misread", (key,), text, 1.0, np.eye(4))
+        return Cause("misread", (key,), text)
     rms = float(np.sqrt(np.mean(distance**2)))
     text = f"does not fit its own camera ({rms:.2f} px): blurred, moving, bent otherwise, or not this board"
-    return Cause("unfit", (key,), text, 1.0, np.eye(4))
+    return Cause("unfit", (key,), text)
 
 
 def contradiction_cause(board: Board, solution: Solution, views: ViewSet, number: int) -> Cause:
@@ -68,27 +64,27 @@ def contradiction_cause(board: Board, solution: Solution, views: ViewSet, number
     for key in keys:
         changed = {**members, key: mirrored(board, members[key], widths[key[0]])}
         if _rms(fit_together(board, adjusted, changed, widths)) < limit:
-            return Cause("mirrored", (key,), "is mirrored", 1.0, np.eye(4))
+            return Cause("mirrored", (key,), "is mirrored")
     if len(keys) == 2:
         (a, b) = keys
         if _rms(fit_together(board, adjusted, {a: members[b], b: members[a]}, widths)) < limit:
             text = f"the pictures of {a[0]} and {b[0]} are swapped"
-            return Cause("exchanged", keys, text, 1.0, np.eye(4))
+            return Cause("exchanged", keys, text)
     places = [fit_together(board, adjusted, {key: members[key]}, widths) for key in (keys[0], keys[-1])]
     if places[0] is None or places[1] is None:
-        return Cause("unfit", keys, "they do not fit their cameras: not this board", 1.0, np.eye(4))
+        return Cause("unfit", keys, "they do not fit their cameras: not this board")
     first, last = (fit.T_rig_board((number, "")) for fit in places if fit is not None)
     scale = _size(adjusted, keys[0], keys[-1], first, last)
     other_size = abs(scale - 1.0) > _SAME_SIZE and 0.2 < scale < 5.0
     if other_size and _rms(fit_together(board, adjusted, members, widths, scale)) < limit:
-        return Cause("size", keys, f"they show a board {scale:.2f} times as large", scale, np.eye(4))
+        return Cause("size", keys, f"they show a board {scale:.2f} times as large")
     motion = last @ inverse(first)
     shift_mm = 1e3 * float(np.linalg.norm(last[:3, 3] - first[:3, 3]))
     text = (
         f"they disagree by {shift_mm:.1f} mm and {np.degrees(angle_of(motion[:3, :3])):.2f}°: the board or a camera "
         "moved between the two pictures"
     )
-    return Cause("moved", keys, text, 1.0, motion)
+    return Cause("moved", keys, text)
 
 
 def _rms(fit: Adjusted | None) -> float:

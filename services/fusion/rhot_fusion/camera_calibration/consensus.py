@@ -8,16 +8,15 @@ from itertools import combinations
 
 import numpy as np
 
+from rhot.transforms import inverse, rigid
 from rhot_fusion.camera_calibration.adjustment import Adjusted, Key, Place, adjust_views
 from rhot_fusion.camera_calibration.boards import half_turn_ambiguous
 from rhot_fusion.camera_calibration.placement import (
     Candidate,
     Relation,
     agree,
-    inverse,
     pose_candidates,
     relate,
-    rigid,
     spanning_tree,
 )
 from rhot_fusion.camera_calibration.views import Board, BoardView, FloatArray

@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from rhot.camera import CameraModel
+from rhot.camera import CameraModel, essential_matrix
 from rhot.rotations import rotation_from_vector
+from rhot.transforms import cross_matrix, inverse, rigid
 from rhot_fusion.camera_calibration.adjustment import Adjusted
 from rhot_fusion.camera_calibration.bundle_model import BoolArray
 from rhot_fusion.camera_calibration.lens import LENS_NAMES, LENS_SIZE, camera_matrix
-from rhot_fusion.camera_calibration.placement import inverse, rigid
 from rhot_fusion.camera_calibration.views import FloatArray
 
 DISTANCES_M: Final = (0.50, 0.75, 1.00)
@@ -163,9 +163,7 @@ def epipolar_distance(first: CameraModel, second: CameraModel, uv: FloatArray, u
         uv: (n, 2) raw pixels in the first camera.
         uv_second: (n, 2) raw pixels of the same points in the second.
     """
-    T = inverse(second.T_rig_camera) @ first.T_rig_camera
-    t = T[:3, 3]
-    E = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]]) @ T[:3, :3]
+    E = essential_matrix(first, second)
     one = np.column_stack([first.undistort(uv), np.ones(len(uv))])
     two = np.column_stack([second.undistort(uv_second), np.ones(len(uv))])
     lines = one @ E.T
@@ -241,8 +239,7 @@ def _center_covariance(adjusted: Adjusted, first: str, second: str | None = None
 def _center_by_motion(adjusted: Adjusted, index: int) -> FloatArray:
     # c = −Rᵀ·t; with R ← exp(δω)·R and t ← t + δt: δc = −Rᵀ·[t]×·δω − Rᵀ·δt.
     R, t = adjusted.bundle.geometry.camera_R[index], adjusted.bundle.geometry.camera_t[index]
-    cross = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
-    return np.hstack([-R.T @ cross, -R.T])
+    return np.hstack([-R.T @ cross_matrix(t), -R.T])
 
 
 def _drawn(adjusted: Adjusted, models: Mapping[str, CameraModel], rng: np.random.Generator) -> list[CameraModel]:

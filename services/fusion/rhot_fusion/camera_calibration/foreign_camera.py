@@ -111,19 +111,6 @@ def picture_size(width: Any, height: Any, place: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def pose(R: FloatArray, t: FloatArray) -> FloatArray:
-    """Return T (4, 4) with rotation R (3, 3) and translation t (3,)."""
-    T = np.eye(4)
-    T[:3, :3] = R
-    T[:3, 3] = t
-    return T
-
-
-def inverse(T: FloatArray) -> FloatArray:
-    """Return the inverse of a rigid T (4, 4)."""
-    return pose(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
-
-
 def refuse_fisheye(place: str) -> None:
     """Refuse a lens model that RHOT does not have.
 

@@ -10,7 +10,8 @@ import numpy as np
 from rhot.errors import CalibrationError
 from rhot.rig import CameraCalibration, CamerasFile
 from rhot.rig.calibration import today
-from rhot_fusion.camera_calibration.foreign_camera import ForeignCamera, inverse, read_text
+from rhot.transforms import inverse
+from rhot_fusion.camera_calibration.foreign_camera import ForeignCamera, read_text
 from rhot_fusion.camera_calibration.opencv_yaml import read_opencv, write_opencv
 from rhot_fusion.camera_calibration.ros_yaml import read_ros
 from rhot_fusion.camera_calibration.toml_files import read_toml

@@ -6,8 +6,9 @@ import contextlib
 from collections.abc import Mapping
 
 from rhot.errors import CalibrationError
+from rhot.transforms import inverse
 from rhot_fusion.camera_calibration.adjustment import Adjusted, Key, Place, adjust_views
-from rhot_fusion.camera_calibration.placement import inverse, pose_candidates
+from rhot_fusion.camera_calibration.placement import pose_candidates
 from rhot_fusion.camera_calibration.views import Board, BoardView
 
 

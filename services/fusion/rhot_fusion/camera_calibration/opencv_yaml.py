@@ -12,14 +12,13 @@ import numpy as np
 from rhot.errors import CalibrationError
 from rhot.rig import CameraCalibration
 from rhot.rig.folder import write_text_atomic
+from rhot.transforms import cross_matrix, inverse, rigid
 from rhot_fusion.camera_calibration.foreign_camera import (
     ForeignCamera,
     coefficients,
     intrinsics,
-    inverse,
     matrix,
     picture_size,
-    pose,
     read_text,
     refuse_fisheye,
     rotation,
@@ -73,7 +72,7 @@ def write_opencv(cameras: Mapping[str, CameraCalibration], folder: Path) -> tupl
         T_21 = inverse(np.array(second.T_rig_camera)) @ np.array(first.T_rig_camera)
         K1, K2 = np.array(first.K), np.array(second.K)
         R, t = T_21[:3, :3], T_21[:3, 3]
-        E = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]]) @ R
+        E = cross_matrix(t) @ R
         F = np.linalg.inv(K2).T @ E @ np.linalg.inv(K1)
         F = F / F[2, 2] if abs(F[2, 2]) > 1e-12 else F
         inner = {"M1": K1, "D1": _row(first), "M2": K2, "D2": _row(second)}
@@ -158,7 +157,7 @@ def _pair(contents: Mapping[Path, dict[str, Value]]) -> tuple[ForeignCamera, ...
         raise CalibrationError(
             f"{listed}: no {missing[0]}, the pose of camera 2; give the extrinsics file too (usually {EXTRINSICS_FILE})"
         )
-    T_21 = pose(rotation(values["R"], f"{merged['R'][0]}: R"), matrix(values["T"], (3,), f"{merged['T'][0]}: T"))
+    T_21 = rigid(rotation(values["R"], f"{merged['R'][0]}: R"), matrix(values["T"], (3,), f"{merged['T'][0]}: T"))
     cameras = []
     for number, T_world_camera in ((1, np.eye(4)), (2, inverse(T_21))):
         k_name, d_name = (_find(values, _numbered(names, number)) for names in (_PAIR_K, _PAIR_D))
@@ -183,7 +182,7 @@ def _single(file: Path, entries: Mapping[str, Value]) -> ForeignCamera:
     T_world_camera = None
     if "R" in entries and "T" in entries:
         R, t = rotation(entries["R"], f"{file}: R"), matrix(entries["T"], (3,), f"{file}: T")
-        T_world_camera = inverse(pose(R, t))
+        T_world_camera = inverse(rigid(R, t))
     return ForeignCamera(str(file), file.stem, _size(file, entries), K, D, T_world_camera)
 
 

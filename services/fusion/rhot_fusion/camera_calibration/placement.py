@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.rotations import nearest_rotation, rotation_from_vector, vector_from_rotation
+from rhot.transforms import inverse, rigid
 from rhot_fusion.camera_calibration.lens import camera_matrix
 
 FloatArray = NDArray[np.float64]
@@ -59,18 +60,6 @@ class Relation:
     T: FloatArray
     agreeing: tuple[int, ...]
     others: tuple[int, ...]
-
-
-def rigid(R: FloatArray, t: FloatArray) -> FloatArray:
-    """Return the transform (4, 4) of a rotation (3, 3) and a translation (3,)."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t
-    return T
-
-
-def inverse(T: FloatArray) -> FloatArray:
-    """Return the inverse of a rigid transform (4, 4)."""
-    return rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
 
 
 def angle_of(R: FloatArray) -> float:

@@ -10,13 +10,13 @@ import numpy as np
 import yaml
 
 from rhot.errors import CalibrationError
+from rhot.transforms import rigid
 from rhot_fusion.camera_calibration.foreign_camera import (
     ForeignCamera,
     coefficients,
     intrinsics,
     matrix,
     picture_size,
-    pose,
     read_text,
     refuse_fisheye,
     rotation,
@@ -43,7 +43,7 @@ def read_ros(files: Sequence[Path]) -> tuple[ForeignCamera, ...]:
         return tuple(camera for camera, _, _ in read)
     return tuple(
         ForeignCamera(
-            camera.place, camera.name, camera.size, camera.K, camera.distortion, pose(R_rectified_camera, center)
+            camera.place, camera.name, camera.size, camera.K, camera.distortion, rigid(R_rectified_camera, center)
         )
         for camera, R_rectified_camera, center in read
     )

@@ -8,14 +8,13 @@ from typing import Any
 
 from rhot.errors import CalibrationError
 from rhot.rotations import rotation_from_vector
+from rhot.transforms import inverse, rigid
 from rhot_fusion.camera_calibration.foreign_camera import (
     ForeignCamera,
     coefficients,
     intrinsics,
-    inverse,
     matrix,
     picture_size,
-    pose,
     read_text,
     refuse_fisheye,
     rotation,
@@ -63,7 +62,7 @@ def _camera(place: str, table_name: str, table: dict[str, Any]) -> ForeignCamera
     T_world_camera = None
     if table.get("rotation") is not None and table.get("translation") is not None:
         t = matrix(table["translation"], (3,), f"{place}.translation")
-        T_world_camera = inverse(pose(_rotation(table["rotation"], f"{place}.rotation"), t))
+        T_world_camera = inverse(rigid(_rotation(table["rotation"], f"{place}.rotation"), t))
     return ForeignCamera(
         place,
         str(table.get("name", table.get("port", table_name))),
