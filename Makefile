@@ -25,8 +25,10 @@ $(READY): pyproject.toml constraints.txt
 sim: $(READY)
 	@$(BIN)/rhot sim --duration $(DURATION)
 
+# Real processes want both cores to themselves; everything else shares them.
 test: lint
-	@$(BIN)/pytest
+	@$(BIN)/pytest --numprocesses auto -m "not integration"
+	@$(BIN)/pytest -m integration
 
 lint: $(READY)
 	@$(BIN)/ruff check

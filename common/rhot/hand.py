@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from rhot.hand_anatomy import RestGeometry, rest_geometry
 from rhot.messages import Side
 from rhot.rig.calibration import HandFile
-from rhot.rig.config import MarkerConfig, Vector3
+from rhot.rig.config import MarkerConfig
+from rhot.rig.file_model import Vector3
 from rhot.skeleton import CHAINS, FINGERS, JOINTS
 
 FloatArray = NDArray[np.float64]

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from rhot.errors import ConfigError
 from rhot.messages import Name
-from rhot.rig.config import FileModel, NotNegative
+from rhot.rig.file_model import FileModel, NotNegative
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]

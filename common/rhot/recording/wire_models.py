@@ -17,6 +17,8 @@ _BY_KEY: Final[dict[str, type[Message]]] = {
     "hand": messages.HandPose,
     "object": messages.ObjectPose,
     "head": messages.HeadPose,
+    "foot": messages.FootPose,
+    "body": messages.BodyPose,
     "control": messages.Control,
     "status": messages.ServiceStatus,
     "truth": messages.Truth,

@@ -17,17 +17,23 @@ from rhot.rig.config import (
     ObjectConfig,
     RigConfig,
 )
+from rhot.rig.feet_config import BodyConfig, DepthCameraConfig, FeetConfig, FootConfig, ImuConfig
 from rhot.rig.folder import Rig, load_rig, read_json_model, write_json_model
 
 __all__ = [
+    "BodyConfig",
     "BusConfig",
     "CameraCalibration",
     "CameraConfig",
     "CamerasFile",
+    "DepthCameraConfig",
+    "FeetConfig",
+    "FootConfig",
     "FusionConfig",
     "HandConfig",
     "HandFile",
     "IkConfig",
+    "ImuConfig",
     "MarkerConfig",
     "ObjectConfig",
     "RegistrationFile",

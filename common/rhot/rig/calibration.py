@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from rhot.messages import Name, Quaternion
-from rhot.rig.config import FileModel, Vector3
+from rhot.rig.file_model import FileModel, Vector3
 
 Row3 = tuple[float, float, float]
 Row4 = tuple[float, float, float, float]

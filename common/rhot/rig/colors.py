@@ -25,7 +25,7 @@ from pydantic import Field, ValidationError, model_validator
 from rhot.errors import ConfigError
 from rhot.messages import Name, first_problem
 from rhot.rig.calibration import CalibrationFile
-from rhot.rig.config import FileModel, Positive
+from rhot.rig.file_model import FileModel, Positive
 from rhot.rig.folder import read_json_model
 
 Channel = Annotated[float, Field(ge=0.0, le=255.0)]

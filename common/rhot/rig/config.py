@@ -4,20 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from rhot.messages import Name, Side
+from rhot.rig.feet_config import BodyConfig, FeetConfig
+from rhot.rig.file_model import FileModel, NotNegative, Positive, Vector3
 from rhot.skeleton import JOINTS
-
-Vector3 = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
-
-
-class FileModel(BaseModel):
-    """Base of everything read from a rig folder: frozen, finite, unknown fields refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class BusConfig(FileModel):
@@ -257,6 +249,8 @@ class RigConfig(FileModel):
         markers: by name, as painted.
         bus, hand, fusion, ik: settings of the parts; each may be left out.
         objects: tracked objects by id.
+        feet: feet tracked from the head; left out when there are none.
+        body: the person whose legs are solved.
         sim: the simulated world, for simulated cameras and objects alone.
     """
 
@@ -269,6 +263,8 @@ class RigConfig(FileModel):
     fusion: FusionConfig = FusionConfig()
     ik: IkConfig = IkConfig()
     objects: Annotated[dict[Name, ObjectConfig], Field(max_length=64)] = {}
+    feet: FeetConfig | None = None
+    body: BodyConfig = BodyConfig()
     sim: SimConfig = SimConfig()
 
     @model_validator(mode="after")

@@ -10,7 +10,8 @@ from pydantic import Field, ValidationError
 from rhot.errors import ConfigError
 from rhot.messages import Name, first_problem
 from rhot.rig.colors import ColorsFile, Tolerance
-from rhot.rig.config import CameraConfig, FileModel, NotNegative, Positive
+from rhot.rig.config import CameraConfig
+from rhot.rig.file_model import FileModel, NotNegative, Positive
 
 
 class CameraSettings(FileModel):

@@ -12,7 +12,7 @@ from rhot.errors import CalibrationError
 from rhot.messages import first_problem
 from rhot.rig import RegistrationFile, RigidTransform
 from rhot.rig.calibration import today
-from rhot.rig.config import FileModel, Vector3
+from rhot.rig.file_model import FileModel, Vector3
 from rhot.rotations import FloatArray, quaternion_from_rotation, rotation_from_quaternion
 from rhot_objects.registration_fit import LEVER, PARAMETERS, POSITION, ROTATION, Estimate, Places, RegistrationFit
 

@@ -11,7 +11,8 @@ from pydantic import BaseModel
 from rhot.errors import ConfigError, DeviceError
 from rhot.messages import Control
 from rhot.rig import Rig
-from rhot.rig.config import FileModel, ObjectConfig
+from rhot.rig.config import ObjectConfig
+from rhot.rig.file_model import FileModel
 from rhot.service import Node
 from rhot_objects.assemble import SourcePlan, plan_sources
 

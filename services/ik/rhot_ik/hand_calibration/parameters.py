@@ -23,7 +23,7 @@ from rhot.hand import HandModel
 from rhot.hand_anatomy import BONES_MM, CARPAL_MM, METACARPAL_MM, RADII_MM, REFERENCE_LENGTH_M, width_across_knuckles
 from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
-from rhot.rig.config import Vector3
+from rhot.rig.file_model import Vector3
 from rhot.skeleton import CHAINS, FINGERS
 
 FloatArray = NDArray[np.float64]

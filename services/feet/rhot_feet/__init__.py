@@ -1,0 +1,1 @@
+"""Feet tracked from the head: markers, depth pictures and inertial sensors."""

@@ -1,0 +1,1 @@
+"""The web page: the rig as it runs, calibration by hand, recordings."""
