@@ -10,16 +10,22 @@ from rig_processes import Processes
 
 from rhot.bus import Bus
 from rhot.rig import BusConfig
+from rhot.rig.folder import RIG_FILE
 from rhot.sim.folder import write_simulated_rig
 from rhot.sim.run import free_endpoint
 
 
 @pytest.fixture(scope="session")
-def simulated_rig(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """A simulated rig folder and its router's endpoint."""
+def simulated_rig(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> tuple[Path, str]:
+    """A simulated rig folder and its router's endpoint; with the parameter `still` its hand never moves."""
     endpoint = free_endpoint("tcp/127.0.0.1:0")
     path = tmp_path_factory.mktemp("rig")
     write_simulated_rig(path, endpoint=endpoint)
+    if getattr(request, "param", None) == "still":
+        rig_file = path / RIG_FILE
+        text = rig_file.read_text()
+        assert text.count("[sim]\n") == 1
+        rig_file.write_text(text.replace("[sim]\n", '[sim]\nmotion = "still"\n'))
     return path, endpoint
 
 

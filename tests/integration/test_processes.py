@@ -135,6 +135,8 @@ async def test_every_key_can_be_looked_at(
     assert json.loads(output)["hold_s"] == 0.3
 
 
+# A hand at rest: how much of its way a moving one makes between two frames is the machine's doing, not the garbage's.
+@pytest.mark.parametrize("simulated_rig", ["still"], indirect=True)
 async def test_garbage_on_every_key_leaves_the_hand_alone(
     processes: Processes, rig_bus: Bus, simulated_rig: tuple[Path, str]
 ) -> None:
@@ -169,7 +171,8 @@ async def test_garbage_on_every_key_leaves_the_hand_alone(
         for finger in FINGERS
     ]
     assert len(errors_m) > 250
-    assert np.median(errors_m) < 0.008
+    assert np.median(errors_m) < 0.004
+    assert np.percentile(errors_m, 99) < 0.02, "no pose shows anything of the garbage"
     after = await status_of_all(rig_bus)
     for name in ("capture/left", "fusion/main", "ik/main", "objects/main"):
         assert after[name].state == "running"
