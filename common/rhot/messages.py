@@ -248,10 +248,14 @@ class FootPose(Message):
 
 
 class BodyJoint(WireModel):
-    """One joint of hips and legs: position in metres, orientation as unit quaternion x, y, z, w.
+    """One joint of hips and legs.
 
     A joint's frame has +X to the body's right, +Y along the bone towards the hips and +Z backwards when the person
     stands upright; a knee's frame is that of the shank, an ankle's and a foot's that of the foot.
+
+    Attributes:
+        position: metres.
+        orientation: unit quaternion x, y, z, w.
     """
 
     position: Position
@@ -361,7 +365,12 @@ class ServiceStatus(Message):
 
 
 class TruePose(WireModel):
-    """A pose of the simulated world: position in metres, orientation as unit quaternion x, y, z, w."""
+    """A pose of the simulated world.
+
+    Attributes:
+        position: metres.
+        orientation: unit quaternion x, y, z, w.
+    """
 
     position: Position
     orientation: Quaternion
@@ -373,6 +382,7 @@ class Truth(Message):
     """What is true in the simulated world, rig frame.
 
     Attributes:
+        frame: frame of all poses, `rig`.
         points: centre of each marker's painted volume.
         hands: side to OpenXR joint name to pose.
         objects: object id to pose.
