@@ -1,4 +1,4 @@
-"""`rhot replay`: a recording back on the bus, as if live."""
+"""`rhot replay`: a recording back on the bus, as it was or with today's times."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -14,11 +15,13 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from rhot.cli.live_rig import rig_clock, started
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
 from rhot.recording.mcap_reader import McapRecording, RecordedSample, open_mcap
 from rhot.recording.player import LATE_NS, REPLAY_SERVICE, PlayFigures, conflicts, moments, play
 from rhot.recording.replay_bus import ReplayBus, chosen_keys
+from rhot.recording.restamp import Restamp, clock_skew_ns
 from rhot.recording.session import EVERYTHING
 from rhot.rig import BusConfig
 from rhot.service.stop import Stop, install_stop
@@ -40,8 +43,7 @@ def _samples(
                 yield sample
 
 
-async def _refuse_conflicts(bus: ReplayBus, keys: frozenset[str]) -> None:
-    alive = [reply.key.removeprefix("rhot/alive/") for reply in await bus.who_is_alive() if reply.key]
+def _refuse_conflicts(keys: frozenset[str], alive: Sequence[str]) -> None:
     found = conflicts(sorted(keys), alive)
     if found:
         key, service = found[0]
@@ -53,7 +55,12 @@ async def _refuse_conflicts(bus: ReplayBus, keys: frozenset[str]) -> None:
 
 
 async def _play(
-    bus: ReplayBus, samples: Callable[[], Iterator[RecordedSample]], rate: float, loop: bool, start_ns: int, stop: Stop
+    put: Callable[[RecordedSample], None],
+    samples: Callable[[], Iterator[RecordedSample]],
+    rate: float,
+    loop: bool,
+    start_ns: int,
+    stop: Stop,
 ) -> PlayFigures:
     """Play on a thread of its own, once or until stopped, and show how it goes."""
     stopping = threading.Event()
@@ -62,7 +69,7 @@ async def _play(
     def run() -> None:
         while True:
             before = figures.sent
-            play(samples(), bus.put_sample, rate=rate, stopping=stopping, figures=figures)
+            play(samples(), put, rate=rate, stopping=stopping, figures=figures)
             if stopping.is_set() or not loop or figures.sent == before:
                 return
 
@@ -124,33 +131,45 @@ async def _replay(
     recordings: Sequence[McapRecording],
     *,
     key_expr: str,
+    only: Sequence[str],
     rate: float,
     step: bool,
     loop: bool,
+    now: bool,
     span_s: tuple[float, float | None],
     force: bool,
 ) -> int:
     stop = install_stop()
-    keys = chosen_keys(tuple(dict.fromkeys(key for recording in recordings for key in recording.keys)), key_expr)
-    if not keys:
-        raise ConfigError(f"{recordings[0].path}: no key matches {key_expr}; it holds {_held(recordings)}")
+    keys = _chosen(recordings, key_expr, only)
     start_ns = recordings[0].start_ns
 
     def samples() -> Iterator[RecordedSample]:
         return _samples(recordings, keys, *span_s)
 
+    console = Console(stderr=True, soft_wrap=True)
     bus = await ReplayBus.open(config, timeout_s=_CONNECT_TIMEOUT_S)
-    async with bus:
+    async with bus, contextlib.AsyncExitStack() as stack:
+        alive = [reply.key.removeprefix("rhot/alive/") for reply in await bus.who_is_alive() if reply.key]
         if not force:
-            await _refuse_conflicts(bus, keys)
+            _refuse_conflicts(keys, alive)
         for key in sorted(keys):
             bus.answer_with_last(key)
+        put = bus.put_sample
+        if now:
+            restamp = Restamp(rate, clock_skew_ns(samples()), await rig_clock(bus))
+            if alive:
+                await stack.enter_async_context(started(bus, time.strftime("replay-%Y%m%d-%H%M%S")))
+
+            def put(sample: RecordedSample) -> None:
+                bus.put_sample(restamp(sample))
+
+        elif alive:
+            console.print(f"[yellow]{', '.join(alive)}: services refuse times over 2 s old; --now gives today's[/]")
         bus.alive(f"rhot/alive/{REPLAY_SERVICE}/main")
         if step:
             figures = await _step(bus, samples(), start_ns, stop)
         else:
-            figures = await _play(bus, samples, rate, loop, start_ns, stop)
-    console = Console(stderr=True, soft_wrap=True)
+            figures = await _play(put, samples, rate, loop, start_ns, stop)
     if not figures.sent and not stop.requested.is_set():
         console.print("[yellow]no message lies in this part of the recording[/]")
     elif step:
@@ -163,6 +182,23 @@ async def _replay(
     if figures.fell_behind:
         console.print(f"[yellow]this machine was too busy: the replay fell behind {figures.fell_behind} times[/]")
     return stop.exit_code
+
+
+def _chosen(recordings: Sequence[McapRecording], key_expr: str, only: Sequence[str]) -> frozenset[str]:
+    keys = chosen_keys(tuple(dict.fromkeys(key for recording in recordings for key in recording.keys)), key_expr)
+    for topic in only:
+        if not any(_topic(key) == topic for key in keys):
+            raise ConfigError(f"{recordings[0].path}: --only {topic}: nothing of that; it holds {_held(recordings)}")
+    if only:
+        keys = frozenset(key for key in keys if _topic(key) in only)
+    if not keys:
+        raise ConfigError(f"{recordings[0].path}: no key matches {key_expr}; it holds {_held(recordings)}")
+    return keys
+
+
+def _topic(key: str) -> str:
+    """Return the second chunk of a key, such as `markers`."""
+    return "".join(key.split("/")[1:2])
 
 
 def _held(recordings: Sequence[McapRecording]) -> str:
@@ -187,6 +223,18 @@ def _held(recordings: Sequence[McapRecording]) -> str:
     show_default=True,
     help="Only keys that match, such as 'rhot/hand/*'.",
 )
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="KIND",
+    help="Only keys of this kind, such as markers or hand. May be repeated.",
+)
+@click.option(
+    "--now",
+    is_flag=True,
+    help="Give messages today's times, so that living services work on them, and start these if they wait. Payloads "
+    "are not the recorded bytes then.",
+)
 @click.option("--step", is_flag=True, help="Put out one moment each time Enter is pressed.")
 @click.option("--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
 @click.option("--from", "from_s", type=click.FloatRange(min=0), default=0.0, help="Begin this many seconds in.")
@@ -198,6 +246,8 @@ def replay(
     files: tuple[Path, ...],
     rate: float,
     key_expr: str,
+    only: tuple[str, ...],
+    now: bool,
     step: bool,
     loop: bool,
     from_s: float,
@@ -213,12 +263,17 @@ def replay(
     sees the recorded one, with its recorded times; a router must run (`rhot router`). Keys that a running service
     publishes are refused.
 
+    Services do not believe messages from the past. With --now times are moved to today, and with --only markers a
+    running fusion and ik (`rhot up`) track the recorded markers anew. At another pace than 1 the hand then moves at
+    another speed, too.
+
     \b
     rhot replay grasp.mcap
-    rhot replay grasp.mcap --keys 'rhot/hand/*' --rate 0.25 --loop
+    rhot replay grasp.mcap --only markers --now
+    rhot replay grasp.mcap --only hand --rate 0.25 --loop
     """
-    if step and loop:
-        raise click.UsageError("--step and --loop exclude each other")
+    if step and (loop or now):
+        raise click.UsageError(f"--step and {'--loop' if loop else '--now'} exclude each other")
     if to_s is not None and to_s <= from_s:
         raise click.UsageError(f"--to {to_s:g} must be greater than --from {from_s:g}")
     recordings = [open_mcap(file) for file in files]
@@ -231,9 +286,11 @@ def replay(
             config,
             recordings,
             key_expr=key_expr,
+            only=only,
             rate=rate,
             step=step,
             loop=loop,
+            now=now,
             span_s=(from_s, to_s),
             force=force,
         )

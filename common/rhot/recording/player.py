@@ -15,7 +15,8 @@ from rhot.recording.mcap_reader import RecordedSample
 
 LATE_NS: Final = 2_000_000
 """A sample that leaves later than this after its time counts as late."""
-_GIVE_UP_NS: Final = 500_000_000
+GIVE_UP_NS: Final = 500_000_000
+"""A replay that is this late goes on from where it is."""
 
 _OWNERS: Final = {
     "markers": "capture",
@@ -79,7 +80,7 @@ def play(
         figures.log_ns = sample.log_ns
         figures.late += late_ns > LATE_NS
         figures.worst_late_ns = max(figures.worst_late_ns, late_ns)
-        if late_ns > _GIVE_UP_NS:
+        if late_ns > GIVE_UP_NS:
             # The machine slept, or a reader blocked: samples sent in a heap would only be late for longer.
             begun_ns += late_ns
             figures.fell_behind += 1
