@@ -1,0 +1,327 @@
+"""One foot out of everything that is known of it: marker, depth image and inertial sensor, each at its own time.
+
+Without a sensor, and until its alignment is learnt (`rhot_feet.alignment`), the foot is a body that accelerates at
+random (`foot_filter_kinematic`); the sensor then only tells when it stands. Afterwards the sensor carries the foot and
+pictures and stand-stills correct it (`foot_filter_inertial`). A sensor that falls silent hands over to the first again,
+and one that comes back is taken up by the marker's orientation, through the mounting that was learnt.
+
+Every observation passes a gate on its innovation. What the gate turns away is remembered: when several in a row agree
+with each other, the foot is there and the filter was wrong, and it starts anew at that place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion
+from rhot_feet.alignment import Alignment, AlignmentLearner
+from rhot_feet.foot_filter_history import Felt, History
+from rhot_feet.foot_filter_inertial import InertialModel
+from rhot_feet.foot_filter_kinematic import KinematicModel, KinematicState
+from rhot_feet.foot_filter_model import FootFilterSettings, FootMotion, FootState, Observation, Stage
+from rhot_feet.imu_sources.samples import ImuSamples
+from rhot_feet.inertial import LONGEST_STEP_S, up_rotation
+from rhot_feet.strapdown import ACCELEROMETER, LEVER, MOUNTING, InertialState, InertialStep, Strapdown
+from rhot_feet.zero_velocity import GRAVITY, Rest, StillnessDetector
+
+FloatArray = NDArray[np.float64]
+State = TypeVar("State")
+
+_NO_RATE: Final = np.zeros(3)
+_FLOOR: Final = 0.001**2 * np.eye(3)
+"""m²: no place out of a picture is better than a millimetre."""
+_ROTATION_FLOOR: Final = np.radians(1.0) ** 2 * np.eye(3)
+_FASTEST: Final = 8.0
+"""m/s; feet are not faster."""
+_GAP_S: Final = 0.03
+"""Samples further apart than this have others missing between them."""
+_RETURN_YAW_RAD: Final = math.radians(8.0)
+_MOUNTED: Final = math.radians(20.0)
+"""A mounting known better than this, over all axes, serves a sensor that comes back."""
+
+
+@dataclass(slots=True)
+class FilterCounts:
+    """What happened to the measurements.
+
+    Attributes:
+        accepted: observations that were put in.
+        gated: turned away by the gate.
+        rotations_gated: taken without their orientation.
+        late: older than the horizon.
+        restarts: times the filter started anew at an observed place.
+    """
+
+    accepted: int = 0
+    gated: int = 0
+    rotations_gated: int = 0
+    late: int = 0
+    restarts: int = 0
+
+
+class FootFilter:
+    """Filters one foot; reads no clock, so the same measurements always give the same answer."""
+
+    def __init__(self, settings: FootFilterSettings | None = None) -> None:
+        self.settings = settings or FootFilterSettings()
+        self.counts = FilterCounts()
+        up = np.array(self.settings.up)
+        self._C = up_rotation(up)
+        strapdown = Strapdown(-GRAVITY * self._C[:, 2], self.settings.noise)
+        self._inertial = InertialModel(strapdown, self._C)
+        self._kinematic = KinematicModel()
+        self._detector = StillnessDetector(self.settings.stillness)
+        self._learner = AlignmentLearner(self._C)
+        self._known: Alignment | None = None
+        self._felt: deque[Felt] = deque()
+        self._last_sample: tuple[int, FloatArray] | None = None
+        self._by_sensor: History[InertialState] | None = None
+        self._by_sight: History[KinematicState] | None = None
+        self._rejected: list[Observation] = []
+        self._rotations_rejected = 0
+        self._restarts_ns: deque[int] = deque(maxlen=3)
+        self._seen: dict[str, int] = {}
+
+    @property
+    def aligned(self) -> bool:
+        """Whether the inertial sensor carries the foot."""
+        return self._by_sensor is not None
+
+    def imu(self, samples: ImuSamples) -> None:
+        """Take samples of the sensor, not older than those before."""
+        rotations = rotation_from_quaternion(samples.orientation_xyzw) if len(samples) else ()
+        for t_ns, force, rate, R_world in zip(
+            samples.t_ns.tolist(), samples.specific_force, samples.angular_rate, rotations, strict=True
+        ):
+            self._sample(t_ns, force, rate, R_world)
+        self._learner.imu(samples)
+
+    def marker(
+        self,
+        t_ns: int,
+        position: FloatArray,
+        covariance: FloatArray,
+        orientation_xyzw: FloatArray | None = None,
+        orientation_covariance: FloatArray | None = None,
+    ) -> bool:
+        """Take a place of the foot's marker; tell whether it was believed.
+
+        Args:
+            t_ns: middle of the exposure, rig clock; may lie in the past.
+            position: (3,) metres, rig frame.
+            covariance: (3, 3) m².
+            orientation_xyzw: (4,) foot to rig, if it was seen.
+            orientation_covariance: (3, 3) rad², of its error as a rotation vector in the rig frame; 3° when left out.
+        """
+        rotation = None if orientation_xyzw is None else rotation_from_quaternion(orientation_xyzw)
+        spread = np.radians(3.0) ** 2 * np.eye(3) if orientation_covariance is None else orientation_covariance
+        return self._observe(
+            Observation(t_ns, position, covariance + _FLOOR, rotation, spread + _ROTATION_FLOOR, "marker")
+        )
+
+    def depth(self, t_ns: int, position: FloatArray, covariance: FloatArray) -> bool:
+        """Take a place of the foot's origin (3,) out of the depth image; tell whether it was believed."""
+        return self._observe(Observation(t_ns, position, covariance + _FLOOR, None, _ROTATION_FLOOR, "depth"))
+
+    def state(self, t_ns: int) -> FootState | None:
+        """Return the foot at a moment, usually now; None before it was first seen."""
+        self._hand_over(t_ns)
+        motion = self._motion(t_ns)
+        if motion is None:
+            return None
+        rest = self._rest(t_ns)
+        return FootState(
+            t_ns,
+            motion.position,
+            motion.velocity,
+            quaternion_from_rotation(motion.rotation),
+            motion.covariance,
+            motion.rotation_covariance,
+            self._stage(t_ns),
+            rest is not None and rest.still,
+            max(self._seen.values()),
+        )
+
+    def _sample(self, t_ns: int, force: FloatArray, rate: FloatArray, R_world: FloatArray) -> None:
+        last, self._last_sample = self._last_sample, (t_ns, force)
+        if last is None or not 0 < t_ns - last[0] <= LONGEST_STEP_S * 1e9:
+            self._detector.reset()
+            self._felt.clear()
+            self._hand_over(t_ns)
+            return
+        h = (t_ns - last[0]) * 1e-9
+        rest = self._detector.add(h, force, rate)
+        felt = Felt(t_ns, last[0], InertialStep(h, last[1], force, h * rate, h > _GAP_S), rate, rest, R_world)
+        self._felt.append(felt)
+        while t_ns - self._felt[0].t_ns > 2 * self.settings.horizon_ns:
+            self._felt.popleft()
+        history = self._by_sensor or self._by_sight
+        if history is not None and felt.t_ns >= history.start_ns:
+            history.add(felt)
+
+    def _observe(self, observation: Observation) -> bool:
+        self._hand_over(observation.t_ns)
+        if self._by_sensor is None and self._by_sight is None:
+            self._begin(observation)
+            return True
+        history = self._by_sensor or self._by_sight
+        if history is None or observation.t_ns < history.start_ns:
+            self.counts.late += 1
+            return False
+        position, rotation = self._surprise(observation)
+        if position > self.settings.gate:
+            return self._turned_away(observation)
+        self._rejected.clear()
+        if rotation > self.settings.gate:
+            self.counts.rotations_gated += 1
+            self._rotations_rejected += 1
+            observation = replace(observation, rotation=None)
+        elif observation.rotation is not None:
+            self._rotations_rejected = 0
+        history.add(observation)
+        self._accepted(observation)
+        return True
+
+    def _accepted(self, observation: Observation) -> None:
+        self.counts.accepted += 1
+        self._seen[observation.stage] = max(observation.t_ns, self._seen.get(observation.stage, 0))
+        if observation.stage == "marker":
+            sigma = math.sqrt(float(np.trace(observation.covariance)) / 3.0)
+            self._learner.marker(observation.t_ns, observation.position, sigma, observation.rotation)
+        if self._by_sensor is None:
+            self._take_up(observation)
+
+    def _surprise(self, observation: Observation) -> tuple[float, float]:
+        if self._by_sensor is not None:
+            return self._inertial.surprise(self._by_sensor.at(observation.t_ns), observation)
+        if self._by_sight is not None:
+            return self._kinematic.surprise(self._by_sight.at(observation.t_ns), observation)
+        return 0.0, 0.0
+
+    def _turned_away(self, observation: Observation) -> bool:
+        """Remember what the gate turned away; start anew when enough of it agrees."""
+        self.counts.gated += 1
+        if self._rejected and not _agree(self._rejected[-1], observation):
+            self._rejected.clear()
+        self._rejected.append(observation)
+        if len(self._rejected) < self.settings.agreeing:
+            return False
+        self.counts.restarts += 1
+        self._rejected.clear()
+        self._restarts_ns.append(observation.t_ns)
+        often = len(self._restarts_ns) == 3 and observation.t_ns - self._restarts_ns[0] < 3_000_000_000
+        if self._by_sensor is not None and not often:
+            state = self._inertial.restart(self._by_sensor.at(observation.t_ns), observation)
+            self._by_sensor = self._again(History(self._inertial, observation.t_ns, state, self.settings.horizon_ns))
+        else:
+            # The sensor led astray again and again: what was learnt about it is wrong.
+            self._learner.forget()
+            self._known = None
+            self._begin(observation)
+        self._accepted(observation)
+        return True
+
+    def _begin(self, observation: Observation) -> None:
+        state = self._kinematic.start(observation.position, observation.covariance, observation.rotation)
+        self._by_sensor = None
+        self._by_sight = self._again(History(self._kinematic, observation.t_ns, state, self.settings.horizon_ns))
+        self._seen[observation.stage] = observation.t_ns
+
+    def _again(self, history: History[State]) -> History[State]:
+        """Put what the sensor felt since the beginning of a history into it."""
+        for felt in self._felt:
+            if felt.start_ns >= history.start_ns:
+                history.add(felt)
+        return history
+
+    def _take_up(self, observation: Observation) -> None:
+        """Let the sensor carry the foot as soon as its alignment is known."""
+        alignment = self._learner.alignment or self._returned(observation)
+        felt = self._felt_at(observation.t_ns)
+        if alignment is None or felt is None or self._by_sight is None:
+            return
+        motion = self._kinematic.motion(self._by_sight.at(observation.t_ns), _NO_RATE)
+        state = self._inertial.start(alignment, felt.R_world, motion, felt.rate)
+        history = History(self._inertial, observation.t_ns, state, self.settings.horizon_ns)
+        self._by_sensor, self._by_sight = self._again(history), None
+        self._rotations_rejected = 0
+
+    def _returned(self, observation: Observation) -> Alignment | None:
+        """Return the alignment of a sensor that was away, with the yaw that the marker's orientation gives it now."""
+        known, felt = self._known, self._felt_at(observation.t_ns)
+        if known is None or not known.mounted or observation.rotation is None or felt is None:
+            return None
+        level = self._C.T @ observation.rotation @ known.M.T @ felt.R_world.T
+        yaw = math.atan2(level[1, 0] - level[0, 1], level[0, 0] + level[1, 1])
+        return replace(known, yaw_rad=yaw, yaw_sigma_rad=_RETURN_YAW_RAD)
+
+    def _hand_over(self, t_ns: int) -> None:
+        """Go on without the sensor when it has been silent for too long, as of a moment."""
+        history = self._by_sensor
+        if history is None or self._last_sample is None:
+            return
+        silent_ns = self._last_sample[0]
+        if self._felt and t_ns - silent_ns <= LONGEST_STEP_S * 1e9:
+            return
+        state = history.at(history.newest_ns)
+        kinematic = self._kinematic.follow(self._inertial.motion(state, state.rate_bias))
+        self._known = self._learned(state)
+        self._learner.forget()
+        self._by_sensor = None
+        self._by_sight = History(self._kinematic, history.newest_ns, kinematic, self.settings.horizon_ns)
+
+    def _learned(self, state: InertialState) -> Alignment | None:
+        """Return what is known of lever and mounting when the sensor goes away; its yaw may be another afterwards."""
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3], covariance[3:, 3:] = state.P[LEVER, LEVER], state.P[ACCELEROMETER, ACCELEROMETER]
+        mounted = float(np.trace(state.P[MOUNTING, MOUNTING])) < _MOUNTED**2
+        return Alignment(
+            0.0, math.pi, state.lever.copy(), state.acceleration_bias.copy(), covariance, state.M.copy(), mounted
+        )
+
+    def _felt_at(self, t_ns: int) -> Felt | None:
+        """Return the sample nearest to a moment, if one is near."""
+        # From the newest backwards: what is asked for is seldom older than a picture.
+        nearest = None
+        for felt in reversed(self._felt):
+            if nearest is not None and abs(felt.t_ns - t_ns) > abs(nearest.t_ns - t_ns):
+                break
+            nearest = felt
+        if nearest is None or abs(nearest.t_ns - t_ns) > LONGEST_STEP_S * 1e9:
+            return None
+        return nearest
+
+    def _rest(self, t_ns: int) -> Rest | None:
+        felt = self._felt_at(t_ns)
+        return None if felt is None else felt.rest
+
+    def _motion(self, t_ns: int) -> FootMotion | None:
+        if self._by_sensor is not None:
+            felt = self._felt_at(t_ns)
+            return self._inertial.motion(self._by_sensor.at(t_ns), _NO_RATE if felt is None else felt.rate)
+        if self._by_sight is not None:
+            return self._kinematic.motion(self._by_sight.at(t_ns), _NO_RATE)
+        return None
+
+    def _stage(self, t_ns: int) -> Stage:
+        if t_ns - self._seen.get("marker", 0) <= self.settings.fresh_ns:
+            return "marker"
+        if t_ns - self._seen.get("depth", 0) <= self.settings.fresh_ns:
+            return "depth"
+        return "inertial" if self._by_sensor is not None else "lost"
+
+
+def _agree(before: Observation, after: Observation) -> bool:
+    """Whether one foot may have been at both places, one after the other."""
+    span_s = (after.t_ns - before.t_ns) * 1e-9
+    if not 0.0 < span_s < 0.3:
+        return False
+    room = _FASTEST * span_s + 4.0 * math.sqrt(float(np.trace(before.covariance + after.covariance)))
+    change = after.position - before.position
+    return math.sqrt(float(change @ change)) <= room

@@ -1,0 +1,75 @@
+"""The clock of a sensor on a wire, mapped to the rig clock.
+
+A sensor stamps its samples with a counter of 32 bits that wraps around, and they arrive some time later. A delay is
+never negative, so of all offsets arrival − stamp the smallest is nearest to the truth; it is kept, and rises slowly,
+because two quartzes never run alike:
+
+    offset ← min(offset + drift · elapsed, arrival − stamp).
+
+The shortest delay itself (a millisecond or so on a serial line) stays in the offset.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+_WRAP: Final = 1 << 32
+_DRIFT: Final = 100e-6
+"""How far two quartzes may run apart."""
+_LONGEST_NS: Final = 1_000_000_000
+"""A stamp that jumps further, or backwards, is doubted."""
+_CONFIRMED: Final = 5
+"""So many doubted stamps in a row that follow each other show that the sensor was restarted."""
+
+
+class DeviceClock:
+    """Unwraps the counter of one sensor and maps it to rig time; reads no clock itself."""
+
+    def __init__(self, tick_ns: int) -> None:
+        """Set the counter's unit, nanoseconds."""
+        self._tick_ns = tick_ns
+        self._stamp: int | None = None
+        self._start_ns = 0
+        self._device_ns = 0
+        self._offset_ns = 0.0
+        self._doubted: list[int] = []
+        self._last_ns = 0
+
+    def to_rig_ns(self, stamp: int, arrival_ns: int) -> int | None:
+        """Return the rig time of a sample; None when its stamp cannot be believed or it came out before another.
+
+        The offset may fall a lot when the first samples were read late; what then would lie before its predecessor is
+        dropped.
+
+        Args:
+            stamp: the sensor's counter, in [0, 2^32).
+            arrival_ns: rig time at which the sample was read.
+        """
+        if self._stamp is None:
+            self._begin(stamp, arrival_ns)
+        step_ns = self._step_ns(self._stamp or 0, stamp)
+        if step_ns is None:
+            if self._doubted and self._step_ns(self._doubted[-1], stamp) is None:
+                self._doubted.clear()
+            self._doubted.append(stamp)
+            if len(self._doubted) < _CONFIRMED:
+                return None
+            self._begin(stamp, arrival_ns)
+            step_ns = 0
+        self._doubted.clear()
+        self._stamp = stamp
+        self._device_ns += step_ns
+        self._offset_ns = min(self._offset_ns + _DRIFT * step_ns, arrival_ns - self._start_ns - self._device_ns)
+        t_ns = self._start_ns + self._device_ns + round(self._offset_ns)
+        if t_ns < self._last_ns + step_ns // 2:
+            return None
+        self._last_ns = t_ns
+        return t_ns
+
+    def _begin(self, stamp: int, arrival_ns: int) -> None:
+        # Offsets count from the beginning: those since the epoch have no room in a float.
+        self._stamp, self._start_ns, self._device_ns, self._offset_ns = stamp, arrival_ns, 0, 0.0
+
+    def _step_ns(self, before: int, after: int) -> int | None:
+        step_ns = (after - before) % _WRAP * self._tick_ns
+        return step_ns if step_ns <= _LONGEST_NS else None

@@ -1,0 +1,268 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from foot_walk import START_NS, Walk
+from numpy.typing import NDArray
+
+from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
+from rhot_feet.alignment import AlignmentLearner
+from rhot_feet.foot_filter import FootFilter
+from rhot_feet.foot_filter_model import FootState
+from rhot_feet.foot_rotation import rotation_between
+from rhot_feet.imu_sources import ImuSamples
+from rhot_feet.inertial import FusedReader, up_rotation
+from rhot_feet.thesis_filter import ThesisFilter
+
+FloatArray = NDArray[np.float64]
+
+LATE_S = 0.035
+"""How late a picture is."""
+SIGMA_M = 0.003
+ROTATION_SIGMA = float(np.radians(2.0))
+
+
+def ns(t: float) -> int:
+    return START_NS + round(t * 1e9)
+
+
+@dataclass(frozen=True)
+class Track:
+    """What a filter said at the arrival of each picture, and by how much it was wrong."""
+
+    t: FloatArray
+    error_m: FloatArray
+    turn_deg: FloatArray
+    states: list[FootState]
+
+    def after(self, t: float) -> FloatArray:
+        return self.error_m[self.t > t]
+
+    def stages(self, stage: str) -> NDArray[np.bool_]:
+        return np.array([state.stage == stage for state in self.states])
+
+
+@lru_cache(maxsize=8)
+def sensed(walk: Walk, seed: int) -> tuple[FloatArray, FloatArray]:
+    """What the sensor sends from a second before the walk on."""
+    return walk.imu(np.arange(-1.0, 11.0, 0.01), seed)
+
+
+def follow(
+    walk: Walk,
+    seconds: float,
+    foot: FootFilter | ThesisFilter,
+    *,
+    sensor: Callable[[float], bool] = lambda _t: True,
+    seen: Callable[[float], bool] = lambda _t: True,
+    false_share: float = 0.0,
+    late_s: float = LATE_S,
+    seed: int = 0,
+    turn_yaw_rad: Callable[[float], float] = lambda _t: 0.0,
+) -> Track:
+    """Run a filter on 100 samples and 60 pictures a second; the foot stands for a second before it walks."""
+    random = np.random.default_rng(seed)
+    t_imu, t_picture = np.arange(-1.0, seconds, 0.01), np.arange(-0.997, seconds - late_s - 0.01, 1.0 / 60.0)
+    acceleration, quaternions = sensed(walk, seed)
+    reader = FusedReader()
+    events = sorted([(t, 0, k) for k, t in enumerate(t_imu)] + [(t + late_s, 1, k) for k, t in enumerate(t_picture)])
+    times, errors, turns, states = [], [], [], []
+    for now, is_picture, k in events:
+        if not is_picture:
+            if sensor(now):
+                yaw = turn_yaw_rad(now)
+                spin = np.array([0.0, 0.0, np.sin(yaw / 2.0), np.cos(yaw / 2.0)])
+                world = rotation_from_quaternion(spin) @ rotation_from_quaternion(quaternions[k])
+                q = quaternion_from_rotation(world)
+                foot.imu(reader.read(np.array([ns(now)]), acceleration[k : k + 1], q[None]))
+            continue
+        t = float(t_picture[k])
+        if seen(t):
+            place, R = walk.foot(t)
+            place = place + random.normal(0.0, SIGMA_M, 3)
+            if random.random() < false_share:
+                place = place + random.normal(0.0, 1.0, 3)
+            turned = rotation_from_vector(random.normal(0.0, ROTATION_SIGMA, 3)) @ R
+            foot.marker(
+                ns(t), place, SIGMA_M**2 * np.eye(3), quaternion_from_rotation(turned), ROTATION_SIGMA**2 * np.eye(3)
+            )
+        state = foot.state(ns(now))
+        if state is not None:
+            place, R = walk.foot(now)
+            times.append(now)
+            errors.append(float(np.linalg.norm(state.position - place)))
+            turn = rotation_between(rotation_from_quaternion(state.orientation_xyzw), R)
+            turns.append(float(np.degrees(np.linalg.norm(turn))))
+            states.append(state)
+    return Track(np.array(times), np.array(errors), np.array(turns), states)
+
+
+def test_walking_with_sensor_and_marker() -> None:
+    foot = FootFilter()
+    track = follow(Walk(), 8.0, foot)
+    assert foot.aligned
+    assert track.after(2.0).mean() < 0.003
+    assert track.after(2.0).max() < 0.012
+    assert track.turn_deg[track.t > 2.0].mean() < 1.0
+    standing = np.array([state.stationary for state in track.states]) & (track.t > 2.0)
+    assert 0.3 < standing[track.t > 2.0].mean() < 0.6
+    assert track.error_m[standing].mean() < 0.0016
+    # What it says of its own error is neither boastful nor shy.
+    sigma = np.array([state.sigma_m for state in track.states])[track.t > 2.0]
+    assert 0.5 < np.sqrt((track.after(2.0) ** 2).mean()) / np.sqrt((sigma**2).mean()) < 2.0
+    assert foot.counts.gated <= 2 and foot.counts.restarts == 0
+
+
+def test_standing_still_is_below_a_millimetre() -> None:
+    track = follow(Walk(stride_m=0.0, height_m=0.0, pitch_rad=0.0, heading_rad=0.0), 5.0, FootFilter())
+    assert track.after(1.0).mean() < 0.001
+    assert all(state.stationary and state.stage == "marker" for state in track.states[60:])
+
+
+def test_without_a_sensor() -> None:
+    foot = FootFilter()
+    track = follow(Walk(), 6.0, foot, sensor=lambda _t: False)
+    assert not foot.aligned
+    assert track.after(1.0).mean() < 0.025
+    assert foot.counts.restarts == 0
+
+
+def test_hidden_in_steps() -> None:
+    """Hidden for a second each time: by the sensor alone within 60 mm, and right again as soon as it is seen."""
+    foot = FootFilter()
+    track = follow(Walk(), 11.0, foot, seen=lambda t: t < 4.0 or t % 2.3 > 1.0)
+    alone = track.stages("inertial")
+    assert alone.sum() > 100
+    assert track.error_m[alone].max() < 0.040
+    back = (track.t > 4.0) & track.stages("marker") & (track.t % 2.3 > 1.0 + LATE_S)
+    assert track.error_m[back].max() < 0.020
+    sigma = np.array([state.sigma_m for state in track.states])[alone]
+    assert sigma.mean() < 0.05 and (track.error_m[alone] < 4.0 * sigma).all()
+
+
+def test_false_markers_do_not_move_it() -> None:
+    foot = FootFilter()
+    track = follow(Walk(), 8.0, foot, false_share=0.1, seed=3)
+    assert track.after(3.0).max() < 0.020
+    assert foot.counts.gated > 30
+
+
+def test_sensor_pulled_out_and_plugged_in_again_with_another_north() -> None:
+    foot = FootFilter()
+    track = follow(
+        Walk(), 9.0, foot, sensor=lambda t: not 4.0 < t < 5.5, turn_yaw_rad=lambda t: 2.0 if t > 5.0 else 0.0
+    )
+    away = (track.t > 4.5) & (track.t < 5.4)
+    assert track.error_m[away].mean() < 0.025
+    assert foot.aligned
+    assert track.after(6.2).mean() < 0.004
+
+
+def test_unseen_without_a_sensor_holds_the_place_and_says_so() -> None:
+    foot = FootFilter()
+    track = follow(Walk(), 4.0, foot, sensor=lambda _t: False, seen=lambda t: t < 2.0)
+    late = track.t > 2.3
+    assert all(state.stage == "lost" for state, is_late in zip(track.states, late, strict=True) if is_late)
+    places = np.array([state.position for state in track.states])[late]
+    assert np.linalg.norm(places - places[-1], axis=1).max() < 0.02
+    assert track.states[-1].sigma_m > 0.5
+
+
+def test_a_marker_that_is_really_elsewhere_is_followed() -> None:
+    """After enough observations that agree the filter starts anew there."""
+    foot = FootFilter()
+    covariance = SIGMA_M**2 * np.eye(3)
+    for k in range(60):
+        assert foot.marker(ns(k / 60.0), np.zeros(3), covariance)
+    answers = [foot.marker(ns(k / 60.0), np.array([1.0, 0.0, 0.0]), covariance) for k in range(60, 80)]
+    assert not any(answers[:6]) and all(answers[8:])
+    state = foot.state(ns(80 / 60.0))
+    assert state is not None and abs(state.position[0] - 1.0) < 0.01
+
+
+def test_order_of_arrival_does_not_matter() -> None:
+    """A picture that is 100 ms late leads to the same state as one that is not."""
+    answers = []
+    for late_s in (0.0, 0.1):
+        foot = FootFilter()
+        follow(Walk(), 3.0, foot, late_s=late_s)
+        state = foot.state(ns(2.9))
+        assert state is not None
+        answers.append(state.position)
+    np.testing.assert_allclose(answers[0], answers[1], atol=0.003)
+
+
+def test_what_is_too_late_is_left_out_and_memory_is_bounded() -> None:
+    foot = FootFilter()
+    follow(Walk(), 3.0, foot)
+    assert not foot.marker(ns(1.0), np.zeros(3), np.eye(3) * 1e-6)
+    assert foot.counts.late == 1
+    history = foot._by_sensor
+    assert history is not None and len(history._moments) < 60 and len(foot._felt) < 60
+
+
+def test_depth_alone_is_smoothed() -> None:
+    foot = FootFilter()
+    random = np.random.default_rng(0)
+    errors = []
+    for k in range(180):
+        foot.depth(ns(k / 60.0), random.normal(0.0, 0.012, 3), 0.012**2 * np.eye(3))
+        state = foot.state(ns(k / 60.0))
+        assert state is not None and state.stage == "depth"
+        errors.append(float(np.linalg.norm(state.position)))
+    # Each place alone is 19 mm off on average.
+    assert np.mean(errors[60:]) < 0.012
+
+
+@pytest.mark.parametrize("yaw_rad", [-2.5, 0.0, 3.1])
+def test_alignment_is_learnt_from_the_first_steps(yaw_rad: float) -> None:
+    walk = Walk(yaw_rad=yaw_rad)
+    learner = AlignmentLearner(up_rotation(np.array([0.0, 1.0, 0.0])))
+    t = np.arange(-1.0, 3.0, 0.01)
+    samples = FusedReader().read(np.array([ns(x) for x in t]), *walk.imu(t, 2))
+    random = np.random.default_rng(7)
+    first = None
+    for k, now in enumerate(t):
+        learner.imu(samples.rows(k, k + 1))
+        if k % 2:
+            place, R = walk.foot(now)
+            learner.marker(ns(now), place + random.normal(0.0, SIGMA_M, 3), SIGMA_M, R)
+        if first is None and learner.alignment is not None:
+            first = now
+    assert first is not None and first < 1.7
+    alignment = learner.alignment
+    assert alignment is not None and alignment.mounted
+    # What the learnt yaw makes of the sensor's own orientation is the sensor's orientation in the rig.
+    _, R_sensor = walk.sensor(float(t[-1]))
+    c, s = np.cos(alignment.yaw_rad), np.sin(alignment.yaw_rad)
+    level = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    R = up_rotation(np.array([0.0, 1.0, 0.0])) @ level @ rotation_from_quaternion(samples.orientation_xyzw[-1])
+    assert np.degrees(np.linalg.norm(rotation_between(R, R_sensor))) < 3.0
+    assert np.degrees(np.linalg.norm(rotation_between(alignment.M, walk.R_sensor_foot))) < 3.0
+
+
+def test_alignment_is_not_claimed_without_motion() -> None:
+    walk = Walk(stride_m=0.0, height_m=0.0, pitch_rad=0.0, heading_rad=0.0)
+    foot = FootFilter()
+    follow(walk, 3.0, foot)
+    assert not foot.aligned
+
+
+def test_thesis_filter_lags_and_ours_does_not() -> None:
+    """The same data through the filter of 2021: its smoothing alone costs tens of milliseconds."""
+    thesis = follow(Walk(), 5.0, ThesisFilter())
+    assert thesis.after(2.0).mean() > 0.02
+    assert thesis.states[-1].stage == "marker"
+    still = follow(Walk(stride_m=0.0, height_m=0.0, pitch_rad=0.0, heading_rad=0.0), 3.0, ThesisFilter())
+    assert still.after(1.5).mean() < 0.005
+    assert sum(state.stationary for state in still.states[60:]) > 0.9 * len(still.states[60:])
+
+
+def test_nothing_is_known_before_it_was_seen() -> None:
+    for foot in (FootFilter(), ThesisFilter()):
+        foot.imu(ImuSamples.none())
+        assert foot.state(START_NS) is None

@@ -1,0 +1,87 @@
+"""A foot that walks in minimum-jerk steps, with what a marker and a sensor on the ankle would say of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.rotations import quaternion_from_rotation, rotation_from_vector, rotation_x, rotation_y, rotation_z
+
+FloatArray = NDArray[np.float64]
+
+START_NS = 1_700_000_000_000_000_000
+UP = np.array([0.0, 1.0, 0.0])
+C = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""From level axes (z up) to the rig frame (y up)."""
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Steps of `stride_m` in `swing_s` with stands of `stance_s` between, along −z of the rig, y up.
+
+    The sensor sits `lever` away (marker in the sensor's frame), turned by `R_sensor_foot`; its own level world lies
+    `yaw_rad` from the rig's.
+    """
+
+    stride_m: float = 1.2
+    height_m: float = 0.12
+    swing_s: float = 0.5
+    stance_s: float = 0.6
+    pitch_rad: float = 0.7
+    heading_rad: float = 0.4
+    yaw_rad: float = 2.3
+    lever: tuple[float, float, float] = (0.04, -0.06, 0.1)
+    mounting: tuple[float, float, float] = (0.5, -0.8, 1.1)
+
+    @property
+    def R_sensor_foot(self) -> FloatArray:
+        return rotation_from_vector(np.array(self.mounting))
+
+    def foot(self, t: float) -> tuple[FloatArray, FloatArray]:
+        """Position (3,) of the foot's origin and R_rig_foot at a time; the foot stands before 0."""
+        period = self.swing_s + self.stance_s
+        count, phase = divmod(max(t, 0.0), period)
+        s = min(phase / self.swing_s, 1.0)
+        done = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        bump = 64.0 * (s * (1.0 - s)) ** 3
+        heading = rotation_y(self.heading_rad * (1.0 if count % 2 else 0.6))
+        way = sum(
+            (
+                rotation_y(self.heading_rad * (1.0 if k % 2 else 0.6)) @ [0.0, 0.0, -self.stride_m]
+                for k in range(int(count))
+            ),
+            np.zeros(3),
+        )
+        place = np.array([0.1, 0.08, -0.3]) + way + done * (heading @ [0.0, 0.0, -self.stride_m])
+        turn_before = self.heading_rad * (0.6 if count % 2 else 1.0) if count else self.heading_rad * 0.6
+        turn_now = self.heading_rad * (1.0 if count % 2 else 0.6)
+        yaw = turn_before + done * (turn_now - turn_before)
+        pitch = -self.pitch_rad * bump * np.sin(2.0 * np.pi * s)
+        return place + bump * self.height_m * UP, rotation_y(yaw) @ rotation_x(pitch)
+
+    def sensor(self, t: float) -> tuple[FloatArray, FloatArray]:
+        """Position (3,) of the sensor and R_rig_sensor."""
+        place, R_foot = self.foot(t)
+        R = R_foot @ self.R_sensor_foot.T
+        return place - R @ np.array(self.lever), R
+
+    def imu(
+        self, t: FloatArray, seed: int, *, noise: float = 0.05, bias: float = 0.1, angle_rad: float = 5e-4
+    ) -> tuple[FloatArray, FloatArray]:
+        """Linear acceleration (N, 3) and quaternions (N, 4), as a BNO080 sends them."""
+        random = np.random.default_rng(seed)
+        d = 1e-3
+        offset = random.normal(0.0, bias, 3)
+        tilt = rotation_from_vector(np.append(random.normal(0.0, 0.015, 2), 0.0))
+        accelerations, quaternions = np.empty((len(t), 3)), np.empty((len(t), 4))
+        for k, now in enumerate(t):
+            (before, _), (place, R), (after, _) = self.sensor(now - d), self.sensor(now), self.sensor(now + d)
+            a = (before - 2.0 * place + after) / d**2
+            force = R.T @ (a + 9.81 * UP) + offset + random.normal(0.0, noise, 3)
+            world = rotation_z(-self.yaw_rad) @ C.T @ R
+            world = rotation_from_vector(random.normal(0.0, angle_rad, 3)) @ tilt @ world
+            quaternions[k] = quaternion_from_rotation(world)
+            accelerations[k] = force - 9.81 * world[2]
+        return accelerations, quaternions
