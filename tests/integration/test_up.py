@@ -35,7 +35,7 @@ def make_rig(folder: Path, cameras: tuple[str, ...]) -> Path:
 @pytest.mark.parametrize("wait_for", ["routing on", "session"])
 def test_ctrl_c_ends_all_of_it_at_once_whatever_it_is_doing(tmp_path: Path, wait_for: str) -> None:
     rig = make_rig(tmp_path / "rig", ("left", "right"))
-    command = [sys.executable, "-m", "rhot", "up", "--rig", str(rig)]
+    command = [sys.executable, "-m", "rhot", "up", "--no-viewer", "--rig", str(rig)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         assert process.stdout is not None
         for line in process.stdout:
@@ -56,7 +56,11 @@ def test_a_service_that_cannot_run_ends_it_with_its_reason(tmp_path: Path) -> No
     rig = make_rig(tmp_path / "rig", ("left",))
     begun = time.monotonic()
     done = subprocess.run(
-        [sys.executable, "-m", "rhot", "up", "--rig", str(rig)], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-m", "rhot", "up", "--no-viewer", "--rig", str(rig)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
     assert time.monotonic() - begun < 10.0, "nobody waits for a rig that cannot come up"
     assert done.returncode == 1

@@ -15,6 +15,7 @@ import click
 from rich.console import Console
 
 from rhot.cli.options import rig_option
+from rhot.cli.page import free_page_port, page_command, page_options, page_url
 from rhot.errors import ConfigError
 from rhot.evaluate.table import summary
 from rhot.rig import Rig, load_rig
@@ -64,7 +65,10 @@ from rhot.sim.run import SimRun, free_endpoint
     show_default=True,
     help="What the cameras see: gestures and grasps, open hands that never move, or a chessboard to calibrate with.",
 )
-@click.option("--headless", is_flag=True, help="No live table, only a line now and then and the summary.")
+@click.option(
+    "--headless", is_flag=True, help="No web page and no live table, only a line now and then and the summary."
+)
+@page_options
 @click.option(
     "--report",
     "report_path",
@@ -88,6 +92,8 @@ def sim(
     hands: str,
     motion: Literal["script", "still", "board"],
     headless: bool,
+    viewer: bool,
+    page_port: int,
     report_path: Path | None,
     endpoint: str | None,
     rig_path: Path,
@@ -95,8 +101,9 @@ def sim(
     """Run a whole simulated rig on this machine and show how well it tracks.
 
     Every part is a process of its own, as on a real rig: one capture service per camera (each renders what its camera
-    would see, with lens, noise, blur, rolling shutter, lost frames and a clock of its own), fusion, ik and objects; the
-    router runs inside this process. While it runs, look at any key from another terminal:
+    would see, with lens, noise, blur, rolling shutter, lost frames and a clock of its own), fusion, ik, objects and the
+    web page; the router runs inside this process. While it runs, open http://localhost:8080, or look at any key from
+    another terminal:
 
     \b
     rhot status
@@ -135,10 +142,15 @@ def sim(
                 )
         if chosen != DEFAULT_ENDPOINT:
             console.print(f"The router listens on {chosen}: give the other commands --connect {chosen}", soft_wrap=True)
+        port = free_page_port(page_port) if viewer and not headless else None
+        page = None if port is None else page_command(port)
+        if port is not None:
+            console.print(f"The page is at {page_url(port)}", soft_wrap=True)
         if rig.config.sim.motion == "board":
-            board = run_board(rig, chosen, duration_s if _is_given(context, "duration_s") else None, work, console)
+            limit_s = duration_s if _is_given(context, "duration_s") else None
+            board = run_board(rig, chosen, limit_s, work, console, page)
             return 128 + signal.SIGINT if asyncio.run(_unless_interrupted(board)) else 0
-        run = SimRun(rig, chosen, duration_s, work)
+        run = SimRun(rig, chosen, duration_s, work, page)
         interrupted = asyncio.run(_unless_interrupted(run.execute(console, live=not headless and console.is_terminal)))
         if interrupted:
             console.print("interrupted; no summary")

@@ -12,6 +12,7 @@ import click
 from rhot.bus import Bus
 from rhot.cli.control import broadcast, new_session
 from rhot.cli.options import rig_option, tool_bus
+from rhot.cli.page import free_page_port, page_command, page_options
 from rhot.errors import BusError
 from rhot.rig import BusConfig, load_rig
 from rhot.service.stop import install_stop
@@ -25,27 +26,33 @@ _RIG_TIMEOUT_S = 20.0
 
 @click.command()
 @click.option("--no-start", is_flag=True, help="Do not broadcast `start`; wait for `rhot start`.")
+@page_options
 @rig_option
-def up(no_start: bool, rig_path: Path) -> int:
-    """Run router, fusion, ik and objects on this machine and start the rig; Ctrl-C ends all of them.
+def up(no_start: bool, viewer: bool, page_port: int, rig_path: Path) -> int:
+    """Run router, fusion, ik, objects and the web page on this machine and start the rig; Ctrl-C ends all of them.
 
     The capture services run on the Pis (rhot capture --camera NAME) and join by themselves. A router that already
     answers is used instead of a second one.
     """
-    return asyncio.run(_up(rig_path, start=not no_start))
+    port = free_page_port(page_port) if viewer else None
+    return asyncio.run(_up(rig_path, port, start=not no_start))
 
 
-async def _up(rig_path: Path, *, start: bool) -> int:
+async def _up(rig_path: Path, page_port: int | None, *, start: bool) -> int:
     rig = load_rig(rig_path)
     bus_config = tool_bus(rig_path, (), None)
     stop = install_stop()
     supervisor = Supervisor()
+    # On its own: the page is for looking, and tracking goes on without it.
+    beside = Supervisor()
     watching: list[asyncio.Task[Any]] = []
     try:
         if not await _answers(bus_config):
             await supervisor.start("router", ["router", "--rig", str(rig_path)])
         for name in ("fusion", "ik", *(["objects"] if rig.config.objects else [])):
             await supervisor.start(name, [name, "--rig", str(rig_path)])
+        if page_port is not None:
+            await beside.start("viewer", [*page_command(page_port), "--rig", str(rig_path)])
         failed = asyncio.create_task(supervisor.wait_for_failure())
         asked = asyncio.create_task(stop.requested.wait())
         watching += [failed, asked]
@@ -63,7 +70,7 @@ async def _up(rig_path: Path, *, start: bool) -> int:
         for task in watching:
             task.cancel()
         await asyncio.gather(*watching, return_exceptions=True)
-        await supervisor.stop()
+        await asyncio.gather(supervisor.stop(), beside.stop())
     return stop.exit_code
 
 

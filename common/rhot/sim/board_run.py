@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -17,7 +18,9 @@ from rhot.sim.processes import service_commands, with_processes
 _START_DELAY_S: Final = 0.5
 
 
-async def run_board(rig: Rig, endpoint: str, duration_s: float | None, work: Path, console: Console) -> None:
+async def run_board(
+    rig: Rig, endpoint: str, duration_s: float | None, work: Path, console: Console, page: Sequence[str] | None = None
+) -> None:
     """Run router, capture services, the rig's clock (fusion) and the truth until the time is over or cancelled.
 
     Args:
@@ -26,11 +29,12 @@ async def run_board(rig: Rig, endpoint: str, duration_s: float | None, work: Pat
         duration_s: seconds to run; None = until cancelled.
         work: folder for logs.
         console: takes what to type next.
+        page: the command that opens the web page, see `service_commands`.
 
     Raises:
         RhotError: the router or a service did not come up, or one ended by itself.
     """
-    services = service_commands(rig, endpoint, ("fusion", "truth"))
+    services = service_commands(rig, endpoint, ("fusion", "truth"), page)
     await with_processes(endpoint, services, work, partial(_show_board, rig, endpoint, duration_s, console))
 
 

@@ -17,11 +17,21 @@ from rhot.supervisor import Supervisor
 _UP_LIMIT_S: Final = 30.0
 
 
-def service_commands(rig: Rig, endpoint: str, names: Iterable[str]) -> dict[str, list[str]]:
-    """Return the commands that run a rig's capture services and the other services named, by their names on the bus."""
+def service_commands(
+    rig: Rig, endpoint: str, names: Iterable[str], page: Sequence[str] | None = None
+) -> dict[str, list[str]]:
+    """Return the commands that run a rig's capture services and the other services named, by their names on the bus.
+
+    Args:
+        rig: loaded.
+        endpoint: of the router.
+        names: of the services beside capture.
+        page: the command that opens the web page, without the rig's own options; None = no page.
+    """
     options = ["--rig", str(rig.path), "--connect", endpoint]
     services = {f"capture/{name}": ["capture", "--camera", name, *options] for name in rig.config.cameras}
-    return services | {f"{name}/main": [name, *options] for name in names}
+    services |= {f"{name}/main": [name, *options] for name in names}
+    return services if page is None else services | {"viewer/main": [*page, *options]}
 
 
 async def with_processes(

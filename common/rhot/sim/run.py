@@ -7,6 +7,7 @@ import gc
 import socket
 import sys
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -43,7 +44,9 @@ _SWITCH_S: Final = 0.0005
 class SimRun:
     """A simulated rig, run once."""
 
-    def __init__(self, rig: Rig, endpoint: str, duration_s: float, work: Path) -> None:
+    def __init__(
+        self, rig: Rig, endpoint: str, duration_s: float, work: Path, page: Sequence[str] | None = None
+    ) -> None:
         """Prepare a run.
 
         Args:
@@ -51,8 +54,10 @@ class SimRun:
             endpoint: where the router of this run listens.
             duration_s: seconds from start to stop.
             work: folder for logs.
+            page: the command that opens the web page, see `service_commands`.
         """
         self._rig = rig
+        self._page = page
         self._endpoint = endpoint
         self._duration_s = duration_s
         self._logs = work
@@ -67,7 +72,7 @@ class SimRun:
     def _services(self) -> dict[str, list[str]]:
         """Names on the bus and the commands that run them."""
         names = ["fusion", "ik", "truth", *(["objects"] if self._rig.config.objects else [])]
-        return service_commands(self._rig, self._endpoint, names)
+        return service_commands(self._rig, self._endpoint, names, self._page)
 
     async def execute(self, console: Console, *, live: bool) -> None:
         """Start everything, run for the duration, end everything.

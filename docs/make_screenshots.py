@@ -1,0 +1,111 @@
+"""Take the documentation's pictures of the web page: `python docs/make_screenshots.py [--rate HZ]`.
+
+Runs `rhot sim` with its page, opens it in a headless Chromium as a person would, and writes PNGs to `docs/images/`.
+Needs Chromium (Debian: `apt install chromium`) and `pip install 'rhot[dev]'`. A browser without a graphics card draws
+on the processor, beside the simulator; with fewer frames a second of each camera both fit on two cores.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import click
+
+DOCS = Path(__file__).resolve().parent
+sys.path.insert(0, str(DOCS.parent / "tests" / "support"))
+
+from browser import CHROMIUM, Browser, open_browser  # noqa: E402
+
+IMAGES = DOCS / "images"
+DESKTOP = (1280, 800)
+TABLET = (1024, 768)
+SIM_S = 240
+UP_S = 60.0
+SETTLE_S = 3.0
+"""A picture has no event that says that all of it is drawn: light, textures and pictures come one after the other."""
+LOAD_S = 12.0
+"""The scene brightens slowly after it has been loaded."""
+CHARTS_S = 45.0
+
+
+@click.command()
+@click.option("--rate", "rate_hz", default=10.0, show_default=True, help="Frames per second of each simulated camera.")
+@click.option("--hands", default="right", show_default=True, help="As of `rhot sim`.")
+def main(rate_hz: float, hands: str) -> None:
+    """Take all pictures; the exit code is 1 where that is not possible or the page reported an error."""
+    if CHROMIUM is None:
+        raise click.ClickException("no Chromium on this machine; Debian: apt install chromium")
+    IMAGES.mkdir(exist_ok=True)
+    command = [sys.executable, "-u", "-m", "rhot", "sim", "--hands", hands, "--rate", str(rate_hz)]
+    with subprocess.Popen([*command, "--duration", str(SIM_S)], stdout=subprocess.PIPE, text=True) as simulation:
+        try:
+            url = page_of(simulation)
+            with open_browser(f"{url}/?fixedDpr=1", *DESKTOP) as browser:
+                take_desktop(browser)
+                errors = list(browser.errors)
+            with open_browser(f"{url}/?fixedDpr=1", *TABLET) as browser:
+                ready(browser)
+                save(browser, "tablet")
+                errors += browser.errors
+        finally:
+            simulation.send_signal(signal.SIGINT)
+    if errors:
+        raise click.ClickException("the page reported: " + "; ".join(errors))
+
+
+def page_of(simulation: subprocess.Popen[str]) -> str:
+    """Return the page's address as soon as the simulation tells it."""
+    if simulation.stdout is None:
+        raise RuntimeError("the simulation's output is not read")
+    for line in simulation.stdout:
+        found = re.search(r"http://\S+", line)
+        if found:
+            return found.group().replace("localhost", "127.0.0.1")
+    raise RuntimeError("the simulation ended without a page")
+
+
+def ready(browser: Browser) -> None:
+    """Wait for a page with a hand, and put away the browser's notice that it has no graphics card."""
+    browser.wait_for("document.body?.innerText.includes('measured')", UP_S)
+    browser.evaluate("document.querySelectorAll('[class*=Notification-closeButton]').forEach(button => button.click())")
+    time.sleep(LOAD_S)
+
+
+def take_desktop(browser: Browser) -> None:
+    """Take every tab."""
+    ready(browser)
+    browser.click_text("View", "[role=tab]")
+    browser.click_text("hand")
+    save(browser, "hand")
+    browser.click_text("Pictures", "[role=tab]")
+    save(browser, "pictures")
+    browser.click_text("look through left")
+    save(browser, "look-through")
+    browser.click_text("Cameras", "[role=tab]")
+    browser.click_text("View", "[role=tab]")
+    browser.click_text("whole rig")
+    browser.click_text("Cameras", "[role=tab]")
+    save(browser, "cameras")
+    browser.click_text("Timeline", "[role=tab]")
+    time.sleep(CHARTS_S)
+    save(browser, "timeline")
+    # Last, and not first: by now the scene is as bright as it gets.
+    browser.click_text("Live", "[role=tab]")
+    save(browser, "live")
+
+
+def save(browser: Browser, name: str) -> None:
+    """Write what the window shows now."""
+    time.sleep(SETTLE_S)
+    file = IMAGES / f"{name}.png"
+    file.write_bytes(browser.screenshot())
+    click.echo(file.relative_to(DOCS.parent))
+
+
+if __name__ == "__main__":
+    main()

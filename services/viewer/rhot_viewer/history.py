@@ -1,0 +1,89 @@
+"""The last two minutes of every service as rows of figures, for charts."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.messages import ServiceStatus
+
+FloatArray = NDArray[np.float64]
+
+SECONDS: Final = 120
+_LOST: Final = ("dropped_late", "missed", "invalid", "overwritten", "failed")
+"""Counts of what did not get through: late, lost by the source, refused, replaced unread, not digested."""
+OWN_FIGURES: Final = "viewer"
+"""The viewer's rows are left out of the charts: it looks, it does not track."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """One chart.
+
+    Attributes:
+        x_s: (n,) seconds before now, negative.
+        rows: name to (n,) values; 0 = nothing was heard.
+    """
+
+    x_s: FloatArray
+    rows: Mapping[str, FloatArray]
+
+
+def rate_hz(status: ServiceStatus) -> float:
+    """Return how many messages a service puts out per second."""
+    return status.rates.get("output", status.rates.get("frames", float("nan")))
+
+
+def latency_ms(status: ServiceStatus, percentile: str = "p99") -> float:
+    """Return how old a service's output is when it leaves, milliseconds."""
+    return 1e3 * status.latency_s.get("output_age", {}).get(percentile, float("nan"))
+
+
+def lost(status: ServiceStatus) -> int:
+    """Return how many samples have not got through a service since it started."""
+    return sum(status.counts.get(name, 0) for name in _LOST)
+
+
+class History:
+    """Figures once a second, for as long as the charts reach back."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, dict[str, deque[float]]] = {kind: {} for kind in ("rate", "latency", "lost", "error")}
+        self._lost_before: dict[str, int] = {}
+        self._count = 0
+
+    def add(self, statuses: Mapping[str, ServiceStatus], errors_mm: Mapping[str, float]) -> None:
+        """Take the figures of one second.
+
+        Args:
+            statuses: by `service/instance`, those heard of in the last seconds.
+            errors_mm: errors by name, millimetres.
+        """
+        self._count = min(self._count + 1, SECONDS)
+        shown = {name: s for name, s in statuses.items() if s.service != OWN_FIGURES}
+        self._append("rate", {name: rate_hz(s) for name, s in shown.items()})
+        self._append("latency", {name: latency_ms(s) for name, s in shown.items()})
+        # A count that falls is that of a service that was started again.
+        self._append("lost", {n: max(0, lost(s) - self._lost_before.get(n, lost(s))) for n, s in shown.items()})
+        self._lost_before |= {name: lost(s) for name, s in shown.items()}
+        self._append("error", errors_mm)
+
+    def _append(self, kind: str, values: Mapping[str, float]) -> None:
+        rows = self._rows[kind]
+        for name in values:
+            if name not in rows:
+                rows[name] = deque([0.0] * (self._count - 1), maxlen=SECONDS)
+        for name, row in rows.items():
+            row.append(float(np.nan_to_num(values.get(name, 0.0))))
+        for name in [name for name, row in rows.items() if len(row) == SECONDS and name not in values and not any(row)]:
+            del rows[name]
+
+    def chart(self, kind: str) -> Chart:
+        """Return a chart: `rate` (1/s), `latency` (p99, ms), `lost` (1/s) or `error` (mm)."""
+        rows = {name: np.array(row) for name, row in sorted(self._rows[kind].items())}
+        return Chart(np.arange(1 - self._count, 1, dtype=np.float64), rows)

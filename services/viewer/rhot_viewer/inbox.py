@@ -1,0 +1,103 @@
+"""The newest sample of every key that the page shows, decoded only when somebody looks."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, TypeVar
+
+from rhot.bus import Bus, Sample
+from rhot.errors import WireError
+from rhot.messages import Message, decode
+from rhot.service import Node
+
+M = TypeVar("M", bound=Message)
+
+MOVING_KEYS: Final = (
+    "rhot/hand/*",
+    "rhot/points",
+    "rhot/object/*",
+    "rhot/head",
+    "rhot/foot/*",
+    "rhot/body",
+    "rhot/truth",
+)
+"""What moves: taken as soon as it comes while somebody looks."""
+SLOW_KEYS: Final = ("rhot/markers/*", "rhot/status/*/*")
+"""What is looked at now and then."""
+ALIVE_KEYS: Final = "rhot/alive/*/*"
+_IDLE_S: Final = 0.1
+_MAX_KEYS: Final = 1024
+"""The last part of a key is an outsider's choice: the table must not grow with it."""
+
+
+@dataclass(slots=True)
+class _Slot:
+    """The newest sample of a key; `message` is None until it is decoded, and stays so where it is invalid."""
+
+    sample: Sample
+    decoded: bool = False
+    message: Message | None = None
+
+
+class Inbox:
+    """Newest wins, per key; who is alive."""
+
+    def __init__(self) -> None:
+        self._refuse: Callable[[str, WireError], None] = lambda key, error: None
+        self._slots: dict[str, _Slot] = {}
+        self.alive: set[str] = set()
+
+    async def run(self, node: Node, is_looked_at: Callable[[], bool]) -> None:
+        """Receive until cancelled; what is invalid is counted in the service's status.
+
+        Args:
+            node: where messages come from.
+            is_looked_at: whether a browser is connected; without one the loop is woken a few times a second only.
+        """
+        self._refuse = node.refuse
+        async with asyncio.TaskGroup() as tasks:
+            for key in MOVING_KEYS:
+                tasks.create_task(self._receive(node.bus, key, is_looked_at))
+            for key in SLOW_KEYS:
+                tasks.create_task(self._receive(node.bus, key, lambda: False))
+            tasks.create_task(self._follow_alive(node.bus))
+
+    async def _receive(self, bus: Bus, key_expr: str, hurry: Callable[[], bool]) -> None:
+        async for sample in bus.latest(key_expr):
+            if not hurry():
+                # While nothing is taken, newer samples replace older ones without waking anybody.
+                await asyncio.sleep(_IDLE_S)
+            if sample.deleted or (sample.key not in self._slots and len(self._slots) >= _MAX_KEYS):
+                continue
+            self._slots[sample.key] = _Slot(sample)
+
+    async def _follow_alive(self, bus: Bus) -> None:
+        async for sample in bus.liveliness(ALIVE_KEYS):
+            name = sample.key.removeprefix("rhot/alive/")
+            if sample.deleted:
+                self.alive.discard(name)
+            else:
+                self.alive.add(name)
+
+    def newest(self, key: str, model: type[M], max_age_s: float) -> M | None:
+        """Return the newest message of a key; None when there is none, it is older, or it is invalid (counted)."""
+        slot = self._slots.get(key)
+        if slot is None or time.monotonic_ns() - slot.sample.arrived_ns > max_age_s * 1e9:
+            return None
+        if not slot.decoded:
+            slot.decoded = True
+            try:
+                slot.message = decode(slot.sample.payload, model)
+            except WireError as error:
+                self._refuse(key, error)
+        return slot.message if isinstance(slot.message, model) else None
+
+    def all_newest(self, prefix: str, model: type[M], max_age_s: float) -> dict[str, M]:
+        """Return the newest messages of all keys that begin with `prefix`, by what follows it."""
+        found = {
+            key[len(prefix) :]: self.newest(key, model, max_age_s) for key in self._slots if key.startswith(prefix)
+        }
+        return {name: message for name, message in sorted(found.items()) if message is not None}

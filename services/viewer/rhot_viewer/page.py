@@ -1,0 +1,122 @@
+"""The web page's server: opened on a port of its own choice or not at all, and who is looking.
+
+viser serves page, script and data from one process and one port, nothing comes from elsewhere, and the browser's side
+reconnects by itself. Its callbacks run on threads of its own; `Page.on_loop` brings them to our event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import io
+import logging
+import socket
+from collections.abc import Callable
+from typing import Any, Final, TypeVar
+
+import viser
+
+from rhot.errors import DeviceError
+
+logger = logging.getLogger(__name__)
+
+PANEL_WIDTH_PX: Final = 420
+"""Wide enough for a table of services, and leaves most of a tablet (1024 px) to the scene."""
+_BRAND_RGB: Final = (30, 110, 160)
+
+E = TypeVar("E")
+
+
+class Page:
+    """One page, looked at by any number of browsers.
+
+    Attributes:
+        server: viser's server: `scene` for 3D, `gui` for the panel.
+        url: where it is.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        """Open the page; call it on the event loop that will feed it.
+
+        Raises:
+            DeviceError: the port is taken or the address is not this machine's.
+        """
+        self._loop = asyncio.get_running_loop()
+        self._browsers: set[int] = set()
+        self._looked_at = asyncio.Event()
+        _check_free(host, port)
+        with _quiet():
+            self.server = viser.ViserServer(host=host, port=port, label="RHOT", verbose=False)
+        found = self.server.get_port()
+        if port not in (0, found):
+            # viser looks for the next free port by itself; a page that is not where it should be helps nobody.
+            self.close()
+            raise DeviceError(_taken(host, port))
+        shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::", "localhost") else host
+        self.url = f"http://{shown}:{found}"
+        self._set_theme()
+        self.server.on_client_connect(lambda client: self._soon(self._came, client.client_id))
+        self.server.on_client_disconnect(lambda client: self._soon(self._left, client.client_id))
+
+    def _set_theme(self) -> None:
+        # No share button: it would offer the page to the internet through a server of viser's makers.
+        self.server.gui.configure_theme(
+            dark_mode=True, show_logo=False, show_share_button=False, brand_color=_BRAND_RGB, control_width="large"
+        )
+        self.server.gui.main_panel.dock_right()
+        self.server.gui.main_panel.set_width(PANEL_WIDTH_PX)
+
+    def _came(self, browser: int) -> None:
+        self._browsers.add(browser)
+        self._looked_at.set()
+        logger.info("browser %d connected, %d in all", browser, len(self._browsers))
+
+    def _left(self, browser: int) -> None:
+        self._browsers.discard(browser)
+        if not self._browsers:
+            self._looked_at.clear()
+        logger.info("browser %d left, %d remain", browser, len(self._browsers))
+
+    @property
+    def browsers(self) -> int:
+        """How many browsers are connected."""
+        return len(self._browsers)
+
+    async def looked_at(self) -> None:
+        """Return once a browser is connected."""
+        await self._looked_at.wait()
+
+    def on_loop(self, work: Callable[[E], None]) -> Callable[[E], None]:
+        """Return a callback for viser that does its work on our event loop."""
+        return lambda event: self._soon(work, event)
+
+    def _soon(self, work: Callable[..., None], *arguments: Any) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop is closed: the process is ending
+            self._loop.call_soon_threadsafe(work, *arguments)
+
+    def close(self) -> None:
+        """Close the page; browsers show that they wait for it."""
+        with _quiet():
+            self.server.stop()
+
+
+def _quiet() -> contextlib.redirect_stdout[io.StringIO]:
+    """Keep viser from printing where `rhot up` shares a terminal."""
+    return contextlib.redirect_stdout(io.StringIO())
+
+
+def _check_free(host: str, port: int) -> None:
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        raise DeviceError(f"{_taken(host, port)} ({error.strerror or error})") from error
+
+
+def _taken(host: str, port: int) -> str:
+    return (
+        f"the page cannot be opened on {host} port {port}: another program, perhaps another viewer, has it, or the "
+        "address is not this machine's; choose another with --port or --host"
+    )

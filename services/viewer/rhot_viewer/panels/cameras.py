@@ -1,0 +1,100 @@
+"""Sliders that act on the running capture services."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from html import escape
+from typing import Any, Final
+
+import viser
+
+from rhot.messages import ServiceStatus
+from rhot_viewer.camera_sliders import CameraSlider, camera_sliders
+from rhot_viewer.capture_settings import CaptureSettings
+from rhot_viewer.inbox import Inbox
+from rhot_viewer.page import Page
+
+_HELD_S: Final = 0.8
+"""A slider that somebody has moved in this time is left alone: it would jump under their finger."""
+_NOTE: Final = "<div style='padding:0.1em 0.8em;font-size:0.9em;color:{color};overflow-wrap:anywhere'>{text}</div>"
+_STATUS_AGE_S: Final = 5.0
+
+
+@dataclass(slots=True)
+class _CameraFolder:
+    sliders: dict[CameraSlider, viser.GuiSliderHandle[float]]
+    note: viser.GuiHtmlHandle
+    shown_version: int = 0
+    moved_at: float = field(default=-_HELD_S)
+    digest: str = ""
+
+
+class CamerasPanel:
+    """Exposure, gain, white balance and colour thresholds of every camera."""
+
+    title = "Cameras"
+
+    def __init__(self, page: Page, settings: CaptureSettings, inbox: Inbox, markers: Iterable[str]) -> None:
+        self._page = page
+        self._settings = settings
+        self._inbox = inbox
+        self._sliders = camera_sliders(markers)
+        self._folders: dict[str, _CameraFolder] = {}
+
+    def build(self, gui: viser.GuiApi) -> None:
+        """Add a folder per camera; the sliders stay grey until the camera has told its settings."""
+        text = "What is moved here acts at once and lasts until the service restarts; rig.toml is not written."
+        gui.add_html(_NOTE.format(color="inherit", text=text))
+        for place, camera in enumerate(self._settings.cameras):
+            with gui.add_folder(f"Camera {camera}", expand_by_default=place == 0):
+                note = gui.add_html("")
+                optics = [slider for slider in self._sliders if not isinstance(slider.part, str)]
+                handles = {slider: self._add(gui, camera, slider) for slider in optics}
+                with gui.add_folder("Colour thresholds"):
+                    thresholds = [slider for slider in self._sliders if isinstance(slider.part, str)]
+                    handles |= {slider: self._add(gui, camera, slider) for slider in thresholds}
+            self._folders[camera] = _CameraFolder(handles, note)
+
+    def _add(self, gui: viser.GuiApi, camera: str, slider: CameraSlider) -> viser.GuiSliderHandle[float]:
+        handle = gui.add_slider(
+            slider.label, slider.low, slider.high, slider.step, slider.low, hint=slider.hint, disabled=True
+        )
+        handle.on_update(self._page.on_loop(self._moved(camera, slider)))
+        return handle
+
+    def _moved(self, camera: str, slider: CameraSlider) -> Callable[[viser.GuiEvent[Any]], None]:
+        def moved(event: viser.GuiEvent[Any]) -> None:
+            settings = self._settings.cameras[camera].settings
+            # Without a browser it was moved by us, to where the camera says it stands.
+            if event.client_id is None or slider.value_in(settings) is None:
+                return
+            self._folders[camera].moved_at = time.monotonic()
+            self._settings.ask(camera, slider.change_to(float(event.target.value), settings))
+
+        return moved
+
+    def update(self) -> None:
+        """Bring sliders to where the cameras stand; a refused one goes back and says why."""
+        for camera, folder in self._folders.items():
+            self._read_again(camera, folder)
+            state = self._settings.cameras[camera]
+            held = time.monotonic() - folder.moved_at < _HELD_S or self._settings.is_asked(camera)
+            if held or state.version == folder.shown_version:
+                continue
+            folder.shown_version = state.version
+            folder.note.content = _NOTE.format(color="#ff6b6b", text=escape(state.refusal)) if state.refusal else ""
+            for slider, handle in folder.sliders.items():
+                value = slider.value_in(state.settings)
+                handle.disabled = value is None
+                if value is not None:
+                    handle.value = value  # type: ignore[misc]  # viser's own setter
+
+    def _read_again(self, camera: str, folder: _CameraFolder) -> None:
+        """Ask for the settings when the camera appears, and when its status says that they have changed."""
+        status = self._inbox.newest(f"rhot/status/capture/{camera}", ServiceStatus, _STATUS_AGE_S)
+        digest = "" if status is None else status.config_digest
+        if digest and digest != folder.digest:
+            self._settings.ask(camera, {})
+        folder.digest = digest

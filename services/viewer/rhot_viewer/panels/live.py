@@ -1,0 +1,72 @@
+"""The first tab: is there a hand, who is alive, what went wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import viser
+
+from rhot.messages import ServiceStatus
+from rhot_viewer.inbox import Inbox
+from rhot_viewer.overview import Problems, hands_html, problems_html, services_html
+from rhot_viewer.rig_scene import RigScene
+
+STATUS_AGE_S = 5.0
+
+
+class LivePanel:
+    """Hand, services, problems."""
+
+    title = "Live"
+
+    def __init__(
+        self, scene: RigScene, inbox: Inbox, problems: Problems, router: str, rates_hz: Mapping[str, float]
+    ) -> None:
+        """Prepare the tab.
+
+        Args:
+            scene: what is shown.
+            inbox: what services say.
+            problems: what went wrong.
+            router: where the bus is, for people.
+            rates_hz: frames per second of each camera as configured.
+        """
+        self._scene = scene
+        self._inbox = inbox
+        self._problems = problems
+        self._router = router
+        self._rates_hz = rates_hz
+
+    def build(self, gui: viser.GuiApi) -> None:
+        """Add three tables."""
+        self._hands = gui.add_html("")
+        with gui.add_folder("Services"):
+            self._services = gui.add_html("")
+        with gui.add_folder("Newest problems"):
+            self._trouble = gui.add_html("")
+
+    def update(self) -> None:
+        """Write them anew; what has not changed is not sent."""
+        statuses = self._inbox.all_newest("rhot/status/", ServiceStatus, STATUS_AGE_S)
+        self._hands.content = hands_html(self._scene.seen.hands, self._waiting_for(statuses))
+        self._services.content = services_html(self._inbox.alive, statuses)
+        self._trouble.content = problems_html(self._problems.newest)
+
+    def _waiting_for(self, statuses: dict[str, ServiceStatus]) -> str:
+        alive = self._inbox.alive
+        if not alive:
+            return f"No service is there. Looking for the rig's router at {self._router}; `rhot up` starts it."
+        missing = [kind for kind in ("capture", "fusion", "ik") if not any(n.startswith(f"{kind}/") for n in alive)]
+        if missing:
+            return f"Not running: {', '.join(missing)}."
+        if all(status.state == "waiting" for name, status in statuses.items() if not name.startswith("viewer/")):
+            return "Every service waits; `rhot start` starts the rig."
+        slow = [
+            f"{camera} {rate:.0f} of {wanted:.0f}"
+            for camera, wanted in self._rates_hz.items()
+            if (status := statuses.get(f"capture/{camera}"))
+            and (rate := status.rates.get("frames", wanted)) < wanted / 2
+        ]
+        if slow:
+            return f"Pictures a second are too few: {', '.join(slow)}. Is that machine overloaded?"
+        return "No marker is seen. Is the hand in the pictures? Do the masks in the tab Pictures show its colours?"

@@ -1,0 +1,96 @@
+"""What each camera sees, large: with the markers drawn in, or what one marker's colour takes in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from html import escape
+from typing import Any, Final
+
+import viser
+
+from rhot.messages import MarkerFrame
+from rhot.rig.calibration import CameraCalibration
+from rhot_viewer.camera_layer import dark_picture, show_jpeg
+from rhot_viewer.inbox import Inbox
+from rhot_viewer.page import Page
+from rhot_viewer.picking import marker_at
+from rhot_viewer.picture_feed import Picture, PictureFeed
+from rhot_viewer.rig_scene import RigScene
+
+ALL_MARKERS: Final = "all markers"
+_FRAME_AGE_S: Final = 1.0
+_HELP: Final = (
+    "<div style='padding:0.2em 0.8em;font-size:0.85em;opacity:0.75'>Look through a camera, then click a marker in its "
+    "picture: its mask is shown, everything that its colour does not take in goes dark. A click beside all markers "
+    "brings the markers back.</div>"
+)
+
+
+class PicturesPanel:
+    """A picture per camera, a choice of masks, and a way to stand where a camera stands."""
+
+    title = "Pictures"
+
+    def __init__(
+        self,
+        page: Page,
+        scene: RigScene,
+        inbox: Inbox,
+        cameras: Mapping[str, CameraCalibration],
+        markers: Iterable[str],
+    ) -> None:
+        self._page = page
+        self._scene = scene
+        self._inbox = inbox
+        self._cameras = cameras
+        self._markers = tuple(markers)
+        self._choice: viser.GuiDropdownHandle[Any] | None = None
+        self._pictures: dict[str, viser.GuiImageHandle] = {}
+        self._notes: dict[str, viser.GuiHtmlHandle] = {}
+        self.feed = PictureFeed(cameras, self.show)
+        scene.on_picture_click(self._clicked)
+
+    def build(self, gui: viser.GuiApi) -> None:
+        """Add the choice, then picture after picture."""
+        self._choice = gui.add_dropdown(
+            "show", (ALL_MARKERS, *self._markers), hint="All markers, or the mask of one marker."
+        )
+        self._choice.on_update(self._page.on_loop(self._chosen))
+        gui.add_html(_HELP)
+        for name, camera in self._cameras.items():
+            look = gui.add_button(f"look through {name}", icon=viser.Icon.CAMERA)
+            look.on_click(self._page.on_loop(self._fly_to(name)))
+            self._pictures[name] = gui.add_image(dark_picture(camera.width, camera.height), format="jpeg")
+            self._notes[name] = gui.add_html("")
+
+    def update(self) -> None:
+        """Nothing: pictures come by themselves."""
+
+    def show(self, camera: str, picture: Picture) -> None:
+        """Show what a camera answered, here and in the scene."""
+        self._notes[camera].content = (
+            f"<div style='padding:0 0.8em;color:#e8590c'>{escape(camera)}: {escape(picture.problem)}</div>"
+            if picture.problem
+            else ""
+        )
+        if picture.jpeg:
+            show_jpeg(self._pictures[camera], picture.jpeg)
+            if self._scene.shown.cameras:
+                self._scene.cameras.show_picture(camera, picture.jpeg)
+
+    def select(self, marker: str | None) -> None:
+        """Show the mask of a marker in all pictures, or the markers."""
+        if self._choice is not None:
+            self._choice.value = marker or ALL_MARKERS  # type: ignore[misc]  # viser's own setter
+        self.feed.select(marker)
+
+    def _chosen(self, event: viser.GuiEvent[Any]) -> None:
+        value = event.target.value
+        self.feed.select(None if value == ALL_MARKERS else str(value))
+
+    def _clicked(self, camera: str, u: float, v: float) -> None:
+        frame = self._inbox.newest(f"rhot/markers/{camera}", MarkerFrame, _FRAME_AGE_S)
+        self.select(None if frame is None else marker_at(frame, u, v))
+
+    def _fly_to(self, camera: str) -> Callable[[viser.GuiEvent[Any]], None]:
+        return lambda event: self._scene.fly(event.client, camera)

@@ -1,0 +1,81 @@
+"""The cameras' live pictures, asked for a few times a second while somebody looks."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from rhot.bus import Bus
+from rhot.errors import BusError
+
+_TIMEOUT_S: Final = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """What a camera answered.
+
+    Attributes:
+        jpeg: the picture; empty without one.
+        problem: why there is none; empty otherwise.
+    """
+
+    jpeg: bytes = b""
+    problem: str = ""
+
+
+class PictureFeed:
+    """Asks every camera for its picture, with markers drawn in or with the mask of one marker.
+
+    Attributes:
+        mask: marker whose mask is shown; None shows the markers.
+    """
+
+    def __init__(self, cameras: Iterable[str], show: Callable[[str, Picture], None]) -> None:
+        """Prepare the feed.
+
+        Args:
+            cameras: their names.
+            show: takes a camera's name and what it answered, on the event loop.
+        """
+        self.mask: str | None = None
+        self._cameras = tuple(cameras)
+        self._show = show
+        self._now = asyncio.Event()
+
+    def select(self, mask: str | None) -> None:
+        """Show the mask of a marker, or the markers, from now on."""
+        self.mask = mask
+        self._now.set()
+
+    async def run(self, bus: Bus, interval_s: Callable[[], float], looked_at: Callable[[], Awaitable[object]]) -> None:
+        """Ask until cancelled.
+
+        Args:
+            bus: where the cameras are.
+            interval_s: seconds between two rounds.
+            looked_at: returns once a browser is connected.
+        """
+        while True:
+            await looked_at()
+            for camera, picture in zip(
+                self._cameras, await asyncio.gather(*(self._ask(bus, name) for name in self._cameras)), strict=True
+            ):
+                self._show(camera, picture)
+            try:
+                await asyncio.wait_for(self._now.wait(), interval_s())
+            except TimeoutError:
+                continue
+            self._now.clear()
+
+    async def _ask(self, bus: Bus, camera: str) -> Picture:
+        what = "overlay=markers" if self.mask is None else f"mask={self.mask}"
+        try:
+            replies = await bus.get(f"rhot/preview/{camera}?{what}", timeout_s=_TIMEOUT_S)
+        except BusError as error:
+            return Picture(problem=str(error))
+        if not replies:
+            return Picture(problem=f"no answer; is `rhot capture --camera {camera}` running?")
+        return Picture(problem=replies[0].error) if replies[0].error else Picture(jpeg=replies[0].payload)

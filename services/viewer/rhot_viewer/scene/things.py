@@ -1,0 +1,87 @@
+"""Everything beside the hand as balls, rods and boxes: markers, objects, head, feet and legs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from rhot.messages import BodyPose, FootPose, HeadPose, ObjectPose, PointSet
+from rhot.rotations import rotation_from_quaternion
+from rhot_viewer.scene.instances import Instances, Rgb, balls, instances, rods
+
+MARKER_RADIUS_M: Final = 0.0095
+PREDICTED_SHARE: Final = 0.6
+"""A predicted marker is drawn this much smaller."""
+UNKNOWN_COLOR: Final[Rgb] = (150, 150, 150)
+OBJECT_COLOR: Final[Rgb] = (214, 160, 60)
+OBJECT_SIZE_M: Final = (0.06, 0.06, 0.06)
+"""An object's pose says nothing of its shape: a cube stands for it, its axes show how it is turned."""
+HEAD_COLOR: Final[Rgb] = (110, 118, 130)
+HEADSET_SIZE_M: Final = (0.18, 0.10, 0.12)
+FOOT_COLOR: Final[Rgb] = (92, 128, 172)
+FOOT_SIZE_M: Final = (0.09, 0.06, 0.26)
+FOOT_MIDDLE_M: Final = (0.0, -0.04, 0.03)
+"""Middle of the foot's box in the frame of `FootPose`, whose origin is the marker on the instep."""
+PREDICTED_COLOR: Final[Rgb] = (150, 190, 235)
+LEG_COLOR: Final[Rgb] = (176, 182, 190)
+LEG_RADIUS_M: Final = 0.045
+
+_LEG: Final = ("hip", "knee", "ankle", "foot")
+
+
+def marker_balls(points: PointSet, colors: Mapping[str, Rgb]) -> Instances:
+    """Return the markers in their colours; what is only predicted is smaller."""
+    names = list(points.points)
+    radii = [MARKER_RADIUS_M * (1.0 if points.points[n].state == "measured" else PREDICTED_SHARE) for n in names]
+    centers = np.array([points.points[name].position for name in names]).reshape(-1, 3)
+    return balls(centers, np.array(radii), [colors.get(name, UNKNOWN_COLOR) for name in names])
+
+
+def object_boxes(objects: Mapping[str, ObjectPose], head: HeadPose | None) -> Instances:
+    """Return objects and the headset as boxes."""
+    poses = [(pose, OBJECT_SIZE_M, OBJECT_COLOR) for pose in objects.values()]
+    if head is not None:
+        poses.append((head, HEADSET_SIZE_M, HEAD_COLOR))
+    return instances(
+        [pose.position for pose, _, _ in poses],
+        np.array([_wxyz(pose.orientation) for pose, _, _ in poses]).reshape(-1, 4),
+        [size for _, size, _ in poses],
+        [color if pose.state == "measured" else PREDICTED_COLOR for pose, _, color in poses],
+    )
+
+
+def foot_boxes(feet: Mapping[str, FootPose]) -> Instances:
+    """Return feet as boxes around the marker on their instep."""
+    poses = list(feet.values())
+    turns = rotation_from_quaternion(np.array([pose.orientation for pose in poses]).reshape(-1, 4))
+    places = np.array([pose.position for pose in poses]).reshape(-1, 3)
+    return instances(
+        places + turns @ np.array(FOOT_MIDDLE_M),
+        np.array([_wxyz(pose.orientation) for pose in poses]).reshape(-1, 4),
+        np.tile(FOOT_SIZE_M, (len(poses), 1)),
+        [FOOT_COLOR if pose.state == "measured" else PREDICTED_COLOR for pose in poses],
+    )
+
+
+def leg_rods(body: BodyPose) -> tuple[Instances, Instances]:
+    """Return the joints (balls) and bones (rods) of hips and legs, as far as the message holds them."""
+    bones: list[tuple[str, str, bool]] = []
+    for side in ("left", "right"):
+        predicted = body.legs.get(side) == "predicted"
+        chain = ["hips", *(f"{side}_{part}" for part in _LEG)]
+        bones += [
+            (start, end, predicted) for start, end in pairwise(chain) if start in body.joints and end in body.joints
+        ]
+    starts = np.array([body.joints[start].position for start, _, _ in bones]).reshape(-1, 3)
+    ends = np.array([body.joints[end].position for _, end, _ in bones]).reshape(-1, 3)
+    colors = [PREDICTED_COLOR if predicted else LEG_COLOR for _, _, predicted in bones]
+    radii = np.full(len(bones), LEG_RADIUS_M)
+    return balls(ends, radii, colors), rods(starts, ends, 0.8 * radii, colors)
+
+
+def _wxyz(xyzw: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    x, y, z, w = xyzw
+    return w, x, y, z

@@ -1,0 +1,109 @@
+"""Where the page looks from: upright, at what matters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.rig import Rig
+from rhot_viewer.scene.cameras import PicturePlane
+
+FloatArray = NDArray[np.float64]
+
+OVERVIEW_FOV_RAD: Final = float(np.radians(48.0))
+_CLOSE_M: Final = 0.45
+_PERSON_M: Final = 1.0
+"""Height of what is looked at in a rig that tracks feet, above the floor's origin."""
+
+
+@dataclass(frozen=True, slots=True)
+class Viewpoint:
+    """A place to look from, rig frame.
+
+    Attributes:
+        position, look_at: (3,) metres.
+        up: (3,) unit vector that is upwards on the screen.
+        fov_rad: vertical field of view.
+    """
+
+    position: FloatArray
+    look_at: FloatArray
+    up: FloatArray
+    fov_rad: float
+
+
+def up_direction(rig: Rig) -> FloatArray:
+    """Return the direction against gravity (3,), unit vector, rig frame.
+
+    A rig with feet says it; otherwise the reference camera, whose frame the rig frame is, looks down at the desk.
+    """
+    feet = rig.config.feet
+    up = np.array(feet.up if feet is not None else (0.0, 0.0, -1.0))
+    unit: FloatArray = up / np.linalg.norm(up)
+    return unit
+
+
+def desk_middle(rig: Rig) -> FloatArray:
+    """Return the middle of the desk (3,), metres, rig frame: below the cameras; its distance is `[sim] desk_z_m`."""
+    centers = np.array([np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values()])
+    middle = centers.mean(axis=0)
+    down = -up_direction(rig)
+    below: FloatArray = middle + down * (rig.config.sim.desk_z_m - float(middle @ down))
+    return below
+
+
+def overview(rig: Rig) -> Viewpoint:
+    """Return the view of the person whose hand it is, who sits at the pictures' upper edge, −y."""
+    up = up_direction(rig)
+    if rig.config.feet is not None:
+        forward = _across(up)
+        middle = _PERSON_M * up
+        return Viewpoint(middle + 0.6 * up + 3.2 * forward, middle, up, OVERVIEW_FOV_RAD)
+    middle = desk_middle(rig) + 0.46 * up
+    position = middle + np.array([-0.5, -1.1, 0.0]) + 0.5 * up
+    return Viewpoint(position, middle, up, OVERVIEW_FOV_RAD)
+
+
+def close_up(rig: Rig, hands: FloatArray) -> Viewpoint:
+    """Return a view from near by at hands, as far away as they need; at the desk when there are none.
+
+    Args:
+        rig: loaded.
+        hands: (N, 3) their palms, metres, rig frame.
+    """
+    seen = overview(rig)
+    target = hands.mean(axis=0) if len(hands) else desk_middle(rig) + 0.1 * seen.up
+    apart_m = float(np.linalg.norm(hands - target, axis=1).max()) if len(hands) else 0.0
+    # Higher up than the overview: seen level from behind, the wrist hides the fingers.
+    away = seen.position - seen.look_at + 0.6 * seen.up
+    distance_m = _CLOSE_M + 2.0 * apart_m
+    return Viewpoint(target + distance_m * away / np.linalg.norm(away), target, seen.up, OVERVIEW_FOV_RAD)
+
+
+def through(plane: PicturePlane, aspect: float) -> Viewpoint:
+    """Return the camera's own view, in which its picture fills a window of `aspect` (width over height)."""
+    to_picture = float(np.linalg.norm(plane.center - plane.eye))
+    width, height = plane.size_m
+    tall = max(height, width / max(aspect, 0.1))
+    up = -plane.down / np.linalg.norm(plane.down)
+    return Viewpoint(plane.eye, plane.center, up, 2.0 * float(np.arctan(0.5 * tall / to_picture)))
+
+
+def volume_lines(low: tuple[float, float, float], high: tuple[float, float, float]) -> FloatArray:
+    """Return the edges (12, 2, 3) of the box between two corners, metres."""
+    bounds = np.array([low, high])
+    corners = np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    pairs = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+    edges: FloatArray = corners[np.array(pairs)]
+    return edges
+
+
+def _across(up: FloatArray) -> FloatArray:
+    """Return a unit vector (3,) at right angles to `up`, as near to z as can be (x where `up` is z)."""
+    axis = np.array([0.0, 0.0, 1.0]) if abs(up[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    level = axis - up * (axis @ up)
+    unit: FloatArray = level / np.linalg.norm(level)
+    return unit

@@ -1,0 +1,188 @@
+"""The viewer service: messages of the running rig in, a web page out."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import statistics
+import time
+from typing import Final
+
+from pydantic import BaseModel
+
+from rhot.clock import SystemClock
+from rhot.errors import ConfigError
+from rhot.messages import Control, ServiceStatus
+from rhot.rig import BusConfig, Rig
+from rhot.service import Node
+from rhot.service.runner import serve
+from rhot_viewer.capture_settings import CaptureSettings
+from rhot_viewer.config import ViewerConfig
+from rhot_viewer.history import History
+from rhot_viewer.inbox import Inbox
+from rhot_viewer.marker_colors import marker_colors
+from rhot_viewer.overview import Problems
+from rhot_viewer.page import Page
+from rhot_viewer.panels import CamerasPanel, LivePanel, Panel, PicturesPanel, TimelinePanel, ViewPanel
+from rhot_viewer.panels.live import STATUS_AGE_S
+from rhot_viewer.rig_scene import RigScene
+
+logger = logging.getLogger(__name__)
+
+_PANEL_INTERVAL_S: Final = 0.25
+_HISTORY_INTERVAL_S: Final = 1.0
+_NICE: Final = 10
+"""Where processors are short, tracking goes first and the page shows fewer frames."""
+
+
+class ViewerService:
+    """Shows a rig; see `rhot.service.Service` for the seam.
+
+    The page shows whatever is there, also before the rig is started and after it has stopped: `show` runs beside the
+    sessions, `run` only marks them.
+    """
+
+    name = "viewer"
+    instance = "main"
+    owns_clock = False
+
+    def __init__(self, page: Page, rig: Rig, router: str) -> None:
+        """Fill the page.
+
+        Args:
+            page: an open page.
+            rig: loaded.
+            router: where the bus is, for people.
+        """
+        self._page = page
+        self._config = ViewerConfig()
+        self._node: asyncio.Future[Node] = asyncio.get_running_loop().create_future()
+        self._inbox = Inbox()
+        self._history = History()
+        self._problems = Problems()
+        self._settings = CaptureSettings(rig.cameras)
+        self._scene = RigScene(page, rig, self._inbox, marker_colors(rig))
+        pictures = PicturesPanel(page, self._scene, self._inbox, rig.cameras, rig.config.markers)
+        self._pictures = pictures.feed
+        self.panels: list[Panel] = [
+            LivePanel(
+                self._scene,
+                self._inbox,
+                self._problems,
+                router,
+                {name: camera.rate_hz for name, camera in rig.config.cameras.items()},
+            ),
+            pictures,
+            CamerasPanel(page, self._settings, self._inbox, rig.config.markers),
+            TimelinePanel(self._history),
+            ViewPanel(page, self._scene),
+        ]
+        gui = page.server.gui
+        tabs = gui.add_tab_group()
+        for panel in self.panels:
+            with tabs.add_tab(panel.title):
+                panel.build(gui)
+
+    @property
+    def config(self) -> ViewerConfig:
+        """The configuration in force."""
+        return self._config
+
+    def reconfigure(self, config: BaseModel) -> None:
+        """Take other rates."""
+        if not isinstance(config, ViewerConfig):
+            raise ConfigError(f"{type(config).__name__} is not a ViewerConfig")
+        self._config = config
+
+    def attach(self, node: Node) -> None:
+        """Take the bus."""
+        node.status.watch(lambda: ({"browsers": float(self._page.browsers)}, ""))
+        self._node.set_result(node)
+
+    async def run(self, node: Node, start: Control) -> None:
+        """Begin new trails; the page goes on by itself."""
+        self._scene.new_session()
+        await asyncio.Event().wait()
+
+    async def show(self) -> None:
+        """Feed the page until cancelled."""
+        node = await self._node
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._inbox.run(node, lambda: self._page.browsers > 0))
+            tasks.create_task(self._settings.run(node.bus))
+            tasks.create_task(
+                self._pictures.run(node.bus, lambda: 1.0 / self._config.picture_rate_hz, self._page.looked_at)
+            )
+            tasks.create_task(self._keep_history())
+            tasks.create_task(self._update_panels())
+            tasks.create_task(self._send_frames(node))
+
+    async def _send_frames(self, node: Node) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        while True:
+            await self._page.looked_at()
+            begun = time.perf_counter()
+            self._scene.frame()
+            node.status.tick("output")
+            node.status.latency("compute", time.perf_counter() - begun)
+            # Too slow for the rate: what is past is skipped instead of run after.
+            due = max(due + 1.0 / self._config.rate_hz, loop.time())
+            await asyncio.sleep(due - loop.time())
+
+    async def _update_panels(self) -> None:
+        while True:
+            await self._page.looked_at()
+            for panel in self.panels:
+                panel.update()
+            await asyncio.sleep(_PANEL_INTERVAL_S)
+
+    async def _keep_history(self) -> None:
+        """Keep the figures also while nobody looks, so that the charts are full when somebody comes."""
+        while True:
+            statuses = self._inbox.all_newest("rhot/status/", ServiceStatus, STATUS_AGE_S)
+            self._problems.add(time.strftime("%H:%M:%S"), statuses)
+            self._history.add(statuses, self._errors_mm())
+            await asyncio.sleep(_HISTORY_INTERVAL_S)
+
+    def _errors_mm(self) -> dict[str, float]:
+        """Return how far fingertips are from the truth (simulation), and how well markers fit the hand.
+
+        Hands are decoded only while somebody looks.
+        """
+        if not self._page.browsers:
+            return {}
+        taken, self._scene.seen.tip_errors_mm = self._scene.seen.tip_errors_mm, {}
+        errors = {f"{name} tip": statistics.median(values) for name, values in taken.items()}
+        for side, pose in self._scene.seen.hands.items():
+            if pose.residual:
+                errors[f"{side} markers' fit"] = 1e3 * statistics.median(pose.residual.values())
+        return errors
+
+
+async def serve_page(rig: Rig, bus_config: BusConfig, host: str, port: int) -> int:
+    """Open the page and run the service until SIGINT or SIGTERM; return the exit code.
+
+    Raises:
+        DeviceError: the port is taken.
+    """
+    page = Page(host, port)
+    with contextlib.suppress(AttributeError, OSError):  # not on every system
+        os.nice(_NICE)
+    try:
+        service = ViewerService(page, rig, ", ".join(bus_config.connect or bus_config.listen))
+        logger.info("the page is at %s", page.url)
+        serving = asyncio.create_task(serve(service, bus_config, SystemClock()))
+        showing = asyncio.create_task(service.show())
+        await asyncio.wait((serving, showing), return_when=asyncio.FIRST_COMPLETED)
+        if showing.done():
+            serving.cancel()
+            showing.result()
+        showing.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await showing
+        return await serving
+    finally:
+        page.close()

@@ -1,0 +1,174 @@
+"""What the page takes from the bus and asks of it, over a real router."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any
+
+import pytest
+from stub_rig import StubRig
+
+from rhot.bus import Answer, Bus, Request
+from rhot.clock import LocalRigClock, SystemClock
+from rhot.errors import ConfigError
+from rhot.messages import HandPose, PointSet, encode
+from rhot.rig import BusConfig
+from rhot.service import Node, StatusBoard
+from rhot.service.configuration import changed, config_answer, parse_change
+from rhot_capture.settings import CameraSettings
+from rhot_viewer.capture_settings import CaptureSettings
+from rhot_viewer.inbox import Inbox
+from rhot_viewer.picture_feed import Picture, PictureFeed
+
+
+@pytest.fixture
+async def bus(router: BusConfig) -> AsyncIterator[Bus]:
+    """The services' session."""
+    async with await Bus.open(router) as session:
+        yield session
+
+
+@pytest.fixture
+async def viewer_bus(router: BusConfig) -> AsyncIterator[Bus]:
+    """The viewer's session."""
+    async with await Bus.open(router) as session:
+        yield session
+
+
+async def until(condition: Callable[[], Any]) -> None:
+    async with asyncio.timeout(5.0):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+class Running:
+    """A task that is ended with the block."""
+
+    def __init__(self, work: Awaitable[None]) -> None:
+        self._task = asyncio.ensure_future(work)
+
+    async def __aenter__(self) -> None:
+        return
+
+    async def __aexit__(self, *_: object) -> None:
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+
+
+async def test_the_inbox_keeps_the_newest_and_counts_garbage(bus: Bus, viewer_bus: Bus, stub: StubRig) -> None:
+    clock = SystemClock()
+    node = Node("viewer", "main", viewer_bus, clock, LocalRigClock(clock), StatusBoard())
+    inbox = Inbox()
+    async with Running(inbox.run(node, lambda: True)):
+        await asyncio.sleep(0)  # it subscribes
+        bus.alive("rhot/alive/ik/main")
+        hands = bus.publisher("rhot/hand/right", HandPose)
+        assert await hands.wait_for_reader(5.0)
+        for tick in range(3):
+            message = stub.messages(1.0, 10**18 + tick, 0)["rhot/hand/right"]
+            assert isinstance(message, HandPose)
+            hands.put(message)
+
+        def newest() -> HandPose | None:
+            return inbox.newest("rhot/hand/right", HandPose, 5.0)
+
+        await until(lambda: (pose := newest()) and pose.t_ns == 10**18 + 2)
+        assert newest() is newest(), "decoded once"
+        assert inbox.newest("rhot/hand/right", HandPose, 0.0) is None, "too old"
+        assert inbox.newest("rhot/hand/left", HandPose, 5.0) is None
+        assert set(inbox.all_newest("rhot/hand/", HandPose, 5.0)) == {"right"}
+        await until(lambda: inbox.alive == {"ik/main"})
+
+        garbage = b"\xc1 no message"
+        await bus.put("rhot/hand/right", garbage, "application/msgpack")
+        await bus.put("rhot/points", encode(message), "application/msgpack;HandPose")
+        await until(lambda: newest() is None)
+        await until(lambda: inbox.newest("rhot/points", PointSet, 5.0) or node.status.counts["invalid"] >= 2)
+        assert inbox.newest("rhot/points", PointSet, 5.0) is None
+        assert node.status.counts["invalid"] == 2, "each once, however often it is looked at"
+
+
+class StubCamera:
+    """Settings as a capture service keeps them."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.settings = CameraSettings(exposure_s=0.004, gain=4.0, white_balance=(1.6, 1.6), tolerances={"thumb": 1.0})
+        self.payloads: list[bytes] = []
+        bus.queryable("rhot/config/capture/left", self._answer)
+
+    def _answer(self, request: Request) -> Answer:
+        self.payloads.append(request.payload)
+        if request.payload:
+            self.settings = changed(self.settings, parse_change(request.payload))
+        return config_answer(self.settings, request)
+
+
+async def test_settings_are_read_changed_and_refused(bus: Bus, viewer_bus: Bus) -> None:
+    camera = StubCamera(bus)
+    settings = CaptureSettings(["left", "silent"])
+
+    def left() -> int:
+        return settings.cameras["left"].version
+
+    async with Running(settings.run(viewer_bus)):
+        settings.ask("left", {})
+        await until(lambda: left() == 1)
+        assert settings.cameras["left"].settings["gain"] == 4.0
+
+        # What comes faster than it is answered goes out as one.
+        settings.ask("left", {"gain": 5.0})
+        settings.ask("left", {"gain": 6.0, "tolerances": {"thumb": 1.5}})
+        assert settings.is_asked("left")
+        await until(lambda: left() == 2 and not settings.is_asked("left"))
+        assert (camera.settings.gain, camera.settings.tolerances) == (6.0, {"thumb": 1.5})
+        assert [json.loads(payload or b"{}") for payload in camera.payloads] == [
+            {},
+            {"gain": 6.0, "tolerances": {"thumb": 1.5}},
+        ]
+
+        settings.ask("left", {"gain": 1000.0})
+        await until(lambda: left() == 3)
+        state = settings.cameras["left"]
+        assert "gain" in state.refusal
+        assert state.settings["gain"] == 6.0, "where the slider goes back to"
+        settings.ask("left", {})
+        await until(lambda: left() == 4)
+        assert "gain" in settings.cameras["left"].refusal, "reading takes no reason away"
+        settings.ask("left", {"gain": 3.0})
+        await until(lambda: left() == 5)
+        assert settings.cameras["left"].refusal == ""
+
+        settings.ask("silent", {"gain": 2.0})
+        await until(lambda: settings.cameras["silent"].version == 1)
+        assert "rhot capture --camera silent" in settings.cameras["silent"].refusal
+
+
+async def test_pictures_are_asked_for_only_while_somebody_looks(bus: Bus, viewer_bus: Bus) -> None:
+    asked: list[dict[str, str]] = []
+
+    def answer(request: Request) -> Answer:
+        asked.append(dict(request.parameters))
+        if request.parameters.get("mask") == "toe":
+            raise ConfigError("mask=toe: no such marker")
+        return Answer(b"\xff\xd8 a picture", "image/jpeg")
+
+    bus.queryable("rhot/preview/left", answer)
+    shown: list[tuple[str, Picture]] = []
+    feed = PictureFeed(["left", "silent"], lambda camera, picture: shown.append((camera, picture)))
+    looked_at = asyncio.Event()
+    async with Running(feed.run(viewer_bus, lambda: 60.0, looked_at.wait)):
+        await asyncio.sleep(0.05)
+        assert asked == []
+        looked_at.set()
+        await until(lambda: len(shown) == 2)
+        assert asked == [{"overlay": "markers"}]
+        assert shown[0] == ("left", Picture(jpeg=b"\xff\xd8 a picture"))
+        assert "rhot capture --camera silent" in shown[1][1].problem
+        feed.select("thumb")  # at once, not after the interval
+        await until(lambda: len(shown) == 4)
+        assert asked[-1] == {"mask": "thumb"}
+        feed.select("toe")
+        await until(lambda: len(shown) == 6)
+        assert shown[-2] == ("left", Picture(problem="mask=toe: no such marker"))
