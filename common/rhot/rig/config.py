@@ -11,6 +11,20 @@ from rhot.rig.feet_config import BodyConfig, FeetConfig
 from rhot.rig.file_model import FileModel, NotNegative, Positive, Vector3
 from rhot.skeleton import JOINTS
 
+WalkProgram = Literal[
+    "still",
+    "marker_moving",
+    "head_moving",
+    "sudden",
+    "on_spot",
+    "walk",
+    "side_steps",
+    "curve",
+    "step_over",
+    "squat",
+    "sitting",
+]
+
 
 class BusConfig(FileModel):
     """How services reach each other over Zenoh.
@@ -219,6 +233,7 @@ class SimConfig(FileModel):
         phase_s: cameras are this much out of step with one another.
         motion: `script` (gestures and grasps), `still` (open hands that never move) or `board` (no hands: a chessboard
             is held at one place after the other, for calibrating the cameras).
+        walk: what the person does whose feet are tracked, where the rig has [feet].
         board_columns, board_rows: inner corners of that chessboard.
         board_square_m: side of its squares.
         desk_z_m: distance of the desk from the reference camera.
@@ -233,6 +248,7 @@ class SimConfig(FileModel):
     jitter_s: NotNegative = 0.0005
     phase_s: NotNegative = 0.007
     motion: Literal["script", "still", "board"] = "script"
+    walk: WalkProgram = "walk"
     board_columns: Annotated[int, Field(ge=3, le=60)] = 9
     board_rows: Annotated[int, Field(ge=3, le=60)] = 6
     board_square_m: Annotated[float, Field(ge=0.001, le=0.5)] = 0.025
@@ -245,8 +261,9 @@ class RigConfig(FileModel):
     Attributes:
         version: of this file's layout.
         name: of the rig, for people.
-        cameras: by name; the first is the reference that defines the rig frame until calibration.
-        markers: by name, as painted.
+        cameras: by name; the first is the reference that defines the rig frame until calibration. None in a rig that
+            tracks feet alone.
+        markers: by name, as painted; some as soon as there are cameras.
         bus, hand, fusion, ik: settings of the parts; each may be left out.
         objects: tracked objects by id.
         feet: feet tracked from the head; left out when there are none.
@@ -257,8 +274,8 @@ class RigConfig(FileModel):
     version: Literal[1] = 1
     name: str = "rig"
     bus: BusConfig = BusConfig()
-    cameras: Annotated[dict[Name, CameraConfig], Field(min_length=1, max_length=64)]
-    markers: Annotated[dict[Name, MarkerConfig], Field(min_length=1, max_length=64)]
+    cameras: Annotated[dict[Name, CameraConfig], Field(max_length=64)] = {}
+    markers: Annotated[dict[Name, MarkerConfig], Field(max_length=64)] = {}
     hand: HandConfig = HandConfig()
     fusion: FusionConfig = FusionConfig()
     ik: IkConfig = IkConfig()
@@ -266,6 +283,14 @@ class RigConfig(FileModel):
     feet: FeetConfig | None = None
     body: BodyConfig = BodyConfig()
     sim: SimConfig = SimConfig()
+
+    @model_validator(mode="after")
+    def _tracks_something(self) -> RigConfig:
+        if not self.cameras and (self.markers or self.feet is None):
+            raise ValueError("no camera: name at least one [cameras.<name>]; only a rig with [feet] alone needs none")
+        if self.cameras and not self.markers:
+            raise ValueError("no marker: name at least one [markers.<name>] for the cameras to look for")
+        return self
 
     @model_validator(mode="after")
     def _one_marker_per_joint(self) -> RigConfig:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,14 @@ from rhot.sim.board import BoardMotion, ChessBoard
 from rhot.sim.calibration import simulated_rig_calibration
 from rhot.sim.motion import Motion, StillMotion
 from rhot.sim.script import ScriptedMotion
+from rhot.sim.true_pose import true_pose
+from rhot.sim.walker.world import WalkerWorld
 from rhot.skeleton import JOINTS
 
 FloatArray = NDArray[np.float64]
+
+HEAD: Final = "head"
+"""The object that is the headset."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +38,8 @@ class WorldSample:
         joints: side to its joints; positions (N, 26, 3) metres, rotations (N, 26, 3, 3).
         angles: side to joint angles (N, 5, 4), radians, as in `rhot.hand`.
         markers: marker name to the centre of its painted volume, (N, 3) metres.
-        objects: object id to the pose of its centre, (N, 4, 4), metres; `board` to that of its first inner corner.
+        objects: object id to the pose of its centre, (N, 4, 4), metres; `board` to that of its first inner corner,
+            `head` to that of the headset.
     """
 
     t_s: FloatArray
@@ -53,6 +60,7 @@ class World:
         motion: what moves; the scripted motion of the seed when not given.
         desk_z_m: distance of the desk from the reference camera.
         board: a chessboard that `motion` moves as object `board`.
+        walker: the person whose feet are tracked; the headset is its object `head`.
     """
 
     def __init__(
@@ -65,6 +73,7 @@ class World:
         motion: Motion | None = None,
         desk_z_m: float = 0.95,
         board: ChessBoard | None = None,
+        walker: WalkerWorld | None = None,
     ) -> None:
         self.seed = seed
         self.hands = dict(hands)
@@ -72,19 +81,30 @@ class World:
         self.objects = tuple(objects)
         self.desk_z_m = desk_z_m
         self.board = board
+        self.walker = walker
         self.motion: Motion = motion or ScriptedMotion(seed, self.hands, self.objects, desk_z_m)
 
     @classmethod
     def from_rig(cls, rig: Rig) -> World:
-        """Build the world that a rig folder describes: its hands, markers and simulated objects, or a board alone."""
+        """Build the world that a rig folder describes: hands, markers and simulated objects, or a board; a walker."""
         config = rig.config
         if config.sim.motion == "board":
             board = ChessBoard(config.sim.board_columns, config.sim.board_rows, config.sim.board_square_m)
             return cls(config.sim.seed, {}, {}, motion=_board_motion(rig, board), board=board)
         hands: dict[Side, HandModel] = {side: HandModel.from_file(rig.hand, side) for side in config.sides}
-        objects = [name for name, item in config.objects.items() if item.source == "simulated"]
+        walker = None if config.feet is None else WalkerWorld.from_rig(rig)
+        worn = () if walker is None else (HEAD,)
+        objects = [name for name, item in config.objects.items() if item.source == "simulated" and name not in worn]
         motion = _motion(config.sim, hands, objects)
-        return cls(config.sim.seed, hands, config.markers, objects, motion=motion, desk_z_m=config.sim.desk_z_m)
+        return cls(
+            config.sim.seed,
+            hands,
+            config.markers,
+            objects,
+            motion=motion,
+            desk_z_m=config.sim.desk_z_m,
+            walker=walker,
+        )
 
     def sample(self, t_s: FloatArray) -> WorldSample:
         """Return the world at times (N,), seconds since its start; any times, in any order."""
@@ -95,18 +115,23 @@ class World:
         for side, hand in self.hands.items():
             joints[side] = hand.forward(motion.wrists[side], motion.angles[side])
             markers |= hand.marker_positions(joints[side], self.markers)
-        return WorldSample(t, joints, motion.angles, markers, motion.objects)
+        worn = {} if self.walker is None else {HEAD: self.walker.head(t)}
+        return WorldSample(t, joints, motion.angles, markers, {**motion.objects, **worn})
 
     def truth(self, t_s: float, t_ns: int, seq: int = 0) -> Truth:
         """Return what is true at `t_s`, seconds since the world's start, as the message with time stamp `t_ns`."""
         sample = self.sample(np.array([t_s]))
+        walking = None if self.walker is None else self.walker.truth(t_s, t_ns)
         return Truth(
             t_ns=t_ns,
             seq=seq,
             frame="rig",
             points={name: _triple(points[0]) for name, points in sample.markers.items()},
             hands={side: _joint_poses(joints) for side, joints in sample.joints.items()},
-            objects={name: _pose(T[0, :3, 3], T[0, :3, :3]) for name, T in sample.objects.items()},
+            objects={name: true_pose(T[0]) for name, T in sample.objects.items()},
+            head=None if walking is None else walking.head,
+            feet={} if walking is None else walking.feet,
+            body={} if walking is None else walking.body,
         )
 
 
@@ -128,10 +153,6 @@ def _joint_poses(joints: HandJoints) -> dict[str, TruePose]:
         name: TruePose(position=_triple(position), orientation=_quadruple(quaternion))
         for name, position, quaternion in zip(JOINTS, joints.positions[0], quaternions, strict=True)
     }
-
-
-def _pose(position: FloatArray, R: FloatArray) -> TruePose:
-    return TruePose(position=_triple(position), orientation=_quadruple(quaternion_from_rotation(R)))
 
 
 def _triple(values: FloatArray) -> tuple[float, float, float]:

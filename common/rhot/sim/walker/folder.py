@@ -1,0 +1,73 @@
+"""Writing the rig of a simulated walker: a head-worn depth camera, two feet with marker and sensor, a headset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from rhot.rig import Rig, load_rig
+from rhot.rig.config import WalkProgram
+from rhot.rig.folder import RIG_FILE, write_text_atomic
+
+_TEMPLATE: Final = """\
+# A simulated person whose feet are tracked from the head; the rig frame has y up and the floor at y = 0.
+version = 1
+name = "walker"
+
+[bus]
+connect = ["{endpoint}"]
+listen = ["{endpoint}"]
+
+[feet.camera]
+source = "simulated"
+pitch_deg = {pitch_deg:g}
+
+[feet.left]
+marker_id = 0
+imu = {{ source = "simulated", rate_hz = {imu_rate_hz:g} }}
+
+[feet.right]
+marker_id = 1
+imu = {{ source = "simulated", rate_hz = {imu_rate_hz:g} }}
+
+[body]
+height_m = {height_m:g}
+
+# The headset, which is published on rhot/head.
+[objects.head]
+source = "simulated"
+rate_hz = 90.0
+
+[sim]
+seed = {seed}
+walk = "{program}"
+"""
+
+
+def write_walker_rig(
+    path: Path,
+    *,
+    endpoint: str,
+    program: WalkProgram = "walk",
+    seed: int = 1,
+    height_m: float = 1.75,
+    pitch_deg: float = 20.0,
+    imu_rate_hz: float = 100.0,
+) -> Rig:
+    """Write the folder of a simulated walker's rig and return it loaded.
+
+    Args:
+        path: the folder; made when it is not there.
+        endpoint: of the router.
+        program: what the person does.
+        seed: of the world.
+        height_m: of the person.
+        pitch_deg: how far the camera looks down from the head.
+        imu_rate_hz: of both ankle sensors.
+    """
+    path.mkdir(parents=True, exist_ok=True)
+    text = _TEMPLATE.format(
+        endpoint=endpoint, program=program, seed=seed, height_m=height_m, pitch_deg=pitch_deg, imu_rate_hz=imu_rate_hz
+    )
+    write_text_atomic(path / RIG_FILE, text)
+    return load_rig(path)
