@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar
 
 from pydantic import BaseModel
@@ -38,8 +38,7 @@ class StageService(Generic[M, C]):
         make_stage: Callable[[C], Stage[M, C]],
         instance: str = "main",
         owns_clock: bool = False,
-        feedback_keys: str = "",
-        feedback_model: type[M] | None = None,
+        side_inputs: Mapping[str, type[M]] | None = None,
     ) -> None:
         """Prepare a service.
 
@@ -51,8 +50,8 @@ class StageService(Generic[M, C]):
             config: the first configuration.
             make_stage: makes a stage for a session.
             owns_clock: this machine's clock is the rig clock.
-            feedback_keys, feedback_model: what the stage is handed beside its input, such as what others made of its
-                output; nothing is published for it.
+            side_inputs: keys and models of what the stage is handed beside its input, such as what others made of its
+                output.
         """
         self.name = name
         self.instance = instance
@@ -64,9 +63,8 @@ class StageService(Generic[M, C]):
         self._make_stage = make_stage
         self._stage = make_stage(config)
         self._mailbox: LatestSubscriber | None = None
-        self._feedback_keys = feedback_keys
-        self._feedback_model = feedback_model
-        self._feedback: LatestSubscriber | None = None
+        self._side_inputs = dict(side_inputs or {})
+        self._side_mailboxes: list[tuple[LatestSubscriber, type[M]]] = []
 
     @property
     def config(self) -> C:
@@ -83,8 +81,7 @@ class StageService(Generic[M, C]):
     def attach(self, node: Node) -> None:
         """Subscribe to the input; publishers follow with their first message."""
         self._mailbox = node.bus.latest(self._input_keys)
-        if self._feedback_model is not None:
-            self._feedback = node.bus.latest(self._feedback_keys)
+        self._side_mailboxes = [(node.bus.latest(keys), model) for keys, model in self._side_inputs.items()]
         node.status.include(self._counts)
         node.status.watch(lambda: (self._stage.figures, self._stage.problem))
 
@@ -101,9 +98,9 @@ class StageService(Generic[M, C]):
         self._stage = self._make_stage(self._config)
         self._mailbox.clear()
         async with asyncio.TaskGroup() as tasks:
-            if self._feedback is not None and self._feedback_model is not None:
-                self._feedback.clear()
-                tasks.create_task(self._listen(node, self._feedback, self._feedback_model))
+            for side_mailbox, model in self._side_mailboxes:
+                side_mailbox.clear()
+                tasks.create_task(self._listen(node, side_mailbox, model))
             await self._work(node, self._mailbox)
 
     async def _work(self, node: Node, mailbox: LatestSubscriber) -> None:
@@ -119,7 +116,8 @@ class StageService(Generic[M, C]):
 
     async def _listen(self, node: Node, mailbox: LatestSubscriber, model: type[M]) -> None:
         async for message in node.receive(mailbox, model):
-            self._digest(node, message)
+            for key, output in self._digest(node, message):
+                node.publish(key, output)
 
     def _digest(self, node: Node, message: M) -> list[Output]:
         try:

@@ -27,6 +27,5 @@ def fusion_service(rig: Rig) -> StageService[MarkerFrame | HandPose, FusionConfi
         config=rig.config.fusion,
         make_stage=make_stage,
         owns_clock=True,
-        feedback_keys="rhot/hand/*",
-        feedback_model=HandPose,
+        side_inputs={"rhot/hand/*": HandPose},
     )

@@ -1,26 +1,27 @@
-"""The ik service: points in, hands out."""
+"""The ik service: points in, hands out; head and feet in, hips and legs out."""
 
 from __future__ import annotations
 
-from rhot.messages import PointSet
+from rhot.messages import FootPose, HeadPose, PointSet
 from rhot.rig import IkConfig, Rig
 from rhot.service import StageService
-from rhot_ik.stage import HandStage
+from rhot_ik.whole_stage import WholeStage
 
 
-def ik_service(rig: Rig) -> StageService[PointSet, IkConfig]:
-    """Return the service that turns `rhot/points` into `rhot/hand/<side>`."""
+def ik_service(rig: Rig) -> StageService[PointSet | HeadPose | FootPose, IkConfig]:
+    """Return the service that turns `rhot/points` into `rhot/hand/<side>`, and head and feet into `rhot/body`."""
 
-    def make_stage(config: IkConfig) -> HandStage:
-        stage = HandStage(rig)
+    def make_stage(config: IkConfig) -> WholeStage:
+        stage = WholeStage(rig)
         stage.configure(config)
         return stage
 
-    return StageService(
+    return StageService[PointSet | HeadPose | FootPose, IkConfig](
         "ik",
         input_keys="rhot/points",
         model=PointSet,
         key_of=None,
         config=rig.config.ik,
         make_stage=make_stage,
+        side_inputs={"rhot/head": HeadPose, "rhot/foot/*": FootPose} if rig.config.feet else {},
     )

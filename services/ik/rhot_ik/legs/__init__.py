@@ -1,0 +1,1 @@
+"""Hips and legs from the head and the feet."""

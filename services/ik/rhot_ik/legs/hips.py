@@ -1,0 +1,157 @@
+"""Where the hips are when only the head and the feet are seen.
+
+The trunk hangs from the head's pivot as a rod of known length N. How it leans is not measured; three things are known
+of people: their trunk leans a little forwards; more so when they look down, and the deeper they crouch with their feet
+side by side; and while they stand their weight is over their soles. With the lean l (share of N by which the hips
+lie behind the pivot), its usual value l₀, the weight's place c(l) = n − (1 − s)·N·l (n the pivot, s the trunk's share)
+and the part m of the soles that is nearest to c(l₀), all along the level forward direction, the lean minimises
+
+    ((l − l₀) / σ_lean)² + w · ((c(l) − m) / σ_balance)²,
+
+where w falls to nothing when the weight is far behind the feet, as of somebody who sits. Then the hips go where both
+legs reach. Turned are they by the feet, and a little by the head.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.body_anatomy import BodyModel
+from rhot.messages import Side
+from rhot.transforms import rigid
+
+FloatArray = NDArray[np.float64]
+
+OUTWARDS: Final[Mapping[Side, float]] = {"left": -1.0, "right": 1.0}
+"""Direction of a leg from the middle, along the body's +X."""
+
+_LEAN: Final = 0.06
+_LOOKING_LEAN: Final = 0.16
+_CROUCHING_LEAN: Final = 0.4
+"""Usual lean of an upright trunk; what is added for looking straight down; and per leg's length by which the pivot is
+lowered. Chosen, not measured: walking trunks lean by 2 to 7°, squatting ones by 30 to 45° with the thighs level."""
+_STRIDE_M: Final = 0.2
+_LEAN_SIGMA: Final = 0.20
+_BALANCE_SIGMA_M: Final = 0.08
+_BALANCE_FADES_M: Final = 0.25
+_TRUNK_WEIGHT: Final = 0.62
+"""Of head, arms and trunk, as a share of what must be balanced; the rest is thighs and hips."""
+_MOST_LEAN: Final = 0.95
+_HEAD_WEIGHT: Final = 0.35
+_STRAIGHTEST: Final = 0.997
+_ROUNDS: Final = 12
+
+
+def estimate_hips(
+    T_rig_head: FloatArray, T_rig_ankles: Mapping[Side, FloatArray], up: FloatArray, body: BodyModel
+) -> FloatArray:
+    """Return T_rig_hips (4, 4), the middle between the hip joints, +Y up and +X to the body's right.
+
+    Args:
+        T_rig_head: (4, 4) headset, OpenXR axes.
+        T_rig_ankles: side to (4, 4), axes level when the foot stands flat; one foot or both.
+        up: (3,) unit vector against gravity.
+        body: lengths.
+    """
+    right = _level_right(T_rig_head, T_rig_ankles, up)
+    forward = np.cross(up, right)
+    R = np.stack([right, up, -forward], axis=-1)
+    neck = T_rig_head[:3, :3] @ np.array(body.neck_m) + T_rig_head[:3, 3]
+    middle = _between_feet(T_rig_ankles, right, body)
+    lowered_m = body.leg_m + body.neck_height_m - float((neck - middle) @ up)
+    down = float(T_rig_head[:3, 2] @ up)
+    lean = _lean(float((neck - middle) @ forward), lowered_m, _stride(T_rig_ankles, forward), down, body)
+    hips = neck - body.neck_height_m * (lean * forward + np.sqrt(1.0 - lean**2) * up)
+    return rigid(R, within_reach(hips, R, T_rig_ankles, body))
+
+
+def within_reach(
+    hips: FloatArray, R_rig_hips: FloatArray, T_rig_ankles: Mapping[Side, FloatArray], body: BodyModel
+) -> FloatArray:
+    """Return the place (3,) nearest to `hips` from which every leg reaches its ankle.
+
+    Alternating projections onto the balls of reach (von Neumann 1950); feet that are too far apart for both legs end
+    with the middle between the balls.
+    """
+    place = hips.copy()
+    for _ in range(_ROUNDS):
+        moved = False
+        for side, ankle in T_rig_ankles.items():
+            joint = place + R_rig_hips @ hip_joint(side, body)
+            line = joint - ankle[:3, 3]
+            over = float(np.linalg.norm(line)) - _STRAIGHTEST * body.leg_m
+            if over > 0.0:
+                place -= line * (over / float(np.linalg.norm(line)))
+                moved = True
+        if not moved:
+            break
+    return place
+
+
+def hip_joint(side: Side, body: BodyModel) -> FloatArray:
+    """Return the place (3,) of a hip joint in the frame of the hips, metres."""
+    return np.array([OUTWARDS[side] * body.hip_width_m / 2.0, 0.0, 0.0])
+
+
+def _lean(pivot_m: float, lowered_m: float, stride_m: float, down: float, body: BodyModel) -> float:
+    """Return the lean of the trunk, as a share of its length.
+
+    Args:
+        pivot_m: how far the head's pivot is before the feet's middle.
+        lowered_m: how much lower the pivot is than when standing straight.
+        stride_m: how far one foot is before the other: who lunges or kneels keeps the trunk upright.
+        down: sine of the angle by which the head looks down.
+        body: lengths.
+    """
+    lever = (1.0 - _TRUNK_WEIGHT) * body.neck_height_m
+    usual = _LEAN + _LOOKING_LEAN * max(down, 0.0)
+    excess = _outside_soles(pivot_m - lever * usual, body)
+    standing = 1.0 / (1.0 + (min(excess, 0.0) / _BALANCE_FADES_M) ** 2) ** 2
+    usual += _CROUCHING_LEAN * standing * max(lowered_m, 0.0) / body.leg_m / (1.0 + (stride_m / _STRIDE_M) ** 2)
+    excess = _outside_soles(pivot_m - lever * usual, body)
+    weight = standing * (_LEAN_SIGMA / _BALANCE_SIGMA_M) ** 2
+    return float(np.clip(usual + weight * lever * excess / (1.0 + weight * lever**2), -_MOST_LEAN, _MOST_LEAN))
+
+
+def _outside_soles(weight_m: float, body: BodyModel) -> float:
+    """Return how far the weight, this far before the ankles, lies before the balls (+) or behind the heels (−)."""
+    return weight_m - float(np.clip(weight_m, -body.heel_m, -float(body.ball_m[2])))
+
+
+def _stride(T_rig_ankles: Mapping[Side, FloatArray], forward: FloatArray) -> float:
+    along = [float(T[:3, 3] @ forward) for T in T_rig_ankles.values()]
+    return max(along) - min(along)
+
+
+def _between_feet(T_rig_ankles: Mapping[Side, FloatArray], right: FloatArray, body: BodyModel) -> FloatArray:
+    """Return the middle (3,) between the ankles; of a single foot, what lies half a hip's width beside it."""
+    places = [
+        T[:3, 3] - (0.0 if len(T_rig_ankles) == 2 else 1.0) * OUTWARDS[side] * body.hip_width_m / 2.0 * right
+        for side, T in T_rig_ankles.items()
+    ]
+    middle: FloatArray = np.mean(places, axis=0)
+    return middle
+
+
+def _level_right(T_rig_head: FloatArray, T_rig_ankles: Mapping[Side, FloatArray], up: FloatArray) -> FloatArray:
+    """Return the body's level direction to the right (3,): that of the feet, a little of the head.
+
+    A foot's +X axis stays level while the foot pitches, so that its heading is known with the heel up, too.
+    """
+    head = _level(T_rig_head[:3, 0], up)
+    feet = sum((_level(T[:3, 0], up) for T in T_rig_ankles.values()), start=np.zeros(3))
+    total = _HEAD_WEIGHT * head + feet / max(len(T_rig_ankles), 1)
+    for direction in (total, head, np.cross(T_rig_head[:3, 2], up), np.cross(up, np.roll(up, 1) + 1.0)):
+        level = _level(direction, up)
+        if (norm := float(np.linalg.norm(level))) > 0.05:
+            return level / norm
+    raise ValueError(f"up = {up} has no level direction")
+
+
+def _level(direction: FloatArray, up: FloatArray) -> FloatArray:
+    level: FloatArray = direction - (direction @ up) * up
+    return level

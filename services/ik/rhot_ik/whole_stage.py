@@ -1,0 +1,48 @@
+"""Hands and legs together: what the ik service runs, and what `rhot process` feeds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rhot.messages import FootPose, HeadPose, PointSet
+from rhot.rig import IkConfig, Rig
+from rhot.stage import Output
+from rhot_ik.legs.body_stage import BodyStage
+from rhot_ik.stage import HandStage
+
+
+class WholeStage:
+    """Passes points to the hands' core, head and feet to that of the legs.
+
+    Args:
+        rig: marker table, sizes and configuration.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._hands = HandStage(rig)
+        self._body = BodyStage(rig)
+
+    def configure(self, config: IkConfig) -> None:
+        """Switch to another configuration from the next sample on."""
+        self._hands.configure(config)
+
+    @property
+    def figures(self) -> Mapping[str, float]:
+        """Those of the hands."""
+        return self._hands.figures
+
+    @property
+    def problem(self) -> str:
+        """What is wrong with the rig as a whole."""
+        return self._hands.problem
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What became of the samples, of hands and legs."""
+        return {**self._hands.counts, **self._body.counts}
+
+    def feed(self, message: PointSet | HeadPose | FootPose) -> list[Output]:
+        """Return the hands or the body that follow from a message, with their keys."""
+        if isinstance(message, PointSet):
+            return self._hands.feed(message)
+        return self._body.feed(message)

@@ -1,0 +1,85 @@
+"""Hips from head and feet: where people's are, and within reach of both legs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rhot.body_anatomy import BodyModel
+from rhot.rig import BodyConfig
+from rhot.rotations import rotation_x, rotation_y
+from rhot.transforms import rigid
+from rhot_ik.legs.hips import estimate_hips, hip_joint
+
+BODY = BodyModel.from_config(BodyConfig(height_m=1.75))
+UP = np.array([0.0, 1.0, 0.0])
+ANKLE_Y = 0.09
+
+
+def standing_head(yaw_rad: float = 0.0, pitch_rad: float = 0.0) -> np.ndarray:
+    """The headset of somebody who stands over the origin, the head's pivot over the ankles."""
+    pivot = np.array([0.0, ANKLE_Y + BODY.leg_m + BODY.neck_height_m, 0.0])
+    R = rotation_y(yaw_rad) @ rotation_x(-pitch_rad)
+    return rigid(R, pivot - R @ np.array(BODY.neck_m))
+
+
+def feet(yaw_rad: float = 0.0, apart_m: float = 0.2) -> dict:
+    R = rotation_y(yaw_rad)
+    return {
+        side: rigid(R, R @ np.array([sign * apart_m / 2.0, 0.0, 0.0]) + [0.0, ANKLE_Y, 0.0])
+        for side, sign in (("left", -1.0), ("right", 1.0))
+    }
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 70.0, -160.0])
+def test_standing_hips_are_under_the_head_and_turned_as_the_feet(yaw_deg: float) -> None:
+    yaw = np.radians(yaw_deg)
+    T = estimate_hips(standing_head(yaw), feet(yaw), UP, BODY)
+    assert np.linalg.norm(T[[0, 2], 3]) < 0.06
+    assert T[1, 3] == pytest.approx(ANKLE_Y + BODY.leg_m, abs=0.02)
+    np.testing.assert_allclose(T[:3, :3], rotation_y(yaw), atol=1e-9)
+
+
+def test_a_head_that_looks_aside_turns_the_hips_little() -> None:
+    T = estimate_hips(standing_head(np.radians(60.0)), feet(), UP, BODY)
+    turned = np.degrees(np.arctan2(-T[2, 0], T[0, 0]))
+    assert 0.0 < turned < 20.0
+
+
+def test_bowing_over_the_toes_sends_the_hips_backwards() -> None:
+    head = standing_head()
+    head[:3, 3] += [0.0, -0.15, -0.4]
+    T = estimate_hips(head, feet(), UP, BODY)
+    assert T[2, 3] > head[2, 3] + 0.25
+
+
+@given(
+    st.floats(-0.6, 0.6),
+    st.floats(-0.6, 0.6),
+    st.floats(-3.0, 3.0),
+    st.floats(-0.5, 1.5),
+    st.floats(0.05, 1.0),
+    st.sampled_from([("left",), ("right",), ("left", "right")]),
+)
+def test_every_leg_that_can_reach_does(
+    x: float, z: float, yaw: float, pitch: float, lift: float, sides: tuple[str, ...]
+) -> None:
+    ankles = {side: T for side, T in feet(yaw).items() if side in sides}
+    ankles[sides[0]] = ankles[sides[0]].copy()
+    ankles[sides[0]][:3, 3] += [x, lift, z]
+    T = estimate_hips(standing_head(yaw, pitch), ankles, UP, BODY)
+    assert np.isfinite(T).all()
+    for side, ankle in ankles.items():
+        joint = T[:3, :3] @ hip_joint(side, BODY) + T[:3, 3]
+        assert np.linalg.norm(joint - ankle[:3, 3]) <= BODY.leg_m * 1.001
+
+
+def test_another_up_is_only_another_frame() -> None:
+    turn = rotation_x(np.radians(-90.0))
+    head, ankles = standing_head(0.3, 0.4), feet(0.2)
+    expected = estimate_hips(head, ankles, UP, BODY)
+    T_turn = rigid(turn, np.zeros(3))
+    T = estimate_hips(T_turn @ head, {side: T_turn @ ankle for side, ankle in ankles.items()}, turn @ UP, BODY)
+    np.testing.assert_allclose(T, T_turn @ expected, atol=1e-9)
