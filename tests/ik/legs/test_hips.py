@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from rhot.body_anatomy import BodyModel
+from rhot.messages import Side
 from rhot.rig import BodyConfig
 from rhot.rotations import rotation_x, rotation_y
 from rhot.transforms import rigid
@@ -18,18 +20,18 @@ UP = np.array([0.0, 1.0, 0.0])
 ANKLE_Y = 0.09
 
 
-def standing_head(yaw_rad: float = 0.0, pitch_rad: float = 0.0) -> np.ndarray:
+def standing_head(yaw_rad: float = 0.0, pitch_rad: float = 0.0) -> NDArray[np.float64]:
     """The headset of somebody who stands over the origin, the head's pivot over the ankles."""
     pivot = np.array([0.0, ANKLE_Y + BODY.leg_m + BODY.neck_height_m, 0.0])
     R = rotation_y(yaw_rad) @ rotation_x(-pitch_rad)
     return rigid(R, pivot - R @ np.array(BODY.neck_m))
 
 
-def feet(yaw_rad: float = 0.0, apart_m: float = 0.2) -> dict:
+def feet(yaw_rad: float = 0.0, apart_m: float = 0.2) -> dict[Side, NDArray[np.float64]]:
     R = rotation_y(yaw_rad)
+    sides: tuple[tuple[Side, float], ...] = (("left", -1.0), ("right", 1.0))
     return {
-        side: rigid(R, R @ np.array([sign * apart_m / 2.0, 0.0, 0.0]) + [0.0, ANKLE_Y, 0.0])
-        for side, sign in (("left", -1.0), ("right", 1.0))
+        side: rigid(R, R @ np.array([sign * apart_m / 2.0, 0.0, 0.0]) + [0.0, ANKLE_Y, 0.0]) for side, sign in sides
     }
 
 
@@ -64,7 +66,7 @@ def test_bowing_over_the_toes_sends_the_hips_backwards() -> None:
     st.sampled_from([("left",), ("right",), ("left", "right")]),
 )
 def test_every_leg_that_can_reach_does(
-    x: float, z: float, yaw: float, pitch: float, lift: float, sides: tuple[str, ...]
+    x: float, z: float, yaw: float, pitch: float, lift: float, sides: tuple[Side, ...]
 ) -> None:
     ankles = {side: T for side, T in feet(yaw).items() if side in sides}
     ankles[sides[0]] = ankles[sides[0]].copy()
