@@ -1,0 +1,227 @@
+"""The depth stage: where a foot is while its marker is hidden, from its blob in the depth image.
+
+While marker and blob are both seen, the offset from the blob's centroid to the marker is learnt in the foot's frame,
+together with how much it varies; that variation is what the depth stage can promise later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import reduce
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.camera import CameraModel
+from rhot.messages import Side
+from rhot_feet.depth_blob import RADIUS_M, BlobSeed, FootBlob, find_blobs
+from rhot_feet.depth_floor import FloorPlane, find_floor
+from rhot_feet.depth_points import COARSE_PX, FINE_PX, PixelRays
+from rhot_feet.expectation import GATE_SIGMAS, FootExpectation, expected_region, innovation_distance
+from rhot_feet.frames import DepthFrame
+from rhot_feet.region import Region
+
+FloatArray = NDArray[np.float64]
+
+DepthRefusal = Literal["unknown", "hidden", "size", "cut", "unsettled", "motion"]
+
+_FORGETTING: Final = 0.03
+_FIRST_SIGMA_M: Final = 0.02
+"""Per axis, of an offset that was seen once."""
+_LEAST_SIGMA_M: Final = 0.004
+_AREA_RATIO: Final = (0.4, 2.0)
+"""A blob that shows less or more of its usual surface than this is half hidden, or more than a foot."""
+_AREA_SIGMA: Final = 1.5
+_MAX_CUT: Final = 0.5
+_LEVEL_SHARE: Final = 0.4
+"""Part of an error of the expected height that remains in the found one: the blob is cut off in relation to it."""
+_REACH_M: Final = RADIUS_M + 0.06
+_UPRIGHT: Final = np.array([0.0, -1.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True)
+class FootDepth:
+    """A foot in one depth image, believed.
+
+    Attributes:
+        t_ns: time of the picture, rig clock.
+        place: (3,) where its marker has to be, metres, camera frame.
+        covariance: (3, 3) of the place.
+        points: number of depth points behind it.
+    """
+
+    t_ns: int
+    place: FloatArray
+    covariance: FloatArray
+    points: int
+
+
+@dataclass(frozen=True, slots=True)
+class DepthSightings:
+    """What the depth stage made of one picture.
+
+    Attributes:
+        feet: foot to where it is.
+        refused: foot to the reason why its blob was not believed.
+        floor: the floor, where it is in sight.
+    """
+
+    feet: dict[Side, FootDepth]
+    refused: dict[Side, DepthRefusal]
+    floor: FloorPlane | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Offset:
+    """From a blob's centroid to the marker.
+
+    Attributes:
+        mean: (3,) metres, foot frame, or camera frame while the foot's orientation is unknown.
+        variance: (3,) about the mean.
+        area: usual `FootBlob.area`.
+        count: sightings.
+    """
+
+    mean: FloatArray
+    variance: FloatArray
+    area: float
+    count: int
+
+    def with_sighting(self, offset: FloatArray, area: float) -> _Offset:
+        share = max(1.0 / (self.count + 1), _FORGETTING)
+        difference = offset - self.mean
+        variance = (1.0 - share) * (self.variance + share * difference**2)
+        return _Offset(self.mean + share * difference, variance, self.area + share * (area - self.area), self.count + 1)
+
+
+class DepthTracker:
+    """Follows both feet's blobs."""
+
+    def __init__(self, depth_range_m: tuple[float, float]) -> None:
+        """Prepare.
+
+        Args:
+            depth_range_m: nearest and farthest depth that is believed.
+        """
+        self._depth_range_m = depth_range_m
+        self._offsets: dict[Side, _Offset] = {}
+        self._floor: FloorPlane | None = None
+        self._floor_t_ns: int | None = None
+        self._fine: PixelRays | None = None
+        self._coarse: PixelRays | None = None
+
+    def find_floor(self, frame: DepthFrame, up_camera: FloatArray | None = None) -> FloorPlane | None:
+        """Return the floor in a picture, which the marker stage wants to know too; found once a picture.
+
+        Args:
+            frame: the picture with its depth.
+            up_camera: (3,) unit vector against gravity, camera frame, where the head's pose is known.
+        """
+        if frame.depth_mm is None:
+            self._floor, self._floor_t_ns = None, None
+        elif frame.t_ns != self._floor_t_ns:
+            if self._coarse is None or self._coarse.camera is not frame.camera:
+                self._coarse = PixelRays(frame.camera, COARSE_PX)
+            whole = Region(0, 0, frame.camera.width, frame.camera.height)
+            grid = self._coarse.points(frame.depth_mm, whole, self._depth_range_m)
+            self._floor, self._floor_t_ns = find_floor(grid, up_camera, self._floor), frame.t_ns
+        return self._floor
+
+    def feed(
+        self,
+        frame: DepthFrame,
+        expected: Mapping[Side, FootExpectation],
+        seen: Mapping[Side, FootExpectation],
+        up_camera: FloatArray | None = None,
+    ) -> DepthSightings:
+        """Take one picture: learn from the feet that are seen, find those that are not.
+
+        Args:
+            frame: the picture with its depth.
+            expected: foot to what the filter predicts, of those whose marker is hidden.
+            seen: foot to its marker's place and orientation in this very picture.
+            up_camera: (3,) unit vector against gravity, camera frame, where the head's pose is known.
+        """
+        hidden = {side: foot for side, foot in expected.items() if side not in seen}
+        refused: dict[Side, DepthRefusal] = {side: "unknown" for side in hidden if side not in self._offsets}
+        hidden = {side: foot for side, foot in hidden.items() if side in self._offsets}
+        floor = self.find_floor(frame, up_camera)
+        if frame.depth_mm is None or not (hidden or seen):
+            return DepthSightings({}, refused, floor)
+        region = _joint_region([*hidden.values(), *seen.values()], frame.camera)
+        if region is None:
+            return DepthSightings({}, refused | dict.fromkeys(hidden, "hidden"), floor)
+        seeds = {side: BlobSeed(foot.place, np.zeros(3), fixed=True) for side, foot in seen.items()}
+        for side, foot in hidden.items():
+            seeds[side] = BlobSeed(foot.place, _axes(foot) @ self._offsets[side].mean)
+        grid = self._rays(frame.camera).points(frame.depth_mm, region, self._depth_range_m)
+        size = (frame.camera.width, frame.camera.height)
+        up = self._up(up_camera)
+        blobs = find_blobs(grid, seeds, floor, up, size)
+        for side, foot in seen.items():
+            if side in blobs:
+                self._learn(side, foot, blobs[side])
+        feet: dict[Side, FootDepth] = {}
+        for side, foot in hidden.items():
+            outcome = self._judge(frame.t_ns, side, foot, blobs.get(side), up)
+            if isinstance(outcome, FootDepth):
+                feet[side] = outcome
+            else:
+                refused[side] = outcome
+        return DepthSightings(feet, refused, floor)
+
+    def _learn(self, side: Side, foot: FootExpectation, blob: FootBlob) -> None:
+        if blob.cut > _MAX_CUT:
+            return
+        offset = _axes(foot).T @ (foot.place - blob.centroid)
+        known = self._offsets.get(side)
+        self._offsets[side] = (
+            _Offset(offset, np.full(3, _FIRST_SIGMA_M**2), blob.area, 1)
+            if known is None
+            else known.with_sighting(offset, blob.area)
+        )
+
+    def _judge(
+        self, t_ns: int, side: Side, foot: FootExpectation, blob: FootBlob | None, up: FloatArray
+    ) -> FootDepth | DepthRefusal:
+        if blob is None:
+            return "hidden"
+        learnt = self._offsets[side]
+        ratio = blob.area / learnt.area
+        if not _AREA_RATIO[0] <= ratio <= _AREA_RATIO[1]:
+            return "size"
+        if blob.cut > _MAX_CUT:
+            return "cut"
+        if not blob.settled:
+            return "unsettled"
+        R = _axes(foot)
+        # A blob that shows less of the foot than usual has its centre elsewhere.
+        doubt = 1.0 + _AREA_SIGMA * abs(float(np.log(ratio)))
+        variance = (learnt.variance + _LEAST_SIGMA_M**2) * doubt**2
+        level_variance = _LEVEL_SHARE**2 * float(up @ foot.covariance @ up)
+        covariance = R @ np.diag(variance) @ R.T + level_variance * np.outer(up, up)
+        if innovation_distance(blob.place, covariance, foot) > GATE_SIGMAS:
+            return "motion"
+        return FootDepth(t_ns, blob.place, covariance, blob.count)
+
+    def _rays(self, camera: CameraModel) -> PixelRays:
+        if self._fine is None or self._fine.camera is not camera:
+            self._fine = PixelRays(camera, FINE_PX)
+        return self._fine
+
+    def _up(self, up_camera: FloatArray | None) -> FloatArray:
+        if up_camera is not None:
+            return up_camera
+        return _UPRIGHT if self._floor is None else self._floor.up
+
+
+def _axes(foot: FootExpectation) -> FloatArray:
+    """Return the frame (3, 3) in which a foot's offset is kept: its own, or the camera's while it is not known."""
+    return np.eye(3) if foot.R_camera_foot is None else foot.R_camera_foot
+
+
+def _joint_region(feet: list[FootExpectation], camera: CameraModel) -> Region | None:
+    regions = [region for foot in feet if (region := expected_region(foot, _REACH_M, camera)) is not None]
+    return reduce(Region.joined, regions) if regions else None

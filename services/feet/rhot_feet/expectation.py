@@ -1,0 +1,60 @@
+"""Where the next picture is expected to show a foot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.camera import CameraModel
+from rhot_feet.region import Region
+
+FloatArray = NDArray[np.float64]
+
+GATE_SIGMAS = 4.0
+"""A place that lies farther from the expected one than this is somebody else's."""
+_MARGIN_PX = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class FootExpectation:
+    """A foot at the time of a picture, as the filter predicts it.
+
+    Attributes:
+        place: (3,) centre of its marker, metres, camera frame.
+        covariance: (3, 3) of the place, square metres; it has to grow honestly while the foot is not seen, because what
+            lies outside is not believed.
+        R_camera_foot: (3, 3), see `rhot.messages.FootPose`; None when nothing is known of it.
+        orientation_covariance: (3, 3) of a turn about the camera's axes, square radians; used with `R_camera_foot`.
+    """
+
+    place: FloatArray
+    covariance: FloatArray
+    R_camera_foot: FloatArray | None = None
+    orientation_covariance: FloatArray | None = None
+
+
+def expected_region(expected: FootExpectation, radius_m: float, camera: CameraModel) -> Region | None:
+    """Return the part of the picture where something within `radius_m` of the foot may be; None = outside of it."""
+    z = float(expected.place[2])
+    if z < 0.1:
+        return None
+    u, v = camera.project(expected.place[None])[0]
+    spread = GATE_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(expected.covariance)[-1]))
+    reach = (spread + radius_m) * float(camera.K[0, 0]) / z + _MARGIN_PX
+    left, top = max(0, int(u - reach)), max(0, int(v - reach))
+    right, bottom = min(camera.width, int(u + reach) + 1), min(camera.height, int(v + reach) + 1)
+    return Region(left, top, right, bottom) if right > left and bottom > top else None
+
+
+def innovation_distance(place: FloatArray, covariance: FloatArray, expected: FootExpectation) -> float:
+    """Return the Mahalanobis distance, in standard deviations, of a measured place from the expected one.
+
+    Args:
+        place: (3,) metres, camera frame.
+        covariance: (3, 3) of the measured place.
+        expected: what was predicted.
+    """
+    innovation = place - expected.place
+    return float(np.sqrt(innovation @ np.linalg.solve(covariance + expected.covariance, innovation)))

@@ -1,0 +1,76 @@
+"""Finding a RealSense among those plugged in, and setting up its sensors."""
+
+from __future__ import annotations
+
+import logging
+import re
+from typing import Any
+
+from rhot.errors import DeviceError
+
+_LOG = logging.getLogger(__name__)
+
+Sdk = Any
+"""The module `pyrealsense2`, or what stands in for it in tests."""
+
+
+def describe_devices(sdk: Sdk) -> dict[str, str]:
+    """Return serial number to name of the RealSense cameras that are plugged in."""
+    info = sdk.camera_info
+    return {device.get_info(info.serial_number): device.get_info(info.name) for device in sdk.context().query_devices()}
+
+
+def find_device(sdk: Sdk, serial: str | None) -> Any:
+    """Return the device of a serial number, or the only one.
+
+    Raises:
+        DeviceError: none, not this one, or several to choose from; names those that are there.
+    """
+    devices = list(sdk.context().query_devices())
+    info = sdk.camera_info
+    names = [f"{device.get_info(info.serial_number)} ({device.get_info(info.name)})" for device in devices]
+    if not devices:
+        raise DeviceError(
+            "no RealSense camera is plugged in; on Linux it also needs the SDK's udev rules, and a USB 3 port"
+        )
+    if serial is None:
+        if len(devices) > 1:
+            raise DeviceError(
+                f"several RealSense cameras: {', '.join(names)}; set serial in [feet.camera] to one of them"
+            )
+        return devices[0]
+    for device in devices:
+        if device.get_info(info.serial_number) == serial:
+            return device
+    raise DeviceError(
+        f"no RealSense with serial {serial}; there is {', '.join(names)}; correct serial in [feet.camera]"
+    )
+
+
+def is_usb2(sdk: Sdk, device: Any) -> bool:
+    """Tell whether a device hangs on USB 2."""
+    descriptor = sdk.camera_info.usb_type_descriptor
+    return bool(device.supports(descriptor)) and str(device.get_info(descriptor)).startswith("2")
+
+
+def configure_sensors(sdk: Sdk, device: Any) -> None:
+    """Let times come in the machine's clock and exposure not slow the pictures down; warn of old firmware and USB 2."""
+    option, info = sdk.option, sdk.camera_info
+    for sensor in device.query_sensors():
+        # The colour camera would rather halve its rate in dim light than gain up.
+        for name, value in ((option.global_time_enabled, 1.0), (option.auto_exposure_priority, 0.0)):
+            if sensor.supports(name) and not sensor.is_option_read_only(name):
+                try:
+                    sensor.set_option(name, value)
+                except RuntimeError as error:
+                    _LOG.warning("RealSense: %s cannot be set: %s", name, error)
+    if device.supports(info.firmware_version) and device.supports(info.recommended_firmware_version):
+        has, wanted = device.get_info(info.firmware_version), device.get_info(info.recommended_firmware_version)
+        if _version(has) < _version(wanted):
+            _LOG.warning("RealSense: firmware %s is older than %s; update it with rs-fw-update", has, wanted)
+    if is_usb2(sdk, device):
+        _LOG.warning("RealSense is on USB 2: rates and sizes are limited; use a USB 3 port and cable")
+
+
+def _version(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"\d+", text))

@@ -1,0 +1,169 @@
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from marker_scenes import background, ball_depths, depth_camera, depth_image, plane_depths
+from numpy.typing import NDArray
+
+from rhot.camera import CameraModel
+from rhot.messages import Side
+from rhot.rotations import rotation_x
+from rhot_feet.depth_floor import find_floor
+from rhot_feet.depth_points import COARSE_PX, PixelRays
+from rhot_feet.depth_tracker import DepthTracker
+from rhot_feet.expectation import FootExpectation
+from rhot_feet.frames import DepthFrame, pinhole
+from rhot_feet.region import Region
+from rhot_feet.sources.recorded_frames import load_depth_recording
+
+CAMERA = depth_camera()
+WHOLE = Region(0, 0, CAMERA.width, CAMERA.height)
+RANGE = (0.3, 4.0)
+Float = NDArray[np.float64]
+# A camera 1.3 m over the floor, looking 60 degrees down: y of the camera frame is up there.
+R_CAMERA_WORLD = rotation_x(np.radians(60.0)) @ np.diag([1.0, -1.0, -1.0])
+UP = R_CAMERA_WORLD[:, 1]
+FLOOR = -1.3 * UP
+STEP = np.array([0.06, 0.03, 0.0])
+
+
+def place(x: float, height: float, ahead: float) -> Float:
+    """A point over the floor, camera frame: to the right, up and ahead of the camera, metres."""
+    point: Float = FLOOR + R_CAMERA_WORLD @ np.array([x, height, -ahead])
+    return point
+
+
+def foot_depths(marker: Float) -> Float:
+    """A shoe as three balls in a row, an ankle over its heel; the marker is on top of the middle."""
+    along, up = R_CAMERA_WORLD[:, 2], UP
+    balls = [marker - 0.04 * up + step * along for step in (-0.09, -0.03, 0.03)]
+    shank = [marker + 0.05 * step * up + 0.10 * along for step in range(2)]
+    depths = [ball_depths(CAMERA, ball, 0.045) for ball in balls] + [ball_depths(CAMERA, ball, 0.05) for ball in shank]
+    nearest: Float = np.min(depths, axis=0)
+    return nearest
+
+
+def picture(feet: dict[Side, Float], seed: int = 0, noise: float = 0.004) -> DepthFrame:
+    depths = plane_depths(CAMERA, UP, FLOOR)
+    for marker in feet.values():
+        foot = foot_depths(marker)
+        depths = np.where(foot < np.where(depths > 0.0, depths, np.inf), foot, depths)
+    color = background(CAMERA)
+    return DepthFrame(seed, color, depth_image(depths, seed, noise), CAMERA, seed)
+
+
+def expected(marker: Float, sigma_m: float = 0.03) -> FootExpectation:
+    return FootExpectation(marker, sigma_m**2 * np.eye(3), R_CAMERA_WORLD, 0.01 * np.eye(3))
+
+
+def test_the_floor_is_found_beside_a_table_and_with_noise() -> None:
+    rays = PixelRays(CAMERA, COARSE_PX)
+    depths = plane_depths(CAMERA, UP, FLOOR)
+    table = plane_depths(CAMERA, UP, FLOOR + 0.7 * UP)
+    depths[:, :300] = table[:, :300]
+    floor = find_floor(rays.points(depth_image(depths), WHOLE, RANGE), UP)
+    assert floor is not None
+    assert np.degrees(np.arccos(float(floor.up @ UP))) < 1.0
+    assert abs(1e3 * float(floor.heights_m(FLOOR[None])[0])) < 10.0
+    assert abs(1e3 * float(floor.heights_m((FLOOR + 0.2 * UP)[None])[0]) - 200.0) < 10.0
+
+
+def test_a_wall_is_no_floor_and_nothing_is_none() -> None:
+    rays = PixelRays(CAMERA, COARSE_PX)
+    wall = plane_depths(CAMERA, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 2.0]))
+    assert find_floor(rays.points(depth_image(wall), WHOLE, RANGE), np.array([0.0, -1.0, 0.0])) is None
+    assert find_floor(rays.points(np.zeros((480, 848), np.uint16), WHOLE, RANGE)) is None
+
+
+def test_hidden_feet_are_found_where_they_went() -> None:
+    tracker, rng = DepthTracker(RANGE), np.random.default_rng(0)
+    at: dict[Side, Float] = {"left": place(-0.12, 0.085, 0.7), "right": place(0.12, 0.085, 0.75)}
+    for seed in range(4):
+        tracker.feed(picture(at, seed), {}, {side: expected(marker) for side, marker in at.items()}, UP)
+    errors, normalised = [], []
+    for seed in range(8):
+        moved = {side: place(*(rng.uniform(-0.05, 0.05, 3) + STEP)) - place(0, 0, 0) for side in at}
+        now: dict[Side, Float] = {side: marker + moved[side] for side, marker in at.items()}
+        guess: dict[Side, FootExpectation] = {
+            side: expected(marker + rng.normal(0.0, 0.02, 3)) for side, marker in now.items()
+        }
+        found = tracker.feed(picture(now, 10 + seed), guess, {}, UP)
+        assert set(found.feet) == {"left", "right"}, found.refused
+        for side, foot in found.feet.items():
+            errors.append(foot.place - now[side])
+            normalised.append(errors[-1] @ np.linalg.solve(foot.covariance, errors[-1]) / 3.0)
+    assert 1e3 * float(np.mean(np.linalg.norm(errors, axis=1))) < 12.0
+    assert float(np.mean(normalised)) < 2.0
+
+
+def test_feet_side_by_side_stay_two() -> None:
+    tracker = DepthTracker(RANGE)
+    apart: dict[Side, Float] = {"left": place(-0.12, 0.085, 0.7), "right": place(0.12, 0.085, 0.7)}
+    for seed in range(3):
+        tracker.feed(picture(apart, seed), {}, {side: expected(marker) for side, marker in apart.items()}, UP)
+    for gap in (0.20, 0.15, 0.11, 0.095):
+        close: dict[Side, Float] = {
+            "left": place(-0.5 * gap, 0.085, 0.7),
+            "right": place(0.5 * gap, 0.085, 0.7),
+        }
+        found = tracker.feed(picture(close, 9), {side: expected(marker) for side, marker in close.items()}, {}, UP)
+        distance = np.linalg.norm(found.feet["left"].place - found.feet["right"].place)
+        assert abs(1e3 * float(distance) - 1e3 * gap) < 20.0
+
+
+def test_what_is_not_a_foot_is_refused() -> None:
+    tracker = DepthTracker(RANGE)
+    at: dict[Side, Float] = {"left": place(-0.12, 0.085, 0.7)}
+    here = {side: expected(marker) for side, marker in at.items()}
+    assert tracker.feed(picture(at), here, {}, UP).refused == {"left": "unknown"}
+    tracker.feed(picture(at), {}, here, UP)
+    assert set(tracker.feed(picture(at, 5), here, {}, UP).feet) == {"left"}
+    assert tracker.feed(picture({}, 5), here, {}, UP).refused == {"left": "hidden"}
+    far: dict[Side, Float] = {"left": place(-0.12, 0.085, 0.9)}
+    assert not tracker.feed(picture(far, 5), {"left": expected(at["left"], 0.02)}, {}, UP).feet
+    behind: dict[Side, FootExpectation] = {"left": expected(np.array([0.0, 0.0, -1.0]))}
+    assert tracker.feed(picture(at), behind, {}, UP).refused == {"left": "hidden"}
+    blind = DepthFrame(0, background(CAMERA), None, CAMERA, 0)
+    assert not tracker.feed(blind, here, {}, UP).feet
+
+
+@pytest.mark.parametrize("focal_px", [460.0, 610.0])
+def test_recorded_walk_from_the_first_marks_alone(shared_data: Path, focal_px: float) -> None:
+    folder = shared_data / "realsense" / "feet_rgbd"
+    # The lens is unknown; a D435's colour camera at 640x480 has about 610 px.
+    K = np.array([[focal_px, 0.0, 320.0], [0.0, focal_px, 240.0], [0.0, 0.0, 1.0]])
+    camera = pinhole(640, 480, K, np.empty(0))
+    recording = load_depth_recording(folder, camera=camera, rate_hz=30.0)
+    with (folder / "manual_toe_tips.csv").open() as stream:
+        marks = {int(row["frame"]): row for row in csv.DictReader(stream)}
+    tracker = DepthTracker(RANGE)
+    sides: tuple[Side, Side] = ("left", "right")
+    places = {side: toe(marks[0], side, camera) for side in sides}
+    speeds = {side: np.zeros(3) for side in sides}
+    distances = []
+    for frame in recording.frames():
+        if frame.index == 0:
+            tracker.feed(frame, {}, {side: FootExpectation(places[side], 1e-4 * np.eye(3)) for side in sides})
+            continue
+        guess = {side: FootExpectation(places[side] + speeds[side], 0.04**2 * np.eye(3)) for side in sides}
+        found = tracker.feed(frame, guess, {}).feet
+        for side in sides:
+            now = found[side].place if side in found else places[side] + speeds[side]
+            speeds[side] = 0.5 * speeds[side] + 0.5 * (now - places[side])
+            places[side] = now
+            if frame.index in marks:
+                u, v = camera.project(now[None])[0]
+                mark = marks[frame.index]
+                distances.append(np.hypot(u - float(mark[f"{side}_toe_u"]), v - float(mark[f"{side}_toe_v"])))
+    assert len(distances) == 10
+    assert np.mean(np.array(distances) < 15.0) >= 0.9
+    assert float(np.median(distances)) < 6.0
+
+
+def toe(row: dict[str, str], side: Side, camera: CameraModel) -> Float:
+    u, v, z = (float(row[f"{side}_toe_{name}"]) for name in ("u", "v", "depth_mm"))
+    x, y = camera.undistort(np.array([[u, v]]))[0]
+    return np.array([x, y, 1.0]) * z * 1e-3
