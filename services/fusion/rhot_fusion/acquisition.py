@@ -24,7 +24,7 @@ from rhot_fusion.triangulate import Prior, Triangulation, Views
 _GATE_SIGMAS = 5.0
 _SMALLEST_NOISE_PX = 0.05
 _AGREEMENT_S = 0.2
-_CONFIRMATIONS = 3
+CONFIRMATIONS = 3
 """Points that must agree one after another."""
 _OCCUPIED_M = 0.010
 """Two markers are never nearer to each other than this: a place within it belongs to the one that is there."""
@@ -66,10 +66,15 @@ class Acquisition:
         self._candidate_s[:] = -np.inf
         self._agreed[:] = 0
 
+    def agreed(self, marker: int) -> int:
+        """Return how many points of a marker have agreed one after another."""
+        return int(self._agreed[marker])
+
     def propose(
         self,
         index: IndexArray,
         tracks: Tracks,
+        doubt: FloatArray,
         schedule: Schedule,
         epipolar: EpipolarModel,
         config: FusionConfig,
@@ -82,6 +87,7 @@ class Acquisition:
         Args:
             index: markers seen where they were not expected.
             tracks: of all cameras, uncorrected.
+            doubt: (C, M) standard deviation of each camera's newest view beyond its noise, normalised units.
             schedule: of the cameras.
             epipolar: corrects the tracks.
             config: volume and limits.
@@ -102,7 +108,8 @@ class Acquisition:
         xy, used = epipolar.correct(shot.xy[:, index]), shot.valid[:, index]
         noise_px = max(epipolar.spread_px / np.sqrt(2.0), _SMALLEST_NOISE_PX)
         nothing = Prior(np.full((len(index), 3), np.nan), np.ones(len(index)))
-        solution = self._triangulation.solve(Views(xy, used), nothing, noise_px / self._focal_px)
+        noise = noise_px / self._focal_px
+        solution = self._triangulation.solve(Views(xy, used), nothing, noise)
         low, high = np.array(config.volume_m)
         gate_px = min(1.0 + _GATE_SIGMAS * epipolar.spread_px, max(config.epipolar_limit_px, 2.0))
         with np.errstate(invalid="ignore"):
@@ -114,7 +121,9 @@ class Acquisition:
         good = inside & near & free & (solution.residual <= gate_px / self._focal_px)
         counts["behind_cameras"] += int(np.count_nonzero(~solution.in_front))
         counts["gated"] += int(np.count_nonzero(~good))
-        index, position, covariance = index[good], solution.position[good], solution.covariance[good]
+        worse = 1.0 + (np.where(used, doubt[:, index], 0.0).max(axis=0) / noise) ** 2
+        covariance = solution.covariance * worse[:, None, None]
+        index, position, covariance = index[good], solution.position[good], covariance[good]
         if not len(index):
             return None
         elapsed = moment_s - self._candidate_s[index]
@@ -124,7 +133,7 @@ class Acquisition:
             agrees = (elapsed < _AGREEMENT_S) & (step <= 0.5 * config.max_speed_m_s * elapsed + 3.0 * spread)
         self._agreed[index] = np.where(agrees, self._agreed[index] + 1, 1)
         self._candidate[index], self._candidate_s[index] = position, moment_s
-        sure = self._agreed[index] >= _CONFIRMATIONS
+        sure = self._agreed[index] >= CONFIRMATIONS
         if not sure.any():
             return None
         self._agreed[index[sure]] = 0

@@ -1,7 +1,7 @@
 """From the visible middle of a painted fingertip to the middle of its painted volume, in the picture.
 
-Where the fingers point is what inverse kinematics made of earlier points. It moves a point by millimetres at most, and
-by a tenth of a millimetre for a degree, so the loop through it is stable.
+Where the fingers point is what inverse kinematics made of earlier points; how far they point towards the camera or away
+from it is what the visible area says, so that the loop through inverse kinematics stays stable.
 """
 
 from __future__ import annotations
@@ -27,16 +27,23 @@ _FASTEST_GAIN: Final = 0.5
 _FAST_TURN_RAD: Final = 0.3
 """Directions are smoothed by this share of their step, small or beyond this angle."""
 _TYPICAL_DEPTH_M: Final = 0.8
-_MEMORY: Final = 0.15
-"""Shares of the visible area are smoothed by this: they flicker by some hundredths."""
+_QUIET_STEP: Final = 0.02
+_QUICK_STEP: Final = 0.6
+_REAL_STEP: Final = 0.2
+"""Areas are smoothed by a share of their step, from small to large ones: they flicker by some hundredths of themselves,
+and fall within three frames when something hides."""
 _UNEVEN: Final = 0.05
 """Views of a whole marker differ by this share of its area."""
 _HIDDEN_SHIFT: Final = 0.7
 """Hiding a strip of a marker shifts its visible middle by half the strip; chosen by the error on simulated hands."""
 _HIDDEN_SIGMA_M: Final = 0.04
 """Error of a place, in depth above all, per share of the marker that is hidden."""
-_WHOLE: Final = 0.84
-"""Least share of the expected area that is reported of a cap of which nothing is hidden."""
+_HIDDEN_DOUBT: Final = 0.25
+"""Error of the shift by what is hidden, as a share of the marker's width per share hidden."""
+_STEEPEST: Final = 0.98
+"""Beyond this cosine the visible part of a cap is too small to have a middle."""
+_PAINT_SHARE: Final = 0.9
+"""Share of a cap's expected area that is found as its colour: its rim is mixed with what is behind."""
 
 
 class CapDirections:
@@ -57,10 +64,11 @@ class CapDirections:
         for place, marker in enumerate(markers.values()):
             if self._model.is_cap[place]:
                 self._joints.setdefault(marker.hand, []).append((place, before[marker.joint], marker.joint))
-        self._viewpoint: FloatArray = np.mean([camera.center for camera in cameras], axis=0)
-        self._all = np.arange(len(markers))
         self._share: FloatArray = np.full((len(cameras), len(markers)), np.nan)
+        self._area: FloatArray = np.full((len(cameras), len(markers)), np.nan)
+        self._bent: FloatArray = np.full((len(cameras), len(markers)), np.nan)
         centers = np.stack([camera.center for camera in cameras])
+        self._aside: FloatArray = centers - centers.mean(axis=0)
         self._side: list[FloatArray] = [_sideways(camera, centers) for camera in cameras]
         self._direction: FloatArray = np.full((len(markers), 3), np.nan)
         self.sigma_m: FloatArray = np.zeros(len(markers))
@@ -69,7 +77,7 @@ class CapDirections:
     def clear(self) -> None:
         """Forget all directions."""
         self._direction[:] = np.nan
-        self._share[:] = np.nan
+        self._share[:] = self._area[:] = self._bent[:] = np.nan
         self.sigma_m[:] = np.where(self._model.is_cap, _UNKNOWN_SIGMA_M, 0.0)
 
     def learn(self, hand: HandPose) -> None:
@@ -91,24 +99,13 @@ class CapDirections:
             self._direction[place] = direction
             self.sigma_m[place] = _KNOWN_SIGMA_M
 
-    def offsets(self, position: FloatArray) -> FloatArray:
-        """Return from the middles of caps to what the rig as a whole sees as their middles (M, 3), metres.
+    def correct(self, sightings: Sightings, known: FloatArray, tracked: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far the middles of caps lie beside what is seen of them, and how sure that is.
 
-        Args:
-            position: (M, 3) of the markers, metres, rig frame.
-        """
-        u = self._viewpoint - position
-        d = self._direction
-        cosine = (d * u).sum(axis=1) / np.sqrt((u * u).sum(axis=1))
-        known = np.isfinite(cosine)
-        shift, _ = self._model.look_up(self._all, np.where(known, cosine, 0.0))
-        # Across the view alone: along it an error of the direction would bend the fingers that it came from further.
-        across = d - u * ((d * u).sum(axis=1) / (u * u).sum(axis=1))[:, None]
-        offsets: FloatArray = np.where(known[:, None], across, 0.0) * shift[:, None]
-        return offsets
-
-    def hidden_shift(self, sightings: Sightings, known: FloatArray, tracked: BoolArray) -> FloatArray:
-        """Return by how much (N, 2), normalised units, hiding shifts sightings beyond what it does in other views.
+        The solver of the hand bends fingers that point away from the cameras wrong by 10 to 20 degrees, which moves
+        their middles by millimetres. The area tells better: a tenth of it is 0.03 of d·u where that is −0.7. The camera
+        that shows most of a cap corrects d·u; what another one shows less than that is hidden from it. Where no area is
+        reported the shift is taken as seen from the middle of the rig, so that a wrong direction changes no depth.
 
         What hides a part of a marker is nearer than it, and so covers more of it in the camera on its own side: from
         there to the other camera the visible middle moves less. The difference is what depth is made of. The shift that
@@ -118,32 +115,68 @@ class CapDirections:
             sightings: of the visible parts; what they show of each marker's area is noted.
             known: (M, 6) places of the markers, for their distance.
             tracked: (M,) which of them are known.
+
+        Returns:
+            (N, 2) what to add to the sightings and (N,) its standard deviation, normalised units.
         """
         index, xy, camera = sightings.index, sightings.xy, sightings.camera
-        d = self._direction[index] @ self._R[camera].T
-        # The distance of an unknown marker is not needed well: its shift is a few pixels.
-        depth = np.where(tracked[index], np.maximum(known[index, 2], 0.1), _TYPICAL_DEPTH_M)
-        cosine = -(d[:, 0] * xy[:, 0] + d[:, 1] * xy[:, 1] + d[:, 2]) / np.sqrt(1.0 + (xy * xy).sum(axis=1))
-        seen = np.isfinite(cosine) & tracked[index]
-        if not seen.any():
-            return np.zeros((len(index), 2))
-        _, area = self._model.look_up(index, np.where(seen, cosine, 0.0))
-        whole = np.maximum(area / (depth * depth), 1e-12)
-        share = np.where(seen, sightings.area_px / (whole * self._focal_px[camera] ** 2), np.nan)
-        before = self._share[camera, index]
-        share += np.where(np.isfinite(before), (1.0 - _MEMORY) * (before - share), 0.0)
-        self._share[camera, index] = share
-        best = np.fmax.reduce(self._share[:, index], axis=0)
-        less = np.where(seen, np.maximum(best - share - _UNEVEN, 0.0), 0.0)
-        shift: FloatArray = (_HIDDEN_SHIFT * less * np.sqrt(whole))[:, None] * self._side[camera]
-        return shift
+        shift, doubt = np.zeros((len(index), 2)), np.zeros(len(index))
+        absent = np.ones(len(self.sigma_m), dtype=bool)
+        absent[index] = False
+        for past in (self._area, self._bent, self._share):
+            past[camera, absent] = np.nan
+        aimed = np.isfinite(self._direction[index, 0])
+        if not aimed.any():
+            return shift, doubt
+        d = np.where(aimed[:, None], self._direction[index], 0.0) @ self._R[camera].T
+        anywhere = tracked.any()
+        typical = float(np.median(known[tracked, 2])) if anywhere else _TYPICAL_DEPTH_M
+        depth = np.maximum(np.where(tracked[index], known[index, 2], typical), 0.1)
+        judged = aimed & (sightings.area_px > 0.0) & anywhere
+        ray = np.ones((len(index), 3))
+        ray[:, :2] = xy
+        aside = self._aside[camera] @ self._R[camera].T
+        ray, middle_ray = _unit(ray), _unit(ray + aside / depth[:, None])
+        cosine = -(d * middle_ray).sum(axis=1)
+        area = np.where(judged, sightings.area_px / _PAINT_SHARE * (depth / self._focal_px[camera]) ** 2, np.nan)
+        before = self._area[camera, index]
+        step = np.minimum(np.abs(area - before) / (_REAL_STEP * before), 1.0)
+        gain = _QUIET_STEP + (_QUICK_STEP - _QUIET_STEP) * step * step
+        area = np.where(np.isfinite(before), before + gain * (area - before), area)
+        self._area[camera, index] = area
+        # What d·u is in this camera beyond what it is from the middle of the rig.
+        turn = (d @ aside) / depth
+        own = self._model.cosine_of(index, np.where(judged, area, 0.0))
+        self._bent[camera, index] = np.where(judged, own - turn, np.nan)
+        best = np.fmax.reduce(self._bent[:, index], axis=0)
+        bent = np.clip(np.where(judged, best, cosine), -_STEEPEST, _STEEPEST)
+        # The direction is tilted to what the area says, about the axis across it and the line of sight.
+        tilted = _unit(d + middle_ray * cosine[:, None]) * np.sqrt(1.0 - bent * bent)[:, None]
+        tilted -= middle_ray * bent[:, None]
+        sight = np.where(judged[:, None], ray, middle_ray)
+        seen = -(tilted * sight).sum(axis=1)
+        along, whole = self._model.look_up(index, seen)
+        self._share[camera, index] = share = np.where(judged, area / np.maximum(whole, 1e-9), 1.0)
+        across = (tilted + sight * seen[:, None]) * (along / depth)[:, None]
+        shift += xy * across[:, 2:] - across[:, :2]
+        less = np.maximum(1.0 - share, 0.0)
+        less = np.maximum(np.minimum(2.0 * (less - _UNEVEN), less), 0.0)
+        width = np.sqrt(whole) / depth
+        shift += (_HIDDEN_SHIFT * less * width)[:, None] * self._side[camera]
+        return shift, _HIDDEN_DOUBT * less * width
 
     def sigmas(self) -> FloatArray:
         """Return what places of markers (M,) may be wrong by for their shape and what hides them, metres."""
-        hidden = np.maximum(_WHOLE - np.fmin.reduce(self._share, axis=0), 0.0)
+        hidden = np.maximum(1.0 - np.fmin.reduce(self._share, axis=0), 0.0)
         doubt = np.where(np.isfinite(hidden), _HIDDEN_SIGMA_M * hidden, 0.0)
         sigmas: FloatArray = np.sqrt(self.sigma_m**2 + doubt**2)
         return sigmas
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    """Return vectors (N, 3) of length one; nothing stays nothing."""
+    unit: FloatArray = vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1)), 1e-9)[:, None]
+    return unit
 
 
 def _sideways(camera: CameraModel, centers: FloatArray) -> FloatArray:

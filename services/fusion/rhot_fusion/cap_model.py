@@ -106,6 +106,8 @@ class CapModel:
         self.is_cap: NDArray[np.bool_] = np.zeros(len(markers), dtype=bool)
         self._shift: FloatArray = np.zeros((len(markers), COSINES))
         self._area: FloatArray = np.zeros((len(markers), COSINES))
+        self._cosine: FloatArray = np.zeros((len(markers), COSINES))
+        self._largest: FloatArray = np.ones(len(markers))
         tips = {chain[-1]: chain[-2] for chain in CHAINS.values()}
         for place, (name, marker) in enumerate(markers.items()):
             if marker.kind != "cap" or marker.joint not in tips:
@@ -119,6 +121,13 @@ class CapModel:
             offset = hand.marker_offset(name, marker)
             table = cap_table(radius, rear, float(offset[2]))
             self._shift[place], self._area[place] = table.shift_m, table.area_m2
+            rising = np.arange(COSINES) <= int(np.argmax(table.area_m2))
+            self._largest[place] = table.area_m2.max()
+            self._cosine[place] = np.interp(
+                np.linspace(0.0, self._largest[place], COSINES),
+                table.area_m2[rising],
+                np.linspace(-1.0, 1.0, COSINES)[rising],
+            )
             self.is_cap[place] = True
 
     def look_up(self, index: NDArray[np.intp], cosine: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -129,3 +138,11 @@ class CapModel:
         shift = self._shift[index, low] * (1.0 - share) + self._shift[index, low + 1] * share
         area = self._area[index, low] * (1.0 - share) + self._area[index, low + 1] * share
         return shift, area
+
+    def cosine_of(self, index: NDArray[np.intp], area: FloatArray) -> FloatArray:
+        """Return d·u (N,) at which markers (N,) show areas (N,), square metres: the smaller one where there are two."""
+        place = np.clip(area / self._largest[index], 0.0, 1.0) * (COSINES - 1)
+        low = np.minimum(place.astype(np.intp), COSINES - 2)
+        share = place - low
+        cosine: FloatArray = self._cosine[index, low] * (1.0 - share) + self._cosine[index, low + 1] * share
+        return cosine

@@ -20,6 +20,7 @@ from rhot_fusion.acquisition import Acquisition
 from rhot_fusion.cap_directions import CapDirections
 from rhot_fusion.coherence import HandCoherence
 from rhot_fusion.epipolar import EpipolarModel
+from rhot_fusion.gates import Gates
 from rhot_fusion.motion_bank import MotionBank, innovate
 from rhot_fusion.path_smoothing import PathRecord, SmoothedPath
 from rhot_fusion.presence import Presence
@@ -29,9 +30,9 @@ from rhot_fusion.sightings import BoolArray, FloatArray, IndexArray, Outcome, Si
 from rhot_fusion.timing_noise import TimingNoise
 from rhot_fusion.tracks import LONGEST_GAP, ROWS_SHARE, Tracks
 
-_GATE = 16.0
+GATE = 16.0
 """Squared innovation of a coordinate, in variances, beyond which an observation is refused: 4 sigma."""
-_SLACK_PX = 1.0
+SLACK_PX = 1.0
 """Added to the noise in the gate: models of noise and motion are never as good as their figures."""
 _SMALLEST_NOISE_PX = 0.06
 _BLUR = 2.0
@@ -50,7 +51,11 @@ _FAR_PX = 6.0
 
 
 class FilterTracker:
-    """The `filter` method; see `Tracker`."""
+    """The `filter` method; see `Tracker`.
+
+    Attributes:
+        gates: what each camera's newest frame said of the tracked markers, by camera.
+    """
 
     def __init__(
         self,
@@ -84,8 +89,30 @@ class FilterTracker:
         self._noise = TimingNoise(_FIRST_NOISE_PX / self._focal_px)
         self._pair = (np.full((len(cameras) - 1, count, 2), np.nan), np.full((count, 2), np.nan))
         self._learnt_s = -np.inf
+        self._raw: FloatArray = np.full((len(cameras), count, 2), np.nan)
+        self._doubt: FloatArray = np.zeros((len(cameras), count))
         self._showing = Showing(cameras, self._bank, self._presence, self._hands, self._caps, self._schedule, counts)
+        self.gates: dict[int, Gates] = {}
         self._history: deque[tuple[Sightings, tuple[FloatArray, ...]]] = deque(maxlen=16)
+
+    @property
+    def bank(self) -> MotionBank:
+        """The filters, to look at."""
+        return self._bank
+
+    @property
+    def presence(self) -> Presence:
+        """Which markers are known, to look at."""
+        return self._presence
+
+    @property
+    def focal_px(self) -> float:
+        """Pixels of a normalised unit."""
+        return self._focal_px
+
+    def agreed(self, marker: int) -> int:
+        """Return how many times in a row two views have agreed on where a marker is that is not tracked."""
+        return self._acquisition.agreed(marker)
 
     def configure(self, config: FusionConfig) -> None:
         """Change the settings."""
@@ -109,6 +136,9 @@ class FilterTracker:
         self._acquisition.clear()
         self._caps.clear()
         self._showing.clear()
+        self.gates.clear()
+        self._raw[:] = np.nan
+        self._doubt[:] = 0.0
         self._learnt_s = -np.inf
         self._history.clear()
 
@@ -142,15 +172,20 @@ class FilterTracker:
         self._history.append((sightings, self._bank.save()))
         camera, index, times = sightings.camera, sightings.index, sightings.times_s
         presence, xy = self._presence, sightings.xy
-        shift = self._caps.hidden_shift(sightings, self._bank.mean, presence.tracked)
-        held = np.zeros(len(index), dtype=bool) if again else self._tracks.repeats(camera, index, xy)
+        shift, doubt = self._caps.correct(sightings, self._bank.mean, presence.tracked)
+        held = np.zeros(len(index), dtype=bool)
         if not again:
-            self._remember(camera, index, times, xy)
-        corrected = self.epipolar.correct_one(camera, xy) + shift
+            held = (xy == self._raw[camera, index]).all(axis=1)
+            self._raw[camera, index] = xy
+            self._doubt[camera, index] = doubt
+            self._remember(camera, index, times, xy + shift)
+        corrected = self.epipolar.correct_one(camera, xy + shift)
         accepted = presence.tracked[index]
         known = np.flatnonzero(accepted)
         if len(known):
-            accepted[known] = self._update(camera, index[known], times[known], corrected[known], held[known])
+            accepted[known] = self._update(
+                camera, index[known], times[known], corrected[known], held[known], doubt[known]
+            )
         presence.show(camera, sightings.t_s, index[accepted])
         if not accepted.all():
             self._acquire(sightings, index[~accepted])
@@ -166,11 +201,13 @@ class FilterTracker:
         max_rate = self._config.max_speed_m_s / max(0.5 * (low[2] + high[2]), 0.1)
         self._tracks.append(camera, index, times, xy, max_rate)
 
-    def _update(self, camera: int, index: IndexArray, times: FloatArray, xy: FloatArray, held: BoolArray) -> BoolArray:
+    def _update(
+        self, camera: int, index: IndexArray, times: FloatArray, xy: FloatArray, held: BoolArray, doubt: FloatArray
+    ) -> BoolArray:
         """Let observations (N, 2) of tracked markers (N,) move their filters; return which were accepted.
 
         Some capture programs repeat the last place of a marker that they lost; what was `held` (N,) like this is
-        refused where the marker moves.
+        refused where the marker moves. The `doubt` (N,) is a standard deviation beyond the noise, normalised units.
         """
         bank = self._bank
         forecast = bank.forecast(index, times)
@@ -178,7 +215,7 @@ class FilterTracker:
         w = forecast.mean[:, 3:] @ self._R[camera][:2].T / np.maximum(forecast.mean[:, 2:3], 0.1)
         blur = _BLUR * self._noise.sigma_s**2
         variance = np.empty((len(index), 3))
-        variance[:, 0] = variance[:, 2] = noise * noise
+        variance[:, 0] = variance[:, 2] = noise * noise + doubt * doubt
         variance[:, 0] += blur * w[:, 0] ** 2
         variance[:, 1] = blur * w[:, 0] * w[:, 1]
         variance[:, 2] += blur * w[:, 1] ** 2
@@ -186,9 +223,9 @@ class FilterTracker:
         # Against the models together, with slack, each axis alone.
         weight = forecast.weight
         y = (weight[:, :, None] * innovation.y).sum(axis=1)
-        size, slack = y * y, (_SLACK_PX / self._focal_px) ** 2
-        accepted: BoolArray = (size[:, 0] <= _GATE * ((weight * innovation.a).sum(axis=1) + slack)) & (
-            size[:, 1] <= _GATE * ((weight * innovation.c).sum(axis=1) + slack)
+        size, slack = y * y, (SLACK_PX / self._focal_px) ** 2
+        accepted: BoolArray = (size[:, 0] <= GATE * ((weight * innovation.a).sum(axis=1) + slack)) & (
+            size[:, 1] <= GATE * ((weight * innovation.c).sum(axis=1) + slack)
         )
         if held.any():
             accepted &= ~held | ((w * w).sum(axis=1) < (_RESTING_PX_S / self._focal_px) ** 2)
@@ -196,6 +233,7 @@ class FilterTracker:
         if far.any():
             accepted[far] = ~self._belongs_elsewhere(camera, index[far], xy[far], y[far], times[far])
         bank.update(index, accepted, forecast, innovation)
+        self.gates[camera] = Gates(index, times, weight, y, innovation.a, innovation.c, held, accepted)
         self._counts["refused"] += len(index) - int(np.count_nonzero(accepted))
         return accepted
 
@@ -221,7 +259,7 @@ class FilterTracker:
         """Find markers (N,) that are not known, or not where they were expected, by two views that agree repeatedly."""
         known, tracked = self._expected(sightings.t_s), self._presence.tracked
         found = self._acquisition.propose(
-            index, self._tracks, self._schedule, self.epipolar, self._config, known, tracked, self._counts
+            index, self._tracks, self._doubt, self._schedule, self.epipolar, self._config, known, tracked, self._counts
         )
         if found is None:
             return

@@ -14,7 +14,7 @@ from rhot_fusion.coherence import HandCoherence
 from rhot_fusion.motion_bank import MotionBank
 from rhot_fusion.presence import Presence
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.sightings import FloatArray, Outcome, SeenMiddles
+from rhot_fusion.sightings import FloatArray, Outcome
 
 _QUIET_DEPTH_M = 0.004
 """Standard deviation in depth up to which a marker is shown as fast as it moves."""
@@ -84,14 +84,13 @@ class Showing:
         position = place + bank.mean[:, 3:] * (ahead_s(ahead) + config.predict_s)[:, None]
         spread = np.einsum("mii->mi", bank.cov)
         variance = spread[:, :3].sum(axis=1) + ahead * ahead * spread[:, 3:].sum(axis=1)
-        seen = SeenMiddles(self._caps.offsets(position), self._caps.sigmas())
-        position -= seen.offset
+        shape_sigma = self._caps.sigmas()
         position[~tracked] = np.nan
         self._glide(position, t_s, config)
-        sigma = np.sqrt(variance + seen.sigma_m**2)
+        sigma = np.sqrt(variance + shape_sigma**2)
         local = position @ self._R.swapaxes(1, 2) + self._t[:, None]
         xy = np.where(presence.fresh[:, :, None], local[:, :, :2] / local[:, :, 2:], np.nan)
-        return Outcome(t_s + config.predict_s, position, sigma, np.where(tracked, views, 0), measured, xy, seen)
+        return Outcome(t_s + config.predict_s, position, sigma, np.where(tracked, views, 0), measured, xy, shape_sigma)
 
     def _coast(self, t_s: float) -> None:
         """Carry markers that no camera sees along with the others of their hand."""

@@ -40,19 +40,6 @@ class Sightings:
 
 
 @dataclass(frozen=True, slots=True)
-class SeenMiddles:
-    """How the places of M markers differ from what cameras see as their middles.
-
-    Attributes:
-        offset: (M, 3) metres, from the place to the seen middle, rig frame.
-        sigma_m: (M,) what the place may be wrong by for the marker's shape and what hides it.
-    """
-
-    offset: FloatArray
-    sigma_m: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class Outcome:
     """The markers at one moment.
 
@@ -63,7 +50,7 @@ class Outcome:
         views: (M,) cameras behind it.
         measured: (M,) backed by views of this moment that agree.
         xy: (C, M, 2) where each camera sees the marker at this moment, normalised coordinates; NaN = it does not.
-        seen: how places differ from what the cameras see; none where they are taken as the same.
+        shape_sigma_m: (M,) what of `sigma_m` is for the markers' shapes and what hides them; none where nobody asks.
     """
 
     t_s: float
@@ -72,7 +59,7 @@ class Outcome:
     views: CountArray
     measured: BoolArray
     xy: FloatArray
-    seen: SeenMiddles | None = None
+    shape_sigma_m: FloatArray | None = None
 
 
 class Tracker(Protocol):

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from rhot.messages import PointSet, Position
 from rhot_fusion.path_smoothing import SmoothedPath
-from rhot_fusion.sightings import SeenMiddles
 
 FloatArray = NDArray[np.float64]
 
@@ -22,12 +21,12 @@ class PublishedSet:
     Attributes:
         points: as published.
         t_s: its moment, seconds since the stream's start.
-        seen: how the markers' places differ from what the cameras see.
+        shape_sigma_m: (M,) what the markers' places may be wrong by for their shapes and what hides them.
     """
 
     points: PointSet
     t_s: float
-    seen: SeenMiddles
+    shape_sigma_m: FloatArray
 
 
 def smoothed_points(
@@ -39,8 +38,7 @@ def smoothed_points(
     times = np.array([one.t_s for one in published])
     read = [path.at(times) for path in paths]
     place, variance = np.stack([position for position, _ in read], axis=1), np.stack([v for _, v in read], axis=1)
-    place -= np.stack([one.seen.offset for one in published])
-    sigma = np.sqrt(variance + np.stack([one.seen.sigma_m for one in published]) ** 2)
+    sigma = np.sqrt(variance + np.stack([one.shape_sigma_m for one in published]) ** 2)
     index = {name: marker for marker, name in enumerate(names)}
     return [_moved(one.points, index, place[row], sigma[row]) for row, one in enumerate(published)]
 

@@ -10,10 +10,12 @@ import numpy as np
 
 from rhot.camera import CameraModel
 from rhot.errors import ConfigError
+from rhot.explain import Explanation
 from rhot.messages import HandPose, MarkerFrame, Point, PointSet, State
 from rhot.rig import FusionConfig, Rig
 from rhot.stage import Output
 from rhot_fusion.corners import PatchCorners
+from rhot_fusion.explain import tracker_tables
 from rhot_fusion.filter_tracker import FilterTracker
 from rhot_fusion.guard import StreamGuard
 from rhot_fusion.paired_tracker import PairedTracker
@@ -62,6 +64,7 @@ class FusionStage:
         self._corners = PatchCorners(rig.config.markers, self._models)
         self._guard = StreamGuard(models, self.counts)
         self._base_ns: int | None = None
+        self._newest_s = 0.0
 
     def configure(self, config: FusionConfig) -> None:
         """Change the settings while running; points go on from where they are unless the method changes.
@@ -128,16 +131,22 @@ class FusionStage:
             return []
         known_ns = None if verdict == "restart" else self._base_ns
         base_ns = self._begin(message.t_ns) if known_ns is None else known_ns
-        outcome = self._tracker.advance(self._sightings(message, base_ns))
+        sightings = self._sightings(message, base_ns)
+        self._newest_s = sightings.t_s
+        outcome = self._tracker.advance(sightings)
         if outcome is None:
             return []
         seq = self.counts["published"]
         self.counts["published"] += 1
         t_ns = base_ns + round(outcome.t_s * 1e9)
         points = PointSet(t_ns=t_ns, seq=seq, frame=RIG_FRAME, points=self._points(outcome))
-        if self._record and outcome.seen is not None:
-            self._published.append(PublishedSet(points, outcome.t_s, outcome.seen))
+        if self._record and outcome.shape_sigma_m is not None:
+            self._published.append(PublishedSet(points, outcome.t_s, outcome.shape_sigma_m))
         return [(POINTS_KEY, points)]
+
+    def explain(self) -> list[Explanation]:
+        """Return what is known of the markers after the newest frame, and why; see `rhot.explain`."""
+        return tracker_tables(self._tracker, list(self._camera_index), self._markers, self.counts, self._newest_s)
 
     def _begin(self, t_ns: int) -> int:
         """Start a stream at a time; seconds in here count from it, so that they fit a float64 to the nanosecond."""

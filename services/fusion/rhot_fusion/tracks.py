@@ -69,11 +69,6 @@ class Tracks:
         self._xy[camera, markers, -1] = xy
         self._linked[camera, markers, -1] = step <= max_rate * interval
 
-    def repeats(self, camera: int, markers: IndexArray, xy: FloatArray) -> BoolArray:
-        """Tell which observations (K, 2) of markers (K,) equal the newest of their tracks to the last digit."""
-        same: BoolArray = (xy == self._xy[camera, markers, -1]).all(axis=1)
-        return same
-
     def at(self, t_s: float, max_extrapolation_s: float, max_gap_s: float) -> Snapshot:
         """Read all tracks at a moment.
 

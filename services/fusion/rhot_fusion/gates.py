@@ -1,0 +1,31 @@
+"""What the filters were last told by each camera, kept for explanations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rhot_fusion.sightings import BoolArray, FloatArray, IndexArray
+
+
+@dataclass(frozen=True, slots=True)
+class Gates:
+    """Observations of N tracked markers in one frame against what was expected.
+
+    Attributes:
+        index: (N,) markers.
+        times_s: (N,) seconds since the stream's start.
+        weight: (N, K) of the motion models.
+        y: (N, 2) innovation, the models together, normalised units.
+        a, c: (N, K) its expected variance along x and y under each model.
+        held: (N,) the very place of the frame before.
+        accepted: (N,) whether the observation moved the marker.
+    """
+
+    index: IndexArray
+    times_s: FloatArray
+    weight: FloatArray
+    y: FloatArray
+    a: FloatArray
+    c: FloatArray
+    held: BoolArray
+    accepted: BoolArray

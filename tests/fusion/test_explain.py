@@ -1,0 +1,98 @@
+"""What fusion says of itself: what it refused and why, and that asking changes nothing."""
+
+from __future__ import annotations
+
+import pytest
+
+from rhot.explain import Explaining, Explanation
+from rhot.messages import HandPose, MarkerFrame, PointSet
+from rhot.rig import Rig, load_rig, write_json_model
+from rhot.rig.template import rig_template
+from rhot.sim.calibration import simulated_rig_calibration
+from rhot_bench.simulated import projected_frames, world_of
+from rhot_fusion.stage import FusionStage
+from rhot_ik.stage import HandStage
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
+    """Simulated, without colours: no picture is looked at here."""
+    folder = tmp_path_factory.mktemp("rig")
+    (folder / "rig.toml").write_text(rig_template(folder="rig", name="test", source="simulated", seed=1))
+    write_json_model(folder / "cameras.json", simulated_rig_calibration(load_rig(folder).config.cameras, 1).found)
+    return load_rig(folder)
+
+
+@pytest.fixture(scope="module")
+def frames(rig: Rig) -> list[MarkerFrame]:
+    return list(projected_frames(rig, world_of(rig), 0.5, 1.2))
+
+
+def table(tables: list[Explanation], title: str) -> Explanation:
+    return next(found for found in tables if found.title.startswith(title))
+
+
+def moved(frame: MarkerFrame, name: str, by_px: float) -> MarkerFrame:
+    marker = frame.markers[name].model_copy(update={"u": frame.markers[name].u + by_px})
+    return frame.model_copy(update={"markers": {**frame.markers, name: marker}})
+
+
+def test_a_wrong_place_is_refused_with_its_distance(rig: Rig, frames: list[MarkerFrame]) -> None:
+    stage = FusionStage(rig)
+    assert isinstance(stage, Explaining)
+    for frame in frames[:-1]:
+        stage.feed(frame)
+    last = frames[-1]
+    stage.feed(moved(last, "index", 40.0))
+    rows = {row.cells[:2]: row for row in table(stage.explain(), "Gates").rows}
+    refused = rows[last.camera, "index"]
+    assert refused.verdict == "refused"
+    assert 30.0 < abs(float(refused.cells[3])) < 50.0
+    assert "px off in x" in refused.cells[-1]
+    others = [row for (_, name), row in rows.items() if name != "index"]
+    assert {row.verdict for row in others} == {"taken"}
+    assert all(abs(float(row.cells[3])) < float(row.cells[4]) < 20.0 for row in others)
+    states = {row.cells[0]: row.cells for row in table(stage.explain(), "Filters").rows}
+    assert states["thumb"][1] == "tracked"
+    assert float(states["thumb"][5]) < 30.0, "seen, ms ago"
+
+
+def test_a_marker_that_one_camera_sees_is_not_tracked(rig: Rig, frames: list[MarkerFrame]) -> None:
+    stage = FusionStage(rig)
+    for frame in frames:
+        hidden = {name: marker for name, marker in frame.markers.items() if (name, frame.camera) != ("ring", "left")}
+        stage.feed(frame.model_copy(update={"markers": hidden}))
+    states = {row.cells[0]: row for row in table(stage.explain(), "Filters").rows}
+    assert states["ring"].verdict == "refused"
+    assert states["ring"].cells[1].startswith("not tracked")
+
+
+@pytest.mark.parametrize("method", ["filter", "triangulate", "disparity"])
+def test_asking_changes_nothing(rig: Rig, frames: list[MarkerFrame], method: str) -> None:
+    plain, asked = FusionStage(rig), FusionStage(rig)
+    config = rig.config.fusion.model_copy(update={"method": method})
+    for stage in (plain, asked):
+        stage.configure(config)
+    for frame in frames:
+        assert asked.feed(frame) == plain.feed(frame)
+        assert asked.explain()
+
+
+def test_hand(rig: Rig, frames: list[MarkerFrame]) -> None:
+    fusion, plain, asked = FusionStage(rig), HandStage(rig), HandStage(rig)
+    assert asked.explain()[0].rows[0].verdict == "refused"
+    hand = None
+    for frame in frames:
+        for _, points in fusion.feed(frame):
+            assert isinstance(points, PointSet)
+            outputs = asked.feed(points)
+            assert outputs == plain.feed(points)
+            asked.explain()
+            hand = outputs[0][1] if outputs else hand
+    assert isinstance(hand, HandPose)
+    angles = {row.cells[:2]: row.cells for row in table(asked.explain(), "Hand right: angles").rows}
+    assert len(angles) == 20
+    shown = float(angles["index", "flexion"][2])
+    assert shown == pytest.approx(hand.angles["index"].mcp_flexion * 57.2958, abs=0.06)
+    fingers = {row.cells[0]: row.cells for row in table(asked.explain(), "Hand right: residual").rows}
+    assert float(fingers["index"][2]) == pytest.approx(1e3 * hand.residual["index"], abs=0.006)
