@@ -34,6 +34,12 @@ class Publisher(Generic[M]):
         """The message published last."""
         return self._last
 
+    @property
+    def has_reader(self) -> bool:
+        """Whether somebody subscribes to the key."""
+        # The status object itself is always truthy; its field is what counts.
+        return bool(self._publisher.matching_status.matching)  # type: ignore[attr-defined]
+
     def put(self, message: M) -> M:
         """Publish a message and return it as sent, with its sequence number.
 
@@ -61,8 +67,7 @@ class Publisher(Generic[M]):
         A sample put right after the publisher was declared is lost until the router knows of a subscriber.
         """
         deadline = asyncio.get_running_loop().time() + timeout_s
-        # The status object itself is always truthy; its field is what counts.
-        while not self._publisher.matching_status.matching:  # type: ignore[attr-defined]
+        while not self.has_reader:
             if asyncio.get_running_loop().time() >= deadline:
                 return False
             await asyncio.sleep(_MATCH_POLL_S)

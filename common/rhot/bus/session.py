@@ -108,20 +108,22 @@ class Bus:
     async def __aexit__(self, *_: object) -> None:
         await self.close()
 
-    def publisher(self, key: str, model: type[M], *, reliable: bool = False) -> Publisher[M]:
+    def publisher(self, key: str, model: type[M], *, reliable: bool = False, bulk: bool = False) -> Publisher[M]:
         """Declare a publisher; its last value can be queried under the same key.
 
         Args:
             key: the key.
             model: model of all messages on it.
             reliable: never drop; for control and configuration. A realtime key must not wait for slow readers.
+            bulk: large and in no hurry, so that all else goes first: for pictures.
         """
         control = zenoh.CongestionControl.BLOCK if reliable else zenoh.CongestionControl.DROP
+        priority = zenoh.Priority.BACKGROUND if bulk else zenoh.Priority.REAL_TIME
         # Not express: under a Python router it loses samples and is no faster.
         declared = self._session.declare_publisher(
             key,
             congestion_control=control,
-            priority=zenoh.Priority.INTERACTIVE_HIGH if reliable else zenoh.Priority.REAL_TIME,
+            priority=zenoh.Priority.INTERACTIVE_HIGH if reliable else priority,
             reliability=zenoh.Reliability.RELIABLE,
         )
         self._declared.append(declared)

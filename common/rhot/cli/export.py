@@ -1,8 +1,9 @@
-"""`rhot export`: a recording as tables or as an animation."""
+"""`rhot export`: a recording as tables, as an animation, or for a viewer of robots' data."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import tempfile
+from collections.abc import Iterable, Sequence
 from itertools import chain
 from pathlib import Path
 
@@ -13,11 +14,15 @@ from rich.console import Console
 from rhot.errors import ConfigError
 from rhot.export.bvh import bvh_text
 from rhot.export.columns import tables
+from rhot.export.foxglove_file import write_foxglove
 from rhot.export.poses import hand_motion
+from rhot.export.rerun_file import write_rerun
 from rhot.export.skeleton_motion import skeleton_motion
 from rhot.export.source import RecordedMessages
 from rhot.export.table_files import write_csv, write_parquet
 from rhot.messages import Message, Side
+from rhot.recording.beside import StoredPicture, pictures_beside, stored_pictures, unpack_rig
+from rhot.rig import CameraCalibration, load_rig
 from rhot.rig.folder import write_text_atomic
 
 
@@ -39,6 +44,22 @@ def _write_bvh(messages: Iterable[tuple[str, Message]], file: Path, side: Side |
         console.print(f"[yellow]{motion.incomplete} poses lack joints and are left out[/]")
 
 
+def _cameras(parts: Sequence[RecordedMessages]) -> dict[str, CameraCalibration]:
+    """Return the cameras of the rig that a recording has attached; none where it has none."""
+    for part in parts:
+        if part.attachments:
+            with tempfile.TemporaryDirectory(prefix="rhot-export-") as folder:
+                return dict(load_rig(unpack_rig(part.attachments, Path(folder), part.path)).cameras)
+    return {}
+
+
+def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
+    beside = (pictures_beside(part.path) for part in parts)
+    # Parts of one recording share a folder.
+    folders = {recording.path: recording for recording in beside if recording is not None}
+    return [picture for recording in folders.values() for picture in stored_pictures(recording)]
+
+
 @click.command()
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path, dir_okay=False))
 @click.option("--csv", "csv_folder", type=click.Path(path_type=Path, file_okay=False), help="Folder for CSV tables.")
@@ -46,6 +67,13 @@ def _write_bvh(messages: Iterable[tuple[str, Message]], file: Path, side: Side |
     "--parquet", "parquet_folder", type=click.Path(path_type=Path, file_okay=False), help="Folder for Parquet tables."
 )
 @click.option("--bvh", "bvh_file", type=click.Path(path_type=Path, dir_okay=False), help="BVH animation of one hand.")
+@click.option(
+    "--foxglove",
+    "foxglove_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="MCAP for Foxglove, Lichtblick.",
+)
+@click.option("--rerun", "rerun_file", type=click.Path(path_type=Path, dir_okay=False), help="RRD file for Rerun.")
 @click.option("--hand", "side", type=click.Choice(["left", "right"]), help="Which hand, where there are both (--bvh).")
 @click.option(
     "--fps",
@@ -58,23 +86,29 @@ def export(
     csv_folder: Path | None,
     parquet_folder: Path | None,
     bvh_file: Path | None,
+    foxglove_file: Path | None,
+    rerun_file: Path | None,
     side: Side | None,
     rate_hz: float | None,
 ) -> None:
-    """Turn a recording into tables (CSV, Parquet) or into an animation (BVH).
+    """Turn a recording into tables (CSV, Parquet), an animation (BVH), or files for Foxglove, Lichtblick and Rerun.
 
     FILE is an MCAP file of `rhot record`, or JSON Lines of `rhot process`; several parts of one recording are joined.
     There is one table for each hand, object and camera and one for the points: a row is one moment, t_s counts seconds
     from the first row of any table, t_ns nanoseconds since 1970 on the rig clock; lengths are metres, angles radians,
     quaternions qx qy qz qw. The animation is a skeleton whose root is the wrist, in centimetres with Y up; Blender
-    opens it with File > Import > Motion Capture (scale 0.01).
+    opens it with File > Import > Motion Capture (scale 0.01). Files for viewers show hands, points, objects, cameras
+    and markers, over the pictures where `rhot record --frames` wrote them beside the recording.
 
     \b
     rhot export grasp.mcap --csv tables
     rhot export grasp.mcap --bvh grasp.bvh --fps 60
+    rhot export grasp.mcap --foxglove grasp.foxglove.mcap --rerun grasp.rrd
     """
-    if csv_folder is None and parquet_folder is None and bvh_file is None:
-        raise click.UsageError("say what to write: --csv FOLDER, --parquet FOLDER or --bvh FILE")
+    if all(target is None for target in (csv_folder, parquet_folder, bvh_file, foxglove_file, rerun_file)):
+        raise click.UsageError("say what to write: --csv, --parquet, --bvh, --foxglove or --rerun")
+    if foxglove_file is not None and foxglove_file.resolve() in [file.resolve() for file in files]:
+        raise click.UsageError(f"--foxglove {foxglove_file} is the recording itself; choose another name")
     parts = [RecordedMessages(file) for file in files]
     errors = Console(stderr=True, soft_wrap=True)
     for part in parts:
@@ -91,6 +125,12 @@ def export(
             click.echo(f"{path}: {rows[path.stem]} rows")
     if bvh_file is not None:
         _write_bvh(chain.from_iterable(parts), bvh_file, side, rate_hz)
+    if foxglove_file is not None:
+        written_topics = write_foxglove(foxglove_file, chain.from_iterable(parts), _cameras(parts), _pictures(parts))
+        click.echo(f"{foxglove_file}: {sum(written_topics.values())} messages on {len(written_topics)} topics")
+    if rerun_file is not None:
+        count = write_rerun(rerun_file, chain.from_iterable(parts), _cameras(parts), _pictures(parts))
+        click.echo(f"{rerun_file}: {count} messages")
     invalid = sum(part.invalid for part in parts)
     if invalid:
         errors.print(f"[yellow]{invalid} messages are not valid and are left out[/]")

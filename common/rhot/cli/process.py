@@ -7,7 +7,7 @@ import json
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import IO, Any
@@ -24,7 +24,7 @@ from rhot.recording import Recording, load_recording, marker_track_frames
 from rhot.rig import Rig, load_rig
 
 
-def _core(name: str) -> Callable[..., Any]:
+def core(name: str) -> Callable[..., Any]:
     """Return a service's core by its entry point.
 
     Raises:
@@ -44,7 +44,11 @@ def _core(name: str) -> Callable[..., Any]:
 
 def track(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[str, Message]]:
     """Yield every message that a live rig would have published for these marker frames, in order."""
-    fusion, ik = _core("fusion")(rig), _core("ik")(rig)
+    yield from track_with(core("fusion")(rig), core("ik")(rig), frames)
+
+
+def track_with(fusion: Any, ik: Any, frames: Iterable[MarkerFrame]) -> Iterator[tuple[str, Message]]:
+    """Yield what cores make of marker frames, as `track` does."""
     for frame in frames:
         yield f"rhot/markers/{frame.camera}", frame
         for points_key, points in fusion.feed(frame):
@@ -67,13 +71,13 @@ def track_smoothly(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[st
             f'{rig.path / "rig.toml"}: --smooth looks back at the paths of [fusion] method = "filter", '
             f'it is "{method}"; set it to "filter" or leave --smooth out'
         )
-    fusion, ik = _core("fusion")(rig, record=True), _core("ik")(rig)
+    fusion, ik = core("fusion")(rig, record=True), core("ik")(rig)
     for frame in frames:
         yield f"rhot/markers/{frame.camera}", frame
         for _, points in fusion.feed(frame):
             for _, hand in ik.feed(points):
                 fusion.feed(hand)
-    ik = _core("ik")(rig)
+    ik = core("ik")(rig)
     for points in fusion.smoothed():
         yield "rhot/points", points
         yield from ik.feed(points)
@@ -83,7 +87,7 @@ def marker_frames(rig: Rig, recording: Recording) -> Iterator[MarkerFrame]:
     """Return the marker frames of a recording: read from its tracks, or found in its pictures."""
     if recording.holds_markers:
         return iter(marker_track_frames(rig, recording))
-    frames: Iterator[MarkerFrame] = _core("capture")(rig, recording)
+    frames: Iterator[MarkerFrame] = core("capture")(rig, recording)
     return frames
 
 

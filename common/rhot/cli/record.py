@@ -1,11 +1,12 @@
-"""`rhot record`: everything that a running rig publishes, into an MCAP file."""
+"""`rhot record`: everything that a running rig publishes, into an MCAP file, and its pictures beside it."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 import click
@@ -19,10 +20,11 @@ from rhot.cli.options import DEFAULT_RIG, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.recording.gaps import Tally
 from rhot.recording.mcap_writer import McapWriter, rig_files
+from rhot.recording.picture_folder import PictureFolder
 from rhot.recording.session import record as record_session
-from rhot.recording.session import subscribe
+from rhot.recording.session import record_pictures, subscribe, subscribe_pictures
 from rhot.rig import BusConfig
-from rhot.service.stop import install_stop
+from rhot.service.stop import Stop, install_stop
 
 _CONNECT_TIMEOUT_S = 2.0
 _SWITCH_S = 0.0005
@@ -54,15 +56,47 @@ def counts_table(tally: Tally, title: str, elapsed_s: float) -> Table:
     return table
 
 
-async def _record(config: BusConfig, open_writer: Callable[[], McapWriter], duration_s: float | None) -> None:
+@contextlib.asynccontextmanager
+async def _taking_pictures(
+    config: BusConfig, folder: PictureFolder, stop: Stop, console: Console
+) -> AsyncIterator[None]:
+    """Record pictures during the block, over a session of their own, so that messages do not queue behind them."""
+    async with await Bus.open(config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
+        mailbox = subscribe_pictures(bus)
+        with folder:
+            storing = asyncio.create_task(record_pictures(mailbox, folder))
+            # A disk that is full ends the whole recording.
+            storing.add_done_callback(lambda _: stop.requested.set())
+            try:
+                yield
+            finally:
+                mailbox.close()
+                invalid = await storing
+    for name, count in sorted(folder.counts.items()):
+        lost = f", [red]{count.lost} lost on the way[/]" if count.lost else ""
+        console.print(f"{folder.path / name}: {count.messages} pictures, {count.bytes / 1e6:.1f} MB{lost}")
+    if mailbox.overwritten:
+        console.print(f"[red]{mailbox.overwritten} pictures were lost because the disk was too slow[/]")
+    if invalid:
+        console.print(f"[red]{invalid} pictures were not valid and are left out[/]")
+    if not folder.counts:
+        console.print("[yellow]no camera sent pictures: do its capture services run, and is the rig started?[/]")
+
+
+async def _record(
+    config: BusConfig, opened: Callable[[], tuple[McapWriter, PictureFolder | None]], duration_s: float | None
+) -> None:
     stop = install_stop()
     # Arrivals are stamped on Zenoh's thread, which must not wait 5 ms for the one that writes to give way.
     sys.setswitchinterval(_SWITCH_S)
     tally = Tally()
     console = Console(stderr=True, soft_wrap=True)
     # The router first: where none answers, no empty file is left behind.
-    async with await Bus.open(config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
-        with open_writer() as writer:
+    async with await Bus.open(config, timeout_s=_CONNECT_TIMEOUT_S) as bus, contextlib.AsyncExitStack() as stack:
+        writer, folder = opened()
+        with writer:
+            if folder is not None:
+                await stack.enter_async_context(_taking_pictures(config, folder, stop, console))
             begun = time.monotonic()
 
             def summary() -> Table:
@@ -105,12 +139,18 @@ async def _record(config: BusConfig, open_writer: Callable[[], McapWriter], dura
     type=click.FloatRange(min=0.1),
     help="Begin a new file whenever one has this many megabytes; their names end in -001, -002, ...",
 )
+@click.option(
+    "--frames",
+    is_flag=True,
+    help="Record the cameras' pictures too, as a recording folder beside the file, named as it is.",
+)
 @rig_option
 @bus_options
 def record(
     out_path: Path,
     duration_s: float | None,
     max_mb: float | None,
+    frames: bool,
     rig_path: Path,
     connect: tuple[str, ...],
     namespace: str | None,
@@ -120,9 +160,13 @@ def record(
     Every message is kept as it was sent, with its time, and the settings of the rig folder go with it. `rhot replay`
     puts a recording back on the bus, `rhot export` makes tables and animations of it, and any MCAP tool opens it.
 
+    With --frames the capture services also send every picture in which they looked for markers, as JPEG of quality 90,
+    after the messages and only while somebody records. `rhot process` tracks such a folder anew.
+
     \b
     rhot record                                until Ctrl-C, into recordings/
     rhot record --out grasp.mcap --duration 30
+    rhot record --out grasp.mcap --frames      pictures in grasp/left, grasp/right, ...
     """
     config = tool_bus(rig_path, connect, namespace)
     attachments = rig_files(rig_path) if rig_path.is_dir() else {}
@@ -133,13 +177,16 @@ def record(
         )
     about = {"connect": ",".join(config.connect), "namespace": config.namespace, "rig": str(rig_path.resolve())}
 
-    def open_writer() -> McapWriter:
-        return McapWriter(
-            _target(out_path),
+    def opened() -> tuple[McapWriter, PictureFolder | None]:
+        target = _target(out_path)
+        folder = PictureFolder(target.with_suffix(""), f"messages: {target.name}") if frames else None
+        writer = McapWriter(
+            target,
             now_ns=time.time_ns(),
             max_bytes=None if max_mb is None else round(max_mb * 1e6),
             attachments=attachments,
             about=about,
         )
+        return writer, folder
 
-    asyncio.run(_record(config, open_writer, duration_s))
+    asyncio.run(_record(config, opened, duration_s))

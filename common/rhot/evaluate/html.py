@@ -27,10 +27,22 @@ def html_report(title: str, about: str, sections: Sequence[Section], plots: Sequ
         plots: SVG elements.
     """
     tables = "".join(_table(section) for section in sections)
+    return html_page(title, about, f"{''.join(plots)}{tables}")
+
+
+def html_page(title: str, about: str, body: str, style: str = "") -> str:
+    """Return a document whose body, HTML already, follows a heading and a paragraph.
+
+    Args:
+        title: heading.
+        about: paragraph.
+        body: HTML.
+        style: CSS after the usual one.
+    """
     return (
         f"<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'><title>{escape(title)}</title>"
-        f"<style>{_STYLE}</style></head><body><h1>{escape(title)}</h1><p>{escape(about)}</p>"
-        f"{''.join(plots)}{tables}</body></html>\n"
+        f"<style>{_STYLE}{style}</style></head><body><h1>{escape(title)}</h1><p>{escape(about)}</p>"
+        f"{body}</body></html>\n"
     )
 
 

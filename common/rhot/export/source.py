@@ -19,6 +19,8 @@ class RecordedMessages:
     """Key and message of everything in a file that is a message of ours; iterable repeatedly.
 
     Attributes:
+        path: the file.
+        attachments: files inside an MCAP file, by name.
         note: what is missing from a file that was cut off; empty for a complete one.
         invalid: messages left out by the last iteration because they are not valid.
     """
@@ -32,6 +34,7 @@ class RecordedMessages:
         self.path = path
         self.invalid = 0
         self._recording = open_mcap(path) if is_mcap(path) else None
+        self.attachments = self._recording.attachments if self._recording else {}
         self.note = self._recording.note if self._recording else ""
 
     def __iter__(self) -> Iterator[tuple[str, Message]]:

@@ -107,6 +107,9 @@ def load_camera(path: Path, name: str, timing: TrackTiming | None = None) -> Cam
     table = path / TIMES_FILE if (path / TIMES_FILE).exists() else path.parent / f"{path.name}.csv"
     listed = set(frames.tolist())
     without_time = [file for frame, file in pictures.items() if frame not in listed]
+    if without_time == [pictures[max(pictures)]] and max(pictures) > int(frames[-1]):
+        # A recorder that was killed had written its last picture and not yet the picture's time.
+        without_time.clear()
     if without_time:
         raise ConfigError(f"{table}: no row for {without_time[0]} (and {len(without_time) - 1} more pictures)")
     for row, frame in enumerate(frames.tolist()):

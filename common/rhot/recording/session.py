@@ -8,13 +8,19 @@ from collections.abc import Callable
 from typing import Final
 
 from rhot.bus import Bus, EventSubscriber
+from rhot.errors import WireError
+from rhot.messages import decode
+from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
 from rhot.recording.gaps import Tally, peek
 from rhot.recording.mcap_writer import McapWriter
+from rhot.recording.picture_folder import PictureFolder
 from rhot.recording.wire_models import MSGPACK_ENCODING
 
 EVERYTHING: Final = "rhot/**"
 QUEUE_LIMIT: Final = 1 << 16
 """Samples that wait while the disk does; at 700 a second more than a minute of them."""
+PICTURE_LIMIT: Final = 256
+"""Pictures that wait while the disk does: two seconds of two cameras, some 20 MB."""
 _BEAT_S: Final = 0.5
 
 
@@ -78,3 +84,32 @@ async def record(
 def subscribe(bus: Bus) -> EventSubscriber:
     """Subscribe to everything; what arrives from now on is kept until it is written."""
     return bus.events(EVERYTHING, QUEUE_LIMIT)
+
+
+def subscribe_pictures(bus: Bus) -> EventSubscriber:
+    """Ask all cameras for their pictures; they code them from now on, and until the bus is closed."""
+    return bus.events(f"{PICTURES_KEY}/*", PICTURE_LIMIT)
+
+
+async def record_pictures(mailbox: EventSubscriber, folder: PictureFolder) -> int:
+    """Write every picture of a mailbox until it is closed, then those that have arrived by then.
+
+    Args:
+        mailbox: `subscribe_pictures` makes it.
+        folder: where pictures go.
+
+    Returns:
+        How many were not valid and were left out.
+
+    Raises:
+        ConfigError: the folder cannot be written any more.
+    """
+    invalid = 0
+    async for sample in mailbox:
+        try:
+            picture = decode(sample.payload, CameraPicture)
+        except WireError:
+            invalid += 1
+            continue
+        await asyncio.to_thread(folder.write, picture)
+    return invalid

@@ -1,0 +1,111 @@
+"""The first tables of an explanation: each marker in short, what the rig itself said then, its services."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from rhot.explain.moment import Moment
+from rhot.explain.tables import Explanation, ExplanationRow, PictureExplanation, Verdict
+from rhot.explain.trace import Trace, difference_m
+from rhot.messages import HandPose, PointSet, ServiceStatus
+from rhot.rig import Rig
+from rhot.skeleton import FINGERS
+
+_STALE_S = 0.1
+_SAME_M = 0.001
+
+
+def in_short(rig: Rig, trace: Trace, pictures: Mapping[str, PictureExplanation]) -> Explanation:
+    """Return one row a marker: what each camera saw, the point, and what the hand made of it."""
+    rows = []
+    fresh = trace.points is not None and trace.t_ns - trace.points.t_ns <= _STALE_S * 1e9
+    points = trace.points.points if trace.points is not None and fresh else {}
+    for name, marker in rig.config.markers.items():
+        cells = [name, *(_seen(camera, name, trace, pictures) for camera in rig.cameras)]
+        point = points.get(name)
+        cells.append(
+            "no point" if point is None else f"{point.state}, {point.views} views, ±{1e3 * point.sigma:.1f} mm"
+        )
+        hand = trace.hands.get(marker.hand)
+        if hand is not None and trace.t_ns - hand.t_ns > _STALE_S * 1e9:
+            hand = None
+        finger = next((finger for finger in FINGERS if marker.joint.startswith(finger)), "")
+        miss = None if hand is None or not finger else hand.residual.get(finger)
+        if hand is None:
+            cells.append("no hand")
+        elif finger:
+            state = hand.fingers.get(finger, "")
+            cells.append(f"{finger} {state}" + ("" if miss is None else f", {1e3 * miss:.1f} mm off"))
+        else:
+            cells.append(f"palm {hand.state}")
+        verdict: Verdict = "taken" if point is not None and point.state == "measured" else "refused"
+        rows.append(ExplanationRow(tuple(cells), verdict))
+    columns = ("marker", *(f"camera {camera}" for camera in rig.cameras), "point", "hand")
+    return Explanation("In short", columns, tuple(rows))
+
+
+def _seen(camera: str, name: str, trace: Trace, pictures: Mapping[str, PictureExplanation]) -> str:
+    frame = trace.frames.get(camera)
+    if frame is None:
+        return "no frame"
+    marker = frame.markers.get(name)
+    age_s = (trace.t_ns - frame.t_ns) / 1e9
+    late = f" ({1e3 * age_s:.0f} ms ago)" if age_s > _STALE_S else ""
+    if marker is not None:
+        return f"seen at {marker.u:.1f}, {marker.v:.1f}, score {marker.score:.2f}{late}"
+    if camera in pictures:
+        reasons = [row.cells[-1] for row in pictures[camera].candidates.rows if row.cells[0] == name]
+        if reasons and reasons[0] != "taken":
+            return f"not seen{late}: {reasons[0]}"
+    return f"not seen{late}"
+
+
+def said_then(moment: Moment, trace: Trace) -> list[Explanation]:
+    """Return what the rig itself published last, beside what was computed anew, and how its services were."""
+    rows, services = [], []
+    for key, message in sorted(moment.said.items()):
+        if isinstance(message, ServiceStatus):
+            late = {name: count for name, count in message.counts.items() if count}
+            services.append(
+                ExplanationRow(
+                    (
+                        f"{message.service}/{message.instance}",
+                        message.state,
+                        ", ".join(f"{name} {rate:.0f}" for name, rate in sorted(message.rates.items())),
+                        ", ".join(f"{name} {count}" for name, count in sorted(late.items())),
+                        message.problem or message.last_error,
+                    ),
+                    "refused" if message.problem else "",
+                )
+            )
+        elif isinstance(message, HandPose | PointSet):
+            again = trace.before.get((key, message.t_ns))
+            gap_m = float("nan") if again is None else difference_m(message, again)
+            verdict: Verdict = "" if np.isnan(gap_m) else "taken" if gap_m <= _SAME_M else "refused"
+            rows.append(
+                ExplanationRow(
+                    (
+                        key,
+                        f"{(moment.t_ns - message.t_ns) / 1e6:.1f}",
+                        "not computed for that time" if np.isnan(gap_m) else f"{1e3 * gap_m:.3f}",
+                    ),
+                    verdict,
+                )
+            )
+    tables = []
+    if rows:
+        tables.append(
+            Explanation(
+                "What the rig said, and the same computed anew",
+                ("key", "ms before the moment", "largest difference, mm"),
+                tuple(rows),
+                "Computed anew from the recorded markers with the rig folder's settings. They differ where samples "
+                "were lost on the way to fusion or ik, settings were changed while it ran, or the run-up is too short "
+                "(--lead).",
+            )
+        )
+    if services:
+        tables.append(Explanation("Services then", ("service", "state", "per s", "counts", "trouble"), tuple(services)))
+    return tables

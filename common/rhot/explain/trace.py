@@ -1,0 +1,93 @@
+"""How tracking went in the seconds before a moment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.messages import HandPose, MarkerFrame, Message, PointSet
+
+FloatArray = NDArray[np.float64]
+Line = tuple[FloatArray, FloatArray]
+
+
+@dataclass(slots=True)
+class Trace:
+    """What the cores published on the way to a moment.
+
+    Attributes:
+        t_ns: the moment.
+        frames: newest marker frame of each camera.
+        points: newest points.
+        hands: newest hand of each side.
+        before: all hands and points of the run-up by key and time.
+    """
+
+    t_ns: int
+    frames: dict[str, MarkerFrame] = field(default_factory=dict)
+    points: PointSet | None = None
+    hands: dict[str, HandPose] = field(default_factory=dict)
+    before: dict[tuple[str, int], HandPose | PointSet] = field(default_factory=dict)
+    _residuals: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    _sigmas: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    _seen: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+
+    @property
+    def residuals_mm(self) -> Mapping[str, Line]:
+        """Finger to seconds before the moment (N,), negative, and distance of its marker from the model (N,)."""
+        return _lines(self._residuals)
+
+    @property
+    def sigmas_mm(self) -> Mapping[str, Line]:
+        """Marker to seconds and standard deviation of its point."""
+        return _lines(self._sigmas)
+
+    @property
+    def seen(self) -> Mapping[str, Line]:
+        """Camera to seconds and number of markers that it saw."""
+        return _lines(self._seen)
+
+    def note(self, key: str, message: Message) -> None:
+        """Take one message, in order."""
+        at_s = (message.t_ns - self.t_ns) / 1e9
+        if isinstance(message, MarkerFrame):
+            self.frames[message.camera] = message
+            self._seen.setdefault(message.camera, []).append((at_s, len(message.markers)))
+        elif isinstance(message, PointSet):
+            self.points = message
+            self.before[key, message.t_ns] = message
+            for name, point in message.points.items():
+                self._sigmas.setdefault(name, []).append((at_s, 1e3 * point.sigma))
+        elif isinstance(message, HandPose):
+            self.hands[message.side] = message
+            self.before[key, message.t_ns] = message
+            for finger in message.fingers:
+                miss_m = message.residual.get(finger, np.nan)
+                self._residuals.setdefault(f"{message.side} {finger}", []).append((at_s, 1e3 * miss_m))
+
+
+def trace_of(t_ns: int, messages: Iterable[tuple[str, Message]]) -> Trace:
+    """Return the trace of messages up to a moment."""
+    trace = Trace(t_ns)
+    for key, message in messages:
+        trace.note(key, message)
+    return trace
+
+
+def difference_m(first: HandPose | PointSet, second: HandPose | PointSet) -> float:
+    """Return the largest distance between joints or points that both have; NaN when there is none."""
+    one, other = _places(first), _places(second)
+    gaps = [float(np.linalg.norm(np.subtract(place, other[name]))) for name, place in one.items() if name in other]
+    return max(gaps, default=float("nan"))
+
+
+def _places(message: HandPose | PointSet) -> dict[str, tuple[float, float, float]]:
+    parts = message.joints if isinstance(message, HandPose) else message.points
+    return {name: part.position for name, part in parts.items()}
+
+
+def _lines(pairs: Mapping[str, list[tuple[float, float]]]) -> dict[str, Line]:
+    return {name: (values[:, 0], values[:, 1]) for name, values in ((n, np.array(p)) for n, p in pairs.items())}
