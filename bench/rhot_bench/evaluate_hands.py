@@ -28,7 +28,7 @@ from rhot_bench.recorded_joints import (
 )
 from rhot_ik.finger_geometry import FingerGeometry
 from rhot_ik.fingers import AnalyticFingers
-from rhot_ik.recorded_hands import fit_person, fit_rest_frames, plain_fingers
+from rhot_ik.recorded_hands import fit_person, fit_rest_frames, fit_spread, plain_fingers
 
 _MIDDLE: Final = slice(1, 3)
 _INNER: Final = slice(0, 3)
@@ -37,6 +37,7 @@ _LONG: Final = slice(1, 5)
 _PERSONS: Final = (1, 2, 3)
 _MSRA, _NYU, _FPHA = "msra14_dev.csv", "nyu_dev.csv", "fpha"
 _EITHER_WAY: Final = "the person fitted on one half of the frames, judged on the other, both ways"
+_FROM_WRIST: Final = "given are both sides of the wrist and the tips; " + _EITHER_WAY
 
 Advance = Callable[[], None]
 
@@ -82,10 +83,10 @@ def _msra(path: Path, quick: bool, advance: Advance) -> Section:
     alone: list[tuple[float, float]] = []
     for fit, judged in _halves(recorded):
         person = fit_person(fit.wrists, fit.chains, "right")
-        bending = fit_rest_frames(person, on_its_palm(person, fit))
-        truth = on_its_palm(person, judged)
-        angles = AnalyticFingers(FingerGeometry.of(bending, {})).solve(truth[:, :, 3]).angles
-        closed, chains = bending.finger_chains(angles)[0], plain_fingers(person, truth[:, :, 3])
+        local, truth = on_its_palm(person, fit), on_its_palm(person, judged)
+        person = fit_spread(fit_rest_frames(person, local), local)
+        angles = AnalyticFingers(FingerGeometry.of(person, {})).solve(truth[:, :, 3]).angles
+        closed, chains = person.finger_chains(angles)[0], plain_fingers(person, truth[:, :, 3])
         given.append((error_mm(closed, truth, _ALL, _MIDDLE), error_mm(chains, truth, _ALL, _MIDDLE)))
         some = judged.part(slice(0, 25 if quick else None))
         alone.append(_beside_plain(person, some, _ALL, _MIDDLE, 1))
@@ -102,7 +103,7 @@ def _msra(path: Path, quick: bool, advance: Advance) -> Section:
 
 def _nyu(path: Path, quick: bool, advance: Advance) -> Section:
     chains = [["", "T_mcp", "T_ip", "T_tip"], *(["", f"{f}_pip", "", f"{f}_tip"] for f in "IMRP")]
-    recorded = read_joints(path, ["W_pinky_side", "W_thumb_side"], chains)
+    recorded = read_joints(path, ["W_thumb_side", "W_pinky_side"], chains, "palm")
     errors = []
     for fit, judged in _halves(recorded):
         person = fit_open_hand(fit)
@@ -110,7 +111,9 @@ def _nyu(path: Path, quick: bool, advance: Advance) -> Section:
         errors.append(_beside_plain(person, some, _LONG, slice(1, 2), 5))
         advance()
     ours, others = np.mean(errors, axis=0).tolist()
-    return Section("NYU, one continuous sequence: PIP of the four long fingers", _ratio_rows("PIP", ours, others))
+    return Section(
+        "NYU, one continuous sequence: PIP of the four long fingers", _ratio_rows("PIP", ours, others, _FROM_WRIST)
+    )
 
 
 def _fpha(path: Path, quick: bool, advance: Advance) -> Section:
@@ -142,9 +145,9 @@ def _beside_plain(model: HandModel, judged: Recorded, fingers: slice, joints: sl
     return ours, error_mm(plain(model, some), some.chains, fingers, joints)
 
 
-def _ratio_rows(name: str, ours: float, others: float) -> tuple[Row, ...]:
+def _ratio_rows(name: str, ours: float, others: float, note: str = "") -> tuple[Row, ...]:
     return (
-        Row(f"{name}, mean", ours, "mm"),
+        Row(f"{name}, mean", ours, "mm", note=note),
         Row("the same, plain FABRIK", others, "mm"),
         Row(f"{name}: plain FABRIK / ours", others / ours, "×", least=1.5),
     )

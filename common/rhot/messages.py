@@ -64,7 +64,8 @@ class Message(WireModel):
 
 
 def _unit_quaternion(value: Quaternion) -> Quaternion:
-    norm = math.sqrt(sum(component * component for component in value))
+    x, y, z, w = value
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
     if abs(norm - 1.0) > _QUATERNION_NORM_TOLERANCE:
         raise ValueError(f"quaternion (x, y, z, w) has norm {norm:.6g}, must be 1")
     return value

@@ -4,7 +4,7 @@ import numpy as np
 
 from rhot.hand import HandModel
 from rhot.rotations import rotation_from_vector, vector_from_rotation
-from rhot_ik.lead import FINGER_M_S, PALM_M_S, FingerLead, PalmLead
+from rhot_ik.lead import FINGER_M_S, PALM_M_S, FingerLead, FingerRoom, PalmLead
 
 
 def test_a_finger_sets_out_from_what_was_shown_and_arrives(right_hand: HandModel) -> None:
@@ -51,3 +51,34 @@ def test_a_palm_is_led_from_the_expected_pose() -> None:
     R, p = lead.lead(*now)
     assert np.linalg.norm(vector_from_rotation(R)) < 1e-9
     assert np.allclose(p, now[1])
+
+
+def test_a_marker_that_jumps_is_followed_step_by_step() -> None:
+    """At rest, then 30 mm further at once: the finger may not go along in one sample."""
+    room, seen = FingerRoom(), np.ones(5, dtype=np.bool_)
+    for _ in range(10):
+        room.advance(1 / 120, np.zeros(5), seen)
+    assert room.advance(1 / 120, np.full(5, 0.030), seen).max() < 0.005
+
+
+def test_a_hand_that_speeds_up_as_hands_do_has_room() -> None:
+    room, seen = FingerRoom(), np.ones(5, dtype=np.bool_)
+    for k in range(60):
+        speed_m_s = 15.0 * k / 120
+        assert room.advance(1 / 120, np.full(5, speed_m_s / 120), seen).min() >= speed_m_s / 120
+
+
+def test_a_marker_that_returns_gains_trust_in_as_long_as_it_was_hidden() -> None:
+    room, seen = FingerRoom(), np.ones(5, dtype=np.bool_)
+    hidden = seen.copy()
+    hidden[2] = False
+    way = np.full(5, 0.005)
+    for _ in range(30):
+        room.advance(1 / 120, way, seen)
+    for _ in range(6):
+        least = room.advance(1 / 120, np.where(hidden, way, np.nan), hidden)
+    assert least[2] < 0.3 * least[0]
+    assert least[2] < (back := room.advance(1 / 120, way, seen))[2] < 0.8 * back[0]
+    for _ in range(6):
+        back = room.advance(1 / 120, way, seen)
+    assert back[2] == back[0]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rhot_ik.patch import PatchRotation
 from rhot_ik.sight import Sight
+from rhot_ik.turns import turn_between
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -25,6 +26,9 @@ PREDICTED_SIGMA_M: Final = 0.006
 CORNER_SIGMA_M: Final = 0.003
 """Of a corner about the centre of its patch (root of the sum of the three variances)."""
 
+ACROSS_RAD: Final = 0.05
+"""Of the direction across the wrist."""
+
 
 @dataclass(frozen=True, slots=True)
 class HandObservation:
@@ -39,6 +43,7 @@ class HandObservation:
         tips_measured: (5,) whether each was measured at this moment.
         base_sigma: standard deviation of the base marker (root of the sum of the three variances).
         tips_sigma: (5,) those of the tips; 1.5 mm each when not given.
+        across: (3,) unit direction of the wrist's +X axis, where two points of the wrist tell it.
     """
 
     t_ns: int
@@ -49,6 +54,7 @@ class HandObservation:
     tips_measured: BoolArray
     base_sigma: float = 0.0015
     tips_sigma: FloatArray | None = None
+    across: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +104,8 @@ class EvidenceModel:
         if expected is not None and seen.corners is not None and self._patch is not None and seen.base_measured:
             covariance = CORNER_SIGMA_M**2 * shape + BASE_SIGMA_M**2 * _UNIT
             turned = self._patch.fit(seen.corners, expected, covariance)
+        elif expected is not None and seen.across is not None:
+            turned = turn_between(expected[:, 0], seen.across) @ expected, _ACROSS_INFORMATION
         rotation, information = (None, _UNIT) if turned is None else turned
         floors = TIP_SIGMA_M**2 + np.where(seen.tips_measured, 0.0, PREDICTED_SIGMA_M**2)
         sigma = _SIGMAS if seen.tips_sigma is None else seen.tips_sigma
@@ -113,5 +121,7 @@ class EvidenceModel:
 
 
 _UNIT: Final = np.eye(3)
+_ACROSS_INFORMATION: Final = np.diag([1e-3, ACROSS_RAD**-2, ACROSS_RAD**-2])
+"""Two points tell nothing of the turn about the line through them."""
 _NOWHERE: Final = np.full(3, np.nan)
 _SIGMAS: Final = np.full(5, SIGMA_M)

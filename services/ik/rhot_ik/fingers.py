@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.hand import HandModel
 from rhot_ik.finger_geometry import FingerGeometry
 
 FloatArray = NDArray[np.float64]
@@ -69,6 +70,25 @@ class AnalyticFingers:
             ]
         )
         self._rows = np.arange(len(self._step))
+
+    @property
+    def model(self) -> HandModel:
+        """The hand."""
+        return self._geometry.model
+
+    def reach(self, curl: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far (5, N), metres, and in which direction (5, N), radians, a marker lies from its knuckle.
+
+        Args:
+            curl: (5, N) radians: angles of the middle hinge, the last one following; knuckle unbent. Directions are
+                positive towards the palm.
+        """
+        y, z = self._curled(curl.T)
+        return np.hypot(y, z).T, np.arctan2(-y, -z).T
+
+    def last_hinge(self, curl: FloatArray) -> FloatArray:
+        """Return the last hinge (5, N) that follows the middle one (5, N), radians."""
+        return self._last_hinge(curl.T).T
 
     def solve(self, targets: FloatArray) -> FingerPose:
         """Return the pose for marker centres (..., 5, 3), metres, wrist frame; they must be finite."""

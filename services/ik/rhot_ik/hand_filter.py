@@ -188,11 +188,15 @@ class HandFilter:
         P, weights = prior.P, np.ones(5)
         R, p, q, dx = prior.R, prior.p, prior.angles, np.zeros(SIZE)
         wanted = np.empty((_ROWS, SIZE + 1))
+        modelled = self._kinematics.markers(q)
+        if self._is_far(prior, rows, modelled[0]):
+            q = self._closed_form(prior, rows)
+            dx[ANGLES] = q - prior.angles
+            modelled = self._kinematics.markers(q)
         for step in range(steps):
-            if step == 0 and self._is_far(prior, rows):
-                q = self._closed_form(prior, rows)
-                dx[ANGLES] = q - prior.angles
-            used, y = self._linearised(rows, R, p, q)
+            if step > 0:
+                modelled = self._kinematics.markers(q)
+            used, y = self._linearised(rows, R, p, modelled)
             innovation = y + used @ dx
             PHt = P @ used.T
             S = used @ PHt
@@ -249,9 +253,10 @@ class HandFilter:
             cost += float(turn @ evidence.rotation_information @ turn)
         return cost
 
-    def _is_far(self, prior: HandState, rows: _Rows) -> bool:
-        """Tell whether any seen tip lies so far from where it was expected that derivatives there say little."""
-        off = (rows.points[:5] - prior.p) @ prior.R - self._kinematics.markers(prior.angles)[0]
+    @staticmethod
+    def _is_far(prior: HandState, rows: _Rows, expected: FloatArray) -> bool:
+        """Tell whether any seen tip lies so far from the expected ones (5, 3) that derivatives there say little."""
+        off = (rows.points[:5] - prior.p) @ prior.R - expected
         return bool((np.abs(off).max(axis=1) * rows.seen[:5]).max() > FAR_M)
 
     def _closed_form(self, prior: HandState, rows: _Rows) -> FloatArray:
@@ -261,9 +266,14 @@ class HandFilter:
         angles: FloatArray = np.where(seen, self._fingers.solve(local).angles, prior.angles.reshape(5, 4))
         return angles.reshape(COUNT)
 
-    def _linearised(self, rows: _Rows, R: FloatArray, p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return H (21, 32) and what was measured beyond what a pose has, (21,); rows of what was not seen are 0."""
-        tips, J = self._kinematics.markers(q)
+    def _linearised(
+        self, rows: _Rows, R: FloatArray, p: FloatArray, modelled: tuple[FloatArray, FloatArray]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return H (21, 32) and what was measured beyond what a pose has, (21,); rows of what was not seen are 0.
+
+        `modelled` are the markers and their derivatives as `HandKinematics.markers` has them.
+        """
+        tips, J = modelled
         arms = self._on_wrist.copy()
         arms[:5] = tips
         arms = arms @ R.T

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from rhot.hand import HandModel, patch_outline
 from rhot.rig import IkConfig, MarkerConfig
+from rhot_ik.bend import MeanBend
 from rhot_ik.evidence import EvidenceModel, HandObservation
 from rhot_ik.finger_chains import FabrikFingers
 from rhot_ik.finger_geometry import FingerGeometry, marker_on_palm
 from rhot_ik.fingers import AnalyticFingers
 from rhot_ik.hand_filter import HandFilter, HandState
 from rhot_ik.kinematics import HandKinematics
-from rhot_ik.lead import HIDDEN_M_S, PATH_PER_TIP, SEEN_M_S, FingerLead, PalmLead
+from rhot_ik.lead import FingerLead, FingerRoom, PalmLead
 from rhot_ik.sight import Sight
 from rhot_ik.start import HandStart
 
@@ -89,6 +90,7 @@ class HandSolver:
         self._filter = HandFilter(self._geometry, base_offset)
         self._start = HandStart(self._filter, self._evidence, base_offset)
         self._analytic = AnalyticFingers(self._geometry)
+        self._bend = MeanBend(self._analytic)
         self._fabrik = FabrikFingers(self._geometry)
         self.config = config
         self.reset()
@@ -98,6 +100,31 @@ class HandSolver:
         """The hand and where its markers are painted."""
         return self._geometry
 
+    @property
+    def state(self) -> HandState | None:
+        """The filter's state after the last sample; none when nothing is known."""
+        return self._state
+
+    @property
+    def shown(self) -> FloatArray:
+        """Angles (5, 4), radians, as they were shown last."""
+        return self._shown
+
+    @property
+    def measured(self) -> BoolArray:
+        """Which fingers (5,) the last sample measured."""
+        return self._measured
+
+    @property
+    def residual(self) -> FloatArray:
+        """Metres (5,) between measured and modelled marker in the last sample; NaN where there was no measurement."""
+        return self._residual
+
+    @property
+    def held_by(self) -> tuple[bool, bool]:
+        """Whether the last sample measured the palm by the corners of its patch, and by its base marker."""
+        return self._held_by
+
     def reset(self) -> None:
         """Forget the past; the next sample starts anew."""
         self._t_ns: int | None = None
@@ -106,12 +133,14 @@ class HandSolver:
         self._state: HandState | None = None
         self._lost_s = 0.0
         self._finger_lead = FingerLead(self._geometry.model)
+        self._room = FingerRoom()
         self._palm_lead = PalmLead()
         self._known = np.zeros(5, dtype=np.bool_)
         self._measured = np.zeros(5, dtype=np.bool_)
         self._held_by = (False, False)
         self._shown = np.zeros((5, 4))
         self._tips = np.full((5, 3), np.nan)
+        self._residual = np.full(5, np.nan)
 
     def solve(self, seen: HandObservation) -> HandSolution | None:
         """Return the hand after one more sample, or None when too little is known to show one."""
@@ -164,7 +193,7 @@ class HandSolver:
         positions, orientations, modelled = self._kinematics.pose(R, p, self._shown.reshape(-1))
         gaps = modelled - seen.tips
         # NaN where a tip was not seen, as it came.
-        residual = np.sqrt((gaps * gaps).sum(-1))
+        residual = self._residual = np.sqrt((gaps * gaps).sum(-1))
         return HandSolution(T, self._shown, positions, orientations, residual, measured, held_by[1])
 
     def _is_over(self, seen: HandObservation, visible: BoolArray) -> bool:
@@ -179,9 +208,7 @@ class HandSolver:
     def _room_m(self, tips: FloatArray, measured: BoolArray, dt_s: float) -> FloatArray:
         """Return how far each finger (5,) may move its joints from one sample to the next, metres."""
         way = tips - self._tips
-        marker_m = np.sqrt((way * way).sum(-1))
-        seen = SEEN_M_S * dt_s + PATH_PER_TIP * np.where(marker_m >= 0.0, marker_m, 0.0)
-        room = np.where(measured, seen, HIDDEN_M_S * dt_s)
+        room = self._room.advance(dt_s, np.sqrt((way * way).sum(-1)), measured)
         return np.where(self._known, room, np.inf)
 
     def _looked_for_anew(self, state: HandState, seen: HandObservation, visible: BoolArray, dt_s: float) -> HandState:
@@ -203,7 +230,7 @@ class HandSolver:
         self, state: HandState, R: FloatArray, p: FloatArray, tips: FloatArray, measured: BoolArray
     ) -> FloatArray:
         """Return the angles (5, 4) of the fingers on a palm at R, p; of those not measured as the filter has them."""
-        filtered = state.angles.reshape(5, 4)
+        filtered = self._bend.of(state.angles.reshape(5, 4))
         if self.config.solver == "filter" or not measured.any():
             return filtered
         resting = self._geometry.marker_points(filtered)

@@ -21,8 +21,12 @@ FINGER_M_S: Final = 0.15
 HIDDEN_M_S: Final = 0.15
 """A hidden finger moves no faster relative to the palm: with its neighbours, but not with their every twitch."""
 SEEN_M_S: Final = 0.20
-PATH_PER_TIP: Final = 2.5
+PATH_PER_TIP: Final = 1.5
 """A seen finger moves its joints no faster than this many times its marker, and that speed on top."""
+MARKER_M_S2: Final = 20.0
+"""A marker that gains speed faster than this jumps: the finger follows as far as this allows."""
+DISTRUST_S: Final = 0.12
+"""A marker that returns is followed fully after as long as it was hidden, at most this: the first points err most."""
 PALM_M_S: Final = 0.12
 PALM_RAD_S: Final = 0.8
 PALM_LONGEST_S: Final = 0.5
@@ -62,6 +66,33 @@ class FingerLead:
         share = np.minimum(1.0, most_m / np.maximum(path_m, 1e-9))
         bounded: FloatArray = shown + share[:, None] * change
         return bounded
+
+
+class FingerRoom:
+    """How far each finger may move its joints from one sample to the next."""
+
+    def __init__(self) -> None:
+        self._speed_m_s = np.zeros(5)
+        self._distrust_s = np.zeros(5)
+
+    def advance(self, dt_s: float, way_m: FloatArray, measured: NDArray[np.bool_]) -> FloatArray:
+        """Return the room (5,), metres, of a sample `dt_s` after the last one.
+
+        Args:
+            dt_s: seconds.
+            way_m: (5,) metres that each marker moved; NaN where it was not seen twice.
+            measured: (5,) whether it was measured.
+        """
+        if dt_s <= 0.0:
+            return np.zeros(5)
+        speed = np.where(way_m >= 0.0, way_m, 0.0) / dt_s
+        self._speed_m_s = np.minimum(speed, self._speed_m_s + MARKER_M_S2 * dt_s)
+        self._distrust_s = np.where(
+            measured, np.maximum(self._distrust_s - dt_s, 0.0), np.minimum(self._distrust_s + dt_s, DISTRUST_S)
+        )
+        trust = (1.0 - self._distrust_s / DISTRUST_S) ** 2
+        room: FloatArray = np.where(measured, SEEN_M_S + PATH_PER_TIP * trust * self._speed_m_s, HIDDEN_M_S) * dt_s
+        return room
 
 
 class PalmLead:

@@ -21,6 +21,10 @@ FloatArray = NDArray[np.float64]
 
 BENT_RAD: Final = np.radians(10.0)
 """Each hinge of the start of plain FABRIK."""
+_MOVES_M: Final = 0.002
+_LYING: Final = 0.3
+_FEW: Final = 5
+_HALF_WRIST_M: Final = 0.02
 
 
 def palm_rotations(wrists: FloatArray, chains: FloatArray, knuckles: FloatArray) -> FloatArray:
@@ -40,6 +44,9 @@ def palm_rotations(wrists: FloatArray, chains: FloatArray, knuckles: FloatArray)
 def fit_person(wrists: FloatArray, chains: FloatArray, side: Side) -> HandModel:
     """Return the hand of a person: bone lengths and knuckle places as the medians over frames, the rest by default.
 
+    Where the recorded first joint of the thumb moves in the palm, it lies on the way along the first bone: that bone
+    begins at the point about which its end turns.
+
     Args:
         wrists: (N, 3) metres.
         chains: (N, 5, 4, 3) metres.
@@ -50,10 +57,33 @@ def fit_person(wrists: FloatArray, chains: FloatArray, side: Side) -> HandModel:
     for _ in range(3):
         R = palm_rotations(wrists, chains, knuckles)
         knuckles = np.median((chains[:, :, 0] - wrists[:, None]) @ R, axis=0)
+    bones = np.median(np.linalg.norm(np.diff(chains, axis=2), axis=-1), axis=0)
+    thumb = (chains[:, 0, :2] - wrists[:, None]) @ palm_rotations(wrists, chains, knuckles)
+    if thumb[:, 0].std(axis=0).max() > _MOVES_M:
+        knuckles[0], bones[0, 0] = _turning_point(thumb[:, 1])
     metacarpals = model.metacarpals.copy()
     metacarpals[0] = knuckles[0]
-    bones = np.median(np.linalg.norm(np.diff(chains, axis=2), axis=-1), axis=0)
     return dataclasses.replace(model, knuckles=knuckles, metacarpals=metacarpals, bones=bones)
+
+
+def fit_spread(model: HandModel, chains: FloatArray) -> HandModel:
+    """Return the model with limits of abduction as wide as the person's fingers really spread, or as they were.
+
+    All but 2 % of the frames on either side lie inside; those in which the first bone stands upright do not count.
+
+    Args:
+        model: of the person, with the rest frames of its fingers.
+        chains: (N, 5, 4, 3) metres, wrist frame.
+    """
+    low, high = model.angle_min.copy(), model.angle_max.copy()
+    for finger, frame in enumerate(model.frames):
+        first = (chains[:, finger, 1] - chains[:, finger, 0]) @ frame
+        first = first[-first[:, 2] > _LYING * model.bones[finger, 0]]
+        if len(first) > _FEW:
+            abduction = model.handedness * np.arctan2(-first[:, 0], -first[:, 2])
+            least, most = np.percentile(abduction, (2.0, 98.0))
+            low[finger, 1], high[finger, 1] = min(low[finger, 1], least), max(high[finger, 1], most)
+    return dataclasses.replace(model, angle_min=low, angle_max=high)
 
 
 def fit_rest_frames(model: HandModel, chains: FloatArray, loyalty: float = 0.3) -> HandModel:
@@ -126,15 +156,27 @@ def plain_fingers(model: HandModel, tips: FloatArray) -> FloatArray:
     return found.reshape(count, 5, 4, 3)
 
 
-def plain_hand(model: HandModel, wrist: FloatArray, tips: FloatArray) -> FloatArray:
+def plain_hand(model: HandModel, wrist: FloatArray, tips: FloatArray, across: FloatArray | None = None) -> FloatArray:
     """Return chains (5, 4, 3) of plain FABRIK from the wrist (3,) through the knuckles to tips (5, 3).
 
-    The start is the slightly bent hand, turned so that its tips lie as near as can be to the given ones.
+    The start is the slightly bent hand, turned so that its tips lie as near as can be to the given ones, and two points
+    on either side of its wrist in the direction `across`, (3,), where that is known.
     """
     start = np.concatenate([np.zeros((5, 1, 3)), _slightly_bent(model)], axis=1)
     lengths = np.column_stack([np.linalg.norm(model.knuckles, axis=1), model.bones])
-    R = nearest_rotation((tips - wrist).T @ start[:, -1])
+    scatter = (tips - wrist).T @ start[:, -1]
+    if across is not None:
+        scatter[:, 0] += 2.0 * _HALF_WRIST_M**2 * across
+    R = nearest_rotation(scatter)
     return plain_fabrik(np.tile(wrist, (5, 1)), tips, lengths, start @ R.T + wrist)[:, 1:]
+
+
+def _turning_point(points: FloatArray) -> tuple[FloatArray, float]:
+    """Return centre (3,) and radius, metres, of the sphere on which points (N, 3) lie: |x|² = 2·c·x + (r² − |c|²)."""
+    rows = np.column_stack([2.0 * points, np.ones(len(points))])
+    solution = np.linalg.lstsq(rows, (points * points).sum(-1), rcond=None)[0]
+    centre = solution[:3]
+    return centre, float(np.median(np.linalg.norm(points - centre, axis=1)))
 
 
 def _slightly_bent(model: HandModel) -> FloatArray:

@@ -8,12 +8,14 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.explain import Explanation
 from rhot.hand import HandModel
 from rhot.messages import FingerAngles, HandPose, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
 from rhot.skeleton import FINGERS, JOINTS
 from rhot.stage import Output
 from rhot_ik.evidence import SIGMA_M, HandObservation
+from rhot_ik.explain import solver_tables
 from rhot_ik.finger_geometry import base_marker
 from rhot_ik.hand_solver import HandSolution, HandSolver
 
@@ -83,6 +85,10 @@ class HandStage:
                 self._counts["hands"] += 1
                 out.append((f"rhot/hand/{side}", hand_pose(points, solver.geometry.model, solution)))
         return out
+
+    def explain(self) -> list[Explanation]:
+        """Return what is known of each hand after the newest points, and why; see `rhot.explain`."""
+        return [table for side, solver in self._solvers.items() for table in solver_tables(side, solver)]
 
     def _observation(self, points: PointSet, base_name: str, solver: HandSolver) -> HandObservation:
         tips, measured = np.full((len(FINGERS), 3), np.nan), np.zeros(len(FINGERS), dtype=np.bool_)

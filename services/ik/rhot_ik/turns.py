@@ -43,6 +43,13 @@ def vector_from_turn(R: FloatArray) -> FloatArray:
     return np.array([x * scale, y * scale, z * scale])
 
 
+def turn_between(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return the shortest rotation (3, 3) that takes one unit vector (3,) to another."""
+    axis = np.cross(start, end)
+    sine = math.sqrt(float(axis @ axis))
+    return turn_from_vector(axis * (math.atan2(sine, float(start @ end)) / max(sine, 1e-9)))
+
+
 def quaternion_from_turn(R: FloatArray) -> tuple[float, float, float, float]:
     """Return the unit quaternion x, y, z, w of a rotation (3, 3) (Shepperd 1978)."""
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
