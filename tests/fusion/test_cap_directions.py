@@ -11,7 +11,7 @@ from marker_streams import MARKERS, models
 from numpy.typing import NDArray
 
 from rhot.hand import HandModel
-from rhot.messages import HandPose, Joint
+from rhot.messages import HandPose, Joint, Side
 from rhot.rig import Rig
 from rhot_fusion.cap_directions import CapDirections
 from rhot_fusion.cap_model import CapModel
@@ -64,7 +64,7 @@ def test_views_of_the_same_area_keep_their_distance(caps: CapDirections) -> None
 def test_the_area_tells_where_a_finger_points_that_was_solved_wrong(make_rig: MakeRig) -> None:
     """The finger points up in the picture and away, 45° and more; its solver believes that it is 20° less bent."""
     rig = make_rig()
-    hands = {"right": HandModel.from_file(rig.hand, "right")}
+    hands: dict[Side, HandModel] = {"right": HandModel.from_file(rig.hand, "right")}
     caps, model = CapDirections(models(rig), rig.config.markers, hands), CapModel(rig.config.markers, hands)
     for bend_deg in (45.0, 55.0, 65.0):
         caps.clear()
