@@ -58,7 +58,7 @@ def test_a_sub_pixel_shift_moves_the_centre_by_as_much(
         found = MarkerDetector(markers, table, 101, 101).detect(drawn.image)["ring"]
         centres.append(np.array([found.u, found.v]))
         truths.append(np.array(drawn.truth["ring"][:2]))
-    assert np.allclose(centres[1] - centres[0], truths[1] - truths[0], atol=0.03)
+    assert np.allclose(centres[1] - centres[0], truths[1] - truths[0], atol=0.04)
 
 
 def test_area_is_the_painted_area(detector: MarkerDetector, scene: Any, six_shapes: Any) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,12 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhot_capture.subpixel import Window, find_centres
+from rhot_capture.blob import PADDING_PX
+from rhot_capture.grids import Centre, Window
+from rhot_capture.subpixel import find_centres
 
 
-def centre_in(image: Any, mask: Any, round_part: bool = False) -> Any:
-    (centre,) = find_centres([Window(image, mask, round_part)])
-    return centre
+def centre_in(image: Any, mask: Any, round_part: bool = False) -> Centre:
+    """The centre of what a mask shows, measured in a window as the detector cuts it, in the picture's coordinates."""
+    v, u = np.nonzero(mask)
+    top, left = max(v.min() - PADDING_PX, 0), max(u.min() - PADDING_PX, 0)
+    part = slice(top, v.max() + PADDING_PX + 1), slice(left, u.max() + PADDING_PX + 1)
+    (centre,) = find_centres([Window(image[part], mask[part], round_part)])
+    share = np.zeros(mask.shape, np.float32)
+    share[part] = centre.share
+    return replace(centre, u=centre.u + left, v=centre.v + top, share=share)
 
 
 def hard_mask(image: Any, paint: tuple[float, float, float], radius: float) -> Any:
@@ -65,11 +74,49 @@ def test_a_mask_too_small_or_large_by_a_pixel_does_not_matter(
     assert centre.area == pytest.approx(area, rel=0.04)
 
 
-def test_shares_are_zero_and_one_away_from_the_rim(scene: Callable[..., Any], shape: type[Any], paints: Any) -> None:
-    drawn = scene([shape("ring", 30, 30, radius=10)], size=(61, 61), noise=3.0)
+@pytest.mark.parametrize("radius", [7, 10, 20])
+def test_shares_are_zero_outside_and_one_inside(
+    scene: Callable[..., Any], shape: type[Any], paints: Any, radius: int
+) -> None:
+    drawn = scene([shape("ring", 50, 50, radius=radius)], size=(101, 101), noise=3.0)
     share = centre_in(drawn.image, hard_mask(drawn.image, paints["ring"], 60)).share
-    assert np.all(share[28:33, 28:33] == 1.0)
-    assert np.all(share[:6] == 0.0)
+    assert share is not None
+    assert np.allclose(share[48:53, 48:53], 1.0, atol=0.15)
+    assert np.mean(share[48:53, 48:53]) == pytest.approx(1.0, abs=0.03)
+    assert np.all(share[:15] == 0.0)
+
+
+@pytest.mark.parametrize("radius", [16, 24, 45])
+def test_large_parts_are_measured_as_well_on_a_coarser_grid(
+    scene: Callable[..., Any], shape: type[Any], paints: Any, radius: int
+) -> None:
+    for kind in ("ellipse", "rectangle"):
+        drawn = scene([shape("ring", 100.3, 99.6, radius=radius, kind=kind)], size=(201, 201), noise=3.0)
+        centre = centre_in(drawn.image, hard_mask(drawn.image, paints["ring"], 60))
+        u, v, area = drawn.truth["ring"]
+        assert np.hypot(centre.u - u, centre.v - v) < 0.1
+        assert centre.area == pytest.approx(area, rel=0.01)
+        assert centre.share is not None
+        assert float(centre.share.sum()) == pytest.approx(area, rel=0.01)
+
+
+@pytest.mark.parametrize("side", [0, 1, 2, 3])
+def test_a_large_part_at_the_border_keeps_all_that_is_seen_of_it(side: int) -> None:
+    image = np.full((101, 101, 3), (32, 30, 30), np.uint8)
+    image[60:, 30:71] = (200, 60, 40)
+    mask = np.zeros((101, 101), np.uint8)
+    mask[60:, 30:71] = 255
+    centre = centre_in(np.ascontiguousarray(np.rot90(image, side)), np.ascontiguousarray(np.rot90(mask, side)))
+    v, u = np.nonzero(np.rot90(mask, side))
+    assert (centre.u, centre.v) == pytest.approx((u.mean(), v.mean()), abs=0.1)
+    assert centre.area == pytest.approx(41 * 41, rel=0.01)
+
+
+def test_a_share_that_nobody_asks_for_is_not_given(scene: Callable[..., Any], shape: type[Any], paints: Any) -> None:
+    for radius in (6, 20):
+        drawn = scene([shape("ring", 50, 50, radius=radius)], size=(101, 101))
+        window = Window(drawn.image, hard_mask(drawn.image, paints["ring"], 60), shared=False)
+        assert find_centres([window])[0].share is None
 
 
 def test_paint_like_its_surroundings_falls_back_to_the_mask() -> None:
@@ -122,8 +169,30 @@ def test_blobs_measured_together_are_what_they_are_alone(
         (alone,) = find_centres([window])
         assert (together.u, together.v) == pytest.approx((alone.u, alone.v), abs=1e-3)
         assert together.area == pytest.approx(alone.area, rel=1e-4)
+        assert together.share is not None
         assert together.share.shape == window.mask.shape
 
 
 def test_nothing_to_measure_gives_nothing() -> None:
     assert find_centres([]) == []
+
+
+@given(st.integers(0, 2**31 - 1))
+@settings(deadline=None, max_examples=60)
+def test_garbage_has_a_centre_in_its_window(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    windows = []
+    for _ in range(int(rng.integers(1, 5))):
+        height, width = rng.integers(3, 70, 2).tolist()
+        image = rng.integers(0, 256, (height, width, 3), dtype=np.uint8)
+        mask = np.where(rng.random((height, width)) < rng.uniform(0.05, 1.0), 255, 0).astype(np.uint8)
+        mask[height // 2, width // 2] = 255
+        if rng.integers(3) == 0:
+            mask[:] = 0
+            mask[height // 2, width // 2] = 255
+        windows.append(Window(image, mask, bool(rng.integers(2))))
+    for window, centre in zip(windows, find_centres(windows), strict=True):
+        height, width = window.mask.shape
+        assert -5.0 < centre.u < width + 5.0
+        assert -5.0 < centre.v < height + 5.0
+        assert 0.0 < centre.area <= 1.3 * height * width

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from rhot.messages import MarkerFrame, decode, encode
+from rhot_capture.blob import Blob
 from rhot_capture.detector import Detection
 from rhot_capture.timing import marker_frame, row_time_ns
 
@@ -11,7 +12,9 @@ CORNERS = np.array([[1.0, 2.0], [5.0, 2.0], [5.0, 6.0], [1.0, 6.0]])
 
 
 def detection(v: float, corners: bool = False, points: int = 8) -> Detection:
-    return Detection(10.0, v, 50.0, 0.9, CORNERS if corners else None, np.ones((points, 2)))
+    contour = np.ones((points, 1, 2), np.int32)
+    blob = Blob(0, 0, np.ones((2, 2), np.uint8), (contour,), (0, 0), 4.0, 1.0, 0.0)
+    return Detection(10.0, v, 50.0, 0.9, CORNERS if corners else None, blob)
 
 
 def test_rows_are_exposed_one_after_the_other() -> None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from rhot_capture.color_table import ImageArray
+from rhot_capture.cutouts import Cutout, Region
 
 ContourArray = NDArray[np.int32]
 
@@ -33,7 +35,8 @@ class Blob:
     Attributes:
         x0, y0: image coordinates of the mask's upper left pixel.
         mask: (h, w) uint8, 255 inside the blob with its holes filled; padded by `PADDING_PX` where the image allows.
-        outlines: the blob's parts, each (n, 1, 2) int32, image coordinates.
+        contours: outlines of the blob's parts, each (n, 1, 2) int32, as they were found among the cutouts.
+        shift: x and y, pixels, from there to the image.
         area: pixels inside the filled outline.
         solidity: area over the area of the convex hull.
         border_share: share of the outline that lies on the image's border.
@@ -42,7 +45,8 @@ class Blob:
     x0: int
     y0: int
     mask: ImageArray
-    outlines: tuple[ContourArray, ...]
+    contours: tuple[ContourArray, ...]
+    shift: tuple[int, int]
     area: float
     solidity: float
     border_share: float
@@ -53,17 +57,37 @@ class Blob:
         height, width = self.mask.shape
         return slice(self.y0, self.y0 + height), slice(self.x0, self.x0 + width)
 
+    @property
+    def cut(self) -> tuple[slice, slice]:
+        """Rows and columns of the mask among the cutouts."""
+        height, width = self.mask.shape
+        x, y = self.x0 - self.shift[0], self.y0 - self.shift[1]
+        return slice(y, y + height), slice(x, x + width)
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """One connected outline and the pixels that it encloses."""
+    @property
+    def outlines(self) -> tuple[ContourArray, ...]:
+        """The outlines of the blob's parts, each (n, 1, 2) int32, image coordinates."""
+        return tuple(contour + np.array(self.shift, dtype=np.int32) for contour in self.contours)
+
+    def inside(self, region: Region, shape: tuple[int, int]) -> bool:
+        """Tell whether the blob and its padding lie in a region, but for where the image ends."""
+        height, width = self.mask.shape
+        return (
+            (self.x0 >= region.left and self.x0 + width <= region.right)
+            and (self.y0 >= region.top and self.y0 + height <= region.bottom)
+            and (region.left == 0 or self.x0 > region.left)
+            and (region.top == 0 or self.y0 > region.top)
+            and (region.right == shape[1] or self.x0 + width < region.right)
+            and (region.bottom == shape[0] or self.y0 + height < region.bottom)
+        )
+
+
+class _Part(NamedTuple):
+    """One connected outline, the pixels that it encloses, and its upright rectangle x, y, width, height."""
 
     area: float
     outline: ContourArray
-
-
-Region = tuple[int, int, int, int]
-"""Left, top, right, bottom in the image, pixels; right and bottom are not part of it."""
+    box: Sequence[int]
 
 
 def label_regions(labels: ImageArray, count: int) -> dict[int, Region]:
@@ -79,7 +103,7 @@ def label_regions(labels: ImageArray, count: int) -> dict[int, Region]:
     height, width = labels.shape
     contours, _ = cv2.findContours(labels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     if len(contours) > _MANY_CONTOURS:
-        return dict.fromkeys(range(1, count + 1), (0, 0, width, height))
+        return dict.fromkeys(range(1, count + 1), Region(0, 0, width, height))
     regions: dict[int, Region] = {}
     for contour in contours:
         left, top, across, down = cv2.boundingRect(contour)
@@ -87,7 +111,7 @@ def label_regions(labels: ImageArray, count: int) -> dict[int, Region]:
         present = np.bincount(labels[top:bottom, left:right].ravel(), minlength=count + 1)
         for label in np.flatnonzero(present[1 : count + 1]).tolist():
             known = regions.get(label + 1, (left, top, right, bottom))
-            regions[label + 1] = (
+            regions[label + 1] = Region(
                 min(known[0], left),
                 min(known[1], top),
                 max(known[2], right),
@@ -111,23 +135,48 @@ def find_blobs(
         max_area: largest joined blob, square pixels.
         region: where the label occurs; the whole image when not given.
     """
-    left, top, right, bottom = region or (0, 0, labels.shape[1], labels.shape[0])
-    contours, _ = cv2.findContours(
-        cv2.inRange(labels[top:bottom, left:right], label, label),
-        cv2.RETR_EXTERNAL,
-        cv2.CHAIN_APPROX_NONE,
-        offset=(left, top),
-    )
+    region = region or Region(0, 0, labels.shape[1], labels.shape[0])
+    own = cv2.inRange(labels[region.top : region.bottom, region.left : region.right], label, label)
+    shape = labels.shape[0], labels.shape[1]
+    return blobs_of(np.asarray(own, dtype=np.uint8), [Cutout(label, region, 0)], [(min_area, max_area)], shape)[0]
+
+
+def blobs_of(
+    own: ImageArray, places: Sequence[Cutout], gates: Sequence[tuple[float, float]], shape: tuple[int, int]
+) -> list[list[Blob]]:
+    """Return the blobs of each cutout, largest first; see `find_blobs`.
+
+    Args:
+        own: (H, W) uint8, not 0 where a pixel has the label that is looked for there.
+        places: the cutouts, from top to bottom.
+        gates: smallest and largest area of a blob in each of them.
+        shape: height and width of the image.
+    """
+    contours, _ = cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    rows = [place.row for place in places]
     # A part below a twentieth of the smallest marker cannot matter to any blob that is kept.
-    least = max(3.0, _MERGE_MIN_SHARE * min_area)
-    sized = [_Part(pixel_area(outline), outline) for outline in map(_as_outline, contours) if len(outline) > 2]
-    parts = sorted((part for part in sized if part.area >= least), key=lambda part: part.area, reverse=True)
-    blobs: list[Blob] = []
+    least = [max(3.0, _MERGE_MIN_SHARE * gate[0]) for gate in gates]
+    parts: list[list[_Part]] = [[] for _ in places]
+    for contour in contours:
+        if len(contour) > 2:
+            outline = _as_outline(contour)
+            box = cv2.boundingRect(outline)
+            place = bisect_right(rows, box[1]) - 1
+            area = pixel_area(outline)
+            if area >= least[place]:
+                parts[place].append(_Part(area, outline, box))
+    return [_grouped(*each, shape) for each in zip(parts, places, gates, strict=True)]
+
+
+def _grouped(parts: list[_Part], place: Cutout, gate: tuple[float, float], shape: tuple[int, int]) -> list[Blob]:
+    if len(parts) > 1:
+        parts.sort(key=lambda part: part.area, reverse=True)
     free = parts[: 4 * _MAX_CANDIDATES]
+    blobs: list[Blob] = []
     while free and len(blobs) < _MAX_CANDIDATES:
         group, free = _gather(free)
-        if min_area <= sum(part.area for part in group) <= max_area:
-            blobs.append(_blob([part.outline for part in group], labels.shape))
+        if gate[0] <= sum([part.area for part in group]) <= gate[1]:
+            blobs.append(_blob(group, place, shape))
     return blobs
 
 
@@ -146,11 +195,8 @@ def _gather(parts: Sequence[_Part]) -> tuple[list[_Part], list[_Part]]:
     group, rest = [main], []
     if len(parts) > 1:
         gap = max(_MERGE_GAP_MIN_PX, _MERGE_GAP_RATIO * float(np.sqrt(main.area)))
-        box = cv2.boundingRect(main.outline)
         for part in parts[1:]:
-            near = part.area >= _MERGE_MIN_SHARE * main.area and (
-                _rectangle_gap(box, cv2.boundingRect(part.outline)) <= gap
-            )
+            near = part.area >= _MERGE_MIN_SHARE * main.area and (_rectangle_gap(main.box, part.box) <= gap)
             if near and _joint_solidity([*group, part]) >= _MERGE_MIN_SOLIDITY:
                 group.append(part)
             else:
@@ -174,23 +220,33 @@ def _hull_area(points: ContourArray) -> float:
     return cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1.0
 
 
-def _blob(contours: Sequence[ContourArray], shape: tuple[int, ...]) -> Blob:
-    points = contours[0] if len(contours) == 1 else np.concatenate(contours)
-    x, y, width, height = cv2.boundingRect(points)
-    x0, y0 = max(x - PADDING_PX, 0), max(y - PADDING_PX, 0)
-    x1, y1 = min(x + width + PADDING_PX, shape[1]), min(y + height + PADDING_PX, shape[0])
+def _blob(parts: Sequence[_Part], place: Cutout, shape: tuple[int, int]) -> Blob:
+    contours = tuple(part.outline for part in parts)
+    shift_x, shift_y = place.region.left, place.region.top - place.row
+    points, box = parts[0].outline, parts[0].box
+    if len(parts) > 1:
+        points = np.concatenate(contours)
+        box = cv2.boundingRect(points)
+    left, top = box[0] + shift_x, box[1] + shift_y
+    right, bottom = left + box[2], top + box[3]
+    x0, y0 = max(left - PADDING_PX, 0), max(top - PADDING_PX, 0)
+    x1, y1 = min(right + PADDING_PX, shape[1]), min(bottom + PADDING_PX, shape[0])
     mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
-    cv2.drawContours(mask, contours, -1, 255, cv2.FILLED, offset=(-x0, -y0))
-    if len(contours) > 1:
+    cv2.drawContours(mask, contours, -1, 255, cv2.FILLED, offset=(shift_x - x0, shift_y - y0))
+    area = parts[0].area
+    if len(parts) > 1:
         cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _GAP_FILLER, dst=mask, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    area = float(cv2.countNonZero(mask))
-    u, v = points[:, 0, 0], points[:, 0, 1]
-    border = np.count_nonzero((u == 0) | (v == 0) | (u == shape[1] - 1) | (v == shape[0] - 1))
+        area = float(cv2.countNonZero(mask))
+    border = 0
+    if left == 0 or top == 0 or right == shape[1] or bottom == shape[0]:
+        u, v = points[:, 0, 0] + shift_x, points[:, 0, 1] + shift_y
+        border = int(np.count_nonzero((u == 0) | (v == 0) | (u == shape[1] - 1) | (v == shape[0] - 1)))
     return Blob(
         x0=x0,
         y0=y0,
         mask=mask,
-        outlines=tuple(contours),
+        contours=contours,
+        shift=(shift_x, shift_y),
         area=area,
         solidity=min(1.0, area / _hull_area(points)),
         border_share=border / len(points),

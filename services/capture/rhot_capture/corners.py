@@ -6,6 +6,9 @@ true edge runs. A line through these crossings per side and the meeting points o
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Final
 
 import cv2
@@ -13,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot_capture.color_table import ImageArray
-from rhot_capture.subpixel import CoverageArray
+from rhot_capture.grids import CoverageArray
 
 FloatArray = NDArray[np.float64]
+Point = tuple[float, float]
 
 _POINTS_PER_SIDE: Final = 16
 _SIDE_MARGIN: Final = 0.18
@@ -23,7 +27,7 @@ _SIDE_MARGIN: Final = 0.18
 _SEARCH_PX: Final = (-3.0, 4.5)
 """How far inside and outside of the coarse side the edge is looked for; the mask's outline runs through the centres of
 its outermost pixels, so the edge is rather outside."""
-_STEPS: Final = 26
+_STEPS: Final = 16
 _MAX_SHIFT_PX: Final = 6.0
 _MIN_SIDE_PX: Final = 7.0
 _MAX_RESIDUAL_PX: Final = 0.6
@@ -33,9 +37,28 @@ _MAX_CONVERGENCE: Final = 0.2
 """How far opposite sides of a seen rectangle may differ, as a share of their length: 0.04 m at 0.3 m converge by 0.13;
 more tells of a side that is no side but the edge of what hides a corner."""
 _PLACES: Final = np.linspace(_SIDE_MARGIN, 1.0 - _SIDE_MARGIN, _POINTS_PER_SIDE)
-_OFFSETS: Final = np.linspace(*_SEARCH_PX, _STEPS)
-_NEXT: Final = np.array([1, 2, 3, 0])
-_BEFORE: Final = np.array([3, 0, 1, 2])
+"""Of the points on a side, as shares of its length."""
+_POWERS: Final = np.vander(_PLACES, 3, increasing=True)
+_STEP_PX: Final = (_SEARCH_PX[1] - _SEARCH_PX[0]) / (_STEPS - 1)
+_TRAPEZIUM: Final = np.full(_STEPS, _STEP_PX, np.float32)
+_TRAPEZIUM[[0, -1]] *= 0.5
+
+
+def _sampling() -> CoverageArray:
+    """Return what four corners and then four outward normals contribute to each sample's place.
+
+    Returns:
+        (4 · _POINTS_PER_SIDE · _STEPS, 8) float32; times (8, 2) of corners and normals gives places in pixels.
+    """
+    parts = np.zeros((4, _POINTS_PER_SIDE, _STEPS, 8), np.float32)
+    for side in range(4):
+        parts[side, :, :, side] = 1.0 - _PLACES[:, None]
+        parts[side, :, :, (side + 1) % 4] = _PLACES[:, None]
+        parts[side, :, :, 4 + side] = np.linspace(*_SEARCH_PX, _STEPS)
+    return parts.reshape(-1, 8)
+
+
+_SAMPLING: Final = _sampling()
 
 
 def find_corners(share: CoverageArray, mask: ImageArray) -> FloatArray | None:
@@ -53,102 +76,102 @@ def find_corners(share: CoverageArray, mask: ImageArray) -> FloatArray | None:
     if coarse is None:
         return None
     corners = _refine(share, coarse)
-    if corners is None or np.max(np.linalg.norm(corners - coarse, axis=1)) > _MAX_SHIFT_PX:
+    if corners is None or max(map(math.dist, corners, coarse)) > _MAX_SHIFT_PX:
         return None
-    sides = corners[_NEXT] - corners
-    difference = np.linalg.norm(sides[:2] + sides[2:], axis=1)
-    if np.any(difference > _MAX_CONVERGENCE * np.maximum(*np.linalg.norm(sides, axis=1).reshape(2, 2))):
+    (a, b, c, d), lengths = _sides(corners)
+    for (x1, y1), (x2, y2), longest in ((a, c, max(lengths[0::2])), (b, d, max(lengths[1::2]))):
+        if math.hypot(x1 + x2, y1 + y2) > _MAX_CONVERGENCE * longest:
+            return None
+    painted = cv2.sumElems(share)[0]
+    if abs(_signed_area(corners) - painted) > _AREA_TOLERANCE * painted:
         return None
-    area = _signed_area(corners)
-    painted = float(share.sum())
-    if abs(area - painted) > _AREA_TOLERANCE * painted:
-        return None
-    return corners
+    return np.array(corners)
 
 
-def _refine(share: CoverageArray, corners: FloatArray) -> FloatArray | None:
-    """Return the meeting points of the lines fitted along four sides; side k runs from corner k to corner k + 1."""
-    along = corners[_NEXT] - corners
-    length = np.sqrt(np.einsum("ij,ij->i", along, along))
-    along = along / length[:, None]
-    outward = np.column_stack([along[:, 1], -along[:, 0]])
-    distances = length[:, None] * _PLACES
-    samples = (
-        corners[:, None, None, :]
-        + distances[:, :, None, None] * along[:, None, None, :]
-        + _OFFSETS[None, None, :, None] * outward[:, None, None, :]
-    ).astype(np.float32)
-    flat = samples.reshape(4 * _POINTS_PER_SIDE, _STEPS, 2)
+def _sides(corners: Sequence[Point]) -> tuple[list[Point], list[float]]:
+    """Return the vectors along the sides, side k from corner k to corner k + 1, and their lengths."""
+    along = [(x2 - x1, y2 - y1) for (x1, y1), (x2, y2) in pairwise([*corners, corners[0]])]
+    return along, [math.hypot(x, y) for x, y in along]
+
+
+def _refine(share: CoverageArray, corners: Sequence[Point]) -> list[Point] | None:
+    """Return the meeting points of the lines fitted along four sides."""
+    along, lengths = _sides(corners)
+    outward = [(y / length, -x / length) for (x, y), length in zip(along, lengths, strict=True)]
+    samples = (_SAMPLING @ np.array([*corners, *outward], np.float32)).reshape(4 * _POINTS_PER_SIDE, _STEPS, 2)
     profile = np.asarray(
-        cv2.remap(share, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    ).reshape(4, _POINTS_PER_SIDE, _STEPS)
-    usable = (profile[..., 0] > 0.75) & (profile[..., -1] < 0.25)
+        cv2.remap(share, samples, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+    )
+    usable = (profile[:, 0] > 0.75) & (profile[:, -1] < 0.25)
     # The painted length along the profile ends at the edge: exact for any symmetric blur.
-    step = _OFFSETS[1] - _OFFSETS[0]
-    edge = _OFFSETS[0] + step * (profile.sum(axis=-1) - 0.5 * (profile[..., 0] + profile[..., -1]))
-    fitted = _fit_lines(distances, edge, usable)
+    edge = (profile @ _TRAPEZIUM + np.float32(_SEARCH_PX[0])).astype(np.float64)
+    fitted = _fit_lines(edge.reshape(4, -1), usable.reshape(4, -1))
     if fitted is None:
         return None
-    # edge = intercept + slope · distance, so the line runs through corner + intercept · outward.
-    intercept, slope = fitted
-    origin = corners + intercept[:, None] * outward
-    direction = along + slope[:, None] * outward
-    return _meeting_points(origin[_BEFORE], direction[_BEFORE], origin, direction)
+    # edge = intercept + slope · place, so the line runs from corner + intercept · outward, which shifts by slope.
+    lines = [
+        (x + first * u, y + first * v, dx + slope * u, dy + slope * v)
+        for (x, y), (dx, dy), (u, v), (first, slope) in zip(corners, along, outward, fitted, strict=True)
+    ]
+    return _meeting_points(lines)
 
 
-def _fit_lines(x: FloatArray, y: FloatArray, usable: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray] | None:
-    """Fit y = intercept + slope · x in each row, twice, the second time without what lies far off."""
-    for _ in range(2):
-        weights = usable.astype(np.float64)
-        total = weights.sum(axis=1)
-        if np.any(total < _POINTS_PER_SIDE // 2):
+def _fit_lines(edge: FloatArray, usable: NDArray[np.bool_]) -> list[tuple[float, float]] | None:
+    """Fit edge = intercept + slope · place along each side, again without what lies far off where something does.
+
+    Args:
+        edge: (4, _POINTS_PER_SIDE) float64, pixels.
+        usable: (4, _POINTS_PER_SIDE), which points count.
+    """
+    while True:
+        sums = (usable @ _POWERS).tolist()
+        products = ((usable * edge) @ _POWERS[:, :2]).tolist()
+        if min(sums)[0] < _POINTS_PER_SIDE // 2:
             return None
-        mean_x = (weights * x).sum(axis=1) / total
-        mean_y = (weights * y).sum(axis=1) / total
-        centred = x - mean_x[:, None]
-        slope = (weights * centred * y).sum(axis=1) / (weights * centred**2).sum(axis=1)
-        intercept = mean_y - slope * mean_x
-        residual = np.abs(y - intercept[:, None] - slope[:, None] * x)
-        usable &= residual <= _OUTLIER_PX
-    if np.any((weights * residual).sum(axis=1) > _MAX_RESIDUAL_PX * total):
-        return None
-    return intercept, slope
+        lines = []
+        for (n, s, ss), (t, st) in zip(sums, products, strict=True):
+            slope = (n * st - s * t) / (n * ss - s * s)
+            lines.append(((t - slope * s) / n, slope))
+        residual = np.abs(edge - np.array(lines) @ _POWERS[:, :2].T) * usable
+        near = residual <= _OUTLIER_PX
+        if near.all():
+            means = residual.sum(axis=1) / usable.sum(axis=1)
+            return lines if means.max() <= _MAX_RESIDUAL_PX else None
+        usable = usable & near
 
 
-def _meeting_points(
-    origin_1: FloatArray, direction_1: FloatArray, origin_2: FloatArray, direction_2: FloatArray
-) -> FloatArray | None:
-    """Return where lines meet pairwise, (N, 2); None when some are parallel."""
-    cross = direction_1[:, 0] * direction_2[:, 1] - direction_1[:, 1] * direction_2[:, 0]
-    if np.any(np.abs(cross) < 1e-6):
-        return None
-    between = origin_2 - origin_1
-    along = (between[:, 0] * direction_2[:, 1] - between[:, 1] * direction_2[:, 0]) / cross
-    meeting: FloatArray = origin_1 + along[:, None] * direction_1
-    return meeting
+def _meeting_points(lines: Sequence[tuple[float, float, float, float]]) -> list[Point] | None:
+    """Return where each line (a point and a direction) meets the one before it; None when some are parallel."""
+    points = []
+    for (x1, y1, dx1, dy1), (x2, y2, dx2, dy2) in pairwise([lines[-1], *lines]):
+        cross = dx1 * dy2 - dy1 * dx2
+        if abs(cross) < 1e-6:
+            return None
+        along = ((x2 - x1) * dy2 - (y2 - y1) * dx2) / cross
+        points.append((x1 + along * dx1, y1 + along * dy1))
+    return points
 
 
-def _coarse_quadrilateral(mask: ImageArray) -> FloatArray | None:
+def _coarse_quadrilateral(mask: ImageArray) -> list[Point] | None:
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    hull = cv2.convexHull(max(contours, key=cv2.contourArea))
+    hull = cv2.convexHull(contours[0] if len(contours) == 1 else max(contours, key=cv2.contourArea))
     perimeter = cv2.arcLength(hull, True)
-    quadrilateral: FloatArray | None = None
+    polygon = hull
     for tolerance in (0.02, 0.04, 0.06, 0.09, 0.12):
         polygon = cv2.approxPolyDP(hull, tolerance * perimeter, True)
         if len(polygon) <= 4:
-            if len(polygon) == 4:
-                quadrilateral = polygon.reshape(4, 2).astype(np.float64)
             break
-    if quadrilateral is None:
-        quadrilateral = np.asarray(cv2.boxPoints(cv2.minAreaRect(hull)), dtype=np.float64)
-    if _signed_area(quadrilateral) < 0.0:
-        quadrilateral = quadrilateral[::-1].copy()
-    if np.min(np.linalg.norm(quadrilateral - quadrilateral[_NEXT], axis=1)) < _MIN_SIDE_PX:
+    if len(polygon) != 4:
+        polygon = cv2.boxPoints(cv2.minAreaRect(hull))
+    corners = [(float(x), float(y)) for x, y in polygon.reshape(4, 2).tolist()]
+    if _signed_area(corners) < 0.0:
+        corners.reverse()
+    if min(_sides(corners)[1]) < _MIN_SIDE_PX:
         return None
-    return np.roll(quadrilateral, -int(np.argmin(quadrilateral.sum(axis=1))), axis=0)
+    first = min(range(4), key=lambda place: sum(corners[place]))
+    return corners[first:] + corners[:first]
 
 
-def _signed_area(corners: FloatArray) -> float:
+def _signed_area(corners: Sequence[Point]) -> float:
     """Area of a polygon, positive when clockwise as seen (v points down)."""
-    following = corners[_NEXT]
-    return 0.5 * float(np.sum(corners[:, 0] * following[:, 1] - following[:, 0] * corners[:, 1]))
+    return 0.5 * sum([x1 * y2 - x2 * y1 for (x1, y1), (x2, y2) in pairwise([*corners, corners[0]])])

@@ -1,16 +1,17 @@
 """All markers of a frame in one pass.
 
-While every marker is where it was expected, only the part of the frame that holds them is classified. As soon as one
-is not, and every `_SURVEY_FRAMES` frames anyway, the same look-up runs over the whole frame, so a lost marker is found
-again wherever it turns up; where a marker was before only decides between several blobs of its colour.
+While every marker is where it was expected, only the places where they are expected are looked at. As soon as one is
+not there, and every `_SURVEY_FRAMES` frames anyway, the whole frame is searched for places, so a lost marker is found
+again wherever it turns up; where a marker was before only decides between several blobs of its colour. Either way all
+places are classified together and measured alike.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -18,11 +19,14 @@ from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
 from rhot.rig.config import MarkerConfig
-from rhot_capture.blob import PADDING_PX, Blob, Region, find_blobs, label_regions
+from rhot_capture.blob import Blob, blobs_of
 from rhot_capture.color_table import ColorTable, ImageArray
 from rhot_capture.corners import find_corners
+from rhot_capture.cutouts import Cutouts, Region
+from rhot_capture.grids import Window
 from rhot_capture.score import Evidence, probability
-from rhot_capture.subpixel import Window, find_centres
+from rhot_capture.search import find_regions
+from rhot_capture.subpixel import find_centres
 from rhot_capture.track import MarkerTrack
 
 FloatArray = NDArray[np.float64]
@@ -39,8 +43,6 @@ _MAX_ADJACENCY: Final = 0.4
 _CLING_RATIO: Final = 1.5
 _SLIVER_SCORE: Final = 0.5
 _SURVEY_FRAMES: Final = 30
-_REGION_MARGIN_PX: Final = 24.0
-"""Around where a marker is expected: a tip at 1.5 m/s moves 17 pixels in a frame of 1/60 s, 80 cm away."""
 _BOX_3: Final = np.ones((3, 3), np.uint8)
 _BOX_5: Final = np.ones((5, 5), np.uint8)
 
@@ -55,7 +57,7 @@ class Detection:
         score: the probability that this is the marker and its centre within a pixel of the truth; see
             `rhot_capture.score`.
         corners: (4, 2) of a patch, pixels, clockwise as seen; None when they could not be found.
-        outline: (n, 2) pixels on the rim of the painted area.
+        blob: the painted area.
     """
 
     u: float
@@ -63,24 +65,26 @@ class Detection:
     area: float
     score: float
     corners: FloatArray | None
-    outline: FloatArray
+    blob: Blob
+
+    @property
+    def outline(self) -> FloatArray:
+        """(n, 2) pixels on the rim of the painted area."""
+        return np.concatenate(self.blob.outlines).reshape(-1, 2).astype(np.float64)
 
 
-@dataclass(frozen=True, slots=True)
-class _Candidate:
+class _Candidate(NamedTuple):
     """A blob that may be a marker.
 
     Attributes:
         blob: where it is.
         plausibility: 0 to 1, how much it is like the marker; decides which blob is chosen and whether one is.
         evidence: for its score, but for what tracks and other blobs tell.
-        weight: plausibility, times how well it continues the track, times area.
     """
 
     blob: Blob
     plausibility: float
     evidence: Evidence
-    weight: float
 
 
 class MarkerDetector:
@@ -99,12 +103,10 @@ class MarkerDetector:
             ConfigError: the table was built for other markers.
         """
         self._markers = dict(markers)
+        self._names = tuple(markers)
         self._size = (height, width)
         self._tracks = {name: MarkerTrack() for name in markers}
         self._image: ImageArray = np.zeros((height, width, 3), np.uint8)
-        self._labels: ImageArray = np.zeros(self._size, np.uint8)
-        self._packed: NDArray[np.uint16] = np.zeros((height, width, 1), np.uint16)
-        self._complete = True
         self._since_survey = 0
         self.table = table
 
@@ -124,8 +126,8 @@ class MarkerDetector:
     @property
     def labels(self) -> ImageArray:
         """Labels of the last frame, (H, W) uint8, 0 = no marker, i = the i-th marker."""
-        self._classify((0, 0, self._size[1], self._size[0]))
-        return self._labels
+        labels, _ = self._table.classify(self._image)
+        return np.asarray(cv2.medianBlur(labels, 3), dtype=np.uint8)
 
     def reset(self) -> None:
         """Forget where the markers were."""
@@ -146,7 +148,6 @@ class MarkerDetector:
                 "set width and height of the camera in rig.toml to what it delivers"
             )
         self._image = image
-        self._complete = False
         chosen = self._follow()
         if chosen is None:
             chosen = self._survey()
@@ -155,102 +156,73 @@ class MarkerDetector:
                 self._tracks[name].miss()
         return self._measure(image, chosen)
 
-    def _classify(self, area: Region) -> None:
-        """Label a part of the frame."""
-        if self._complete:
-            return
-        left, top, right, bottom = area
-        rows, columns = slice(top, bottom), slice(left, right)
-        labels, self._packed[rows, columns] = self._table.classify(self._image[rows, columns])
-        # Single wrong pixels go; a label wins a pixel only where its neighbours carry it too.
-        self._labels[rows, columns] = cv2.medianBlur(labels, 3)
-        self._complete = (bottom - top, right - left) == self._size
-
     def _follow(self) -> dict[str, _Candidate] | None:
         """Look for each marker where it is expected; None when one of them is not wholly there."""
         self._since_survey += 1
         if self._since_survey >= _SURVEY_FRAMES:
             return None
-        regions: dict[str, Region] = {}
-        for name, track in self._tracks.items():
-            region = track.region(_REGION_MARGIN_PX, *self._size)
+        looks: list[tuple[int, Region]] = []
+        for label, track in enumerate(self._tracks.values(), start=1):
+            region = track.region(track.margin_px, *self._size)
             if region is None:
                 return None
-            regions[name] = region
-        lefts, tops, rights, bottoms = zip(*regions.values(), strict=True)
-        self._classify(
-            (
-                max(0, min(lefts) - PADDING_PX),
-                max(0, min(tops) - PADDING_PX),
-                min(self._size[1], max(rights) + PADDING_PX),
-                min(self._size[0], max(bottoms) + PADDING_PX),
-            )
-        )
-        chosen: dict[str, _Candidate] = {}
-        for label, (name, region) in enumerate(regions.items(), start=1):
-            best = self._choose(label, name, region)
-            if best is None or not self._within(best.blob, region):
-                return None
-            chosen[name] = best
-        return chosen
-
-    def _within(self, blob: Blob, region: Region) -> bool:
-        """Tell whether a blob ends inside its region, but for where the picture ends."""
-        height, width = blob.mask.shape
-        left, top, right, bottom = region
-        return (
-            (blob.x0 + PADDING_PX > left or left == 0)
-            and (blob.y0 + PADDING_PX > top or top == 0)
-            and (blob.x0 + width - PADDING_PX < right or right == self._size[1])
-            and (blob.y0 + height - PADDING_PX < bottom or bottom == self._size[0])
-        )
+            looks.append((label, region))
+        candidates = self._candidates(looks, every=True) if looks else {}
+        if candidates is None or len(candidates) < len(looks):
+            return None
+        chosen = self._best(candidates)
+        return chosen if len(chosen) == len(looks) else None
 
     def _survey(self) -> dict[str, _Candidate]:
         """Look for every marker in the whole frame."""
         self._since_survey = 0
-        self._classify((0, 0, self._size[1], self._size[0]))
-        regions = label_regions(self._labels, len(self._markers))
-        chosen: dict[str, _Candidate] = {}
-        for label, name in enumerate(self._markers, start=1):
-            best = self._choose(label, name, regions[label]) if label in regions else None
-            if best is not None:
-                chosen[name] = best
-        return chosen
+        looks = find_regions(self._image, self._table)
+        return self._best(self._candidates(looks, every=False) or {}) if looks else {}
 
-    def _choose(self, label: int, name: str, region: Region) -> _Candidate | None:
-        """Return the blob in a region that is most surely the marker; None when none is surely enough."""
-        marker, track = self._markers[name], self._tracks[name]
-        blobs = find_blobs(self._labels, label, marker.min_area_px, marker.max_area_px, region)
-        candidates = [found for blob in blobs if (found := self._judge(blob, label, marker, track)) is not None]
-        if not candidates:
-            return None
-        candidates.sort(key=lambda candidate: candidate.weight, reverse=True)
-        best = candidates[0]
-        if len(candidates) > 1:
-            share = best.weight / (best.weight + candidates[1].weight)
-            best = replace(
-                best, plausibility=best.plausibility * share, evidence=best.evidence._replace(alone=math.log(share))
-            )
-        return best if best.plausibility >= MIN_PLAUSIBILITY else None
+    def _candidates(self, looks: Sequence[tuple[int, Region]], every: bool) -> dict[str, list[_Candidate]] | None:
+        """Return the candidates for each marker in some regions of the frame; markers without one are absent.
 
-    def _judge(self, blob: Blob, label: int, marker: MarkerConfig, track: MarkerTrack) -> _Candidate | None:
+        Args:
+            looks: label and region.
+            every: return None as soon as some blob is not wholly in its region.
+        """
+        cutouts = Cutouts(self._image, self._table, looks)
+        markers = [self._markers[self._names[label - 1]] for label, _ in looks]
+        gates = [(marker.min_area_px, marker.max_area_px) for marker in markers]
+        candidates: dict[str, list[_Candidate]] = {}
+        found = blobs_of(cutouts.own, cutouts.places, gates, self._size)
+        for place, marker, blobs in zip(cutouts.places, markers, found, strict=True):
+            name = self._names[place.label - 1]
+            for blob in blobs:
+                if not blob.inside(place.region, self._size):
+                    if every:
+                        return None
+                    continue
+                candidate = self._judge(cutouts, blob, place.label, marker, self._tracks[name])
+                if candidate is not None:
+                    candidates.setdefault(name, []).append(candidate)
+        return candidates
+
+    def _judge(
+        self, cutouts: Cutouts, blob: Blob, label: int, marker: MarkerConfig, track: MarkerTrack
+    ) -> _Candidate | None:
         """Return a blob as candidate for a marker; None when it is none."""
         if blob.solidity < _MIN_SOLIDITY:
             return None
-        middle = _middle(blob)
-        labels = self._labels[blob.window]
-        own = cv2.inRange(labels, label, label)
-        others = cv2.countNonZero(labels) > cv2.countNonZero(own)
-        own = cv2.bitwise_and(own, blob.mask)
+        window = blob.cut
+        labels = cutouts.labels[window]
+        own = cutouts.own[window] & blob.mask
         own_pixels = cv2.countNonZero(own)
+        if own_pixels < _MIN_FILL * blob.area:
+            return None
         # A thin line or a ring is the mixed rim of another marker, not paint of its own; unless the marker was just
         # here and is being covered.
-        thin = cv2.countNonZero(cv2.erode(own, _BOX_3)) == 0
-        if own_pixels < _MIN_FILL * blob.area or (thin and not track.continues(*middle)):
+        thin = _is_thin(blob, own, own_pixels)
+        if thin and not track.continues(*_middle(blob)):
             return None
-        if others and _clings(blob, labels, label):
+        if cv2.countNonZero(labels) > own_pixels and _clings(blob, labels, label):
             return None
-        likelihoods = cv2.LUT(self._packed[blob.window], self._table.likelihoods)
+        likelihoods = cv2.LUT(cutouts.packed[window], self._table.likelihoods)
         colour = min(1.0, cv2.mean(likelihoods, own)[0] / (255.0 * _TYPICAL_LIKELIHOOD))
         compact = min(1.0, blob.solidity / _TYPICAL_SOLIDITY)
         size = blob.area / (blob.area + marker.min_area_px)
@@ -260,35 +232,68 @@ class MarkerDetector:
         if plausibility <= 0.0:
             return None
         evidence = Evidence(colour=math.log(pure), inside=-blob.border_share, alone=0.0)
-        weight = plausibility * track.preference(*middle, blob.area) * blob.area
-        return _Candidate(blob, plausibility, evidence, weight)
+        return _Candidate(blob, plausibility, evidence)
+
+    def _best(self, candidates: Mapping[str, list[_Candidate]]) -> dict[str, _Candidate]:
+        """Return for each marker the candidate that is most surely it; none where none is surely enough."""
+        chosen: dict[str, _Candidate] = {}
+        for name in self._names:
+            each = candidates.get(name)
+            if each is None:
+                continue
+            best = each[0]
+            if len(each) > 1:
+                track = self._tracks[name]
+                # How much it is like the marker, times how well it continues the track, times area.
+                weights = [
+                    one.plausibility * track.preference(*_middle(one.blob), one.blob.area) * one.blob.area
+                    for one in each
+                ]
+                first, second = sorted(range(len(each)), key=weights.__getitem__, reverse=True)[:2]
+                share = weights[first] / (weights[first] + weights[second])
+                best = each[first]
+                best = best._replace(
+                    plausibility=best.plausibility * share, evidence=best.evidence._replace(alone=math.log(share))
+                )
+            if best.plausibility >= MIN_PLAUSIBILITY:
+                chosen[name] = best
+        return chosen
 
     def _measure(self, image: ImageArray, chosen: Mapping[str, _Candidate]) -> dict[str, Detection]:
         """Measure the chosen blobs of a frame."""
-        # At the picture's border a rim is missing, and what the gain does on the other side would not cancel.
-        windows = [
-            Window(
-                image[one.blob.window],
-                one.blob.mask,
-                self._markers[name].kind == "cap" and one.blob.border_share == 0.0,
-            )
-            for name, one in chosen.items()
-        ]
+        windows = []
+        for name, one in chosen.items():
+            blob, is_cap = one.blob, self._markers[name].kind == "cap"
+            # At the picture's border a rim is missing, and what the gain does on the other side would not cancel.
+            whole = blob.border_share == 0.0
+            windows.append(Window(image[blob.window], blob.mask, is_cap and whole, not is_cap and whole))
         found = {}
         for (name, one), centre in zip(chosen.items(), find_centres(windows), strict=True):
             blob = one.blob
             corners = None
-            if self._markers[name].kind == "patch" and blob.border_share == 0.0:
+            if centre.share is not None:
                 corners = find_corners(centre.share, blob.mask)
             if corners is not None:
-                corners += np.array([blob.x0, blob.y0])
+                corners += (blob.x0, blob.y0)
                 corners.setflags(write=False)
-            outline = np.concatenate(blob.outlines).reshape(-1, 2).astype(np.float64)
-            outline.setflags(write=False)
             u, v = blob.x0 + centre.u, blob.y0 + centre.v
-            found[name] = Detection(u, v, centre.area, probability(one.evidence), corners, outline)
+            found[name] = Detection(u, v, centre.area, probability(one.evidence), corners, blob)
             self._tracks[name].hit(u, v, centre.area, 0.5 * max(blob.mask.shape))
         return found
+
+
+def _is_thin(blob: Blob, own: ImageArray, own_pixels: int) -> bool:
+    """Tell whether no pixel of a blob has all its eight neighbours in it.
+
+    Args:
+        blob: it.
+        own: (h, w) uint8, 1 where its pixels have its own label.
+        own_pixels: how many.
+    """
+    # Without holes, what is thin is all outline and the inner corners of the outline, at most as many again.
+    if own_pixels == blob.area and own_pixels > 2 * sum(map(len, blob.contours)):
+        return False
+    return cv2.countNonZero(cv2.erode(own, _BOX_3)) == 0
 
 
 def _clings(blob: Blob, labels: ImageArray, label: int) -> bool:

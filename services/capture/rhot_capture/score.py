@@ -38,5 +38,6 @@ class Evidence(NamedTuple):
 
 def probability(evidence: Evidence) -> float:
     """Return the score of a detection, 0 to 1."""
-    log_odds = BIAS + sum(weight * value for weight, value in zip(WEIGHTS, evidence, strict=True))
+    colour, inside, alone = WEIGHTS
+    log_odds = BIAS + colour * evidence.colour + inside * evidence.inside + alone * evidence.alone
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, log_odds))))

@@ -22,6 +22,7 @@ from rhot.rig.colors import ColorsFile, load_colors
 from rhot.service import Node
 from rhot_capture.color_table import ImageArray, build_color_table
 from rhot_capture.detector import Detection, MarkerDetector
+from rhot_capture.frame_stream import FrameStream
 from rhot_capture.grabber import Grabber
 from rhot_capture.preview import marker_mask, preview_jpeg, preview_png
 from rhot_capture.settings import CameraSettings
@@ -79,6 +80,7 @@ class CaptureService:
         table = build_color_table(self._colors, self._names)
         self._detector = MarkerDetector(rig.config.markers, table, *self._size)
         self._publisher: Publisher[MarkerFrame] | None = None
+        self._frame_stream: FrameStream | None = None
         self._grabber: Grabber | None = None
         self._source: Source | None = None
         # Detection has a thread of its own: the event loop must stay free to answer clock and preview queries.
@@ -131,16 +133,18 @@ class CaptureService:
             self._building.submit(self._reload, node)
 
     def attach(self, node: Node) -> None:
-        """Declare `rhot/markers/<camera>` and `rhot/preview/<camera>`."""
+        """Declare `rhot/markers/<camera>`, `rhot/@pictures/<camera>` and `rhot/preview/<camera>`."""
         self._publisher = node.bus.publisher(f"rhot/markers/{self.instance}", MarkerFrame)
+        self._frame_stream = FrameStream(self.instance, node.bus)
         node.bus.queryable(f"rhot/preview/{self.instance}", self._answer_preview, slow=True)
         node.status.include(self._counts)
 
     def _counts(self) -> dict[str, int]:
+        unsent = {} if self._frame_stream is None else {"pictures_dropped": self._frame_stream.dropped}
         if self._grabber is None:
-            return {"dropped_late": 0, "missed": 0}
+            return {"dropped_late": 0, "missed": 0, **unsent}
         counts = self._grabber.counts
-        return {"dropped_late": counts.dropped_late, "missed": counts.missed}
+        return {"dropped_late": counts.dropped_late, "missed": counts.missed, **unsent}
 
     async def run(self, node: Node, start: Control) -> None:
         """Open the camera, start at the start time (or join late) and publish until cancelled."""
@@ -167,18 +171,19 @@ class CaptureService:
         return not initial.same_optics(self._settings)
 
     async def _process(self, node: Node, frame: Frame) -> None:
-        if self._publisher is None:
+        if self._publisher is None or self._frame_stream is None:
             raise RuntimeError("run before attach")
         height = self._size[1]
         middle_ns = row_time_ns(frame.t_first_row_ns, 0.5 * (height - 1), height, frame.exposure_s, frame.readout_s)
         age_s = (self._clock.now_ns() - middle_ns) / 1e9
         loop = asyncio.get_running_loop()
         detections, detect_s = await loop.run_in_executor(self._detecting, self._detect, frame)
+        first_row_ns = node.clock.to_rig_ns(frame.t_first_row_ns)
         message = marker_frame(
             self.instance,
             self._size,
             detections,
-            node.clock.to_rig_ns(frame.t_first_row_ns),
+            first_row_ns,
             frame.exposure_s,
             frame.readout_s,
             frame.index,
@@ -186,6 +191,7 @@ class CaptureService:
             self._settings.outlines,
         )
         self._publisher.put(message)
+        self._frame_stream.offer(frame, first_row_ns)
         if frame.index % _LOOK_EVERY == 0:
             self._look_for_colors(node)
         status = node.status

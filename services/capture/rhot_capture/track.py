@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from rhot_capture.cutouts import Region
+
 _MEMORY_FRAMES: Final = 10
 _GATE_MIN_PX: Final = 25.0
 _GATE_RATIO: Final = 1.5
@@ -13,6 +15,10 @@ _SLIVER_FRAMES: Final = 3
 _SLIVER_GATE_PX: Final = 6.0
 _FLOOR: Final = 0.05
 """A blob far from the prediction keeps this much: it must be 20 times better to win, and wins when it is alone."""
+_MARGIN_PX: Final = 15.0
+_MARGIN_PER_MOTION: Final = 0.5
+"""What a hand turns aside of its motion from one frame to the next; a tip at 1.5 m/s moves 17 pixels in a frame of
+1/60 s, 80 cm away."""
 
 
 class MarkerTrack:
@@ -27,16 +33,18 @@ class MarkerTrack:
         self._reach = 0.0
         self._missed = _MEMORY_FRAMES
 
-    def region(self, margin_px: float, height: int, width: int) -> tuple[int, int, int, int] | None:
+    @property
+    def margin_px(self) -> float:
+        """Room to leave around where the marker is expected; more the faster it moves."""
+        return _MARGIN_PX + _MARGIN_PER_MOTION * max(abs(self._motion_u), abs(self._motion_v))
+
+    def region(self, margin_px: float, height: int, width: int) -> Region | None:
         """Return where in the picture the marker is expected; None when it was not in the last frame.
 
         Args:
             margin_px: room on all sides.
             height: of the picture, pixels.
             width: of the picture, pixels.
-
-        Returns:
-            left, top, right, bottom, pixels; right and bottom are not part of it.
         """
         if self._missed > 0:
             return None
@@ -44,7 +52,7 @@ class MarkerTrack:
         u, v = self._u + self._motion_u, self._v + self._motion_v
         left, top = max(0, int(u - reach)), max(0, int(v - reach))
         right, bottom = min(width, int(u + reach) + 1), min(height, int(v + reach) + 1)
-        return (left, top, right, bottom) if left < right and top < bottom else None
+        return Region(left, top, right, bottom) if left < right and top < bottom else None
 
     def preference(self, u: float, v: float, area: float) -> float:
         """Return how well a blob continues the track, 0 to 1; 1 when there is no track.
