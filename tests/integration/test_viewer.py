@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stub_rig import StubRig, StubThread
 
 from rhot.rig import load_rig
+from rhot.rig.colors import load_colors
 from rhot.sim.run import free_endpoint
 from rhot_viewer.scene.cameras import PicturePlane
 from rhot_viewer.scene.viewpoint import Viewpoint, overview, through
@@ -177,6 +178,7 @@ def test_a_person_looks_turns_a_slider_and_asks_for_a_mask(stub: tuple[StubRig, 
 
         wait_until(asked_for_mask, "the mask of the marker that was clicked")
         browser.wait_for("[...document.querySelectorAll('input')].some(e => e.value === 'base')")
+        a_colour_is_set_by_a_click(browser, rig, (x, y))
         assert browser.errors == []
 
         viewer.stop()
@@ -185,6 +187,39 @@ def test_a_person_looks_turns_a_slider_and_asks_for_a_mask(stub: tuple[StubRig, 
         # Pictures are asked for only while a browser is connected: it has come back by itself.
         wait_until(lambda: rig.asked, "the browser's return")
         viewer.stop()
+
+
+def a_colour_is_set_by_a_click(browser: Browser, rig: StubRig, base: tuple[float, float]) -> None:
+    """The calibration's colour step, with the view through a camera in which the base marker stands at a pixel."""
+    browser.click_text("Calibrate", "[role=tab]")
+    browser.wait_for("document.body.innerText.includes('all cameras run') || document.body.innerText.includes('dark')")
+    choose(browser, "Lock the cameras", "Colours")
+    browser.click_text("take pictures")
+    text_shows(browser, "Not clicked yet")
+    choose(browser, "thumb", "base")
+    browser.click(*base)
+    browser.wait_for("[...document.querySelectorAll('td')].some(e => e.textContent === '1 of 1')")
+    before = rig.rig.colors_path.read_bytes()
+    browser.click_text("try")
+    wait_until(lambda: list(load_colors(rig.rig.colors_path).markers) == ["base"], "the tried colour")
+    browser.click_text("undo")
+    wait_until(lambda: rig.rig.colors_path.read_bytes() == before, "the former colours")
+
+
+def choose(browser: Browser, now: str, wanted: str) -> None:
+    """Choose in the visible list that stands at some text."""
+    x, y = browser.wait_for(
+        f"""(() => {{
+            const hit = [...document.querySelectorAll('input')].find(
+                e => e.value === {now!r} && e.getClientRects().length);
+            if (!hit) return null;
+            hit.scrollIntoView({{block: "center"}});
+            const box = hit.getBoundingClientRect();
+            return [box.x + box.width / 2, box.y + box.height / 2];
+        }})()"""
+    )
+    browser.click(x, y)
+    browser.click_text(wanted, "[role=option]")
 
 
 def only_what_moves_changes(browser: Browser, rig: StubRig) -> None:

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from rhot.bus import Bus
+from rhot.calibration_step import Room
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.messages import ObjectPose, Point, PointSet
 from rhot.rig import BusConfig, RegistrationFile, RigidTransform, read_json_model, write_json_model
@@ -22,6 +23,7 @@ from rhot.rotations import (
     vector_from_rotation,
 )
 from rhot_objects.calibrate_objects import objects
+from rhot_objects.page_step import ObjectStep
 from rhot_objects.place_collector import PlaceCollector
 from rhot_objects.place_table import COLUMNS, read_places
 from rhot_objects.registration import Registration
@@ -327,3 +329,19 @@ async def test_silence_says_which_service_is_missing(
         await asyncio.to_thread(
             run, rig_folder, "--live", "--object", "cup", "--marker", "index", "--connect", endpoint
         )
+
+
+async def test_the_page_takes_places_and_can_end(rig_folder: Path, router: BusConfig) -> None:
+    with_cup(rig_folder)
+    step = ObjectStep(Room(rig_folder, router))
+    values = {"object": "cup", "marker": "index"}
+    started = asyncio.create_task(step.press("start", values))
+    async with asyncio.timeout(10.0):
+        while not any("nothing on rhot/points yet" in remark.text for remark in step.view().remarks):
+            await asyncio.sleep(0.02)
+    assert step.view().enabled == {"solve"}
+    await step.press("solve", values)
+    with pytest.raises(CalibrationError, match="place"):
+        await started
+    assert "start" in step.view().enabled
+    assert "try" not in step.view().enabled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import tempfile
 import tomllib
@@ -17,6 +18,8 @@ from rhot.errors import CalibrationError, ConfigError, RhotError
 from rhot.messages import first_problem
 from rhot.rig.calibration import CameraCalibration, CamerasFile, HandFile, Matrix3, Matrix4, RegistrationFile
 from rhot.rig.config import CameraConfig, RigConfig
+
+logger = logging.getLogger(__name__)
 
 RIG_FILE = "rig.toml"
 CAMERAS_FILE = "cameras.json"
@@ -76,6 +79,15 @@ def load_rig(path: Path) -> Rig:
     hand = _optional(path / HAND_FILE, HandFile) or HandFile(length_m=config.hand.length_m)
     registration = _optional(path / REGISTRATION_FILE, RegistrationFile) or RegistrationFile()
     return Rig(path, config, cameras, calibrated, hand, registration)
+
+
+def latest_rig(rig: Rig) -> Rig:
+    """Return a rig as its folder holds it now; as it was, with a line in the log, where that cannot be used."""
+    try:
+        return load_rig(rig.path)
+    except RhotError as error:
+        logger.error("the rig stays as it was loaded before: %s", error)
+        return rig
 
 
 def load_config(path: Path) -> RigConfig:

@@ -44,7 +44,10 @@ def report_picture(
     shown = min(len(images), _OVERLAYS)
     columns = 1 if shown == 1 else 2
     overlays = [
-        _titled(_overlay(images[n], result, n, detections[n], _WIDTH // columns), f"{titles[n]}: {_legend(n, result)}")
+        _titled(
+            overlay_picture(images[n], result, n, detections[n], _WIDTH // columns),
+            f"{titles[n]}: {_legend(n, result)}",
+        )
         for n in range(shown)
     ]
     masks = [_mask_tile(images, titles, result, table, name) for name in result.markers]
@@ -60,9 +63,18 @@ def _legend(number: int, result: ColorCalibration) -> str:
     return f"white = learnt from ({learnt}), green = found by the tracker"
 
 
-def _overlay(
+def overlay_picture(
     image: ImageArray, result: ColorCalibration, number: int, found: Mapping[str, Detection], width: int
 ) -> ImageArray:
+    """Return a picture of this width with what its colours were learnt from and what the tracker finds.
+
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        result: what was learnt.
+        number: of the picture among those that it was learnt from.
+        found: what the tracker finds in it.
+        width: pixels.
+    """
     scale = width / image.shape[1]
     canvas = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR), np.uint8)
     for region in result.regions[number].values():

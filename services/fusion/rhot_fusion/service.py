@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from rhot.messages import HandPose, MarkerFrame
 from rhot.rig import FusionConfig, Rig
+from rhot.rig.folder import latest_rig
 from rhot.service import StageService
 from rhot_fusion.stage import FusionStage
 
@@ -15,7 +16,7 @@ def fusion_service(rig: Rig) -> StageService[MarkerFrame | HandPose, FusionConfi
     """Return the service that turns `rhot/markers/*` into `rhot/points`."""
 
     def make_stage(config: FusionConfig) -> FusionStage:
-        stage = FusionStage(rig)
+        stage = FusionStage(latest_rig(rig))
         stage.configure(config)
         return stage
 

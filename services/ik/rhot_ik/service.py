@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rhot.messages import FootPose, HeadPose, PointSet
 from rhot.rig import IkConfig, Rig
+from rhot.rig.folder import latest_rig
 from rhot.service import StageService
 from rhot_ik.whole_stage import WholeStage
 
@@ -12,7 +13,7 @@ def ik_service(rig: Rig) -> StageService[PointSet | HeadPose | FootPose, IkConfi
     """Return the service that turns `rhot/points` into `rhot/hand/<side>`, and head and feet into `rhot/body`."""
 
     def make_stage(config: IkConfig) -> WholeStage:
-        stage = WholeStage(rig)
+        stage = WholeStage(latest_rig(rig))
         stage.configure(config)
         return stage
 

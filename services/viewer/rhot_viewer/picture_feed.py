@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -31,6 +31,7 @@ class PictureFeed:
 
     Attributes:
         mask: marker whose mask is shown; None shows the markers.
+        held: camera to a JPEG that stands still instead of the live picture.
     """
 
     def __init__(self, cameras: Iterable[str], show: Callable[[str, Picture], None]) -> None:
@@ -41,6 +42,7 @@ class PictureFeed:
             show: takes a camera's name and what it answered, on the event loop.
         """
         self.mask: str | None = None
+        self.held: Mapping[str, bytes] = {}
         self._cameras = tuple(cameras)
         self._show = show
         self._now = asyncio.Event()
@@ -49,6 +51,12 @@ class PictureFeed:
         """Show the mask of a marker, or the markers, from now on."""
         self.mask = mask
         self._now.set()
+
+    def hold(self, pictures: Mapping[str, bytes]) -> None:
+        """Show these pictures, by camera, in place of live ones until others are held; empty = all live."""
+        if pictures != self.held:
+            self.held = pictures
+            self._now.set()
 
     async def run(self, bus: Bus, interval_s: Callable[[], float], looked_at: Callable[[], Awaitable[object]]) -> None:
         """Ask until cancelled.
@@ -71,6 +79,8 @@ class PictureFeed:
             self._now.clear()
 
     async def _ask(self, bus: Bus, camera: str) -> Picture:
+        if camera in self.held:
+            return Picture(jpeg=self.held[camera])
         what = "overlay=markers" if self.mask is None else f"mask={self.mask}"
         try:
             replies = await bus.get(f"rhot/preview/{camera}?{what}", timeout_s=_TIMEOUT_S)

@@ -12,6 +12,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
+from rhot.calibration_step import Room
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError
 from rhot.messages import Control, ServiceStatus
@@ -22,10 +23,20 @@ from rhot_viewer.capture_settings import CaptureSettings
 from rhot_viewer.config import ViewerConfig
 from rhot_viewer.history import History
 from rhot_viewer.inbox import Inbox
+from rhot_viewer.live_recording import LiveRecording
 from rhot_viewer.marker_colors import marker_colors
 from rhot_viewer.overview import Problems
 from rhot_viewer.page import Page
-from rhot_viewer.panels import CamerasPanel, LivePanel, Panel, PicturesPanel, TimelinePanel, ViewPanel
+from rhot_viewer.panels import (
+    CalibratePanel,
+    CamerasPanel,
+    LivePanel,
+    Panel,
+    PicturesPanel,
+    RecordPanel,
+    TimelinePanel,
+    ViewPanel,
+)
 from rhot_viewer.panels.live import STATUS_AGE_S
 from rhot_viewer.rig_scene import RigScene
 
@@ -48,13 +59,13 @@ class ViewerService:
     instance = "main"
     owns_clock = False
 
-    def __init__(self, page: Page, rig: Rig, router: str) -> None:
+    def __init__(self, page: Page, rig: Rig, bus_config: BusConfig) -> None:
         """Fill the page.
 
         Args:
             page: an open page.
             rig: loaded.
-            router: where the bus is, for people.
+            bus_config: how the running rig is reached.
         """
         self._page = page
         self._config = ViewerConfig()
@@ -66,16 +77,21 @@ class ViewerService:
         self._scene = RigScene(page, rig, self._inbox, marker_colors(rig))
         pictures = PicturesPanel(page, self._scene, self._inbox, rig.cameras, rig.config.markers)
         self._pictures = pictures.feed
+        self._calibrate = CalibratePanel(page, self._scene, pictures.feed, Room(rig.path, bus_config))
+        self._recording = LiveRecording(bus_config, rig.path)
+        self._record = RecordPanel(page, self._recording, rig.path)
         self.panels: list[Panel] = [
             LivePanel(
                 self._scene,
                 self._inbox,
                 self._problems,
-                router,
+                ", ".join(bus_config.connect or bus_config.listen),
                 {name: camera.rate_hz for name, camera in rig.config.cameras.items()},
             ),
             pictures,
             CamerasPanel(page, self._settings, self._inbox, rig.config.markers),
+            self._calibrate,
+            self._record,
             TimelinePanel(self._history),
             ViewPanel(page, self._scene),
         ]
@@ -115,6 +131,9 @@ class ViewerService:
             tasks.create_task(
                 self._pictures.run(node.bus, lambda: 1.0 / self._config.picture_rate_hz, self._page.looked_at)
             )
+            tasks.create_task(self._calibrate.run())
+            tasks.create_task(self._recording.run())
+            tasks.create_task(self._record.run())
             tasks.create_task(self._keep_history())
             tasks.create_task(self._update_panels())
             tasks.create_task(self._send_frames(node))
@@ -172,7 +191,7 @@ async def serve_page(rig: Rig, bus_config: BusConfig, host: str, port: int) -> i
     with contextlib.suppress(AttributeError, OSError):  # not on every system
         os.nice(_NICE)
     try:
-        service = ViewerService(page, rig, ", ".join(bus_config.connect or bus_config.listen))
+        service = ViewerService(page, rig, bus_config)
         logger.info("the page is at %s", page.url)
         serving = asyncio.create_task(serve(service, bus_config, SystemClock()))
         showing = asyncio.create_task(service.show())

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final
 
 import click
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -18,12 +17,12 @@ from rhot.errors import CalibrationError, ConfigError
 from rhot.rig import CamerasFile, Rig, load_rig, read_json_model, write_json_model
 from rhot.rig.folder import CAMERAS_FILE, nominal_camera
 from rhot_fusion.camera_calibration.boards import DEFAULT_DICTIONARY, parse_board
-from rhot_fusion.camera_calibration.calibration import calibrate, cameras_file
+from rhot_fusion.camera_calibration.calibration import cameras_file
 from rhot_fusion.camera_calibration.interchange import export_opencv_yaml, import_cameras
 from rhot_fusion.camera_calibration.live import collect
 from rhot_fusion.camera_calibration.pictures import PictureReading, read_pictures
 from rhot_fusion.camera_calibration.report import print_problems, print_report
-from rhot_fusion.camera_calibration.verdict import Expected
+from rhot_fusion.camera_calibration.rig_calibration import calibrate_rig, refuse_other_board
 from rhot_fusion.camera_calibration.views import Board
 
 PREVIOUS_FILE: Final = "cameras.previous.json"
@@ -148,49 +147,13 @@ def _read(rig: Rig, recording: Path, board: Board) -> PictureReading:
 
 
 def _calibrate(rig: Rig, reading: PictureReading, baseline_mm: float | None, dry_run: bool, console: Console) -> None:
-    views = reading.views
-    _refuse_other_board(reading)
+    refuse_other_board(reading)
     print_problems(console, reading.problems)
-    # The lenses start from rig.toml, not from the last calibration: a new camera may be in its place.
-    nominal = {name: nominal_camera(camera) for name, camera in rig.config.cameras.items()}
-    expected = Expected(
-        nominal={name: np.array(camera.position_m) for name, camera in rig.config.cameras.items()},
-        previous={name: np.array(camera.T_rig_camera)[:3, 3] for name, camera in rig.cameras.items()}
-        if rig.calibrated
-        else {},
-        baseline_m=None if baseline_mm is None else 1e-3 * baseline_mm,
-    )
+    baseline_m = None if baseline_mm is None else 1e-3 * baseline_mm
     with Console(stderr=True).status("calibrating") as status:
-        found = calibrate(views, nominal, expected, lambda step: status.update(f"calibrating: {step}"))
+        found = calibrate_rig(rig, reading.views, baseline_m, lambda step: status.update(f"calibrating: {step}"))
     print_report(console, found)
-    _write(rig.path, cameras_file(found, views), dry_run, console)
-
-
-def _refuse_other_board(reading: PictureReading) -> None:
-    """Refuse pictures of which most show something else than the stated board.
-
-    Raises:
-        CalibrationError: names what they show.
-    """
-    views = reading.views
-    if len(views.views) >= 0.5 * len(views.labels) and len(views.views):
-        return
-    count = reading.likely_count
-    if count is not None:
-        raise CalibrationError(
-            f"the pictures show a board of {count[0]}x{count[1]} inner corners, not of {views.board.columns}x"
-            f"{views.board.rows}: call again with --board {count[0]}x{count[1]} (count the points where squares meet)"
-        )
-    if reading.mirrored:
-        raise CalibrationError(
-            f"{', '.join(reading.mirrored[:3])}: the board is mirrored; switch the camera's mirroring off and take the "
-            "pictures again"
-        )
-    if not views.views:
-        raise CalibrationError(
-            f"none of {len(views.labels)} pictures shows a {views.board}: is it wholly in the picture, sharp, evenly "
-            "lit, with a white margin around it?"
-        )
+    _write(rig.path, cameras_file(found, reading.views), dry_run, console)
 
 
 def _import(

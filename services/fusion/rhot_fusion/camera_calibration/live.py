@@ -7,7 +7,7 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -27,7 +27,7 @@ from rhot_fusion.camera_calibration.live_display import session_display, state_l
 from rhot_fusion.camera_calibration.session import Session, label
 from rhot_fusion.camera_calibration.views import Board, BoardView, ViewSet
 
-_CONNECT_S: Final = 2.0
+CONNECT_S: Final = 2.0
 _ROUND_S: Final = 0.2
 _ANSWER_S: Final = 1.0
 _ALL_THERE_S: Final = 10.0
@@ -64,10 +64,10 @@ async def collect(
         BusError: there is no router, or a camera does not answer at all.
         ConfigError: `out` holds pictures already or cannot be written to.
     """
-    _prepare(out, cameras)
+    prepare_folder(out, cameras)
     stop = install_stop()
-    async with await Bus.open(config, timeout_s=_CONNECT_S) as bus:
-        collector = _Collector(bus, cameras, board, out)
+    async with await Bus.open(config, timeout_s=CONNECT_S) as bus:
+        collector = Collector(bus, cameras, board, out)
         session = await collector.begin(stop.requested, enough)
         if session is None:
             return ViewSet(board, {}, {}, {})
@@ -75,7 +75,7 @@ async def collect(
         return session.view_set
 
 
-async def _follow(collector: _Collector, session: Session, console: Console, ended: asyncio.Event) -> None:
+async def _follow(collector: Collector, session: Session, console: Console, ended: asyncio.Event) -> None:
     def pressed(key: str) -> None:
         if key == "u":
             undone = session.undo()
@@ -86,29 +86,43 @@ async def _follow(collector: _Collector, session: Session, console: Console, end
 
     shown = Live(console=console, auto_refresh=False) if console.is_terminal else contextlib.nullcontext()
     with shown as display, _keyboard(pressed) as keys:
-        while not (session.complete or ended.is_set()):
-            begun = time.monotonic()
-            taken = await collector.round(session)
+        async for taken in rounds(collector, session, ended):
             if isinstance(display, Live):
                 display.update(session_display(session.progress, collector.silent, keys=keys), refresh=True)
             elif taken is not None:
                 console.print(
                     f"{taken + 1} taken: {', '.join(session.progress.seeing)}; {state_line(session.progress)}"
                 )
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(max(0.0, _ROUND_S - (time.monotonic() - begun))):
-                    await ended.wait()
 
 
-class _Collector:
-    """Asks all cameras at once, and keeps the pictures of the sets taken."""
+async def rounds(collector: Collector, session: Session, ended: asyncio.Event) -> AsyncIterator[int | None]:
+    """Look through all cameras five times a second until there is enough or it is ended.
+
+    Yields:
+        After each look the number of a set that was taken with it, else None.
+    """
+    while not (session.complete or ended.is_set()):
+        begun = time.monotonic()
+        yield await collector.round(session)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(max(0.0, _ROUND_S - (time.monotonic() - begun))):
+                await ended.wait()
+
+
+class Collector:
+    """Asks all cameras at once, and keeps the pictures of the sets taken.
+
+    Attributes:
+        silent: cameras that do not answer, and why.
+        newest: camera to the last picture that it answered with, as it came.
+    """
 
     def __init__(self, bus: Bus, cameras: Sequence[str], board: Board, out: Path) -> None:
         self._bus = bus
         self._cameras = tuple(cameras)
         self._board = board
         self._out = out
-        self._last: dict[str, bytes] = {}
+        self.newest: dict[str, bytes] = {}
         self.silent: dict[str, str] = {}
 
     async def begin(self, ended: asyncio.Event, enough: int | None) -> Session | None:
@@ -153,11 +167,11 @@ class _Collector:
         if reply is None:
             self.silent[name] = replies[0].error if replies else "nobody answers its preview"
             return None
-        if self._last.get(name) == reply.payload:
+        if self.newest.get(name) == reply.payload:
             # A camera that has stopped would look like a board held perfectly still.
             self.silent[name] = "its picture does not change"
             return None
-        self._last[name] = reply.payload
+        self.newest[name] = reply.payload
         look = await asyncio.to_thread(_examined, reply.payload, lossless, self._board)
         if look is None:
             self.silent[name] = "its answer is not a picture"
@@ -197,7 +211,12 @@ def _examined(payload: bytes, lossless: bool, board: Board) -> _Look | None:
     return _Look(payload, lossless, size, detect_board(gray, board))
 
 
-def _prepare(out: Path, cameras: Sequence[str]) -> None:
+def prepare_folder(out: Path, cameras: Sequence[str]) -> None:
+    """Make the folder of a recording.
+
+    Raises:
+        ConfigError: it holds pictures of these cameras already or cannot be written to.
+    """
     for name in cameras:
         folder = out / name
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import click
 from rich import box
@@ -22,21 +22,9 @@ from rhot.rig.calibration import today
 from rhot.rig.folder import HAND_FILE
 from rhot_ik.hand_calibration.measure import Phases, measure_hand
 from rhot_ik.hand_calibration.phases import Window
+from rhot_ik.hand_calibration.prompts import LIVE_PHASES, LIVE_S, prompt_at
 from rhot_ik.hand_calibration.proportions import typed_hand
 from rhot_ik.hand_calibration.streams import live_points, recorded_points, stored_points
-
-_PROMPTS: Final = (
-    (0.0, 4.0, "get ready: back of the hand to the cameras, fingers straight, a little spread"),
-    (4.0, 7.0, "hold the hand flat and still"),
-    (7.0, 9.0, "get ready: bend at the knuckles only, fingers kept straight"),
-    (9.0, 19.0, "knuckles: straight fingers down as far as they go and up again, three times"),
-    (19.0, 21.0, "get ready: bend everything"),
-    (21.0, 27.0, "bend the fingers freely, fist and open"),
-)
-"""Seconds from and to, and what to do meanwhile."""
-_FLAT: Final = Window(4.3, 7.0)
-_KNUCKLES: Final = Window(9.0, 19.5)
-_LIVE_S: Final = _PROMPTS[-1][1]
 
 
 class _Stretch(click.ParamType[Window]):
@@ -57,7 +45,7 @@ class _Stretch(click.ParamType[Window]):
 
 @click.command()
 @click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
-@click.option("--live", is_flag=True, help=f"Listen to the running rig; tells what to do, {_LIVE_S:.0f} s in all.")
+@click.option("--live", is_flag=True, help=f"Listen to the running rig; tells what to do, {LIVE_S:.0f} s in all.")
 @click.option(
     "--flat", metavar="START-END", type=_Stretch(), help="When the hand is flat, s from the start; found if not given."
 )
@@ -124,7 +112,7 @@ def hand(
     else:
         chosen = _side(rig, side)
         typed_m = None if length_mm is None else typed_hand(length_mm / 1e3, None).length_m
-        phases = Phases(_FLAT, _KNUCKLES) if live else Phases(flat, knuckles)
+        phases = LIVE_PHASES if live else Phases(flat, knuckles)
         columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
         with Progress(*columns, console=console) as progress:
             task = progress.add_task("starting")
@@ -171,10 +159,10 @@ def _points(rig: Rig, path: Path, report: Callable[[str], None]) -> Iterator[Poi
 
 def _listen(bus: BusConfig, report: Callable[[str], None]) -> list[PointSet]:
     def on_time(passed_s: float, count: int) -> None:
-        _, end_s, doing = next(one for one in reversed(_PROMPTS) if passed_s >= one[0])
-        report(f"{end_s - passed_s:3.0f} s  {doing}  ({count} point sets)")
+        left_s, doing = prompt_at(passed_s)
+        report(f"{left_s:3.0f} s  {doing}  ({count} point sets)")
 
-    return asyncio.run(live_points(bus, _LIVE_S, on_time))
+    return asyncio.run(live_points(bus, LIVE_S, on_time))
 
 
 def _report(found: HandFile, file: Path) -> None:

@@ -89,6 +89,8 @@ class PicturesPanel:
         self.feed.select(None if value == ALL_MARKERS else str(value))
 
     def _clicked(self, camera: str, u: float, v: float) -> None:
+        if self.feed.held:
+            return  # a click in a picture that stands still is meant for whoever holds it
         frame = self._inbox.newest(f"rhot/markers/{camera}", MarkerFrame, _FRAME_AGE_S)
         self.select(None if frame is None else marker_at(frame, u, v))
 

@@ -1,0 +1,232 @@
+"""The tab that leads through the calibration, step by step."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Final
+
+import viser
+
+from rhot.bus import Bus
+from rhot.calibration_step import CalibrationStep, Room, StepView, load_steps
+from rhot.cli.control import broadcast, new_session
+from rhot.errors import RhotError
+from rhot_viewer.camera_layer import dark_picture, show_jpeg
+from rhot_viewer.page import Page
+from rhot_viewer.picture_feed import PictureFeed
+from rhot_viewer.rig_scene import RigScene
+from rhot_viewer.step_html import about_html, bar_html, path_html, remarks_html, tables_html
+
+logger = logging.getLogger(__name__)
+
+_RESTART: Final = "start the rig anew"
+_RESTART_HINT: Final = "A new session: tracking takes over what was calibrated since."
+_CONNECT_S: Final = 2.0
+_CLOCK_S: Final = 2.0
+_DELAY_S: Final = 0.5
+
+_FieldHandle = viser.GuiDropdownHandle[str] | viser.GuiTextHandle
+
+
+@dataclass(slots=True)
+class _StepParts:
+    """The elements of one step; all are hidden while another step is shown."""
+
+    step: CalibrationStep
+    about: viser.GuiHtmlHandle
+    remarks: viser.GuiHtmlHandle
+    fields: dict[str, _FieldHandle]
+    buttons: dict[str, viser.GuiButtonHandle]
+    tables: viser.GuiHtmlHandle
+    looks: tuple[viser.GuiButtonHandle, ...]
+    room: viser.GuiFolderHandle
+    pictures: dict[str, viser.GuiImageHandle] = field(default_factory=dict)
+    shown: dict[str, bytes] = field(default_factory=dict)
+    values: Mapping[str, str] = field(default_factory=dict)
+    problem: str = ""
+    busy: int = 0
+
+
+class CalibratePanel:
+    """A line per step, and below it the step that is chosen."""
+
+    title = "Calibrate"
+
+    def __init__(self, page: Page, scene: RigScene, feed: PictureFeed, room: Room) -> None:
+        """Prepare the tab.
+
+        Args:
+            page: an open page.
+            scene: its pictures can be clicked in.
+            feed: of the pictures; a step may let them stand still.
+            room: where the steps work.
+        """
+        self._page = page
+        self._scene = scene
+        self._feed = feed
+        self._room = room
+        self._steps: dict[str, _StepParts] = {}
+        self._current = ""
+        self._chosen = asyncio.Event()
+        self._work: asyncio.Queue[Callable[[], Any]] = asyncio.Queue()
+        self._problem = ""
+        self._gui: viser.GuiApi | None = None
+        scene.on_picture_click(self._clicked)
+
+    def build(self, gui: viser.GuiApi) -> None:
+        """Make room; the steps follow as soon as they are loaded."""
+        self._gui = gui
+        self._path = gui.add_html(about_html("The steps are being loaded …"))
+        self._place = gui.add_folder(None)
+
+    async def run(self) -> None:
+        """Load the steps once somebody looks, then do what is pressed, until cancelled."""
+        await self._page.looked_at()
+        try:
+            steps = await asyncio.to_thread(load_steps, self._room)
+        except RhotError as error:
+            self._path.content = remarks_html(str(error), ())
+            return
+        self._add_steps(steps)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._follow())
+            while True:
+                work = await self._work.get()
+                tasks.create_task(work())
+
+    def _add_steps(self, steps: Mapping[str, CalibrationStep]) -> None:
+        gui = self._gui
+        if gui is None:
+            raise RuntimeError("run before build")
+        with self._place:
+            choice = gui.add_dropdown("step", tuple(steps), hint="One after the other; each may be done again.")
+            choice.on_update(self._page.on_loop(lambda event: self._choose(str(event.target.value))))
+            for title, step in steps.items():
+                self._steps[title] = self._built(gui, title, step)
+            restart = gui.add_button(_RESTART, hint=_RESTART_HINT, icon=viser.Icon.REFRESH)
+            restart.on_click(self._page.on_loop(lambda _: self._work.put_nowait(self._restart)))
+            self._restarted = gui.add_html("")
+        self._choose(next(iter(steps)))
+
+    def _built(self, gui: viser.GuiApi, title: str, step: CalibrationStep) -> _StepParts:
+        about = gui.add_html(about_html(step.about))
+        remarks = gui.add_html("")
+        looks = tuple(self._look_button(gui, camera) for camera in self._scene.cameras.planes)
+        fields: dict[str, _FieldHandle] = {
+            each.name: (
+                gui.add_dropdown(each.label, each.choices, initial_value=each.value, hint=each.hint)
+                if each.choices
+                else gui.add_text(each.label, each.value, hint=each.hint)
+            )
+            for each in step.fields
+        }
+        buttons = {}
+        for each in step.buttons:
+            buttons[each.name] = gui.add_button(each.label, hint=each.hint or None, disabled=True)
+            buttons[each.name].on_click(self._page.on_loop(partial(self._pressed, title, each.name)))
+        tables = gui.add_html("")
+        return _StepParts(step, about, remarks, fields, buttons, tables, looks, gui.add_folder(None))
+
+    def _look_button(self, gui: viser.GuiApi, camera: str) -> viser.GuiButtonHandle:
+        button = gui.add_button(f"look through {camera}", icon=viser.Icon.CAMERA)
+        button.on_click(self._page.on_loop(lambda event: self._scene.fly(event.client, camera)))
+        return button
+
+    def _choose(self, title: str) -> None:
+        self._current = title
+        self._chosen.set()
+        for name, parts in self._steps.items():
+            shown = name == title
+            for part in (parts.about, parts.remarks, parts.tables, parts.room):
+                part.visible = shown
+            for handle in (*parts.fields.values(), *parts.buttons.values()):
+                handle.visible = shown
+            for look in parts.looks:
+                look.visible = False
+        self.update()
+
+    def update(self) -> None:
+        """Bring the path and the chosen step up to date."""
+        if not self._steps:
+            return
+        views = {title: parts.step.view() for title, parts in self._steps.items()}
+        self._path.content = path_html(views, self._current)
+        view = views[self._current]
+        self._show(self._steps[self._current], view)
+        self._feed.hold(view.held)
+
+    def _show(self, parts: _StepParts, view: StepView) -> None:
+        parts.remarks.content = bar_html(view.share) + remarks_html(parts.problem, view.remarks)
+        parts.tables.content = tables_html(view.tables)
+        for name, button in parts.buttons.items():
+            button.disabled = name not in view.enabled
+        for look in parts.looks:
+            look.visible = bool(view.held)
+        if view.values != parts.values:
+            parts.values = dict(view.values)
+            for name, value in view.values.items():
+                parts.fields[name].value = value  # type: ignore[misc]  # viser's own setter
+        self._show_pictures(parts, view.pictures)
+
+    def _show_pictures(self, parts: _StepParts, pictures: Mapping[str, bytes]) -> None:
+        if self._gui is None:
+            return
+        for title in [title for title in parts.pictures if title not in pictures]:
+            parts.pictures.pop(title).remove()
+            parts.shown.pop(title, None)
+        for title, jpeg in pictures.items():
+            if title not in parts.pictures:
+                with parts.room:
+                    parts.pictures[title] = self._gui.add_image(dark_picture(4, 3), label=title, format="jpeg")
+            if parts.shown.get(title) != jpeg:
+                parts.shown[title] = jpeg
+                show_jpeg(parts.pictures[title], jpeg)
+
+    def _pressed(self, title: str, button: str, _: viser.GuiEvent[Any]) -> None:
+        step = self._steps[title].step
+        self._work.put_nowait(partial(self._do, title, lambda values: step.press(button, values)))
+
+    def _clicked(self, camera: str, u: float, v: float) -> None:
+        if self._feed.held:
+            step = self._steps[self._current].step
+            self._work.put_nowait(partial(self._do, self._current, lambda values: step.point(camera, u, v, values)))
+
+    async def _do(self, title: str, work: Callable[[Mapping[str, str]], Any]) -> None:
+        parts = self._steps[title]
+        parts.problem = ""
+        try:
+            await work({name: str(handle.value) for name, handle in parts.fields.items()})
+        except RhotError as error:
+            parts.problem = str(error)
+        except Exception as error:
+            # A fault of one step costs that press, never the page that others look at.
+            logger.exception("calibration step %s", title)
+            parts.problem = f"{type(error).__name__}: {error}; this is a fault of the program, its log says more"
+        parts.values = {}  # what the step has chosen is shown again, also where somebody had chosen otherwise
+        self.update()
+
+    async def _follow(self) -> None:
+        """Let the step that is chosen look at the rig, while somebody looks at the page."""
+        while True:
+            self._chosen.clear()
+            await self._page.looked_at()
+            looking = asyncio.create_task(self._steps[self._current].step.follow())
+            try:
+                await self._chosen.wait()
+            finally:
+                looking.cancel()
+                await asyncio.gather(looking, return_exceptions=True)
+
+    async def _restart(self) -> None:
+        self._restarted.content = ""
+        try:
+            async with await Bus.open(self._room.bus, timeout_s=_CONNECT_S) as bus:
+                control = await broadcast(bus, "start", new_session(), _DELAY_S, _CLOCK_S)
+        except RhotError as error:
+            self._restarted.content = remarks_html(str(error), ())
+        else:
+            self._restarted.content = about_html(f"session {control.session} started")
