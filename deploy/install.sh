@@ -167,7 +167,7 @@ install_program() {
     if [[ -f $SOURCE/constraints.txt ]]; then
         constraints=(--constraint "$SOURCE/constraints.txt")
     fi
-    run "$VENV/bin/python" -m pip install --quiet --upgrade "${constraints[@]}" "$SOURCE[$extra]"
+    run "$VENV/bin/python" -m pip install --quiet --upgrade "${constraints[@]}" "${SOURCE}[$extra]"
     if [[ $role == capture && $picamera2 == yes ]]; then
         # The system's simplejpeg is built for numpy 1 on bookworm and breaks picamera2 beside the numpy 2 we need
         # (raspberrypi/picamera2#1211); one of our own in front of it does not.

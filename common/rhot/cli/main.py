@@ -15,7 +15,7 @@ _COMMANDS: Final = {
         "Run a whole simulated rig on this machine and show how well it tracks.", "rhot.cli.sim:sim", "sim"
     ),
     "init": LazyCommand("Make a new rig folder with a commented rig.toml.", "rhot.cli.init:init"),
-    "up": LazyCommand("Run everything of the PC side: router, fusion, ik, objects.", "rhot.cli.up:up", "pc"),
+    "up": LazyCommand("Run everything of the PC side: router, fusion, ik, objects, web page.", "rhot.cli.up:up", "pc"),
     "start": LazyCommand("Tell every service of the rig to start, all at one moment.", "rhot.cli.control:start"),
     "stop": LazyCommand("Tell every service of the rig to stop.", "rhot.cli.control:stop"),
     "status": LazyCommand("Show which services are alive and how they do.", "rhot.cli.status:status"),
@@ -32,6 +32,9 @@ _COMMANDS: Final = {
     "export": LazyCommand(
         "Turn a recording into tables (CSV, Parquet) or an animation (BVH).", "rhot.cli.export:export", "record"
     ),
+    "explain": LazyCommand(
+        "Show why a recording was tracked as it was at one moment, as one page.", "rhot.cli.explain:explain", "pc"
+    ),
     "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
     "bench": LazyCommand("Measure speed beside the 2018 thesis's algorithms.", extra="sim"),
     "evaluate": LazyCommand("Measure how well a part of the rig does.", "rhot.cli.main:evaluate"),
@@ -42,6 +45,8 @@ _COMMANDS: Final = {
     "fusion": LazyCommand("Service: turn the cameras' markers into points in space.", extra="fusion"),
     "ik": LazyCommand("Service: turn points into a hand.", extra="ik"),
     "objects": LazyCommand("Service: poses of tracked objects and the headset.", extra="objects"),
+    "feet": LazyCommand("Service: track feet with a depth camera on the head and ankle sensors.", extra="feet"),
+    "viewer": LazyCommand("Service: the web page that shows the rig while it runs.", extra="viewer"),
     "router": LazyCommand("Service: the Zenoh router that all others connect to.", "rhot.cli.router:router"),
     "truth": LazyCommand("Service: publish what is true in the simulated world.", "rhot.cli.truth:truth", "sim"),
 }
@@ -56,9 +61,11 @@ _CALIBRATIONS: Final = {
 }
 
 _EVALUATIONS: Final = {
+    "recording": LazyCommand("Record and replay a session at full rate, and compare.", extra="sim"),
     "tracking": LazyCommand("Track simulated pictures and compare with the truth.", extra="sim"),
     "hands": LazyCommand("Predict inner joints of recorded real hands.", extra="sim"),
     "streams": LazyCommand("Fuse recorded marker tracks: steps, delay, noise at rest.", extra="sim"),
+    "feet": LazyCommand("Track the feet of a simulated person, beside the 2021 thesis's tracker.", extra="sim"),
     "thesis": LazyCommand("The 2018 thesis's tables with ours beside them.", extra="sim"),
     "calibration": LazyCommand("Tell whether the cameras have moved since they were calibrated.", extra="fusion"),
 }

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Coroutine
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import click
 from rich.console import Console
@@ -17,13 +17,17 @@ from rich.console import Console
 from rhot.cli.options import rig_option
 from rhot.cli.page import free_page_port, page_command, page_options, page_url
 from rhot.errors import ConfigError
+from rhot.evaluate.feet_table import feet_summary
 from rhot.evaluate.table import summary
 from rhot.rig import Rig, load_rig
+from rhot.rig.config import WalkProgram
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.service.stop import install_stop
 from rhot.sim.board_run import run_board
 from rhot.sim.folder import DEFAULT_ENDPOINT, with_motion, write_simulated_rig
 from rhot.sim.run import SimRun, free_endpoint
+from rhot.sim.walker.folder import write_walker_rig
+from rhot.sim.walker.run import WalkerRun
 
 
 @click.command()
@@ -66,6 +70,26 @@ from rhot.sim.run import SimRun, free_endpoint
     help="What the cameras see: gestures and grasps, open hands that never move, or a chessboard to calibrate with.",
 )
 @click.option(
+    "--feet",
+    is_flag=True,
+    help="Instead of a hand, a walking person with a depth camera on the head and sensors on the ankles.",
+)
+@click.option(
+    "--walk",
+    type=click.Choice(get_args(WalkProgram)),
+    default="walk",
+    show_default=True,
+    help="With --feet: what the person does.",
+)
+@click.option(
+    "--height",
+    "height_m",
+    type=click.FloatRange(1.2, 2.2),
+    default=1.75,
+    show_default=True,
+    help="With --feet: of the person, metres.",
+)
+@click.option(
     "--headless", is_flag=True, help="No web page and no live table, only a line now and then and the summary."
 )
 @page_options
@@ -91,6 +115,9 @@ def sim(
     cameras: int,
     hands: str,
     motion: Literal["script", "still", "board"],
+    feet: bool,
+    walk: WalkProgram,
+    height_m: float,
     headless: bool,
     viewer: bool,
     page_port: int,
@@ -115,6 +142,10 @@ def sim(
 
     With --motion board, the cameras see a calibration chessboard that is held at one place after the other, and the rig
     stays up until Ctrl-C: try `rhot calibrate cameras --live` on it.
+
+    With --feet, a person walks: the feet service sees through a simulated depth camera on the head and feels through
+    simulated sensors on the ankles, ik solves the legs. Drawing the pictures takes most of a core; where fewer than
+    asked for are tracked per second, the summary shows it, and --rate 30 asks for half.
     """
     console = Console()
     if report_path is not None and not report_path.resolve().parent.is_dir():
@@ -122,7 +153,15 @@ def sim(
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-sim-")))
         chosen = endpoint or free_endpoint(DEFAULT_ENDPOINT)
-        if not _is_given(context, "rig_path"):
+        if feet:
+            rig = (
+                load_rig(rig_path)
+                if _is_given(context, "rig_path")
+                else write_walker_rig(
+                    work / "rig", endpoint=chosen, program=walk, seed=seed, height_m=height_m, rate_hz=rate_hz
+                )
+            )
+        elif not _is_given(context, "rig_path"):
             with console.status("preparing the simulated rig: cameras, colours, hand"):
                 rig = write_simulated_rig(
                     work / "rig",
@@ -146,11 +185,11 @@ def sim(
         page = None if port is None else page_command(port)
         if port is not None:
             console.print(f"The page is at {page_url(port)}", soft_wrap=True)
-        if rig.config.sim.motion == "board":
+        if rig.config.sim.motion == "board" and not feet:
             limit_s = duration_s if _is_given(context, "duration_s") else None
             board = run_board(rig, chosen, limit_s, work, console, page)
             return 128 + signal.SIGINT if asyncio.run(_unless_interrupted(board)) else 0
-        run = SimRun(rig, chosen, duration_s, work, page)
+        run = (WalkerRun if feet else SimRun)(rig, chosen, duration_s, work, page)
         interrupted = asyncio.run(_unless_interrupted(run.execute(console, live=not headless and console.is_terminal)))
         if interrupted:
             console.print("interrupted; no summary")
@@ -159,7 +198,7 @@ def sim(
             console.print()
         with console.status("comparing with the truth"):
             report = run.report()
-        console.print(summary(report))
+        console.print(feet_summary(report) if feet else summary(report))
         if report_path is not None:
             write_text_atomic(report_path, json.dumps(report, indent=1) + "\n")
             console.print(f"report: {report_path}")

@@ -29,7 +29,7 @@ _RIG_TIMEOUT_S = 20.0
 @page_options
 @rig_option
 def up(no_start: bool, viewer: bool, page_port: int, rig_path: Path) -> int:
-    """Run router, fusion, ik, objects and the web page on this machine and start the rig; Ctrl-C ends all of them.
+    """Run router, fusion, ik, objects, feet and the web page on this machine and start the rig; Ctrl-C ends all.
 
     The capture services run on the Pis (rhot capture --camera NAME) and join by themselves. A router that already
     answers is used instead of a second one.
@@ -49,7 +49,8 @@ async def _up(rig_path: Path, page_port: int | None, *, start: bool) -> int:
     try:
         if not await _answers(bus_config):
             await supervisor.start("router", ["router", "--rig", str(rig_path)])
-        for name in ("fusion", "ik", *(["objects"] if rig.config.objects else [])):
+        names = {"fusion": rig.config.cameras, "ik": True, "objects": rig.config.objects, "feet": rig.config.feet}
+        for name in (name for name, wanted in names.items() if wanted):
             await supervisor.start(name, [name, "--rig", str(rig_path)])
         if page_port is not None:
             await beside.start("viewer", [*page_command(page_port), "--rig", str(rig_path)])

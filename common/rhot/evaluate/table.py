@@ -13,7 +13,8 @@ from rich.text import Text
 _NOTHING = "–"
 
 
-def _number(figures: Mapping[str, Any], *path: str, digits: int = 1) -> str:
+def number_text(figures: Mapping[str, Any], *path: str, digits: int = 1) -> str:
+    """Return the number at a path in nested figures, or a dash."""
     value: Any = figures
     for name in path:
         if not isinstance(value, Mapping) or name not in value:
@@ -40,17 +41,17 @@ def live_table(
         tracking.add_column(column, justify="left" if column == "tracked" else "right")
     tracking.add_row(
         "fingertips",
-        _number(figures, "rate_hz"),
-        _number(figures, "fingertip_error_mm", "median"),
-        _number(figures, "fingertip_error_mm", "p95"),
-        _number(figures, "latency_ms", "p50"),
-        _number(figures, "latency_ms", "p99"),
+        number_text(figures, "rate_hz"),
+        number_text(figures, "fingertip_error_mm", "median"),
+        number_text(figures, "fingertip_error_mm", "p95"),
+        number_text(figures, "latency_ms", "p50"),
+        number_text(figures, "latency_ms", "p99"),
     )
     tracking.add_row(
         "object",
-        _number(figures, "object_rate_hz"),
-        _number(figures, "object_error_mm", "median", digits=2),
-        _number(figures, "object_error_mm", "p95", digits=2),
+        number_text(figures, "object_rate_hz"),
+        number_text(figures, "object_error_mm", "median", digits=2),
+        number_text(figures, "object_error_mm", "p95", digits=2),
         "",
         "",
     )
@@ -73,10 +74,10 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
     coverage = f"{100 * report['coverage']:.2f} %" if "coverage" in report else _NOTHING
 
     def millimetres(*path: str) -> str:
-        return f"{_number(report, *path, digits=2)} mm"
+        return f"{number_text(report, *path, digits=2)} mm"
 
     rows = [
-        ("hand poses per second", _number(report, "rate_hz"), f"cameras at {report['camera_rate_hz']:g} Hz"),
+        ("hand poses per second", number_text(report, "rate_hz"), f"cameras at {report['camera_rate_hz']:g} Hz"),
         ("coverage", coverage, f"measured, of {report.get('coverage_samples', 0)} in view of two cameras"),
         ("fingertip error, median", millimetres("fingertip_error_mm", "median"), "tip joint of the hand against truth"),
         ("fingertip error, p95", millimetres("fingertip_error_mm", "p95"), ""),
@@ -85,10 +86,10 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
         ("object error, median", millimetres("object_error_mm", "median"), _degrees(report)),
         (
             "latency, p50",
-            f"{_number(report, 'latency_ms', 'p50')} ms",
+            f"{number_text(report, 'latency_ms', 'p50')} ms",
             "from mid-exposure to the pose at the reader",
         ),
-        ("latency, p99", f"{_number(report, 'latency_ms', 'p99')} ms", ""),
+        ("latency, p99", f"{number_text(report, 'latency_ms', 'p99')} ms", ""),
         ("frames dropped as late", str(report["dropped_late"]), f"after the first {report['steady_from_s']:g} s"),
         ("frames lost by cameras", str(report["missed"]), "simulated loss, bridged"),
     ]
@@ -110,4 +111,4 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
 
 
 def _degrees(report: Mapping[str, Any]) -> str:
-    return f"orientation {_number(report, 'object_error_deg', 'median', digits=2)}°"
+    return f"orientation {number_text(report, 'object_error_deg', 'median', digits=2)}°"

@@ -12,8 +12,12 @@ Turned by Rz(−ψ) and with constant and linear parts removed (˜), this is lin
 
 one least-squares problem over all stretches on the circle cos² + sin² = 1. Lever and bias are eliminated, all yaws are
 tried: no start value is needed, so no yaw is too wrong. Stretches in which the foot hardly moves are left out, because
-of them the left side is noise. The mounting R_sensor_foot then is the mean of R_rig_sensorᵀ·R_rig_foot over the
-marker's orientations.
+of them the left side is noise.
+
+A foot that swings is often blurred or out of sight, but heels are lifted in front of the camera. So the marker's
+orientations count as well: with the mounting M = R_sensor_foot, A_k = Cᵀ·R_rig_foot = Rz(ψ)·R_world_sensor·M. For each
+yaw the best M is the rotation nearest to S(ψ) = Σ (Rz(ψ)·R_world_sensor)ᵀ·A_k, and what it leaves is 3·K − tr(Mᵀ·S),
+the sum of squared angles. It tells the yaw once the foot has been tilted; both costs are added.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.rotations import nearest_rotation, rotation_from_quaternion, rotation_z
+from rhot.rotations import nearest_rotation, rotation_from_quaternion
 from rhot_feet.imu_sources.samples import ImuSamples
 from rhot_feet.inertial import LONGEST_STEP_S
 from rhot_feet.zero_velocity import GRAVITY
@@ -52,6 +56,8 @@ _MOVED_SIGMAS: Final = 6.0
 """A stretch counts when the marker strays this many standard deviations, root mean square, from a straight line."""
 _WORST_SURPRISE: Final = 16.0
 """Mean squared normalised residual above which the stretches do not agree with each other."""
+_TURN_RAD: Final = float(np.radians(3.0))
+"""Noise of the marker's orientation; more than a single picture's, because that of successive ones is much the same."""
 _CIRCLE: Final = np.linspace(-math.pi, math.pi, 720, endpoint=False)
 _UNKNOWNS: Final = 8
 
@@ -108,12 +114,17 @@ class AlignmentLearner:
         self._information = _PRIOR.copy()
         self._moment = np.zeros(_UNKNOWNS)
         self._energy = self._rows = 0.0
-        self._mountings: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=120)
+        # S(ψ) = S[0] + cos ψ·S[1] + sin ψ·S[2], and K.
+        self._turned = np.zeros((3, 3, 3))
+        self._turns = 0.0
         self._alignment: Alignment | None = None
+        self._is_solved = True
 
     @property
     def alignment(self) -> Alignment | None:
         """What is known; None until the yaw is."""
+        if not self._is_solved:
+            self._alignment, self._is_solved = self._solve() or self._alignment, True
         return self._alignment
 
     def imu(self, samples: ImuSamples) -> None:
@@ -128,7 +139,7 @@ class AlignmentLearner:
             self._samples.popleft()
 
     def marker(self, t_ns: int, position: FloatArray, sigma_m: float, rotation: FloatArray | None) -> bool:
-        """Take a believed place (3,) and R_rig_foot (3, 3) of the marker; tell whether the alignment changed."""
+        """Take a believed place (3,) and R_rig_foot (3, 3) of the marker; tell whether anything was learnt."""
         first_ns = self._sightings[0].t_ns if self._sightings else t_ns
         if self._sightings and (t_ns <= self._sightings[-1].t_ns or t_ns - first_ns > 2 * _STRETCH_NS):
             self._sightings.clear()
@@ -138,13 +149,33 @@ class AlignmentLearner:
             return False
         stretch = self._sightings
         self._sightings = []
-        return len(stretch) >= _FEWEST and self._learn(stretch)
+        learnt = self._learn_turning(stretch) | self._learn_moving(stretch)
+        self._is_solved &= not learnt
+        return learnt
 
-    def _learn(self, stretch: list[_Sighting]) -> bool:
-        path = self._path(stretch)
+    def _learn_turning(self, stretch: list[_Sighting]) -> bool:
+        """Take in the orientations of a stretch."""
+        times = np.array([sample[0] for sample in self._samples], dtype=np.int64)
+        pairs = []
+        for sighting in stretch:
+            if sighting.rotation is None or not len(times):
+                continue
+            nearest = int(np.abs(times - sighting.t_ns).argmin())
+            if abs(int(times[nearest]) - sighting.t_ns) <= LONGEST_STEP_S * 1e9:
+                pairs.append((self._samples[nearest][2], self._C.T @ sighting.rotation))
+        if not pairs:
+            return False
+        B, A = (np.array(rotations) for rotations in zip(*pairs, strict=True))
+        self._turned = _MEMORY * self._turned + np.einsum("kji,ajl,klm->aim", B, _TURNS, A)
+        self._turns = _MEMORY * self._turns + len(pairs)
+        return True
+
+    def _learn_moving(self, stretch: list[_Sighting]) -> bool:
+        """Take in the places of a stretch."""
+        path = self._path(stretch) if len(stretch) >= _FEWEST else None
         if path is None:
             return False
-        rows, values, rotations = path
+        rows, values = path
         sigma = math.hypot(_MODEL_M, float(np.mean([sighting.sigma_m for sighting in stretch])))
         if math.sqrt(float(np.mean(rows[:, 0] ** 2))) < _MOVED_SIGMAS * sigma / math.sqrt(3.0):
             return False
@@ -156,14 +187,10 @@ class AlignmentLearner:
         self._moment = _MEMORY * self._moment + moment
         self._energy = _MEMORY * self._energy + float(values @ values) / sigma**2
         self._rows = _MEMORY * self._rows + len(values)
-        for sighting, R in zip(stretch, rotations, strict=True):
-            if sighting.rotation is not None:
-                self._mountings.append((R, sighting.rotation))
-        self._alignment = self._solve() or self._alignment
-        return self._alignment is not None
+        return True
 
-    def _path(self, stretch: list[_Sighting]) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """Return the rows (3n, 8) and values (3n,) of the least squares, and R_world_sensor (n, 3, 3)."""
+    def _path(self, stretch: list[_Sighting]) -> tuple[FloatArray, FloatArray] | None:
+        """Return the rows (3n, 8) and values (3n,) of the least squares."""
         if len(self._samples) < 2 or self._samples[0][0] > stretch[0].t_ns:
             return None
         times = np.array([sample[0] for sample in self._samples], dtype=np.int64)
@@ -188,7 +215,7 @@ class AlignmentLearner:
         straight = np.stack([np.ones_like(at), at], axis=1)
         columns = columns - straight @ np.linalg.lstsq(straight, columns, rcond=None)[0]
         table = columns.reshape(-1, _UNKNOWNS + 1)
-        return table[:, :8], table[:, 8], nearest
+        return table[:, :8], table[:, 8]
 
     def _solve(self) -> Alignment | None:
         N, m = self._information, self._moment
@@ -198,26 +225,51 @@ class AlignmentLearner:
         around = np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
         costs = np.einsum("ik,ij,jk->k", around, reduced, around) - 2.0 * aim @ around
         best = int(costs.argmin())
+        total = self._energy + float(costs[best]) - float(m[2:] @ covariance @ m[2:])
+        if total > _WORST_SURPRISE * max(self._rows, 1.0):
+            return None
+        costs += (3.0 * self._turns - _fits(self._summed(_CIRCLE))) / _TURN_RAD**2
+        best = int(costs.argmin())
         # A parabola through the lowest cost and its neighbours; its curvature is twice the information.
         left, low, right = costs[best - 1], costs[best], costs[(best + 1) % len(costs)]
         spacing = float(_CIRCLE[1] - _CIRCLE[0])
         bend = float(left - 2.0 * low + right)
-        total = self._energy + float(low) - float(m[2:] @ covariance @ m[2:])
-        if bend <= 0.0 or total > _WORST_SURPRISE * self._rows:
+        if bend <= 0.0:
             return None
         yaw = float(_CIRCLE[best]) + 0.5 * spacing * float(left - right) / bend
         yaw_sigma = spacing * math.sqrt(2.0 / bend)
         if yaw_sigma > _YAW_ENOUGH_RAD:
             return None
         solution = covariance @ (m[2:] - N[2:, :2] @ np.array([math.cos(yaw), math.sin(yaw)]))
-        M = np.eye(3)
-        if self._mountings:
-            turn_rig_world = self._C @ rotation_z(yaw)
-            M = nearest_rotation(np.sum([(turn_rig_world @ R).T @ rotation for R, rotation in self._mountings], axis=0))
-        return Alignment(yaw, yaw_sigma, solution[:3], solution[3:], covariance, M, bool(self._mountings))
+        mounted = self._turns > 0.0
+        M = nearest_rotation(self._summed(np.array([yaw]))[0]) if mounted else np.eye(3)
+        return Alignment(yaw, yaw_sigma, solution[:3], solution[3:], covariance, M, mounted)
+
+    def _summed(self, yaws_rad: FloatArray) -> FloatArray:
+        """Return S(ψ) (n, 3, 3) of yaws (n,)."""
+        first, second, third = self._turned
+        summed: FloatArray = first + np.cos(yaws_rad)[:, None, None] * second + np.sin(yaws_rad)[:, None, None] * third
+        return summed
 
 
 _PRIOR: Final = np.diag(np.r_[np.full(2, 1e-6), np.full(3, _LEVER_M**-2), np.full(3, _BIAS**-2)])
+
+
+_TURNS: Final = np.array(
+    [
+        [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]],
+        [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+    ]
+)
+"""Rz(−ψ) = [0] + cos ψ·[1] + sin ψ·[2]."""
+
+
+def _fits(S: FloatArray) -> FloatArray:
+    """Return the greatest tr(Mᵀ·S) (n,) over rotations M for matrices (n, 3, 3)."""
+    sizes = np.linalg.svd(S, compute_uv=False)
+    fits: FloatArray = sizes[:, 0] + sizes[:, 1] + np.sign(np.linalg.det(S)) * sizes[:, 2]
+    return fits
 
 
 def _twice_integrated(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:

@@ -136,6 +136,7 @@ class FootFilter:
         if motion is None:
             return None
         rest = self._rest(t_ns)
+        stands = rest is not None and rest.still
         return FootState(
             t_ns,
             motion.position,
@@ -143,8 +144,8 @@ class FootFilter:
             quaternion_from_rotation(motion.rotation),
             motion.covariance,
             motion.rotation_covariance,
-            self._stage(t_ns),
-            rest is not None and rest.still,
+            self._stage(t_ns, stands=stands),
+            stands,
             max(self._seen.values()),
         )
 
@@ -309,12 +310,13 @@ class FootFilter:
             return self._kinematic.motion(self._by_sight.at(t_ns), _NO_RATE)
         return None
 
-    def _stage(self, t_ns: int) -> Stage:
+    def _stage(self, t_ns: int, *, stands: bool) -> Stage:
         if t_ns - self._seen.get("marker", 0) <= self.settings.fresh_ns:
             return "marker"
         if t_ns - self._seen.get("depth", 0) <= self.settings.fresh_ns:
             return "depth"
-        return "inertial" if self._by_sensor is not None else "lost"
+        # A sensor that is not aligned yet still feels that the foot stands where it was seen.
+        return "inertial" if self._by_sensor is not None or stands else "lost"
 
 
 def _agree(before: Observation, after: Observation) -> bool:

@@ -72,7 +72,10 @@ class InertialModel:
         P[VELOCITY, VELOCITY] = 0.3**2 * _UNIT
         up = self._C[:, 2]
         P[ATTITUDE, ATTITUDE] = _TILT_RAD**2 * _UNIT + alignment.yaw_sigma_rad**2 * np.outer(up, up)
-        P[LEVER, LEVER] = alignment.covariance[:3, :3] + 0.01**2 * _UNIT
+        lever = alignment.covariance[:3, :3] + 0.01**2 * _UNIT
+        # The foot's place is known, the sensor's follows: an error of the lever is one of the sensor's place, reversed.
+        P[LEVER, LEVER], P[POSITION, LEVER], P[LEVER, POSITION] = lever, -R @ lever, -lever @ R.T
+        P[POSITION, POSITION] += R @ lever @ R.T
         P[ACCELEROMETER, ACCELEROMETER] = alignment.covariance[3:, 3:] + 0.03**2 * _UNIT
         P[GYROSCOPE, GYROSCOPE] = _RATE_BIAS**2 * _UNIT
         P[MOUNTING, MOUNTING] = (_MOUNTING_RAD if alignment.mounted else _UNMOUNTED_RAD) ** 2 * _UNIT

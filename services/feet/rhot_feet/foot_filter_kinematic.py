@@ -135,7 +135,7 @@ class KinematicModel:
     def surprise(self, state: KinematicState, observation: Observation) -> tuple[float, float]:
         """Return the squared normalised innovations of position and rotation."""
         residual = observation.position - state.motion[:3]
-        S = state.P[:3, :3] + observation.covariance + _room_m(state.unseen_s) ** 2 * _UNIT
+        S = state.P[:3, :3] + observation.covariance + room_m(state.unseen_s) ** 2 * _UNIT
         position = float(residual @ np.linalg.solve(S, residual))
         if observation.rotation is None:
             return position, 0.0
@@ -193,7 +193,7 @@ def _on_each_axis(matrix: FloatArray) -> FloatArray:
     return (matrix[:, None, :, None] * _UNIT[None, :, None, :]).reshape(9, 9)
 
 
-def _room_m(unseen_s: float) -> float:
+def room_m(unseen_s: float) -> float:
     """Return by how much a foot may have left its course since it was seen: one that stood may set off at any time."""
     bend_s = min(unseen_s, _SEEN_S)
     return _ROOM_M + 0.5 * _SETS_OFF * bend_s**2 + _STRAYS * (unseen_s - bend_s)

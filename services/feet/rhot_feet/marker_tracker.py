@@ -32,6 +32,8 @@ _CONFIRM_STEP_M: Final = 0.03
 _CONFIRM_SPEED_M_S: Final = 6.0
 _FORGET_S: Final = 0.5
 """After so long without its marker a foot's own orientation track begins anew."""
+_WHOLE_NS: Final = 40_000_000
+"""While one foot is expected and the other is not, the whole picture is searched this often."""
 _CROP_SHARE: Final = 0.5
 """A region that covers more of the picture than this is no quicker to search than the whole."""
 
@@ -113,6 +115,7 @@ class MarkerTracker:
         self._ids = dict(marker_ids)
         self._size_m = size_m
         self._depth_range_m = depth_range_m
+        self._whole_ns = -(1 << 62)
         self._memory: dict[Side, _Memory] = {side: _Memory(OrientationTrack()) for side in marker_ids}
 
     def feed(
@@ -155,11 +158,12 @@ class MarkerTracker:
         return MarkerSightings(markers, refused)
 
     def _search(self, frame: DepthFrame, expected: Mapping[Side, FootExpectation]) -> list[MarkerDetection]:
-        """Return the markers near the expected places; everywhere once a foot is not expected anywhere."""
+        """Return the markers near the expected places; everywhere, now and then, for a foot that is not expected."""
         regions: list[Region] = []
-        for side in self._ids:
-            if side not in expected:
-                return self._finder.find(frame.color)
+        if not expected or (len(expected) < len(self._ids) and frame.t_ns - self._whole_ns >= _WHOLE_NS):
+            self._whole_ns = frame.t_ns
+            return self._finder.find(frame.color)
+        for side in expected:
             region = expected_region(expected[side], self._size_m, frame.camera)
             if region is not None:
                 regions.append(region)

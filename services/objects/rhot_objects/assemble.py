@@ -13,7 +13,7 @@ from rhot.errors import ConfigError
 from rhot.rig import ObjectConfig, Rig
 from rhot_objects.registration import Registration
 from rhot_objects.rigid import Pose
-from rhot_objects.sources import PoseSource
+from rhot_objects.sources import HEAD, PoseSource
 from rhot_objects.sources.recorded import RecordedSource
 from rhot_objects.sources.simulated import SimulatedSource, TruePoses
 from rhot_objects.sources.steamvr import SteamVrSource
@@ -89,5 +89,9 @@ def _simulated_world(rig: Rig) -> TruePoses:
 
 def _object_poses(world: World, t_s: float) -> dict[str, Pose]:
     # The motion alone: the hands' joints would cost eight times as much.
-    motion = world.motion.sample(np.array([t_s]))
-    return {name: Pose.from_matrix(T_rig_object[0]) for name, T_rig_object in motion.objects.items()}
+    t = np.array([t_s])
+    motion = world.motion.sample(t)
+    poses = {name: Pose.from_matrix(T_rig_object[0]) for name, T_rig_object in motion.objects.items()}
+    if world.walker is not None:
+        poses[HEAD] = Pose.from_matrix(world.walker.head(t)[0])
+    return poses

@@ -20,6 +20,7 @@ listen = ["{endpoint}"]
 
 [feet.camera]
 source = "simulated"
+rate_hz = {rate_hz:g}
 pitch_deg = {pitch_deg:g}
 
 [feet.left]
@@ -51,6 +52,7 @@ def write_walker_rig(
     program: WalkProgram = "walk",
     seed: int = 1,
     height_m: float = 1.75,
+    rate_hz: float = 60.0,
     pitch_deg: float = 20.0,
     imu_rate_hz: float = 100.0,
 ) -> Rig:
@@ -62,12 +64,19 @@ def write_walker_rig(
         program: what the person does.
         seed: of the world.
         height_m: of the person.
+        rate_hz: of the camera.
         pitch_deg: how far the camera looks down from the head.
         imu_rate_hz: of both ankle sensors.
     """
     path.mkdir(parents=True, exist_ok=True)
     text = _TEMPLATE.format(
-        endpoint=endpoint, program=program, seed=seed, height_m=height_m, pitch_deg=pitch_deg, imu_rate_hz=imu_rate_hz
+        endpoint=endpoint,
+        program=program,
+        seed=seed,
+        height_m=height_m,
+        rate_hz=rate_hz,
+        pitch_deg=pitch_deg,
+        imu_rate_hz=imu_rate_hz,
     )
     write_text_atomic(path / RIG_FILE, text)
     return load_rig(path)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
+from rhot.errors import ConfigError
 from rhot.rig import Rig
 from rhot_feet.frames import ColorImage, DepthFrame, DepthImage, pinhole
 
@@ -60,7 +61,14 @@ class DepthWorld(Protocol):
 class SimulatedDepthSource:
     """Delivers drawn frames at their due time."""
 
-    def __init__(self, world: DepthWorld, rate_hz: float, camera: CameraModel, now_ns: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        world: DepthWorld,
+        rate_hz: float,
+        camera: CameraModel,
+        now_ns: Callable[[], int],
+        release: Callable[[], None] | None = None,
+    ) -> None:
         """Prepare.
 
         Args:
@@ -68,8 +76,10 @@ class SimulatedDepthSource:
             rate_hz: frames per second.
             camera: its lens.
             now_ns: rig time.
+            release: called at `close`, after which the world is of no more use.
         """
         self._world = world
+        self._release = release
         self._rate_hz = rate_hz
         self._camera = camera
         self._now_ns = now_ns
@@ -81,17 +91,19 @@ class SimulatedDepthSource:
 
     @classmethod
     def from_rig(cls, rig: Rig, now_ns: Callable[[], int]) -> SimulatedDepthSource:
-        """Build the camera of the world that a rig describes.
+        """Build the camera of the world that a rig describes; its pictures are drawn by a process of their own.
 
         Raises:
             ConfigError: the rig has no [feet].
         """
-        from rhot.sim.walker.world import WalkerWorld  # noqa: PLC0415
+        from rhot_feet.sources.draw_process import DrawProcess  # noqa: PLC0415
 
-        world = WalkerWorld.from_rig(rig)
-        config = world.feet_config.camera
+        if rig.config.feet is None:
+            raise ConfigError(f"{rig.path / 'rig.toml'} has no [feet]; add [feet.left] or [feet.right] with marker_id")
+        config = rig.config.feet.camera
+        world = DrawProcess(rig)
         camera = pinhole(config.width, config.height, world.intrinsics, np.empty(0))
-        return cls(world, config.rate_hz, camera, now_ns)
+        return cls(world, config.rate_hz, camera, now_ns, world.close)
 
     @property
     def finished(self) -> bool:
@@ -101,7 +113,10 @@ class SimulatedDepthSource:
     def open(self, start_ns: int) -> None:
         """Let the world begin at `start_ns`; late, join at the frame that is due next."""
         self._start_ns, self._next, self._ready = start_ns, 0, None
+        self._drawing_s = _FIRST_DRAWING_S
         self._closed.clear()
+        # Floor and lens are prepared with the first picture, which takes seconds and tells nothing of the others.
+        self._world.frame(0)
 
     def read(self, timeout_s: float) -> DepthFrame | None:
         """Draw the next frame that can be ready in time, wait until it is due and return it."""
@@ -122,13 +137,16 @@ class SimulatedDepthSource:
     def close(self) -> None:
         """Stop; a waiting `read` returns None."""
         self._closed.set()
+        if self._release is not None:
+            self._release()
 
     def _draw(self) -> DepthFrame:
         index = self._first_in_time()
         began_ns = self._now_ns()
         t_s, color, depth_mm = self._world.frame(index)
         took_s = 1e-9 * (self._now_ns() - began_ns)
-        self._drawing_s += _FORGETTING * (took_s - self._drawing_s)
+        # One slow picture must not make all that follow wait for a time that they do not need.
+        self._drawing_s += _FORGETTING * (min(took_s, 3.0 * self._drawing_s) - self._drawing_s)
         self._next = index + 1
         return DepthFrame(self._start_ns + round(1e9 * t_s), color, depth_mm, self._camera, index)
 

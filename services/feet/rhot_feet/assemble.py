@@ -1,0 +1,27 @@
+"""Which sensors a rig needs for its feet."""
+
+from __future__ import annotations
+
+from rhot.messages import Side
+from rhot.rig import Rig
+from rhot.rig.feet_config import FeetConfig
+from rhot_feet.imu_sources.factory import make_imu_source
+from rhot_feet.imu_sources.samples import ImuSource
+
+
+def plan_sensors(rig: Rig, feet: FeetConfig) -> dict[Side, ImuSource]:
+    """Return the inertial sensors of a rig by foot, not yet open; all simulated ones share one world.
+
+    Raises:
+        ConfigError: a sensor cannot be what the rig says.
+    """
+    configs = {side: foot.imu for side, foot in feet.feet.items() if foot.imu is not None}
+    simulated: dict[Side, ImuSource] = {}
+    if any(config.source == "simulated" for config in configs.values()):
+        # Imported here: a rig with real sensors needs no simulated world.
+        from rhot.sim.walker.world import WalkerWorld  # noqa: PLC0415
+        from rhot_feet.imu_sources.simulated import SimulatedSource  # noqa: PLC0415
+
+        world = WalkerWorld.from_rig(rig)
+        simulated = {side: SimulatedSource(world, side) for side in configs}
+    return {side: make_imu_source(config, rig.path, simulated.get(side)) for side, config in configs.items()}

@@ -1,0 +1,317 @@
+"""The core of the feet service: pictures, inertial samples and the head's poses in, poses of the feet out.
+
+It reads no clock. `frame` does everything with a picture at once; a service that must not stand still meanwhile takes
+its three parts apart: `expect` and `take` touch the filters and are quick, `look` touches the picture alone and may run
+on a thread of its own.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.aruco_dictionary import marker_dictionary
+from rhot.camera_mounting import camera_mounting
+from rhot.messages import FootPose, HeadPose, Side
+from rhot.rig.feet_config import FeetConfig
+from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion
+from rhot.stage import Output
+from rhot_feet.depth_tracker import DepthSightings, DepthTracker
+from rhot_feet.expectation import FootExpectation
+from rhot_feet.foot_filter import FootFilter
+from rhot_feet.foot_filter_kinematic import room_m
+from rhot_feet.foot_filter_model import FootFilterSettings, FootState
+from rhot_feet.frames import DepthFrame
+from rhot_feet.head_track import HeadTrack
+from rhot_feet.imu_sources.samples import ImuSamples
+from rhot_feet.marker_tracker import FootMarker, MarkerSightings, MarkerTracker
+from rhot_feet.thesis_filter import ThesisFilter
+
+FloatArray = NDArray[np.float64]
+
+RIG_FRAME: Final = "rig"
+_HEAD_TURN_RAD: Final = float(np.radians(0.1))
+"""Noise of the head's orientation, per axis; it swings the camera's line of sight."""
+_HEAD_PLACE_M: Final = 0.0005
+_KNOWN_TURN_RAD: Final = float(np.radians(60.0))
+"""A foot whose orientation is worse known than this, root of the sum of variances, is not expected to be turned any
+way."""
+_ASTRAY_M: Final = 0.5
+"""A foot whose place is worse known than this is looked for everywhere, and not published."""
+_DOUBT_S: Final = 0.75
+"""For so long are markers refused for not being where they are expected before the expectation itself is dropped."""
+_ROOM_M: Final = 0.01
+_STRAYS: Final = 0.1
+"""By how much, and by how much more a second, a foot carried by its sensor is farther off than its filter thinks: tilt
+and bias of a sensor are no white noise. The gates leave it that much room."""
+_LEARN_EVERY: Final = 4
+"""While no foot is hidden, the depth stage only learns, which it need not do from every picture."""
+_SILENT_NS: Final = 60_000_000
+"""Poses go on as of so long ago when nothing is measured any more."""
+
+
+class _Filter(Protocol):
+    def imu(self, samples: ImuSamples) -> None: ...
+
+    def marker(
+        self,
+        t_ns: int,
+        position: FloatArray,
+        covariance: FloatArray,
+        orientation_xyzw: FloatArray | None = None,
+        orientation_covariance: FloatArray | None = None,
+    ) -> bool: ...
+
+    def depth(self, t_ns: int, position: FloatArray, covariance: FloatArray) -> bool: ...
+
+    def state(self, t_ns: int) -> FootState | None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A picture, where its camera was, and what it is expected to show.
+
+    Attributes:
+        frame: the picture.
+        T_rig_camera: (4, 4) at the middle of its exposure.
+        expected: foot to where the filter predicts it.
+    """
+
+    frame: DepthFrame
+    T_rig_camera: FloatArray
+    expected: Mapping[Side, FootExpectation]
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a picture showed.
+
+    Attributes:
+        view: the picture.
+        markers: by the marker stage.
+        blobs: by the depth stage.
+    """
+
+    view: View
+    markers: MarkerSightings
+    blobs: DepthSightings
+
+
+@dataclass(slots=True)
+class _Foot:
+    filter: _Filter
+    felt_ns: int = 0
+    backed_ns: int = 0
+    doubted_ns: int | None = None
+    lost: bool = True
+
+
+class FootStage:
+    """Follows all feet of a rig."""
+
+    def __init__(self, config: FeetConfig) -> None:
+        """Prepare.
+
+        Args:
+            config: `[feet]` of the rig.
+
+        Raises:
+            ConfigError: the dictionary is not known, or has no such marker.
+        """
+        camera = config.camera
+        depth_range_m = (camera.min_depth_m, camera.max_depth_m)
+        up = np.array(config.up) / np.linalg.norm(config.up)
+        self._up = up
+        self._T_head_camera = camera_mounting(camera)
+        self._hold_ns = round(1e9 * config.hold_s)
+        self._predict_ns = round(1e9 * config.predict_s)
+        self._heads = HeadTrack()
+        ids: dict[Side, int] = {side: foot.marker_id for side, foot in config.feet.items()}
+        self._markers = MarkerTracker(marker_dictionary(config.dictionary), ids, config.marker_size_m, depth_range_m)
+        self._blobs = DepthTracker(depth_range_m)
+        self._feet: dict[Side, _Foot] = {side: _Foot(_filter(config)) for side in config.feet}
+        self._newest_ns = 0
+        self._looks = 0
+        self._counts: Counter[str] = Counter(frames=0, no_head=0)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What happened to pictures: `frames`, those without a head's pose, refusals by foot, stage and reason."""
+        return self._counts
+
+    def head(self, pose: HeadPose) -> None:
+        """Take a pose of the head."""
+        self._heads.add(pose)
+
+    def imu(self, side: Side, samples: ImuSamples) -> None:
+        """Take inertial samples of a foot, later than those before."""
+        if not len(samples):
+            return
+        foot = self._feet[side]
+        foot.filter.imu(samples)
+        foot.felt_ns = int(samples.t_ns[-1])
+        self._newest_ns = max(self._newest_ns, foot.felt_ns)
+
+    def frame(self, frame: DepthFrame) -> Seen | None:
+        """Take a picture; None when it is not known where the head was."""
+        view = self.expect(frame)
+        if view is None:
+            return None
+        seen = self.look(view)
+        self.take(seen)
+        return seen
+
+    def expect(self, frame: DepthFrame) -> View | None:
+        """Return where the feet are expected in a picture; None when it is not known where the head was."""
+        self._counts["frames"] += 1
+        T_rig_head = self._heads.at(frame.t_ns)
+        if T_rig_head is None:
+            self._counts["no_head"] += 1
+            return None
+        T_rig_camera = T_rig_head @ self._T_head_camera
+        expected = {}
+        for side, foot in self._feet.items():
+            expectation = self._expectation(foot, frame.t_ns, T_rig_camera)
+            if expectation is not None:
+                expected[side] = expectation
+        return View(frame, T_rig_camera, expected)
+
+    def look(self, view: View) -> Seen:
+        """Find the feet in a picture; pictures come here one after the other, in order of time."""
+        up_camera = view.T_rig_camera[:3, :3].T @ self._up
+        markers = self._markers.feed(view.frame, view.expected, up_camera)
+        seen: dict[Side, FootExpectation] = {}
+        for side, marker in markers.markers.items():
+            known = view.expected.get(side)
+            # The offset to the blob is kept in the foot's axes, which the filter knows better than one picture.
+            R = known.R_camera_foot if known is not None else None
+            if R is None and marker.orientation_clear:
+                R = marker.R_camera_foot
+            if R is not None:
+                seen[side] = FootExpectation(marker.place, marker.covariance[3:, 3:], R)
+        hidden = {side: foot for side, foot in view.expected.items() if side not in markers.markers}
+        self._looks += 1
+        if not hidden and self._looks % _LEARN_EVERY:
+            return Seen(view, markers, DepthSightings({}, {}, None))
+        return Seen(view, markers, self._blobs.feed(view.frame, hidden, seen, up_camera))
+
+    def take(self, seen: Seen) -> None:
+        """Put into the filters what a picture showed."""
+        view, t_ns = seen.view, seen.view.frame.t_ns
+        self._newest_ns = max(self._newest_ns, t_ns)
+        for side, foot in self._feet.items():
+            believed = False
+            marker, blob = seen.markers.markers.get(side), seen.blobs.feet.get(side)
+            if marker is not None:
+                believed = _put_marker(foot.filter, marker, view)
+                self._count(side, "marker", "" if believed else "gate")
+            elif blob is not None:
+                position = _in_rig(view.T_rig_camera, blob.place)
+                believed = foot.filter.depth(t_ns, position, _covariance(view, blob.place, blob.covariance))
+                self._count(side, "depth", "" if believed else "gate")
+            for stage, refused in (("marker", seen.markers.refused), ("depth", seen.blobs.refused)):
+                if side in refused:
+                    self._count(side, stage, refused[side])
+            self._doubt(foot, t_ns, believed=believed, contradicted=seen.markers.refused.get(side) == "motion")
+
+    def due_ns(self, now_ns: int) -> int:
+        """Return the time for which poses are due: of the newest measurement, plus the configured prediction."""
+        return max(self._newest_ns, now_ns - _SILENT_NS) + self._predict_ns
+
+    def poses(self, t_ns: int) -> list[Output]:
+        """Return every foot that is known at a moment, with its key."""
+        outputs: list[Output] = []
+        for side, foot in self._feet.items():
+            state = foot.filter.state(t_ns)
+            if state is None:
+                continue
+            backed = state.stage in ("marker", "depth") or (state.stage == "inertial" and state.stationary)
+            if backed:
+                foot.backed_ns = max(foot.backed_ns, t_ns)
+            foot.lost = t_ns - max(foot.backed_ns, state.measured_ns) > self._hold_ns or state.sigma_m > _ASTRAY_M
+            if not foot.lost:
+                outputs.append((f"rhot/foot/{side}", _message(side, state, backed=backed)))
+        return outputs
+
+    def _expectation(self, foot: _Foot, t_ns: int, T_rig_camera: FloatArray) -> FootExpectation | None:
+        state = None if foot.lost or self._is_doubted(foot, t_ns) else foot.filter.state(t_ns)
+        if state is None:
+            return None
+        R = T_rig_camera[:3, :3].T
+        place = R @ (state.position - T_rig_camera[:3, 3])
+        unseen_s = max(0.0, 1e-9 * (t_ns - state.measured_ns))
+        room = _ROOM_M + _STRAYS * min(unseen_s, 1.0) if self._is_carried(foot) else room_m(unseen_s)
+        covariance = R @ state.covariance @ R.T + room**2 * np.eye(3)
+        turning = R @ state.orientation_covariance @ R.T
+        if np.trace(turning) > _KNOWN_TURN_RAD**2:
+            return FootExpectation(place, covariance)
+        return FootExpectation(place, covariance, R @ rotation_from_quaternion(state.orientation_xyzw), turning)
+
+    def _is_carried(self, foot: _Foot) -> bool:
+        return isinstance(foot.filter, FootFilter) and foot.filter.aligned
+
+    def _is_doubted(self, foot: _Foot, t_ns: int) -> bool:
+        return foot.doubted_ns is not None and t_ns - foot.doubted_ns > _DOUBT_S * 1e9
+
+    def _doubt(self, foot: _Foot, t_ns: int, *, believed: bool, contradicted: bool) -> None:
+        """Note since when a foot's marker is seen where it is not expected, and nothing backs the expectation."""
+        if believed:
+            foot.doubted_ns, foot.lost = None, False
+        elif contradicted and foot.doubted_ns is None:
+            foot.doubted_ns = t_ns
+
+    def _count(self, side: Side, stage: str, refusal: str) -> None:
+        self._counts[f"{side}_{stage}" + (f"_{refusal}" if refusal else "")] += 1
+
+
+def _filter(config: FeetConfig) -> _Filter:
+    settings = FootFilterSettings(up=config.up)
+    return FootFilter(settings) if config.method == "filter" else ThesisFilter(settings)
+
+
+def _put_marker(target: _Filter, marker: FootMarker, view: View) -> bool:
+    """Put a marker into a filter, with its orientation where that is clear."""
+    T = view.T_rig_camera
+    position, covariance = _in_rig(T, marker.place), _covariance(view, marker.place, marker.covariance[3:, 3:])
+    if not marker.orientation_clear:
+        return target.marker(marker.t_ns, position, covariance)
+    R = T[:3, :3]
+    turning = R @ marker.covariance[:3, :3] @ R.T + _HEAD_TURN_RAD**2 * np.eye(3)
+    orientation = quaternion_from_rotation(R @ marker.R_camera_foot)
+    return target.marker(marker.t_ns, position, covariance, orientation, turning)
+
+
+def _in_rig(T_rig_camera: FloatArray, place: FloatArray) -> FloatArray:
+    rig: FloatArray = T_rig_camera[:3, :3] @ place + T_rig_camera[:3, 3]
+    return rig
+
+
+def _covariance(view: View, place: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the covariance (3, 3) in the rig frame of a place seen from a head whose own pose is noisy."""
+    R = view.T_rig_camera[:3, :3]
+    swing = _HEAD_TURN_RAD**2 * (float(place @ place) * np.eye(3) - np.outer(place, place))
+    rig: FloatArray = R @ (covariance + swing) @ R.T + _HEAD_PLACE_M**2 * np.eye(3)
+    return rig
+
+
+def _message(side: Side, state: FootState, *, backed: bool) -> FootPose:
+    x, y, z = state.position.tolist()
+    qx, qy, qz, qw = state.orientation_xyzw.tolist()
+    vx, vy, vz = state.velocity.tolist()
+    return FootPose(
+        t_ns=state.t_ns,
+        side=side,
+        frame=RIG_FRAME,
+        position=(x, y, z),
+        orientation=(qx, qy, qz, qw),
+        velocity=(vx, vy, vz),
+        sigma=state.sigma_m,
+        stage=state.stage,
+        stationary=state.stationary,
+        state="measured" if backed else "predicted",
+    )

@@ -1,0 +1,54 @@
+"""The headset's last second: where the camera was when a picture was taken."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, insort
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.messages import HeadPose
+from rhot.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
+from rhot.transforms import rigid
+
+FloatArray = NDArray[np.float64]
+
+_KEPT_NS: Final = 1_000_000_000
+_GAP_NS: Final = 100_000_000
+"""Between poses farther apart than this the head may have gone anywhere."""
+_AHEAD_NS: Final = 30_000_000
+"""So far beyond the newest pose the head is taken to go on as it did."""
+
+
+class HeadTrack:
+    """Keeps measured poses of the head and gives the one of any moment in between."""
+
+    def __init__(self) -> None:
+        self._times: list[int] = []
+        self._poses: dict[int, FloatArray] = {}
+
+    def add(self, pose: HeadPose) -> None:
+        """Take a pose; one that is only predicted is left out, because a camera's place has to be known to a degree."""
+        if pose.state != "measured" or pose.t_ns in self._poses:
+            return
+        insort(self._times, pose.t_ns)
+        rotation = rotation_from_quaternion(np.array(pose.orientation))
+        self._poses[pose.t_ns] = rigid(rotation, np.array(pose.position))
+        while self._times[-1] - self._times[0] > _KEPT_NS:
+            del self._poses[self._times.pop(0)]
+
+    def at(self, t_ns: int) -> FloatArray | None:
+        """Return T_rig_head (4, 4) at a moment; None where no pose is near enough."""
+        times = self._times
+        if len(times) < 2 or t_ns < times[0] or t_ns - times[-1] > _AHEAD_NS:
+            return None
+        after = min(max(bisect_left(times, t_ns), 1), len(times) - 1)
+        first_ns, second_ns = times[after - 1], times[after]
+        if second_ns - first_ns > _GAP_NS:
+            return None
+        first, second = self._poses[first_ns], self._poses[second_ns]
+        share = (t_ns - first_ns) / (second_ns - first_ns)
+        turned = share * vector_from_rotation(first[:3, :3].T @ second[:3, :3])
+        place = first[:3, 3] + share * (second[:3, 3] - first[:3, 3])
+        return rigid(first[:3, :3] @ rotation_from_vector(turned), place)

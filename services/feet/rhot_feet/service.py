@@ -1,0 +1,221 @@
+"""The feet service: depth camera, ankle sensors and the head's poses in, `rhot/foot/<side>` out."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Final
+
+import cv2
+from pydantic import BaseModel
+
+from rhot.bus import EventSubscriber
+from rhot.errors import ConfigError, DeviceError
+from rhot.messages import Control, FootPose, HeadPose, Side
+from rhot.rig import Rig
+from rhot.rig.feet_config import FeetConfig
+from rhot.service import Node
+from rhot_feet.assemble import plan_sensors
+from rhot_feet.depth_grabber import DepthGrabber
+from rhot_feet.foot_stage import FootStage
+from rhot_feet.frames import DepthFrame, DepthSource
+from rhot_feet.imu_sources.samples import ImuSource
+from rhot_feet.sources import open_depth_source
+
+logger = logging.getLogger(__name__)
+
+HEAD_KEY: Final = "rhot/head"
+_RETRY_S: Final = 2.0
+_PERIOD_S: Final = 0.01
+"""Between two looks at the ankle sensors, and between two poses of a foot."""
+
+
+class FeetService:
+    """Publishes `rhot/foot/<side>`; see `rhot.service.Service` for the seam."""
+
+    name = "feet"
+    instance = "main"
+
+    def __init__(
+        self,
+        rig: Rig,
+        *,
+        open_camera: Callable[[Rig, Callable[[], int]], DepthSource] = open_depth_source,
+        sensors: Callable[[Rig, FeetConfig], dict[Side, ImuSource]] = plan_sensors,
+    ) -> None:
+        """Prepare for the feet of a rig.
+
+        Args:
+            rig: loaded.
+            open_camera: gives the depth camera, not yet open, from the rig and a reader of the rig clock.
+            sensors: gives the inertial sensors by foot, not yet open.
+
+        Raises:
+            ConfigError: the rig has no feet, or they cannot be tracked as it says.
+        """
+        if rig.config.feet is None:
+            raise ConfigError(f"{rig.path / 'rig.toml'} names no feet; add [feet.left] or [feet.right] with marker_id")
+        self._rig = rig
+        self._config = rig.config.feet
+        self._open_camera = open_camera
+        self._plan_sensors = sensors
+        # Without hands there is no fusion, whose clock is the rig's otherwise.
+        self.owns_clock = not rig.config.cameras
+        self._stage = FootStage(self._config)
+        sensors(rig, self._config)
+        self._sensors: dict[Side, ImuSource] = {}
+        self._failures: dict[Side, asyncio.Future[None]] = {}
+        self._grabber: DepthGrabber | None = None
+        self._troubles: dict[str, str] = {}
+        self._heads: EventSubscriber | None = None
+        # A picture takes some milliseconds, in which samples must go on.
+        self._looking = ThreadPoolExecutor(1, thread_name_prefix="look")
+
+    @property
+    def config(self) -> FeetConfig:
+        """`[feet]` of the rig."""
+        return self._config
+
+    def reconfigure(self, config: BaseModel) -> None:
+        """Refuse: what the feet wear is set in `rig.toml`."""
+        raise ConfigError("feet are described in rig.toml; change it there and restart this service")
+
+    def attach(self, node: Node) -> None:
+        """Listen to the head; a foot's key appears with its first pose."""
+        self._heads = node.bus.events(HEAD_KEY)
+        node.status.include(self._counts)
+        node.status.watch(self._figures)
+
+    def _counts(self) -> Mapping[str, int]:
+        grabber = self._grabber
+        taken = {} if grabber is None else {"dropped_late": grabber.late, "missed": grabber.missed}
+        return {**self._stage.counts, **taken}
+
+    def _figures(self) -> tuple[Mapping[str, float], str]:
+        grabber_s = 0.0 if self._grabber is None else self._grabber.busy_s
+        # Both only ever grow: their rise over a span of time is the cores taken.
+        figures = {"processor_s": time.process_time(), "camera_processor_s": grabber_s}
+        return figures, "; ".join(self._troubles.values())
+
+    async def run(self, node: Node, start: Control) -> None:
+        """Read camera and sensors until cancelled; one that is absent does not hold up the others."""
+        if self._heads is None:
+            raise RuntimeError("run before attach")
+        self._stage = FootStage(self._config)
+        self._troubles.clear()
+        heads, sources = self._heads, self._plan_sensors(self._rig, self._config)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._hear_head(node, heads))
+            tasks.create_task(self._keep("depth camera", node, lambda: self._watch(node, start)))
+            for side, source in sources.items():
+                tasks.create_task(self._keep(f"{side} sensor", node, partial(self._feel, node, start, side, source)))
+            tasks.create_task(self._publish(node))
+
+    async def _keep(self, device: str, node: Node, use: Callable[[], Awaitable[None]]) -> None:
+        """Use a device; after a failure, use it again every two seconds."""
+        while True:
+            try:
+                await use()
+                # A recording is over: nothing more will come.
+                return
+            except DeviceError as error:
+                node.status.count("device_errors")
+                node.status.error(str(error))
+                if self._troubles.get(device) != str(error):
+                    logger.warning("%s: %s; looking again every %.0f s", device, error, _RETRY_S)
+                self._troubles[device] = str(error)
+            await asyncio.sleep(_RETRY_S)
+
+    def _works(self, device: str) -> None:
+        if self._troubles.pop(device, None) is not None:
+            logger.info("%s: is there again", device)
+
+    async def _hear_head(self, node: Node, heads: EventSubscriber) -> None:
+        async for pose in node.receive(heads, HeadPose):
+            node.status.tick("heads")
+            self._stage.head(pose)
+
+    async def _watch(self, node: Node, start: Control) -> None:
+        grabber = self._grabber = DepthGrabber(self._open_camera(self._rig, node.clock.now_ns))
+        try:
+            grabber.start(start.start_t_ns)
+            while (frame := await grabber.next_frame()) is not None:
+                self._works("depth camera")
+                await self._look(node, frame)
+        finally:
+            await grabber.stop()
+
+    async def _look(self, node: Node, frame: DepthFrame) -> None:
+        status, stage = node.status, self._stage
+        status.tick("frames")
+        status.latency("frame_age", (node.clock.now_ns() - frame.t_ns) / 1e9)
+        begun = time.perf_counter()
+        try:
+            view = stage.expect(frame)
+            if view is None:
+                return
+            seen = await asyncio.get_running_loop().run_in_executor(self._looking, stage.look, view)
+            stage.take(seen)
+        except (ValueError, ArithmeticError, cv2.error) as error:
+            self._failed(node, error)
+        status.latency("picture", time.perf_counter() - begun)
+
+    async def _feel(self, node: Node, start: Control, side: Side, source: ImuSource) -> None:
+        try:
+            await asyncio.to_thread(source.open, start.start_t_ns)
+            self._sensors[side] = source
+            # It is read where poses are made, so that these are of its newest samples; failures are waited for here.
+            failed = self._failures[side] = asyncio.get_running_loop().create_future()
+            await failed
+        finally:
+            self._sensors.pop(side, None)
+            await asyncio.to_thread(source.close)
+
+    def _read_sensors(self, node: Node) -> None:
+        for side, source in list(self._sensors.items()):
+            try:
+                samples = source.read(node.clock.now_ns())
+            except DeviceError as error:
+                del self._sensors[side]
+                if not self._failures[side].done():
+                    self._failures[side].set_exception(error)
+                continue
+            if len(samples):
+                self._works(f"{side} sensor")
+                node.status.counts[f"{side}_samples"] += len(samples)
+                self._stage.imu(side, samples)
+
+    async def _publish(self, node: Node) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        published_ns = 0
+        while True:
+            begun = time.perf_counter()
+            try:
+                self._read_sensors(node)
+                t_ns = self._stage.due_ns(node.clock.now_ns())
+                outputs = self._stage.poses(t_ns) if t_ns > published_ns else []
+            except (ValueError, ArithmeticError) as error:
+                self._failed(node, error)
+                outputs = []
+            else:
+                published_ns = max(published_ns, t_ns)
+            node.status.latency("pose", time.perf_counter() - begun)
+            for key, message in outputs:
+                node.publish(key, message)
+                if isinstance(message, FootPose):
+                    node.status.tick(f"{message.side}_{message.stage}")
+            # Too slow for the rate: what is past is skipped instead of run after.
+            due = max(due + _PERIOD_S, loop.time())
+            await asyncio.sleep(due - loop.time())
+
+    def _failed(self, node: Node, error: Exception) -> None:
+        """Begin afresh: what the core cannot digest costs its memory, never the service."""
+        node.status.count("failed")
+        node.status.error(f"feet: {type(error).__name__}: {error}")
+        logger.error("feet could not digest a measurement and start afresh", exc_info=error)
+        self._stage = FootStage(self._config)

@@ -1,0 +1,88 @@
+"""The foot tracker's evaluation: a short run from picture to table, and figures of made-up runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from numpy.typing import NDArray
+
+from rhot.errors import ConfigError
+from rhot.sim.walker.folder import write_walker_rig
+from rhot_bench.evaluate_feet import RUNS, feet
+from rhot_bench.feet_runs import SIDES, STAGES, Played, Run, Track, play
+from rhot_bench.feet_sections import feet_sections
+
+
+def made_up(run: Run, error_m: NDArray[np.float64], *, measured: NDArray[np.bool_]) -> Played:
+    count = len(error_m)
+    stage = np.where(measured, STAGES.index("marker"), STAGES.index("lost"))
+    track = Track(error_m, measured, stage, np.zeros(count, np.bool_), np.ones(count))
+    thesis = Track(10.0 * error_m, measured, stage, np.zeros(count, np.bool_), np.ones(count))
+    t_s = np.linspace(0.0, 0.01 * (count - 1), count)
+    return Played(
+        run,
+        1,
+        t_s,
+        np.full(count, 0.01),
+        dict.fromkeys(SIDES, track),
+        dict.fromkeys(SIDES, thesis),
+        np.empty((0, 2)),
+        [],
+        np.full(10, 0.005),
+        np.full(count, 0.001),
+        np.full(4, 0.03),
+        0,
+        {},
+    )
+
+
+def test_a_short_run_from_picture_to_knee(tmp_path: Path) -> None:
+    rig = write_walker_rig(tmp_path / "rig", endpoint="tcp/127.0.0.1:1")
+    pictures: list[None] = []
+    played = play(RUNS["still"], rig, 1, 0.5, lambda: pictures.append(None))
+    assert len(pictures) >= 25
+    for side in SIDES:
+        track = played.ours[side]
+        assert track.measured[-10:].all()
+        assert np.max(1e3 * track.error_m[-10:]) < 5.0
+        assert np.isfinite(played.thesis[side].error_m[-10:]).all()
+    assert 0.005 < played.late_s[-10:].mean() < 0.02
+    assert played.knees_backwards == 0
+    assert len(played.knee_error_m) > 20
+
+
+def test_averages_leave_out_what_is_not_measured() -> None:
+    error_m = np.full(400, 0.004)
+    measured = np.ones(400, np.bool_)
+    error_m[300:], measured[300:] = 0.5, False
+    run = RUNS["marker_moving"]
+    rows = {row.name: row for section in feet_sections({run.name: [made_up(run, error_m, measured=measured)]})
+            for row in section.rows}  # fmt: skip
+    average = rows["marker moving, average"]
+    assert average.value == pytest.approx(4.0)
+    assert average.verdict == "met"
+    assert rows["marker moving, worst"].value == pytest.approx(4.0)
+    assert rows["    the thesis's tracker on the same data"].value == pytest.approx(40.0)
+    assert rows["marker_moving: measured"].value == pytest.approx(75.0)
+    assert rows["one core at 60 pictures and 2x100 samples a second"].value == pytest.approx(40.0)
+
+
+def test_the_worst_of_a_task_shows_both_measured_and_predicted() -> None:
+    error_m, measured = np.full(400, 0.002), np.ones(400, np.bool_)
+    error_m[10] = 0.2
+    error_m[20], measured[20] = 0.4, False
+    run = RUNS["task_walk"]
+    rows = {row.name: row for section in feet_sections({run.name: [made_up(run, error_m, measured=measured)]})
+            for row in section.rows}  # fmt: skip
+    assert rows["walk, worst"].value == pytest.approx(200.0)
+    assert rows["walk, worst"].verdict == "missed"
+    assert rows["    worst while only predicted"].value == pytest.approx(400.0)
+
+
+def test_an_unknown_run_is_named() -> None:
+    result = CliRunner().invoke(feet, ["--runs", "still,flying"])
+    assert isinstance(result.exception, ConfigError)
+    assert "flying" in str(result.exception)

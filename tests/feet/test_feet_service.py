@@ -1,0 +1,170 @@
+"""The feet service on a real bus with devices that can be pulled out."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from still_feet import FEET, head, picture, standing_samples
+
+from rhot.bus import Bus
+from rhot.clock import SystemClock
+from rhot.errors import ConfigError, DeviceError
+from rhot.messages import Control, FootPose, HeadPose, ServiceStatus, decode
+from rhot.rig import BusConfig, Rig, load_rig
+from rhot.service import runner
+from rhot.service.runner import serve
+from rhot.sim.walker.folder import write_walker_rig
+from rhot_feet import service as feet_service
+from rhot_feet.frames import DepthFrame
+from rhot_feet.imu_sources import ImuSamples
+from rhot_feet.service import FeetService
+
+LIMIT_S = 15.0
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the status nor a device that is absent is waited for longer than needed."""
+    monkeypatch.setattr(runner, "_STATUS_INTERVAL_S", 0.05)
+    monkeypatch.setattr(feet_service, "_RETRY_S", 0.05)
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    return write_walker_rig(tmp_path / "rig", endpoint="tcp/127.0.0.1:1")
+
+
+class Camera:
+    """Shows the standing person twenty times a second, unless it is pulled out."""
+
+    finished = False
+
+    def __init__(self) -> None:
+        self.plugged = True
+        self.index = 0
+
+    def open(self, start_ns: int) -> None:
+        if not self.plugged:
+            raise DeviceError("no camera on any port")
+
+    def read(self, timeout_s: float) -> DepthFrame | None:
+        if not self.plugged:
+            raise DeviceError("the camera went away")
+        time.sleep(0.05)
+        self.index += 1
+        return picture(self.index, time.time_ns() - 30_000_000)
+
+    def close(self) -> None:
+        return
+
+
+class Sensor:
+    """Stands still, unless it is pulled out."""
+
+    def __init__(self) -> None:
+        self.plugged = True
+        self.last_ns = 0
+
+    def open(self, start_ns: int) -> None:
+        if not self.plugged:
+            raise DeviceError("no sensor on any port")
+
+    def read(self, now_ns: int) -> ImuSamples:
+        if not self.plugged:
+            raise DeviceError("the sensor went away")
+        self.last_ns = max(self.last_ns, now_ns - 50_000_000)
+        count = (now_ns - self.last_ns) // 10_000_000
+        samples = standing_samples(self.last_ns + 10_000_000, int(count))
+        self.last_ns += 10_000_000 * int(count)
+        return samples
+
+    def close(self) -> None:
+        return
+
+
+@asynccontextmanager
+async def running(rig: Rig, router: BusConfig, camera: Camera, sensor: Sensor) -> AsyncIterator[Bus]:
+    """Run the service and move the head; yields a session of the test's own."""
+    service = FeetService(rig, open_camera=lambda _rig, _now: camera, sensors=lambda _rig, _feet: {"left": sensor})
+    tasks: list[asyncio.Task[int] | asyncio.Task[None]] = [asyncio.create_task(serve(service, router, SystemClock()))]
+    try:
+        async with await Bus.open(router) as bus:
+            tasks.append(asyncio.create_task(_hold_head(bus)))
+            control = bus.publisher("rhot/control", Control, reliable=True)
+            assert await control.wait_for_reader(LIMIT_S)
+            now_ns = time.time_ns()
+            control.put(Control(t_ns=now_ns, action="start", session="s", start_t_ns=now_ns))
+            yield bus
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _hold_head(bus: Bus) -> None:
+    publisher = bus.publisher("rhot/head", HeadPose)
+    while True:
+        publisher.put(head(time.time_ns()))
+        await asyncio.sleep(0.015)
+
+
+async def foot(bus: Bus, wanted: Callable[[FootPose], bool]) -> FootPose:
+    mailbox = bus.events("rhot/foot/*")
+    async with asyncio.timeout(LIMIT_S):
+        async for sample in mailbox:
+            pose = decode(sample.payload, FootPose)
+            if wanted(pose):
+                return pose
+    raise AssertionError("no such foot")
+
+
+async def status(bus: Bus, wanted: Callable[[ServiceStatus], bool]) -> ServiceStatus:
+    async with asyncio.timeout(LIMIT_S):
+        while True:
+            replies = await bus.get("rhot/status/feet/main", timeout_s=1.0)
+            if replies and wanted(found := decode(replies[0].payload, ServiceStatus)):
+                return found
+            await asyncio.sleep(0.02)
+
+
+async def test_a_camera_that_is_pulled_out_comes_back(rig: Rig, router: BusConfig) -> None:
+    camera, sensor = Camera(), Sensor()
+    async with running(rig, router, camera, sensor) as bus:
+        await foot(bus, lambda pose: pose.side == "left" and pose.stage == "marker")
+        camera.plugged = False
+        pose = await foot(bus, lambda pose: pose.side == "left" and pose.stage == "inertial")
+        assert pose.state == "measured", "its sensor feels that it stands"
+        await foot(bus, lambda pose: pose.side == "right" and pose.state == "predicted")
+        said = await status(bus, lambda status: "camera" in status.problem)
+        assert said.counts["device_errors"] >= 1
+        camera.plugged = True
+        await foot(bus, lambda pose: pose.side == "right" and pose.stage == "marker")
+        await status(bus, lambda status: not status.problem)
+
+
+async def test_a_sensor_that_is_pulled_out_comes_back(rig: Rig, router: BusConfig) -> None:
+    camera, sensor = Camera(), Sensor()
+    async with running(rig, router, camera, sensor) as bus:
+        await foot(bus, lambda pose: pose.side == "left" and pose.stationary)
+        sensor.plugged = False
+        await foot(bus, lambda pose: pose.side == "left" and not pose.stationary and pose.stage == "marker")
+        assert "sensor" in (await status(bus, lambda status: bool(status.problem))).problem
+        sensor.plugged = True
+        await foot(bus, lambda pose: pose.side == "left" and pose.stationary)
+        await status(bus, lambda status: not status.problem)
+
+
+def test_a_rig_without_feet_is_refused(rig_folder: Path) -> None:
+    with pytest.raises(ConfigError, match="names no feet"):
+        FeetService(load_rig(rig_folder))
+
+
+def test_without_cameras_its_clock_is_the_rigs(rig: Rig) -> None:
+    assert rig.config.feet is not None
+    assert FEET.feet.keys() == rig.config.feet.feet.keys()
+    assert FeetService(rig).owns_clock

@@ -1,0 +1,97 @@
+"""The core of the feet service on pictures of a standing person: what comes out, and when it stops coming."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from still_feet import FEET, head, picture, places, standing_samples
+
+from rhot.messages import FootPose
+from rhot_feet.foot_stage import FootStage
+
+START_NS = 1_700_000_000_000_000_000
+FRAME_NS = 33_000_000
+
+
+def ns(t_s: float) -> int:
+    return START_NS + round(1e9 * t_s)
+
+
+def see(stage: FootStage, first: int, count: int, shift_m: NDArray[np.float64] | None = None) -> int:
+    """Show pictures with the head's poses around them; return the time of the last."""
+    t_ns = START_NS
+    for k in range(first, first + count):
+        t_ns = START_NS + k * FRAME_NS
+        for late_ns in (-5_000_000, 5_000_000):
+            stage.head(head(t_ns + late_ns, shift_m))
+        stage.frame(picture(k, t_ns))
+    return t_ns
+
+
+def poses(stage: FootStage, t_ns: int) -> dict[str, FootPose]:
+    return {key: message for key, message in stage.poses(t_ns) if isinstance(message, FootPose)}
+
+
+def off_mm(pose: FootPose) -> float:
+    return 1e3 * float(np.linalg.norm(np.array(pose.position) - places()[pose.side]))
+
+
+@pytest.mark.parametrize("method", ["filter", "thesis"])
+def test_standing_feet_are_found_where_they_are(method: str) -> None:
+    stage = FootStage(FEET.model_copy(update={"method": method}))
+    t_ns = see(stage, 0, 20)
+    assert stage.due_ns(t_ns + 30_000_000) == t_ns
+    found = poses(stage, t_ns)
+    assert set(found) == {"rhot/foot/left", "rhot/foot/right"}
+    for pose in found.values():
+        assert (pose.stage, pose.state, pose.t_ns) == ("marker", "measured", t_ns)
+        assert off_mm(pose) < 4.0
+
+
+def test_pictures_without_a_head_are_counted_and_not_used() -> None:
+    stage = FootStage(FEET)
+    stage.frame(picture(0, START_NS))
+    assert (stage.counts["frames"], stage.counts["no_head"]) == (1, 1)
+    assert poses(stage, START_NS) == {}
+
+
+def test_an_unseen_foot_is_predicted_for_a_while_and_then_gone() -> None:
+    stage = FootStage(FEET)
+    last_ns = see(stage, 0, 12)
+    soon = poses(stage, last_ns + 200_000_000)["rhot/foot/right"]
+    assert (soon.stage, soon.state) == ("lost", "predicted")
+    assert soon.sigma > 0.05
+    assert poses(stage, last_ns + 3_100_000_000) == {}
+
+
+def test_a_sensor_that_feels_its_foot_stand_keeps_it_measured() -> None:
+    stage = FootStage(FEET)
+    for k in range(30):
+        see(stage, k, 1)
+        stage.imu("left", standing_samples(START_NS + k * FRAME_NS - 30_000_000, 3))
+    last_ns = START_NS + 29 * FRAME_NS
+    stage.imu("left", standing_samples(last_ns, 400))
+    late = poses(stage, last_ns + 3_990_000_000)
+    assert set(late) == {"rhot/foot/left"}
+    pose = late["rhot/foot/left"]
+    assert (pose.stage, pose.state, pose.stationary) == ("inertial", "measured", True)
+    assert off_mm(pose) < 5.0
+
+
+def test_feet_are_found_again_where_nobody_expected_them() -> None:
+    stage = FootStage(FEET)
+    see(stage, 0, 12)
+    shift_m = np.array([0.0, 0.0, 1.0])
+    # A gap, as when a headset finds itself elsewhere: between the two places nothing is known.
+    t_ns = see(stage, 20, 45, shift_m)
+    for pose in poses(stage, t_ns).values():
+        assert 1e3 * np.linalg.norm(np.array(pose.position) - places()[pose.side] - shift_m) < 10.0
+    assert len(poses(stage, t_ns)) == 2
+
+
+def test_poses_go_on_a_little_behind_now_when_nothing_is_measured() -> None:
+    stage = FootStage(FEET.model_copy(update={"predict_s": 0.02}))
+    t_ns = see(stage, 0, 12)
+    assert stage.due_ns(t_ns) == t_ns + 20_000_000
+    assert stage.due_ns(t_ns + 500_000_000) == t_ns + 460_000_000
