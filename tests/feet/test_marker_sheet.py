@@ -5,8 +5,10 @@ import zlib
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from rhot.errors import CalibrationError, ConfigError
+from rhot_feet.marker_command import markers
 from rhot_feet.marker_sheet import write_marker_sheet
 
 MM = 72.0 / 25.4
@@ -40,3 +42,22 @@ def test_what_cannot_be_printed(tmp_path: Path) -> None:
         write_marker_sheet(tmp_path / "markers.pdf", {"left": 40}, "3X3_32", 0.06)
     with pytest.raises(ConfigError, match="cannot be written"):
         write_marker_sheet(tmp_path / "nowhere" / "markers.pdf", {"left": 0}, "3X3_32", 0.06)
+
+
+FEET = """
+[feet]
+[feet.left]
+marker_id = 1
+[feet.right]
+marker_id = 2
+"""
+
+
+def test_the_command_draws_the_markers_of_the_rig(rig_folder: Path, tmp_path: Path) -> None:
+    file = tmp_path / "markers.pdf"
+    with pytest.raises(ConfigError, match="names no feet"):
+        CliRunner().invoke(markers, [str(file), "--rig", str(rig_folder)], catch_exceptions=False)
+    (rig_folder / "rig.toml").write_text((rig_folder / "rig.toml").read_text() + FEET)
+    done = CliRunner().invoke(markers, [str(file), "--rig", str(rig_folder)], catch_exceptions=False)
+    assert "left 1 and right 2" in done.output
+    assert file.read_bytes().startswith(b"%PDF")

@@ -54,6 +54,7 @@ _COMMANDS: Final = {
 _CALIBRATIONS: Final = {
     "cameras": LazyCommand("Calibrate lenses and places of all cameras from pictures of a board.", extra="pc"),
     "board": LazyCommand("Draw a calibration board to print.", extra="pc"),
+    "markers": LazyCommand("Draw the feet's markers to print.", extra="pc"),
     "colors": LazyCommand("Learn the markers' colours from pictures, or import them.", extra="capture"),
     "depth": LazyCommand("Fit the law of depth over disparity to measured distances.", extra="fusion"),
     "hand": LazyCommand("Measure a hand: bone lengths and where its markers are.", extra="pc"),
