@@ -20,8 +20,6 @@ from rhot.sim.schedule import FrameSchedule
 from rhot.sim.world import World
 from rhot.skeleton import FINGERS
 
-pytestmark = pytest.mark.integration
-
 START_NS = 1_790_000_000_000_000_000
 SECONDS = 1.5
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -21,6 +21,7 @@ def across(hinge: NDArray[np.float64], line: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(np.cross(hinge, line / length))) if length > 1e-6 else 1.0
 
 
+@settings(max_examples=60)
 @given(vectors, vectors, directions)
 def test_bones_keep_their_lengths_and_the_knee_its_side(
     hip: NDArray[np.float64], ankle: NDArray[np.float64], hinge: NDArray[np.float64]
