@@ -9,7 +9,6 @@ from typing import Final
 import click
 import cv2
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rhot.errors import ConfigError
 from rhot.evaluate.html import html_report
@@ -20,7 +19,7 @@ from rhot.rig.folder import write_text_atomic
 from rhot.sim.walker.folder import write_walker_rig
 from rhot_bench.feet_runs import SIDES, Played, Run, play
 from rhot_bench.feet_sections import MM, TASKS, feet_sections
-from rhot_bench.output import json_option, show
+from rhot_bench.output import counted, json_option, show
 
 HEIGHTS_M: Final = (1.50, 1.60, 1.75, 1.90, 2.00)
 RUNS: Final = {
@@ -91,9 +90,8 @@ def feet(
     chosen = _chosen(runs)
     cv2.setNumThreads(1)
     console = Console(stderr=True, soft_wrap=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     done: dict[str, list[Played]] = {}
-    with Progress(*columns, console=console, transient=True) as progress, tempfile.TemporaryDirectory() as folder:
+    with counted(console) as progress, tempfile.TemporaryDirectory() as folder:
         rig = _rig(rig_path, Path(folder) / "rig")
         rate_hz = rig.config.feet.camera.rate_hz if rig.config.feet else 60.0
         seconds = {run.name: duration_s * _LONGER.get(run.name, 1.0) for run in chosen}

@@ -10,14 +10,13 @@ import click
 import cv2
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rhot.evaluate.html import html_report
 from rhot.evaluate.rows import check_output
 from rhot.evaluate.svg import histogram, line_plot
 from rhot.rig import Rig
 from rhot.rig.folder import write_text_atomic
-from rhot_bench.output import json_option, show
+from rhot_bench.output import counted, json_option, show
 from rhot_bench.simulated_rig import simulated_rig
 from rhot_bench.tracking import MM, SETTLE_S, Scene, Tracked, run_scene, tracking_sections
 
@@ -100,10 +99,9 @@ def tracking(
     }
     console = Console(stderr=True, soft_wrap=True)
     cv2.setNumThreads(1)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     done: dict[str, Tracked] = {}
     with (
-        Progress(*columns, console=console, transient=True) as progress,
+        counted(console) as progress,
         simulated_rig(rig_path, progress, seed) as given,
     ):
         rig = given if method is None else _with_method(given, method)

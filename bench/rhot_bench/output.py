@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import click
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rhot.evaluate.rows import Section, as_json, missed, section_table
 from rhot.rig.folder import write_text_atomic
@@ -23,6 +24,12 @@ def json_option(command: F) -> F:
         type=click.Path(path_type=Path, dir_okay=False),
         help="Write every figure as JSON to this file.",
     )(command)
+
+
+def counted(console: Console) -> Progress:
+    """Return a display of work that is counted, with the time it still takes; it goes when the work is done."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, transient=True)
 
 
 def show(command: str, sections: Sequence[Section], json_path: Path | None, **about: Any) -> None:

@@ -141,20 +141,29 @@ class PointSet(Message):
     points: Annotated[dict[Name, Point], Field(max_length=256)]
 
 
-class Joint(WireModel):
-    """One joint of the hand.
+class Pose(WireModel):
+    """A place and an orientation.
 
     Attributes:
         position: metres.
-        orientation: unit quaternion x, y, z, w; OpenXR axes, +Z from tip to wrist, +Y out of the back of the hand.
-        radius: of the flesh around it, metres.
+        orientation: unit quaternion x, y, z, w.
     """
 
     position: Position
     orientation: Quaternion
-    radius: Annotated[float, Field(ge=0.0, le=1.0)]
 
     _norm = field_validator("orientation")(_unit_quaternion)
+
+
+class Joint(Pose):
+    """One joint of the hand.
+
+    Attributes:
+        orientation: unit quaternion x, y, z, w; OpenXR axes, +Z from tip to wrist, +Y out of the back of the hand.
+        radius: of the flesh around it, metres.
+    """
+
+    radius: Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class FingerAngles(WireModel):
@@ -248,21 +257,12 @@ class FootPose(Message):
     _norm = field_validator("orientation")(_unit_quaternion)
 
 
-class BodyJoint(WireModel):
+class BodyJoint(Pose):
     """One joint of hips and legs.
 
     A joint's frame has +X to the body's right, +Y along the bone towards the hips and +Z backwards when the person
     stands upright; a knee's frame is that of the shank, an ankle's and a foot's that of the foot.
-
-    Attributes:
-        position: metres.
-        orientation: unit quaternion x, y, z, w.
     """
-
-    position: Position
-    orientation: Quaternion
-
-    _norm = field_validator("orientation")(_unit_quaternion)
 
 
 class LegAngles(WireModel):
@@ -365,18 +365,8 @@ class ServiceStatus(Message):
     clock_uncertainty_s: float | None = None
 
 
-class TruePose(WireModel):
-    """A pose of the simulated world.
-
-    Attributes:
-        position: metres.
-        orientation: unit quaternion x, y, z, w.
-    """
-
-    position: Position
-    orientation: Quaternion
-
-    _norm = field_validator("orientation")(_unit_quaternion)
+class TruePose(Pose):
+    """A pose of the simulated world."""
 
 
 class Truth(Message):
@@ -446,7 +436,7 @@ def first_problem(error: ValidationError) -> str:
     problems = error.errors(include_url=False)
     first = problems[0]
     where = ".".join(str(part) for part in first["loc"]) or "(whole)"
-    text = f"{where}: {first['msg']}"
+    text = f"{where}: {first['msg'].removeprefix('Value error, ')}"
     if first["type"] != "missing":
         text += f", got {_short(first['input'])}"
     return text if len(problems) == 1 else f"{text} (and {len(problems) - 1} more)"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rhot.errors import ConfigError, DeviceError
-from rhot_capture.grabber import Grabber
+from rhot_capture.grabber import grab
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources import Frame
 
@@ -49,7 +49,7 @@ async def wait_for_reads(source: ScriptedSource, count: int) -> None:
 
 async def test_the_newest_frame_is_delivered_and_the_others_are_counted() -> None:
     source = ScriptedSource()
-    grabber = Grabber(source)
+    grabber = grab(source)
     for index in (0, 1, 4):
         source.items.put(frame(index))
     grabber.start()
@@ -63,7 +63,7 @@ async def test_the_newest_frame_is_delivered_and_the_others_are_counted() -> Non
 
 async def test_a_reader_waits_for_the_next_frame() -> None:
     source = ScriptedSource()
-    grabber = Grabber(source)
+    grabber = grab(source)
     grabber.start()
     waiting = asyncio.create_task(grabber.next_frame())
     await wait_for_reads(source, 1)
@@ -77,7 +77,7 @@ async def test_a_reader_waits_for_the_next_frame() -> None:
 
 async def test_every_frame_arrives_when_the_reader_keeps_up() -> None:
     source = ScriptedSource()
-    grabber = Grabber(source)
+    grabber = grab(source)
     grabber.start()
     for index in range(50):
         source.items.put(frame(index))
@@ -92,7 +92,7 @@ async def test_the_last_frame_comes_before_the_end() -> None:
     source = ScriptedSource()
     source.items.put(frame(0))
     source.items.put(None)
-    grabber = Grabber(source)
+    grabber = grab(source)
     grabber.start()
     await wait_for_reads(source, 2)
     assert (await asyncio.wait_for(grabber.next_frame(), 5.0)) is not None
@@ -110,7 +110,7 @@ async def test_the_last_frame_comes_before_the_end() -> None:
 async def test_errors_reach_the_reader(raised: Exception, expected: type[Exception], words: str) -> None:
     source = ScriptedSource()
     source.items.put(raised)
-    grabber = Grabber(source, "left")
+    grabber = grab(source, "left")
     grabber.start()
     with pytest.raises(expected, match=words):
         await asyncio.wait_for(grabber.next_frame(), 5.0)
@@ -119,7 +119,7 @@ async def test_errors_reach_the_reader(raised: Exception, expected: type[Excepti
 
 async def test_stop_ends_a_waiting_reader_and_closes_the_source() -> None:
     source = ScriptedSource()
-    grabber = Grabber(source)
+    grabber = grab(source)
     grabber.start()
     waiting = asyncio.create_task(grabber.next_frame())
     await wait_for_reads(source, 1)
@@ -136,7 +136,7 @@ async def test_a_driver_that_hangs_does_not_hold_up_the_stop() -> None:
             self.closed.set()
 
     source = Hanging()
-    grabber = Grabber(source)
+    grabber = grab(source)
     grabber.start()
     await wait_for_reads(source, 1)
     begun = time.monotonic()
@@ -147,4 +147,4 @@ async def test_a_driver_that_hangs_does_not_hold_up_the_stop() -> None:
 
 async def test_reading_before_the_start_is_an_error() -> None:
     with pytest.raises(DeviceError, match="not started"):
-        await Grabber(ScriptedSource()).next_frame()
+        await grab(ScriptedSource()).next_frame()

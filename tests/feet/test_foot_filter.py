@@ -10,10 +10,10 @@ from foot_walk import START_NS, Walk
 from numpy.typing import NDArray
 
 from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
+from rhot.turns import rotation_between
 from rhot_feet.alignment import AlignmentLearner
 from rhot_feet.foot_filter import FootFilter
 from rhot_feet.foot_filter_model import FootState
-from rhot_feet.foot_rotation import rotation_between
 from rhot_feet.imu_sources import ImuSamples
 from rhot_feet.inertial import FusedReader, up_rotation
 from rhot_feet.thesis_filter import ThesisFilter

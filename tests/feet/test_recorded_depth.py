@@ -78,7 +78,10 @@ def test_times_and_lens_may_come_from_the_caller(folder: Path) -> None:
         ),
         (lambda path: (path / "intrinsics.json").write_text("{"), "not JSON"),
         (lambda path: (path / "intrinsics.json").write_bytes(b"\xff\xfe"), "cannot be read"),
-        (lambda path: (path / "intrinsics.json").write_text(json.dumps(LENS | {"distortion": [0.1]})), "has 1 numbers"),
+        (
+            lambda path: (path / "intrinsics.json").write_text(json.dumps(LENS | {"distortion": [0.1]})),
+            "14 coefficients, not 1",
+        ),
         (
             lambda path: (path / "intrinsics.json").write_text(json.dumps(LENS | {"K": [[0, 0, 1]] * 3})),
             "positive focal lengths",

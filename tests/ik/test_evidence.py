@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 
 from rhot.rotations import rotation_from_vector
+from rhot.turns import turn_between
 from rhot_ik.evidence import EvidenceModel, HandObservation
 from rhot_ik.sight import Sight
-from rhot_ik.turns import turn_between
 
 
 def test_two_points_of_the_wrist_turn_it_the_shortest_way_and_leave_the_turn_about_their_line() -> None:

@@ -9,9 +9,9 @@ from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
 from rhot.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
 from rhot.skeleton import FINGERS
+from rhot.turns import orthonormal, quaternion_from_turn, symmetric_inverse, turn_from_vector, vector_from_turn
 from rhot_ik.finger_geometry import FingerGeometry
 from rhot_ik.kinematics import HandKinematics
-from rhot_ik.turns import orthonormal, quaternion_from_turn, symmetric_inverse, turn_from_vector, vector_from_turn
 
 FloatArray = NDArray[np.float64]
 

@@ -21,6 +21,7 @@ from rhot.sim.coverage import MarkerCoverage
 from rhot.sim.world import World
 from rhot.skeleton import FINGERS, JOINTS
 from rhot.stage import Output
+from rhot.wire_vectors import wire_position
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -127,13 +128,13 @@ def simulated_points(
                 corners = _corners(world, sample.joints[world.markers[name].hand], row, name, position, rng, noise)
                 sigma = float(np.sqrt(2.0 * noise.sideways_m**2 + noise.depth_m**2))
                 points[name] = Point(
-                    position=_triple(position), sigma=sigma, views=2, state="measured", corners=corners
+                    position=wire_position(position), sigma=sigma, views=2, state="measured", corners=corners
                 )
             elif name in last and t_s - last[name][0] <= noise.bridge_s:
                 gone_s, position, velocity = t_s - last[name][0], last[name][1], last[name][2]
                 carried = position + velocity * 0.05 * (1.0 - np.exp(-gone_s / 0.05))
                 points[name] = Point(
-                    position=_triple(carried), sigma=min(0.002 + 0.1 * gone_s, 1.0), views=0, state="predicted"
+                    position=wire_position(carried), sigma=min(0.002 + 0.1 * gone_s, 1.0), views=0, state="predicted"
                 )
         yield PointSet(t_ns=START_NS + round(t_s * 1e9), frame="rig", points=points)
 
@@ -223,13 +224,8 @@ def _corners(
     noisy = np.array(
         [corner + _noise(rng, corner, noise.corner_sideways_m, noise.corner_depth_m) for corner in corners]
     )
-    a, b, c, d = (_triple(corner) for corner in noisy - noisy.mean(axis=0) + centre)
+    a, b, c, d = (wire_position(corner) for corner in noisy - noisy.mean(axis=0) + centre)
     return (a, b, c, d)
-
-
-def _triple(values: FloatArray) -> Position:
-    x, y, z = values.tolist()
-    return (x, y, z)
 
 
 def _mean(values: FloatArray) -> float:

@@ -93,7 +93,7 @@ def load_camera(path: Path, name: str, timing: TrackTiming | None = None) -> Cam
     if not path.is_dir():
         wanted = ", ".join(VIDEO_SUFFIXES)
         raise ConfigError(f"{path}: camera {name} needs a folder of pictures or a video ({wanted}), found neither")
-    pictures = _numbered_pictures(path)
+    pictures = numbered_pictures(path)
     markers = path / MARKERS_FILE
     if markers.exists():
         if pictures:
@@ -141,13 +141,19 @@ def _is_camera_folder(path: Path) -> bool:
     )
 
 
-def _numbered_pictures(path: Path) -> dict[int, Path]:
+def numbered_pictures(path: Path, suffixes: tuple[str, ...] = PICTURE_SUFFIXES) -> dict[int, Path]:
+    """Return the pictures of a folder by their frame numbers, in order.
+
+    Raises:
+        ConfigError: a picture's name is no number, or a number is there twice.
+    """
     pictures: dict[int, Path] = {}
     for file in sorted(path.iterdir()):
-        if file.suffix.lower() not in PICTURE_SUFFIXES or file.name.startswith("."):
+        if file.suffix.lower() not in suffixes or file.name.startswith("."):
             continue
         if not (file.stem.isascii() and file.stem.isdigit()):
-            raise ConfigError(f"{file}: a picture's name is its frame number, such as 000042.jpg; rename or remove it")
+            example = f"000042{suffixes[0]}"
+            raise ConfigError(f"{file}: a picture's name is its frame number, such as {example}; rename or remove it")
         frame = int(file.stem)
         if frame in pictures:
             raise ConfigError(f"{file}: frame {frame} is there twice, also as {pictures[frame].name}; keep one")

@@ -53,21 +53,19 @@ class CalibrationFile(FileModel):
     quality: Any = {}
 
 
-class CameraCalibration(FileModel):
-    """One calibrated camera.
+class Intrinsics(FileModel):
+    """The lens of one camera.
 
     Attributes:
         width, height: pixels of the pictures that it was calibrated with.
         K: 3x3 intrinsics, pixels.
         distortion: k1, k2, p1, p2, k3, … in OpenCV's order; 0, 4, 5, 8, 12 or 14 numbers.
-        T_rig_camera: 4x4, maps camera coordinates to rig coordinates, metres.
     """
 
     width: Annotated[int, Field(gt=0)]
     height: Annotated[int, Field(gt=0)]
     K: Matrix3
     distortion: tuple[float, ...] = ()
-    T_rig_camera: Matrix4
 
     @field_validator("K")
     @classmethod
@@ -82,6 +80,16 @@ class CameraCalibration(FileModel):
         if len(distortion) not in (0, 4, 5, 8, 12, 14):
             raise ValueError(f"OpenCV's models have 0, 4, 5, 8, 12 or 14 coefficients, not {len(distortion)}")
         return distortion
+
+
+class CameraCalibration(Intrinsics):
+    """One calibrated camera.
+
+    Attributes:
+        T_rig_camera: 4x4, maps camera coordinates to rig coordinates, metres.
+    """
+
+    T_rig_camera: Matrix4
 
     @field_validator("T_rig_camera")
     @classmethod

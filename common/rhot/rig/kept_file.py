@@ -122,6 +122,27 @@ class KeptFile(Generic[F]):
         except OSError as error:
             raise self._unwritable(error) from error
 
+    def enabled(self, found: F | None) -> set[str]:
+        """Return which of `try`, `save` and `undo` can be pressed, with something to try or without."""
+        return (
+            ({"try"} if found is not None else set())
+            | ({"save"} if self.on_trial else set())
+            | ({"undo"} if self.can_undo else set())
+        )
+
+    def press(self, button: str, found: F | None) -> None:
+        """Try what was found, save or undo; any other button is not ours.
+
+        Raises:
+            ConfigError: see `try_out`, `save` and `undo`.
+        """
+        if button == "try" and found is not None:
+            self.try_out(found)
+        elif button == "save":
+            self.save()
+        elif button == "undo":
+            self.undo()
+
     def _unwritable(self, error: OSError) -> ConfigError:
         return ConfigError(f"{self.path}: cannot be kept: {error.strerror or error}")
 

@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from rhot.messages import TruePose
 from rhot.rotations import quaternion_from_rotation
+from rhot.wire_vectors import wire_position, wire_quaternion
 
 
 def true_pose(T: NDArray[np.float64]) -> TruePose:
     """Return the message's form of a transform (4, 4), metres."""
-    x, y, z = (float(value) for value in T[:3, 3])
-    qx, qy, qz, qw = (float(value) for value in quaternion_from_rotation(T[:3, :3]))
-    return TruePose(position=(x, y, z), orientation=(qx, qy, qz, qw))
+    return TruePose(position=wire_position(T[:3, 3]), orientation=wire_quaternion(quaternion_from_rotation(T[:3, :3])))

@@ -22,6 +22,7 @@ from rhot.sim.script import ScriptedMotion
 from rhot.sim.true_pose import true_pose
 from rhot.sim.walker.world import WalkerWorld
 from rhot.skeleton import JOINTS
+from rhot.wire_vectors import wire_position, wire_quaternion
 
 FloatArray = NDArray[np.float64]
 
@@ -126,7 +127,7 @@ class World:
             t_ns=t_ns,
             seq=seq,
             frame="rig",
-            points={name: _triple(points[0]) for name, points in sample.markers.items()},
+            points={name: wire_position(points[0]) for name, points in sample.markers.items()},
             hands={side: _joint_poses(joints) for side, joints in sample.joints.items()},
             objects={name: true_pose(T[0]) for name, T in sample.objects.items()},
             head=None if walking is None else walking.head,
@@ -150,16 +151,6 @@ def _board_motion(rig: Rig, board: ChessBoard) -> BoardMotion:
 def _joint_poses(joints: HandJoints) -> dict[str, TruePose]:
     quaternions = quaternion_from_rotation(joints.rotations[0])
     return {
-        name: TruePose(position=_triple(position), orientation=_quadruple(quaternion))
+        name: TruePose(position=wire_position(position), orientation=wire_quaternion(quaternion))
         for name, position, quaternion in zip(JOINTS, joints.positions[0], quaternions, strict=True)
     }
-
-
-def _triple(values: FloatArray) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
-
-
-def _quadruple(values: FloatArray) -> tuple[float, float, float, float]:
-    x, y, z, w = (float(value) for value in values)
-    return x, y, z, w

@@ -1,143 +1,16 @@
-"""A thread that reads a source and keeps the newest frame only.
-
-A reader that is late finds the newest frame and a count of those it missed; it never works through a backlog.
-"""
+"""The newest frame of a capture source; see `rhot.service.grabber`."""
 
 from __future__ import annotations
 
-import asyncio
-import logging
-import threading
-from dataclasses import dataclass
-from typing import Final
-
-from rhot.errors import DeviceError, RhotError
+from rhot.service.grabber import Grabber
 from rhot_capture.sources.frame import Frame, Source
 
-_LOG = logging.getLogger(__name__)
-_JOIN_S: Final = 1.0
 
+def grab(source: Source, name: str = "camera") -> Grabber[Frame]:
+    """Return a grabber of an opened source, which from its start on is read on the grabber's thread only.
 
-@dataclass(frozen=True, slots=True)
-class GrabberCounts:
-    """What a grabber did since it started.
-
-    Attributes:
-        read: frames that the source delivered.
-        dropped_late: frames replaced by a newer one before anybody took them.
-        missed: frames that the source itself never delivered, by gaps in its counter.
+    Args:
+        source: to read.
+        name: of the camera, for messages.
     """
-
-    read: int = 0
-    dropped_late: int = 0
-    missed: int = 0
-
-
-class Grabber:
-    """Runs a source on its own thread and hands the newest frame to one reader in an event loop."""
-
-    def __init__(self, source: Source, name: str = "camera") -> None:
-        """Wrap an opened source; `start` begins to read it.
-
-        Args:
-            source: its `read` is called on the grabber's thread only.
-            name: for the thread and for messages.
-        """
-        self._source = source
-        self._name = name
-        self._lock = threading.Lock()
-        self._stopping = threading.Event()
-        self._frame: Frame | None = None
-        self._error: Exception | None = None
-        self._ended = False
-        self._counts = GrabberCounts()
-        self._last_index: int | None = None
-        self._wake: asyncio.Event | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._thread: threading.Thread | None = None
-
-    @property
-    def counts(self) -> GrabberCounts:
-        """Counts so far; may be read from any thread."""
-        with self._lock:
-            return self._counts
-
-    def start(self) -> None:
-        """Start the thread; call it inside the event loop that will read."""
-        self._loop = asyncio.get_running_loop()
-        self._wake = asyncio.Event()
-        self._thread = threading.Thread(target=self._run, name=f"grab-{self._name}", daemon=True)
-        self._thread.start()
-
-    async def next_frame(self) -> Frame | None:
-        """Wait for a frame that was not taken yet and return the newest; None when the source has ended.
-
-        Raises:
-            RhotError: what the source raised; a foreign error comes as DeviceError.
-        """
-        if self._wake is None:
-            raise DeviceError(f"camera {self._name}: the grabber was not started")
-        while True:
-            # Cleared before the slot is looked at: a frame that arrives in between sets it again.
-            self._wake.clear()
-            with self._lock:
-                frame, self._frame = self._frame, None
-                error, ended = self._error, self._ended
-            if frame is not None:
-                return frame
-            if error is not None:
-                if isinstance(error, RhotError):
-                    raise error
-                raise DeviceError(f"camera {self._name}: {type(error).__name__}: {error}") from error
-            if ended:
-                return None
-            await self._wake.wait()
-
-    async def stop(self) -> None:
-        """Stop the thread and close the source; returns within about a second even when a driver hangs."""
-        self._stopping.set()
-        thread = self._thread
-        await asyncio.to_thread(self._source.close)
-        if thread is not None:
-            await asyncio.to_thread(thread.join, _JOIN_S)
-            if thread.is_alive():
-                _LOG.warning("camera %s: its driver does not return; left behind", self._name)
-        with self._lock:
-            self._frame = None
-            self._ended = True
-
-    def _run(self) -> None:
-        try:
-            while not self._stopping.is_set():
-                frame = self._source.read()
-                if frame is None:
-                    break
-                self._store(frame)
-                del frame  # else the camera's memory would stay taken during the next read
-        except Exception as error:
-            with self._lock:
-                self._error = error
-        finally:
-            with self._lock:
-                self._ended = True
-            self._notify()
-
-    def _store(self, frame: Frame) -> None:
-        with self._lock:
-            counts = self._counts
-            gap = 0 if self._last_index is None else max(0, frame.index - self._last_index - 1)
-            self._counts = GrabberCounts(
-                counts.read + 1, counts.dropped_late + (self._frame is not None), counts.missed + gap
-            )
-            self._last_index = frame.index
-            self._frame = frame
-        self._notify()
-
-    def _notify(self) -> None:
-        if self._loop is None or self._wake is None:
-            return
-        try:
-            self._loop.call_soon_threadsafe(self._wake.set)
-        except RuntimeError:
-            # The loop closed while the driver was still reading; nobody is left to be told.
-            self._stopping.set()
+    return Grabber(f"camera {name}", lambda: iter(source.read, None), source.close)

@@ -20,10 +20,11 @@ from rhot.messages import Control, MarkerFrame
 from rhot.rig import Rig
 from rhot.rig.colors import ColorsFile, load_colors
 from rhot.service import Node
+from rhot.service.grabber import Grabber
 from rhot_capture.color_table import ImageArray, build_color_table
 from rhot_capture.detector import Detection, MarkerDetector
 from rhot_capture.frame_stream import FrameStream
-from rhot_capture.grabber import Grabber
+from rhot_capture.grabber import grab
 from rhot_capture.preview import marker_mask, preview_jpeg, preview_png
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources import Frame, Source, open_source
@@ -81,7 +82,7 @@ class CaptureService:
         self._detector = MarkerDetector(rig.config.markers, table, *self._size)
         self._publisher: Publisher[MarkerFrame] | None = None
         self._frame_stream: FrameStream | None = None
-        self._grabber: Grabber | None = None
+        self._grabber: Grabber[Frame] | None = None
         self._source: Source | None = None
         # Detection has a thread of its own: the event loop must stay free to answer clock and preview queries.
         self._detecting = ThreadPoolExecutor(1, thread_name_prefix="detect")
@@ -150,7 +151,7 @@ class CaptureService:
         """Open the camera, start at the start time (or join late) and publish until cancelled."""
         source = open_source(self.instance, self._rig, self._clock)
         start_ns = node.node_clock.now_ns() + start.start_t_ns - node.clock.now_ns()
-        grabber = Grabber(source, self.instance)
+        grabber = grab(source, self.instance)
         try:
             await asyncio.to_thread(source.open, start_ns, start.start_t_ns)
             if self._is_changed():

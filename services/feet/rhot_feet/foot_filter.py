@@ -84,7 +84,6 @@ class FootFilter:
         self._by_sensor: History[InertialState] | None = None
         self._by_sight: History[KinematicState] | None = None
         self._rejected: list[Observation] = []
-        self._rotations_rejected = 0
         self._restarts_ns: deque[int] = deque(maxlen=3)
         self._seen: dict[str, int] = {}
 
@@ -181,10 +180,7 @@ class FootFilter:
         self._rejected.clear()
         if rotation > self.settings.gate:
             self.counts.rotations_gated += 1
-            self._rotations_rejected += 1
             observation = replace(observation, rotation=None)
-        elif observation.rotation is not None:
-            self._rotations_rejected = 0
         history.add(observation)
         self._accepted(observation)
         return True
@@ -251,7 +247,6 @@ class FootFilter:
         state = self._inertial.start(alignment, felt.R_world, motion, felt.rate)
         history = History(self._inertial, observation.t_ns, state, self.settings.horizon_ns)
         self._by_sensor, self._by_sight = self._again(history), None
-        self._rotations_rejected = 0
 
     def _returned(self, observation: Observation) -> Alignment | None:
         """Return the alignment of a sensor that was away, with the yaw that the marker's orientation gives it now."""

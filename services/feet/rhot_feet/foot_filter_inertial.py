@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.rotations import rotation_z
+from rhot.turns import rotation_between
 from rhot_feet.alignment import Alignment
 from rhot_feet.foot_filter_model import FootMotion, Observation
-from rhot_feet.foot_rotation import rotation_between
 from rhot_feet.strapdown import (
     ACCELEROMETER,
     ATTITUDE,

@@ -16,9 +16,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.turns import orthonormal, rotation_between, turn_from_vector
 from rhot_feet.foot_filter_model import FootMotion, Observation
-from rhot_feet.foot_rotation import rotation_between
-from rhot_feet.strapdown import InertialStep, orthonormal, turn
+from rhot_feet.strapdown import InertialStep
 
 FloatArray = NDArray[np.float64]
 
@@ -125,7 +125,7 @@ class KinematicModel:
         return KinematicState(
             G @ state.motion,
             P,
-            orthonormal(turn(path * state.rate) @ state.R),
+            orthonormal(turn_from_vector(path * state.rate) @ state.R),
             fades * state.rate,
             turning,
             state.liveliness,
@@ -156,7 +156,7 @@ class KinematicModel:
             noise = float(np.trace(observation.rotation_covariance)) / 3.0
             gain = turning[:, 0] / (turning[0, 0] + noise)
             turned = rotation_between(R, observation.rotation)
-            R, rate = orthonormal(turn(gain[0] * turned) @ R), rate + gain[1] * turned
+            R, rate = orthonormal(turn_from_vector(gain[0] * turned) @ R), rate + gain[1] * turned
             turning = turning - np.outer(gain, turning[0])
         liveliness = state.liveliness * math.exp(_QUICK * (min(surprise, 5.0) - _CALMS))
         return KinematicState(motion, P, R, rate, turning, min(max(liveliness, _CALMEST), _WILDEST), 0.0)

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion
+from rhot.turns import orthonormal, turn_from_vector
 from rhot_feet.imu_sources.samples import ImuSamples
-from rhot_feet.strapdown import orthonormal, turn
 from rhot_feet.zero_velocity import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -115,11 +115,11 @@ class RawReader:
         if self._R is None or span_s > LONGEST_STEP_S:
             self._R = level_rotation(force)
             return self._R
-        R = self._R @ turn(span_s * rate)
+        R = self._R @ turn_from_vector(span_s * rate)
         size = math.sqrt(force @ force)
         if abs(size - GRAVITY) < _LEVEL_BAND:
             up = R @ force / size
-            R = turn((_LEVELLING * span_s) * np.array([up[1], -up[0], 0.0])) @ R
+            R = turn_from_vector((_LEVELLING * span_s) * np.array([up[1], -up[0], 0.0])) @ R
         self._R = orthonormal(R)
         return self._R
 

@@ -19,6 +19,7 @@ from rhot.messages import Control, FootPose, HeadPose, Side
 from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig
 from rhot.service import Node
+from rhot.service.grabber import GrabberCounts
 from rhot_feet.assemble import plan_sensors
 from rhot_feet.depth_grabber import DepthGrabber
 from rhot_feet.foot_stage import FootStage
@@ -91,9 +92,8 @@ class FeetService:
         node.status.watch(self._figures)
 
     def _counts(self) -> Mapping[str, int]:
-        grabber = self._grabber
-        taken = {} if grabber is None else {"dropped_late": grabber.late, "missed": grabber.missed}
-        return {**self._stage.counts, **taken}
+        counts = GrabberCounts() if self._grabber is None else self._grabber.counts
+        return {**self._stage.counts, "dropped_late": counts.dropped_late, "missed": counts.missed}
 
     def _figures(self) -> tuple[Mapping[str, float], str]:
         grabber_s = 0.0 if self._grabber is None else self._grabber.busy_s
@@ -140,9 +140,9 @@ class FeetService:
             self._stage.head(pose)
 
     async def _watch(self, node: Node, start: Control) -> None:
-        grabber = self._grabber = DepthGrabber(self._open_camera(self._rig, node.clock.now_ns))
+        grabber = self._grabber = DepthGrabber(self._open_camera(self._rig, node.clock.now_ns), start.start_t_ns)
         try:
-            grabber.start(start.start_t_ns)
+            grabber.start()
             while (frame := await grabber.next_frame()) is not None:
                 self._works("depth camera")
                 await self._look(node, frame)

@@ -17,12 +17,13 @@ for zero-velocity updates.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rhot.turns import orthonormal, turn_from_vector
 
 FloatArray = NDArray[np.float64]
 
@@ -122,48 +123,16 @@ class InertialState:
     P: FloatArray
 
     @property
-    def foot_position(self) -> FloatArray:
-        """The foot's origin (3,), metres, rig frame."""
-        place: FloatArray = self.position + self.R @ self.lever
-        return place
-
-    @property
     def foot_rotation(self) -> FloatArray:
         """R_rig_foot (3, 3)."""
         rotation: FloatArray = self.R @ self.M
         return rotation
 
 
-def turn(vector_rad: FloatArray) -> FloatArray:
-    """Return exp([v]×), (3, 3), of a rotation vector (3,); for single ones faster than `rotation_from_vector`."""
-    x, y, z = vector_rad.tolist()
-    squared = x * x + y * y + z * z
-    if squared < 1e-10:
-        sine, cosine = 1.0 - squared / 6.0, 0.5 - squared / 24.0
-    else:
-        angle = math.sqrt(squared)
-        sine, cosine = math.sin(angle) / angle, (1.0 - math.cos(angle)) / squared
-    xy, xz, yz = cosine * x * y, cosine * x * z, cosine * y * z
-    sx, sy, sz = sine * x, sine * y, sine * z
-    return np.array(
-        [
-            [1.0 - cosine * (y * y + z * z), xy - sz, xz + sy],
-            [xy + sz, 1.0 - cosine * (x * x + z * z), yz - sx],
-            [xz - sy, yz + sx, 1.0 - cosine * (x * x + y * y)],
-        ]
-    )
-
-
 def skew(vector: FloatArray) -> FloatArray:
     """Return [v]× (3, 3) of one vector (3,); faster than `cross_matrix`."""
     x, y, z = vector.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def orthonormal(R: FloatArray) -> FloatArray:
-    """Return a matrix (3, 3) that is a rotation but for rounding as a rotation: one step of R·(3 − RᵀR)/2."""
-    nearer: FloatArray = R @ (1.5 * _UNIT - 0.5 * (R.T @ R))
-    return nearer
 
 
 class Strapdown:
@@ -189,7 +158,7 @@ class Strapdown:
     def predict(self, state: InertialState, step: InertialStep) -> InertialState:
         """Return the state at the end of a step."""
         h = step.duration_s
-        R = orthonormal(state.R @ turn(step.turn_rad - h * state.rate_bias))
+        R = orthonormal(state.R @ turn_from_vector(step.turn_rad - h * state.rate_bias))
         force = 0.5 * (
             state.R @ (step.force_before - state.acceleration_bias) + R @ (step.force_after - state.acceleration_bias)
         )
@@ -240,10 +209,10 @@ def inject(state: InertialState, dx: FloatArray, P: FloatArray) -> InertialState
     return InertialState(
         state.position + dx[POSITION],
         state.velocity + dx[VELOCITY],
-        orthonormal(turn(dx[ATTITUDE]) @ state.R),
+        orthonormal(turn_from_vector(dx[ATTITUDE]) @ state.R),
         state.acceleration_bias + dx[ACCELEROMETER],
         state.rate_bias + dx[GYROSCOPE],
         state.lever + dx[LEVER],
-        orthonormal(turn(dx[MOUNTING]) @ state.M),
+        orthonormal(turn_from_vector(dx[MOUNTING]) @ state.M),
         P,
     )

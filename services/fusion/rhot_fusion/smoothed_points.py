@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.messages import PointSet, Position
+from rhot.messages import PointSet
+from rhot.wire_vectors import wire_position
 from rhot_fusion.path_smoothing import SmoothedPath
 
 FloatArray = NDArray[np.float64]
@@ -51,14 +52,9 @@ def _moved(points: PointSet, index: dict[str, int], place: FloatArray, sigma: Fl
             continue
         corners = point.corners
         if corners is not None:
-            a, b, c, d = (_triple(np.array(corner) - point.position + place[marker]) for corner in corners)
+            a, b, c, d = (wire_position(np.array(corner) - point.position + place[marker]) for corner in corners)
             corners = (a, b, c, d)
         moved[name] = point.model_copy(
-            update={"position": _triple(place[marker]), "sigma": float(sigma[marker]), "corners": corners}
+            update={"position": wire_position(place[marker]), "sigma": float(sigma[marker]), "corners": corners}
         )
     return points.model_copy(update={"points": moved})
-
-
-def _triple(point: FloatArray) -> Position:
-    x, y, z = point.tolist()
-    return (x, y, z)

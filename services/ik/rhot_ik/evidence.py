@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.turns import turn_between
 from rhot_ik.patch import PatchRotation
 from rhot_ik.sight import Sight
-from rhot_ik.turns import turn_between
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

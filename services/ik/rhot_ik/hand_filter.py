@@ -23,13 +23,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.turns import orthonormal, symmetric_inverse, turn_from_vector, vector_from_turn
 from rhot_ik.evidence import Evidence
 from rhot_ik.finger_geometry import FingerGeometry
 from rhot_ik.fingers import AnalyticFingers
 from rhot_ik.hand_prior import COUNT, angle_covariance, rest_angles
 from rhot_ik.kinematics import HandKinematics
 from rhot_ik.skew import CROSS
-from rhot_ik.turns import orthonormal, symmetric_inverse, turn_from_vector, vector_from_turn
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from rhot.hand import MOVING
 from rhot.rotations import quaternion_from_rotation
+from rhot.turns import product_matrix, quaternion_from_turn
 from rhot_ik.finger_geometry import FingerGeometry
-from rhot_ik.turns import product_matrix, quaternion_from_turn
 
 FloatArray = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.hand import HandModel
-from rhot_ik.turns import turn_from_vector, vector_from_turn
+from rhot.turns import turn_from_vector, vector_from_turn
 
 FloatArray = NDArray[np.float64]
 

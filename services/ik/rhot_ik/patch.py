@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.rotations import nearest_rotation
+from rhot.turns import symmetric_inverse, turn_from_vector
 from rhot_ik.skew import skew
-from rhot_ik.turns import symmetric_inverse, turn_from_vector
 
 FloatArray = NDArray[np.float64]
 Fitted = tuple[FloatArray, FloatArray]

@@ -65,9 +65,7 @@ class ObjectStep:
             enabled = set()
         else:
             enabled = {"start"}
-            enabled |= {"try"} if self._found is not None else set()
-            enabled |= {"save"} if self._kept.on_trial else set()
-            enabled |= {"undo"} if self._kept.can_undo else set()
+            enabled |= self._kept.enabled(self._found)
         tables, remarks = self._fitted
         stored, done = self._stored()
         return StepView(
@@ -112,12 +110,8 @@ class ObjectStep:
             await self._register(values)
         elif button == "solve" and self._collecting is not None:
             self._collecting.cancel()  # whoever pressed start goes on from here
-        elif button == "try" and self._found is not None:
-            self._kept.try_out(self._found)
-        elif button == "save":
-            self._kept.save()
-        elif button == "undo":
-            self._kept.undo()
+        else:
+            self._kept.press(button, self._found)
 
     async def point(self, camera: str, u: float, v: float, values: Mapping[str, str]) -> None:
         """There is nothing to click at."""

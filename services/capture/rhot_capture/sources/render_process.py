@@ -1,9 +1,6 @@
 """Rendering in a process of its own, as a real camera exposes without asking the Pi's processor.
 
-In one process with detection, rendering would hold Python's interpreter lock while a frame waits to be looked at, and
-latency would measure the simulator. The child has a lower priority for the same reason. It reads times (one float64
-each) from its standard input, writes one picture for each to its standard output, and ends with its parent, whose death
-closes that input.
+The child (see `rhot.sim.picture_child`) reads times (one float64 each) and writes one picture for each.
 """
 
 from __future__ import annotations
@@ -11,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-import signal
 import struct
 import subprocess
 import sys
@@ -23,13 +19,12 @@ import numpy as np
 from rhot.camera import CameraModel
 from rhot.errors import DeviceError
 from rhot.rig import load_rig
+from rhot.sim.picture_child import end, keep_out_of_the_way
 from rhot_capture.color_table import ImageArray
 
 _REQUEST: Final = struct.Struct("d")
 _PIPE_BYTES: Final = 1 << 20
 """A whole 640x480 picture waits in the pipe, so that the next can be begun before this one is taken."""
-_NICE: Final = 5
-_STOP_S: Final = 0.5
 
 
 class RenderProcess:
@@ -88,12 +83,7 @@ class RenderProcess:
 
     def close(self) -> None:
         """End the child."""
-        self._child.terminate()
-        try:
-            self._child.wait(_STOP_S)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
+        end(self._child)
 
     def _ended(self) -> DeviceError:
         return DeviceError(f"camera {self._camera}: its renderer ended by itself, exit code {self._child.poll()}")
@@ -102,16 +92,11 @@ class RenderProcess:
 def serve(rig_path: Path, camera: str) -> None:
     """Render whatever standard input asks for until it closes."""
     # Imported here: the parent needs none of it.
-    import cv2  # noqa: PLC0415
-
     from rhot.sim.folder import true_cameras  # noqa: PLC0415
     from rhot.sim.renderer import Renderer  # noqa: PLC0415
     from rhot.sim.world import World  # noqa: PLC0415
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then closes our input
-    with contextlib.suppress(OSError):
-        os.nice(_NICE)
-    cv2.setNumThreads(1)
+    keep_out_of_the_way()
     rig = load_rig(rig_path)
     model: CameraModel = true_cameras(rig)[camera]
     place = list(rig.config.cameras).index(camera)

@@ -1,16 +1,11 @@
 """Drawing the simulated person's pictures in a process of its own, as a real camera exposes without our processor.
 
-In one process with tracking, drawing would hold Python's interpreter lock while a picture waits to be looked at, and
-latency would measure the simulator. The child has a lower priority for the same reason. It reads numbers of frames from
-its standard input, writes time, colour and depth of each to its standard output, and ends with its parent, whose death
-closes that input.
+The child (see `rhot.sim.picture_child`) reads numbers of frames and writes time, colour and depth of each.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
 import struct
 import subprocess
 import sys
@@ -22,14 +17,13 @@ from numpy.typing import NDArray
 
 from rhot.errors import DeviceError
 from rhot.rig import Rig, load_rig
+from rhot.sim.picture_child import end, keep_out_of_the_way
 from rhot.sim.walker.camera import FrameTiming
 from rhot.sim.walker.world import WalkerWorld
 from rhot_feet.frames import ColorImage, DepthImage
 
 _REQUEST: Final = struct.Struct("q")
 _TIME: Final = struct.Struct("d")
-_NICE: Final = 5
-_STOP_S: Final = 0.5
 
 
 class DrawProcess:
@@ -80,12 +74,7 @@ class DrawProcess:
 
     def close(self) -> None:
         """End the child."""
-        self._child.terminate()
-        try:
-            self._child.wait(_STOP_S)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
+        end(self._child)
 
     def _ended(self) -> DeviceError:
         return DeviceError(f"the simulated depth camera's drawing ended by itself, exit code {self._child.poll()}")
@@ -93,12 +82,7 @@ class DrawProcess:
 
 def serve(rig_path: Path) -> None:
     """Draw whatever standard input asks for until it closes."""
-    import cv2  # noqa: PLC0415
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then closes our input
-    with contextlib.suppress(OSError):
-        os.nice(_NICE)
-    cv2.setNumThreads(1)
+    keep_out_of_the_way()
     world = WalkerWorld.from_rig(load_rig(rig_path))
     out = sys.stdout.buffer
     with contextlib.suppress(BrokenPipeError):

@@ -15,19 +15,18 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, field_validator
+from pydantic import ValidationError
 
 from rhot.camera import CameraModel
 from rhot.errors import ConfigError
 from rhot.messages import first_problem
+from rhot.recording.folder import numbered_pictures
 from rhot.recording.tables import read_times
-from rhot.rig.calibration import Matrix3
-from rhot.rig.file_model import FileModel
+from rhot.rig.calibration import Intrinsics
 from rhot_feet.frames import DepthFrame, DepthImage, pinhole
 
 IntArray = NDArray[np.int64]
@@ -38,35 +37,6 @@ TIMES_FILE = "timestamps.csv"
 INTRINSICS_FILE = "intrinsics.json"
 _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
 _DEPTH_SUFFIXES = (".png",)
-
-
-class IntrinsicsFile(FileModel):
-    """`intrinsics.json`: the lens of the colour pictures.
-
-    Attributes:
-        width, height: pixels.
-        K: 3x3 intrinsics, pixels.
-        distortion: k1, k2, p1, p2, k3, … in OpenCV's order; 0, 4, 5, 8, 12 or 14 numbers.
-    """
-
-    width: Annotated[int, Field(gt=0)]
-    height: Annotated[int, Field(gt=0)]
-    K: Matrix3
-    distortion: tuple[float, ...] = ()
-
-    @field_validator("K")
-    @classmethod
-    def _is_intrinsics(cls, K: Matrix3) -> Matrix3:
-        if K[0][0] <= 0 or K[1][1] <= 0 or K[2] != (0.0, 0.0, 1.0) or K[1][0] != 0.0:
-            raise ValueError("K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
-        return K
-
-    @field_validator("distortion")
-    @classmethod
-    def _opencv_count(cls, distortion: tuple[float, ...]) -> tuple[float, ...]:
-        if len(distortion) not in (0, 4, 5, 8, 12, 14):
-            raise ValueError(f"distortion has {len(distortion)} numbers; OpenCV knows 0, 4, 5, 8, 12 or 14")
-        return distortion
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,19 +138,7 @@ def load_depth_recording(
 
 
 def _numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
-    if not folder.is_dir():
-        return {}
-    pictures: dict[int, Path] = {}
-    for file in sorted(folder.iterdir()):
-        if file.name.startswith(".") or file.suffix.lower() not in suffixes:
-            continue
-        if not (file.stem.isascii() and file.stem.isdigit()):
-            raise ConfigError(f"{file}: a picture's name is its frame number, such as 000042{suffixes[0]}; rename it")
-        number = int(file.stem)
-        if number in pictures:
-            raise ConfigError(f"{file}: frame {number} is there twice, also as {pictures[number].name}; keep one")
-        pictures[number] = file
-    return dict(sorted(pictures.items()))
+    return numbered_pictures(folder, suffixes) if folder.is_dir() else {}
 
 
 def _times(path: Path, numbers: list[int], rate_hz: float | None) -> tuple[IntArray, IntArray]:
@@ -208,7 +166,7 @@ def _camera(path: Path, camera: CameraModel | None) -> CameraModel:
             raise ConfigError(f"{path}: has no {INTRINSICS_FILE} (width, height, K, distortion); write one")
         return camera
     try:
-        lens = IntrinsicsFile.model_validate(json.loads(file.read_text(encoding="utf-8")))
+        lens = Intrinsics.model_validate(json.loads(file.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read: {error}") from error
     except json.JSONDecodeError as error:

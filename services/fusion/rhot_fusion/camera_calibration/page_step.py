@@ -78,9 +78,7 @@ class CameraStep:
             enabled = {"solve"} | ({"back"} if self._session is not None and self._session.progress.sets else set())
         elif not self._doing:
             enabled |= {"solve"} if self._session is not None and self._session.progress.sets else set()
-            enabled |= {"try"} if self._found is not None else set()
-            enabled |= {"save"} if self._kept.on_trial else set()
-            enabled |= {"undo"} if self._kept.can_undo else set()
+            enabled |= self._kept.enabled(self._found)
         progress = None if self._session is None else self._session.progress
         stored, done = self._stored()
         return StepView(
@@ -92,8 +90,12 @@ class CameraStep:
             tables=(*self._tables, *(() if progress is None else (coverage_table(progress),))),
             pictures={} if progress is None else self._pictures(progress),
             # The page need not ask for the very pictures that are looked at here.
-            held={} if self._collector is None else _jpegs(self._collector.newest),
+            held={} if self._collector is None else self._jpegs(self._collector.newest),
         )
+
+    def _jpegs(self, pictures: Mapping[str, bytes]) -> dict[str, bytes]:
+        """Return the JPEG pictures in the rig's order: they came in the order in which the cameras answered."""
+        return {name: pictures[name] for name in self._cameras if pictures.get(name, b"").startswith(b"\xff\xd8")}
 
     async def follow(self) -> None:
         """Nothing happens before the start."""
@@ -169,12 +171,8 @@ class CameraStep:
             self._ended.set()  # whoever pressed start goes on from here
         elif button == "solve":
             await self._solve(values)
-        elif button == "try" and self._found is not None:
-            self._kept.try_out(self._found)
-        elif button == "save":
-            self._kept.save()
-        elif button == "undo":
-            self._kept.undo()
+        else:
+            self._kept.press(button, self._found)
 
     async def point(self, camera: str, u: float, v: float, values: Mapping[str, str]) -> None:
         """There is nothing to click at."""
@@ -224,10 +222,6 @@ class CameraStep:
             self._doing = f"solving: {step}"
 
         return calibrate_rig(load_rig(self._room.rig_path), views, baseline_m, told)
-
-
-def _jpegs(pictures: Mapping[str, bytes]) -> dict[str, bytes]:
-    return {name: data for name, data in pictures.items() if data.startswith(b"\xff\xd8")}
 
 
 def _board(values: Mapping[str, str]) -> Board:

@@ -54,9 +54,7 @@ class HandStep:
         enabled = {"stop"} if self._listening is not None else set()
         if not self._doing:
             enabled = {"measure", "typed"}
-            enabled |= {"try"} if self._found is not None else set()
-            enabled |= {"save"} if self._kept.on_trial else set()
-            enabled |= {"undo"} if self._kept.can_undo else set()
+            enabled |= self._kept.enabled(self._found)
         stored, done = self._stored()
         return StepView(
             self._doing or stored,
@@ -114,12 +112,8 @@ class HandStep:
             if length_m is None:
                 raise ConfigError("type the length of the hand first, such as 189; the width may stay empty")
             self._found = typed_hand(length_m, width_m).model_copy(update={"date": today()})
-        elif button == "try" and self._found is not None:
-            self._kept.try_out(self._found)
-        elif button == "save":
-            self._kept.save()
-        elif button == "undo":
-            self._kept.undo()
+        else:
+            self._kept.press(button, self._found)
 
     async def point(self, camera: str, u: float, v: float, values: Mapping[str, str]) -> None:
         """There is nothing to click at."""

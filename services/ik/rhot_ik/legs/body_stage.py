@@ -14,6 +14,7 @@ from rhot.rig import Rig
 from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
 from rhot.stage import Output
 from rhot.transforms import rigid
+from rhot.wire_vectors import wire_position, wire_quaternion
 from rhot_ik.legs.body_solver import BodySolution, solve_body
 from rhot_ik.legs.hips import estimate_hips
 
@@ -128,7 +129,7 @@ def body_pose(solution: BodySolution, head: HeadPose, feet: Mapping[Side, FootPo
         t_ns=t_ns,
         frame=head.frame,
         joints={
-            name: BodyJoint(position=_triple(position), orientation=_quadruple(quaternion))
+            name: BodyJoint(position=wire_position(position), orientation=wire_quaternion(quaternion))
             for name, position, quaternion in zip(names, positions, quaternions, strict=True)
         },
         angles={
@@ -142,13 +143,3 @@ def body_pose(solution: BodySolution, head: HeadPose, feet: Mapping[Side, FootPo
 
 def _transform(position: Position, orientation: Quaternion) -> FloatArray:
     return rigid(rotation_from_quaternion(np.array(orientation)), np.array(position))
-
-
-def _triple(values: FloatArray) -> Position:
-    x, y, z = values.tolist()
-    return x, y, z
-
-
-def _quadruple(values: FloatArray) -> Quaternion:
-    x, y, z, w = values.tolist()
-    return x, y, z, w

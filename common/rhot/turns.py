@@ -11,6 +11,8 @@ from rhot.rotations import vector_from_rotation
 
 FloatArray = NDArray[np.float64]
 
+_UNIT = np.eye(3)
+
 
 def turn_from_vector(vector_rad: FloatArray) -> FloatArray:
     """Return exp([v]×), (3, 3), of a rotation vector (3,), radians (Rodrigues' formula)."""
@@ -41,6 +43,11 @@ def vector_from_turn(R: FloatArray) -> FloatArray:
     sine = math.sqrt(x * x + y * y + z * z)
     scale = 1.0 if sine < 1e-9 else math.atan2(sine, cosine) / sine
     return np.array([x * scale, y * scale, z * scale])
+
+
+def rotation_between(R0: FloatArray, R1: FloatArray) -> FloatArray:
+    """Return the rotation vector (3,), radians, in the outer frame, that takes R0 (3, 3) to R1: R1 = exp([v]×)·R0."""
+    return vector_from_turn(R1 @ R0.T)
 
 
 def turn_between(start: FloatArray, end: FloatArray) -> FloatArray:
@@ -85,6 +92,3 @@ def orthonormal(R: FloatArray) -> FloatArray:
     """Return a matrix (3, 3) that is a rotation but for rounding as a rotation: one step of R·(3 − RᵀR)/2."""
     nearer: FloatArray = R @ (1.5 * _UNIT - 0.5 * (R.T @ R))
     return nearer
-
-
-_UNIT = np.eye(3)
