@@ -11,8 +11,9 @@ from rhot.rig import HandFile
 from rhot.rotations import rotation_from_vector, vector_from_rotation
 from rhot_ik.evidence import Evidence
 from rhot_ik.finger_geometry import FingerGeometry
-from rhot_ik.hand_filter import ANGLES, HandFilter, HandState
+from rhot_ik.hand_filter import HandFilter
 from rhot_ik.hand_prior import angle_covariance, rest_angles
+from rhot_ik.hand_process import ANGLES, HandState
 
 FloatArray = NDArray[np.float64]
 

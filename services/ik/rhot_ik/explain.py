@@ -6,8 +6,8 @@ import numpy as np
 
 from rhot.explain import Explanation, ExplanationRow
 from rhot.skeleton import FINGERS
-from rhot_ik.hand_filter import ANGLES, POSITION, ROTATION
 from rhot_ik.hand_prior import angle_covariance, rest_angles
+from rhot_ik.hand_process import ANGLES, POSITION, ROTATION
 from rhot_ik.hand_solver import HandSolver
 
 _ANGLES = ("flexion", "abduction", "middle hinge", "last hinge")

@@ -16,7 +16,8 @@ from rhot_ik.evidence import EvidenceModel, HandObservation
 from rhot_ik.finger_chains import FabrikFingers
 from rhot_ik.finger_geometry import FingerGeometry, marker_on_palm
 from rhot_ik.fingers import AnalyticFingers
-from rhot_ik.hand_filter import HandFilter, HandState
+from rhot_ik.hand_filter import HandFilter
+from rhot_ik.hand_process import HandState
 from rhot_ik.kinematics import HandKinematics
 from rhot_ik.lead import FingerLead, FingerRoom, PalmLead
 from rhot_ik.sight import Sight

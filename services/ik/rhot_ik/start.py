@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from rhot.rotations import rotation_x, rotation_z
 from rhot_ik.evidence import Evidence, EvidenceModel, HandObservation
-from rhot_ik.hand_filter import HandFilter, HandState
+from rhot_ik.hand_filter import HandFilter
+from rhot_ik.hand_process import HandState
 
 FloatArray = NDArray[np.float64]
 
