@@ -27,8 +27,8 @@ sim: $(READY)
 
 # Real processes want both cores to themselves; everything else shares them.
 test: lint
-	@$(BIN)/pytest --numprocesses auto -m "not integration"
-	@$(BIN)/pytest -m integration
+	@$(BIN)/pytest --numprocesses auto -m "not integration" -rs
+	@$(BIN)/pytest -m integration -rs
 
 lint: $(READY)
 	@$(BIN)/ruff check

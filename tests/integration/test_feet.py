@@ -15,7 +15,7 @@ from rig_processes import processes_that_name
 
 from rhot.sim.run import free_endpoint
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.real_time]
 
 _COMMAND = [sys.executable, "-m", "rhot", "sim", "--feet", "--headless", "--rate", "15"]
 

@@ -22,7 +22,7 @@ from rhot_fusion.camera_calibration.coverage import links
 from rhot_fusion.camera_calibration.live import collect
 from rhot_fusion.camera_calibration.views import Board
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.real_time]
 
 BOARD = Board(9, 6, 0.025)
 ENOUGH = 4

@@ -20,7 +20,7 @@ from rhot.rig import load_rig
 from rhot.sim.world import World
 from rhot.skeleton import FINGERS
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.real_time]
 
 UP_S = 20.0
 BACK_S = 3.0

@@ -44,7 +44,7 @@ from rhot_capture.sources import Frame
 
 logger = logging.getLogger(__name__)
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.real_time]
 
 SESSION_S = 5.0
 CONFIG = ("rhot/config/fusion/main", "application/json", b'{"hold_s": 0.5}')

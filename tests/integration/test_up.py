@@ -14,7 +14,7 @@ from rig_processes import processes_that_name
 from rhot.rig.template import rig_template
 from rhot.sim.run import free_endpoint
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.real_time]
 
 
 def make_rig(folder: Path, cameras: tuple[str, ...]) -> Path:
