@@ -46,7 +46,8 @@ something is missing, wrong-typed, not finite or out of bounds is dropped, count
 
 Every key also answers a query with its last value, as JSON with `?format=json`: `rhot get 'rhot/**'`. Beside the
 messages below there are `rhot/alive/<service>/<instance>` (liveliness tokens), `rhot/config/<service>/<instance>` (get,
-and put to change) and `rhot/preview/<camera>` (a picture; `?overlay=markers`, `?mask=<marker>`, `?format=png`).
+and put to change), `rhot/preview/<camera>` (a picture; `?overlay=markers`, `?mask=<marker>`, `?format=png`) and
+`rhot/keep/capture/<camera>` (exposure, gain and whites as rig.toml has them; `?do=save`, `?do=undo`).
 """
 
 _SAID: Final = {

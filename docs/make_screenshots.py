@@ -1,8 +1,9 @@
 """Take the documentation's pictures of the web page: `python docs/make_screenshots.py [--rate HZ]`.
 
-Runs `rhot sim` with its page, opens it in a headless Chromium as a person would, and writes PNGs to `docs/images/`.
-Needs Chromium (Debian: `apt install chromium`) and `pip install 'rhot[dev]'`. A browser without a graphics card draws
-on the processor, beside the simulator; with fewer frames a second of each camera both fit on two cores.
+Runs `rhot sim` with its page, opens it in a headless Chromium as a person would, and writes JPEGs to `docs/images/`;
+`calibrate_by_clicks.py --images` takes those of the calibration. Needs Chromium (Debian: `apt install chromium`) and
+`pip install 'rhot[dev]'`. A browser without a graphics card draws on the processor, beside the simulator; with fewer
+frames a second of each camera both fit on two cores.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ SETTLE_S = 3.0
 LOAD_S = 12.0
 """The scene brightens slowly after it has been loaded."""
 CHARTS_S = 45.0
+JPEG_QUALITY = 80
+"""Text stays clean; 60 to 150 kB a picture, where a PNG of a camera's noise takes 480."""
+NOTICE = "[class*=Notification-closeButton]"
 
 
 @click.command()
@@ -70,10 +74,16 @@ def page_of(simulation: subprocess.Popen[str]) -> str:
 
 
 def ready(browser: Browser) -> None:
-    """Wait for a page with a hand, and put away the browser's notice that it has no graphics card."""
+    """Wait for a page with a hand, and put away the browser's notice."""
     browser.wait_for("document.body?.innerText.includes('measured')", UP_S)
-    browser.evaluate("document.querySelectorAll('[class*=Notification-closeButton]').forEach(button => button.click())")
+    put_notice_away(browser)
     time.sleep(LOAD_S)
+
+
+def put_notice_away(browser: Browser) -> None:
+    """Close what the browser says of having no graphics card."""
+    browser.wait_for(f"document.querySelector({NOTICE!r}) !== null", UP_S)
+    browser.evaluate(f"document.querySelectorAll({NOTICE!r}).forEach(button => button.click())")
 
 
 def take_desktop(browser: Browser) -> None:
@@ -102,8 +112,8 @@ def take_desktop(browser: Browser) -> None:
 def save(browser: Browser, name: str) -> None:
     """Write what the window shows now."""
     time.sleep(SETTLE_S)
-    file = IMAGES / f"{name}.png"
-    file.write_bytes(browser.screenshot())
+    file = IMAGES / f"{name}.jpg"
+    file.write_bytes(browser.screenshot(JPEG_QUALITY))
     click.echo(file.relative_to(DOCS.parent))
 
 

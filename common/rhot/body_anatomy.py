@@ -12,7 +12,7 @@ Frames as in `rhot.messages.BodyPose`: +X to the body's right, +Y up, +Z backwar
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -72,6 +72,16 @@ class BodyModel:
             foot_length_m=FOOT_LENGTH * height,
             neck_height_m=(EYE_HEIGHT - NECK_BELOW_EYES - ANKLE_HEIGHT - SHANK - THIGH) * height,
             neck_m=(0.0, -NECK_BELOW_EYES * height, NECK_BEHIND_EYES * height),
+        )
+
+    def lengthened(self, legs_m: float, trunk_m: float) -> BodyModel:
+        """Return the person with legs and trunk longer by this much; thigh and shank keep their ratio."""
+        share = 1.0 + legs_m / self.leg_m
+        return replace(
+            self,
+            thigh_m=share * self.thigh_m,
+            shank_m=share * self.shank_m,
+            neck_height_m=self.neck_height_m + trunk_m,
         )
 
     @property

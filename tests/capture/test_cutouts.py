@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -16,17 +17,18 @@ def image(scene: Any, shape: Any) -> Any:
 
 
 def test_parts_are_labelled_as_they_are_in_the_whole_picture(image: Any, table: ColorTable) -> None:
-    whole = Cutouts(image, table, [(1, Region(0, 0, 400, 300))])
+    in_whole, _ = table.classify(image)
     looks = [(4, Region(70, 50, 130, 120)), (2, Region(270, 170, 350, 230)), (1, Region(270, 170, 350, 230))]
     parts = Cutouts(image, table, looks)
     for (label, region), place in zip(looks, parts.places, strict=True):
         assert (place.label, place.region) == (label, region)
         width, height = region.right - region.left, region.bottom - region.top
         labels = parts.labels[place.row : place.row + height, :width]
-        expected = whole.labels[region.top : region.bottom, region.left : region.right]
-        assert np.array_equal(labels[1:-1, 1:-1], expected[1:-1, 1:-1])
+        expected = in_whole[region.top : region.bottom, region.left : region.right]
+        assert np.array_equal(labels, expected)
         own = parts.own[place.row : place.row + height, :width]
-        assert np.array_equal(own, labels == label)
+        majority = cv2.medianBlur((labels == label).astype(np.uint8), 3)
+        assert np.array_equal(own[1:-1, 1:-1], majority[1:-1, 1:-1])
         assert own.any()
 
 
@@ -36,14 +38,17 @@ def test_nothing_is_found_between_the_parts(image: Any, table: ColorTable, black
     labels[0] = 4 if black_is_paint else 0
     looks = [(4, Region(70, 50, 130, 120)), (2, Region(270, 170, 390, 230))]
     parts = Cutouts(image, replace(table, labels=labels), looks)
-    assert not parts.own[70:72].any(), "between the first and the second"
-    assert not parts.own[:70, 61:].any(), "beside the first, which is narrower"
+    first, second = (place.row for place in parts.places)
+    assert not parts.own[first + 70 : second].any(), "between the first and the second"
+    assert not parts.own[first : first + 70, 61:].any(), "beside the first, which is narrower"
 
 
 def test_single_wrong_pixels_go(table: ColorTable, paints: Any) -> None:
     image = np.full((40, 40, 3), 30, np.uint8)
     image[10, 10] = paints["ring"][::-1]
     image[20:23, 20:23] = paints["ring"][::-1]
-    own = Cutouts(image, table, [(4, Region(0, 0, 40, 40))]).own
+    cutouts = Cutouts(image, table, [(4, Region(0, 0, 40, 40))])
+    own = cutouts.own[cutouts.places[0].row :]
     assert own[10, 10] == 0
     assert own[21, 21] == 1
+    assert not own[:, 40:].any()

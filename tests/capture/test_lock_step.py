@@ -5,13 +5,22 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
+from rhot.bus import Answer, Bus, Request
+from rhot.bus.query import json_answer
 from rhot.calibration_step import Room
+from rhot.errors import ConfigError
 from rhot.rig import BusConfig
+from rhot.rig.colors import ColorsFile
+from rhot.rig.folder import load_config
+from rhot_capture.kept_optics import KeptOptics
 from rhot_capture.lock_step import CameraLook, LockStep, look_remarks, picture_light
+from rhot_capture.settings import CameraSettings
 
 GOOD = CameraLook("", 0.004, 4.0, (1.6, 1.6), 200.0, 0.0)
 
@@ -46,9 +55,76 @@ def test_light_is_measured() -> None:
 async def test_a_capture_service_that_is_not_there_is_named(router: BusConfig, write_rig: Callable[..., Path]) -> None:
     step = LockStep(Room(write_rig({"left": ""}), router))
     following = asyncio.create_task(step.follow())
-    async with asyncio.timeout(20.0):
-        while not step.view().remarks:
-            await asyncio.sleep(0.02)
+    await until(lambda: step.view().remarks)
     following.cancel()
     assert "rhot capture --camera left" in step.view().remarks[0].text
     assert not step.view().done
+
+
+class StubCamera:
+    """What a capture service answers, with its optics kept in a rig folder of its own."""
+
+    def __init__(self, bus: Bus, rig: Path, name: str) -> None:
+        config = load_config(rig).cameras[name]
+        self.settings = CameraSettings.from_config(config, ColorsFile(markers={}))
+        self.kept = KeptOptics(rig, name)
+        picture = np.full((60, 80, 3), 90, np.uint8)
+        jpeg = bytes(cv2.imencode(".jpg", picture)[1])
+        bus.queryable(f"rhot/preview/{name}", lambda _: Answer(jpeg, "image/jpeg"))
+        bus.queryable(f"rhot/config/capture/{name}", lambda _: json_answer(self.settings.model_dump(mode="json")))
+        bus.queryable(f"rhot/keep/capture/{name}", self._answer_keep)
+
+    def _answer_keep(self, request: Request) -> Answer:
+        if request.parameters.get("do") == "save":
+            self.kept.save(self.settings)
+        elif request.parameters.get("do") == "undo":
+            self.settings = self.settings.model_copy(update=self.kept.undo().model_dump())
+        return json_answer(self.kept.state(self.settings).model_dump(mode="json"))
+
+
+async def until(condition: Callable[[], Any]) -> None:
+    async with asyncio.timeout(60.0):
+        while not condition():
+            await asyncio.sleep(0.02)
+
+
+async def test_what_the_sliders_set_is_saved_and_undone(router: BusConfig, write_rig: Callable[..., Path]) -> None:
+    rig = write_rig({"left": "", "right": ""})
+    step = LockStep(Room(rig, router))
+    async with await Bus.open(router) as bus:
+        cameras = {name: StubCamera(bus, rig, name) for name in ("left", "right")}
+        following = asyncio.create_task(step.follow())
+        await until(lambda: step.view().done)
+        assert step.view().enabled == frozenset()
+        for camera in cameras.values():
+            camera.settings = camera.settings.model_copy(update={"gain": 6.5})
+        await until(lambda: "left, right: set otherwise than rig.toml" in step.view().remarks[0].text)
+        assert step.view().enabled == {"save"}
+        await step.press("save", {})
+        assert [camera.gain for camera in load_config(rig).cameras.values()] == [6.5, 6.5]
+        assert step.view().enabled == {"undo"}
+        await step.press("undo", {})
+        assert [camera.gain for camera in load_config(rig).cameras.values()] == [4.0, 4.0]
+        assert [camera.settings.gain for camera in cameras.values()] == [4.0, 4.0]
+
+        following.cancel()
+        cameras["right"].settings = cameras["right"].settings.model_copy(update={"gain": 9.0})
+        await step.press("undo", {})  # what was saved before comes back
+        (rig / "rig.toml").write_text("not TOML")
+        with pytest.raises(ConfigError, match=r"left: .*not TOML.*right: .*not TOML"):
+            await step.press("undo", {})
+
+
+async def test_another_step_does_not_let_the_cameras_look_gone(
+    router: BusConfig, write_rig: Callable[..., Path]
+) -> None:
+    rig = write_rig({"left": ""})
+    step = LockStep(Room(rig, router))
+    async with await Bus.open(router) as bus:
+        StubCamera(bus, rig, "left")
+        following = asyncio.create_task(step.follow())
+        await until(lambda: step.view().done)
+    await until(lambda: not step.view().done)
+    following.cancel()
+    await asyncio.gather(following, return_exceptions=True)
+    assert step.view().done, "the rig was started anew as the step was left"

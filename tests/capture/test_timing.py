@@ -13,7 +13,9 @@ CORNERS = np.array([[1.0, 2.0], [5.0, 2.0], [5.0, 6.0], [1.0, 6.0]])
 
 def detection(v: float, corners: bool = False, points: int = 8) -> Detection:
     contour = np.ones((points, 1, 2), np.int32)
-    blob = Blob(0, 0, np.ones((2, 2), np.uint8), (contour,), (0, 0), 4.0, 1.0, 0.0)
+    mask = np.ones((2, 2), np.uint8)
+    everywhere = slice(0, 2), slice(0, 2)
+    blob = Blob(0, 0, mask, everywhere, mask, (contour,), (0, 0, 2, 2), (0, 0), 4.0, 0.0, False)
     return Detection(10.0, v, 50.0, 0.9, CORNERS if corners else None, blob)
 
 

@@ -191,3 +191,26 @@ def test_prediction_is_stamped_and_placed_ahead(make_rig: MakeRig) -> None:
     assert figures.lag_ms == pytest.approx(-20.0, abs=1.0)
     # 20 ms at 0.4 m/s would be 8 mm.
     assert figures.lateral_mm < 2.0
+
+
+def flashing(seen: Seen, name: str, frames: range, number: int) -> Seen:
+    """Hide a marker from frame 60 on but for some frames, in which both cameras see it 40 px further down."""
+    if number < 60:
+        return seen
+    if number not in frames:
+        return without(seen, name)
+    markers = dict(seen.frame.markers)
+    markers[name] = markers[name].model_copy(update={"v": markers[name].v + 40.0})
+    return replace(seen, frame=seen.frame.model_copy(update={"markers": markers}))
+
+
+@pytest.mark.parametrize(("length", "measured"), [(6, False), (12, True)])
+def test_what_is_found_is_measured_once_it_stays(make_rig: MakeRig, length: int, measured: bool) -> None:
+    rig = make_rig(fusion=FILTER)
+    frames = watch(rig, STILL, 2.0)
+    shown = range(150, 150 + length)
+    sets = run(FusionStage(rig), [flashing(one, "index", shown, number) for number, one in enumerate(frames)])
+    after = [points for points in sets if points.t_ns >= frames[150].frame.t_ns]
+    found = [points.points["index"] for points in after if "index" in points.points]
+    assert found
+    assert any(point.state == "measured" for point in found) == measured

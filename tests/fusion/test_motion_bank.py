@@ -19,7 +19,7 @@ def follow(path: FloatArray, seed: int = 0) -> tuple[FloatArray, MotionBank]:
     rng = np.random.default_rng(seed)
     bank = MotionBank(ALONE)
     bank.start(ONE, path[:1], np.diag([1e-7, 1e-7, 1e-5])[None], 0.0)
-    variance = np.array([[NOISE**2, 0.0, NOISE**2]])
+    variance = NOISE**2 * np.eye(2)[None]
     estimates = np.empty_like(path)
     for number, place in enumerate(path):
         t = np.array([-0.075 * (number % 2), 0.0, 0.0])
@@ -81,7 +81,7 @@ def test_mixing_keeps_mean_and_covariance() -> None:
     bank = follow(np.array([0.0, 0.0, 0.8]) + np.cumsum(rng.normal(0.0, 0.002, (100, 3)), axis=0))[1]
     forecast = bank.forecast(ONE, bank.t_s + 1e-9)
     np.testing.assert_allclose(forecast.mean, bank.mean, atol=1e-9)
-    away = forecast.x[0] - forecast.mean[0]
+    away = forecast.away[0]
     cov = np.einsum("k,kij->ij", forecast.weight[0], forecast.P[0] + away[:, :, None] * away[:, None, :])
     np.testing.assert_allclose(cov[:3, :3], bank.cov[0, :3, :3], atol=1e-10)
 
@@ -93,3 +93,10 @@ def test_saved_states_come_back() -> None:
     bank.start(ONE, np.array([[0.1, 0.1, 0.5]]), np.eye(3)[None], 9.0)
     bank.restore(saved)
     np.testing.assert_array_equal(bank.mean, mean)
+
+
+def test_covariances_stay_symmetric_over_minutes() -> None:
+    _, bank = follow(np.tile([0.02, 0.01, 0.8], (6000, 1)))
+    cov = bank.cov[0]
+    scale = np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
+    assert (np.abs(cov - cov.T) / scale).max() < 1e-6

@@ -45,10 +45,11 @@ def test_real_hand_is_followed(
     if method == "filter":
         # Where no mask says otherwise the picture alone moves by 28 px between frames at the 99th percentile: 46 mm at
         # the median depth of 0.87 m.
-        assert figures.step_p99_mm < (60.0 if raw else 54.0)
+        assert figures.step_p99_mm < (52.0 if raw else 50.0)
     assert figures.step_max_mm < 150.0
     assert min(figures.coverage.values()) > 0.95
-    assert min(figures.measured.values()) > 0.80
+    # The filter lets a view that barely fits, or a marker just found again, move a point without calling it measured.
+    assert min(figures.measured.values()) > (0.65 if raw and method == "filter" else 0.80)
     assert abs(figures.delay_frames) < 0.5
     assert stage.problem == ""
     # Pixels are integers and the mount has turned by a degree since the calibration; without learning it is 5 px.

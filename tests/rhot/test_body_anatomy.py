@@ -23,3 +23,12 @@ def test_measured_lengths_are_kept() -> None:
     # The trunk stays that of the height.
     assert body.neck_height_m == BodyModel.from_config(BodyConfig(height_m=1.8)).neck_height_m
     assert np.isfinite(body.hips_from_head_m).all()
+
+
+def test_a_person_who_is_longer_keeps_thigh_to_shank() -> None:
+    body = BodyModel.from_config(BodyConfig(height_m=1.8))
+    longer = body.lengthened(0.02, -0.01)
+    assert longer.leg_m == pytest.approx(body.leg_m + 0.02)
+    assert longer.thigh_m / longer.shank_m == pytest.approx(body.thigh_m / body.shank_m)
+    assert longer.neck_height_m == pytest.approx(body.neck_height_m - 0.01)
+    assert longer.height_m == body.height_m

@@ -31,8 +31,8 @@ FLAGS = (
     "--hide-scrollbars",
     "--remote-debugging-port=0",
 )
-_START_S = 60.0
-_REPLY_S = 60.0
+_START_S = 120.0
+_REPLY_S = 120.0
 
 
 class Browser:
@@ -112,13 +112,14 @@ class Browser:
             raise RuntimeError(f"{expression}: {answer['exceptionDetails']}")
         return answer["result"].get("value")
 
-    def wait_for(self, expression: str, timeout_s: float = 40.0) -> Any:
+    def wait_for(self, expression: str, timeout_s: float = 120.0) -> Any:
         """Return the value of an expression as soon as it is true-ish."""
         return wait_until(lambda: self.evaluate(expression), expression, timeout_s)
 
-    def screenshot(self) -> bytes:
-        """Return what the window shows as PNG."""
-        return base64.b64decode(self.command("Page.captureScreenshot", format="png")["data"])
+    def screenshot(self, jpeg_quality: int | None = None) -> bytes:
+        """Return what the window shows, as PNG or, with a quality, as JPEG."""
+        form = {"format": "png"} if jpeg_quality is None else {"format": "jpeg", "quality": jpeg_quality}
+        return base64.b64decode(self.command("Page.captureScreenshot", **form)["data"])
 
     def click(self, x: float, y: float) -> None:
         """Click with the left button."""
@@ -126,7 +127,7 @@ class Browser:
         for kind in ("mousePressed", "mouseReleased"):
             self.command("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
-    def click_text(self, text: str, tag: str = "button") -> None:
+    def click_text(self, text: str, tag: str = "button", timeout_s: float = 120.0) -> None:
         """Click the visible element of a kind that bears exactly this text."""
         x, y = self.wait_for(
             f"""(() => {{
@@ -136,7 +137,8 @@ class Browser:
                 hit.scrollIntoView({{block: "center"}});
                 const box = hit.getBoundingClientRect();
                 return [box.x + box.width / 2, box.y + box.height / 2];
-            }})()"""
+            }})()""",
+            timeout_s,
         )
         self.click(x, y)
 
@@ -164,7 +166,7 @@ def open_browser(url: str, width: int = 1280, height: int = 800) -> Iterator[Bro
         browser.close()
 
 
-def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = 40.0) -> Any:
+def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = 120.0) -> Any:
     """Return a condition's value as soon as it is true-ish."""
     deadline = time.monotonic() + timeout_s
     while not (value := condition()):

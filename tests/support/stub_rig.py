@@ -75,7 +75,7 @@ class StubRig:
         self.still = still
         self._predicted = predicted
         self._endpoint = endpoint
-        self._places: deque[FloatArray] = deque(maxlen=round(4 * RATE_HZ))
+        self._places: deque[tuple[float, FloatArray]] = deque(maxlen=round(120 * RATE_HZ))
         self.newest: dict[str, MarkerFrame] = {}
 
     async def run(self) -> None:
@@ -116,7 +116,7 @@ class StubRig:
             *([pose.position for pose in joints.values()] for joints in truth.hands.values()),
         ]
         moving.append([pose.position for pose in truth.objects.values()])
-        self._places.append(np.array([place for group in moving for place in group]))
+        self._places.append((time.monotonic(), np.array([place for group in moving for place in group])))
         found: dict[str, Message] = {"rhot/truth": truth}
         found["rhot/points"] = PointSet(
             t_ns=t_ns,
@@ -160,9 +160,9 @@ class StubRig:
             found |= self._statuses(t_ns, tick)
         return found
 
-    def trodden(self) -> FloatArray:
-        """Return where joints, markers and objects have been in the last four seconds, (N, 3), metres, rig frame."""
-        return np.concatenate(list(self._places))
+    def trodden(self, since_s: float) -> FloatArray:
+        """Return where joints, markers and objects have been since a moment of `time.monotonic`, (N, 3), metres."""
+        return np.concatenate([places for at_s, places in list(self._places) if at_s >= since_s])
 
     def _state(self, name: str) -> State:
         return "predicted" if name in self._predicted else "measured"

@@ -24,14 +24,14 @@ async def test_every_message_of_a_session_is_in_the_file(router: BusConfig, rig_
         points = bus.publisher("rhot/points", PointSet)
         recording.start(tmp_path / "recordings")
         recording.start(tmp_path / "recordings")
-        assert await points.wait_for_reader(10.0)
+        assert await points.wait_for_reader(60.0)
         for number in range(SENT):
             points.put(PointSet(t_ns=number, frame="rig", points={}))
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(60.0):
             while recording.tally.messages < SENT:
                 await asyncio.sleep(0.02)
         recording.stop()
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(60.0):
             while recording.running:
                 await asyncio.sleep(0.02)
     running.cancel()
@@ -50,7 +50,7 @@ async def test_what_hinders_is_said(tmp_path: Path, rig_folder: Path, router: Bu
     blocked = tmp_path / "file"
     blocked.write_text("")
     recording.start(blocked / "recordings")
-    async with asyncio.timeout(10.0):
+    async with asyncio.timeout(60.0):
         while not recording.problem:
             await asyncio.sleep(0.02)
     running.cancel()

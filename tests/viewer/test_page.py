@@ -42,7 +42,7 @@ async def test_a_taken_port_is_an_error_that_names_it(capsys: pytest.CaptureFixt
 
 async def test_the_page_needs_nothing_from_elsewhere(page: Page) -> None:
     def fetched() -> str:
-        with urllib.request.urlopen(page.url.replace("localhost", "127.0.0.1"), timeout=5.0) as answer:
+        with urllib.request.urlopen(page.url.replace("localhost", "127.0.0.1"), timeout=60.0) as answer:
             return str(answer.read().decode())
 
     html = await asyncio.to_thread(fetched)

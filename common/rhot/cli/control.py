@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from pathlib import Path
 from typing import Literal
@@ -12,8 +13,8 @@ import click
 from rhot.bus import Bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.clock import Exchange, SystemClock
-from rhot.errors import BusError
-from rhot.messages import Control
+from rhot.errors import BusError, WireError
+from rhot.messages import Control, decode
 from rhot.rig import BusConfig
 from rhot.service.clock_sync import exchange_once
 from rhot.service.runner import CONTROL_KEY
@@ -52,6 +53,17 @@ async def broadcast(bus: Bus, action: Literal["start", "stop"], session: str, de
     await publisher.wait_for_reader(2.0)
     start_ns = now_ns + round(delay_s * 1e9) if action == "start" else 0
     return publisher.put(Control(t_ns=now_ns, action=action, session=session, start_t_ns=start_ns))
+
+
+async def newest_control(bus: Bus) -> Control | None:
+    """Return the newest control message that any service knows; None when the rig was never started."""
+    newest: Control | None = None
+    for reply in await bus.get(CONTROL_KEY, timeout_s=1.0):
+        with contextlib.suppress(WireError):
+            control = decode(reply.payload, Control)
+            if newest is None or control.t_ns > newest.t_ns:
+                newest = control
+    return newest
 
 
 async def _control(

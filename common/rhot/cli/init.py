@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 import click
 from rich.console import Console
@@ -10,6 +11,9 @@ from rich.console import Console
 from rhot.errors import ConfigError
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
+
+CALIBRATING_HZ: Final = 30.0
+"""Frames a second of a rig for trying the calibration: leaves room for a browser without a graphics card."""
 
 
 def make_folder(path: Path) -> None:
@@ -29,15 +33,19 @@ def make_folder(path: Path) -> None:
 @click.command()
 @click.argument("path", metavar="RIG", type=click.Path(path_type=Path))
 @click.option("--sim", "simulated", is_flag=True, help="A simulated rig, calibrated and ready to run on this machine.")
-def init(path: Path, simulated: bool) -> None:
+@click.option("--uncalibrated", is_flag=True, help="With --sim: without any calibration, to try how that is done.")
+def init(path: Path, simulated: bool, uncalibrated: bool) -> None:
     """Make a new rig folder RIG with a commented rig.toml for two cameras named left and right."""
+    if uncalibrated and not simulated:
+        raise ConfigError("--uncalibrated goes with --sim; a rig of your own begins without calibration anyway")
     make_folder(path)
     if simulated:
         from rhot.sim.folder import write_simulated_rig  # noqa: PLC0415  # only this needs the simulator's packages
 
         with Console(stderr=True).status("preparing the simulated rig: cameras, colours, hand"):
-            write_simulated_rig(path)
-        click.echo(f"{path}: a simulated rig. Run it with: rhot sim --rig {path}")
+            write_simulated_rig(path, rate_hz=CALIBRATING_HZ if uncalibrated else 60.0, calibrated=not uncalibrated)
+        what = "a simulated rig without calibration" if uncalibrated else "a simulated rig"
+        click.echo(f"{path}: {what}. Run it with: rhot sim --rig {path}")
         return
     write_text_atomic(path / RIG_FILE, rig_template(folder=str(path), name=path.resolve().name))
     click.echo(

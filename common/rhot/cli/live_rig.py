@@ -8,12 +8,10 @@ import time
 from collections.abc import AsyncIterator, Callable
 
 from rhot.bus import Bus
-from rhot.cli.control import broadcast, rig_now_ns
+from rhot.cli.control import broadcast, newest_control, rig_now_ns
 from rhot.cli.status import fetch_status
-from rhot.errors import BusError, WireError
-from rhot.messages import Control, decode
+from rhot.errors import BusError
 from rhot.service.clock_sync import serve_clock
-from rhot.service.runner import CONTROL_KEY
 
 _START_DELAY_S = 0.2
 _RUNNING_LIMIT_S = 5.0
@@ -49,10 +47,5 @@ async def started(bus: Bus, session: str) -> AsyncIterator[None]:
 
 
 async def _running(bus: Bus) -> bool:
-    newest: Control | None = None
-    for reply in await bus.get(CONTROL_KEY, timeout_s=1.0):
-        with contextlib.suppress(WireError):
-            control = decode(reply.payload, Control)
-            if newest is None or control.t_ns > newest.t_ns:
-                newest = control
+    newest = await newest_control(bus)
     return newest is not None and newest.action == "start"

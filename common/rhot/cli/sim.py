@@ -23,7 +23,7 @@ from rhot.rig import Rig, load_rig
 from rhot.rig.config import WalkProgram
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.service.stop import install_stop
-from rhot.sim.board_run import run_board
+from rhot.sim.calibration_run import missing_calibration, run_for_calibration
 from rhot.sim.folder import DEFAULT_ENDPOINT, with_motion, write_simulated_rig
 from rhot.sim.run import SimRun, free_endpoint
 from rhot.sim.walker.folder import write_walker_rig
@@ -37,7 +37,7 @@ from rhot.sim.walker.run import WalkerRun
     type=click.FloatRange(1, 86400),
     default=30.0,
     show_default=True,
-    help="Seconds to run; with a board until Ctrl-C when not given.",
+    help="Seconds to run; with a board or without calibration until Ctrl-C when not given.",
 )
 @click.option(
     "--seed",
@@ -143,6 +143,9 @@ def sim(
     With --motion board, the cameras see a calibration chessboard that is held at one place after the other, and the rig
     stays up until Ctrl-C: try `rhot calibrate cameras --live` on it.
 
+    A rig folder made by `rhot init RIG --sim --uncalibrated` stays up, too: the page's tab Calibrate leads through the
+    calibration, by clicks.
+
     With --feet, a person walks: the feet service sees through a simulated depth camera on the head and feels through
     simulated sensors on the ankles, ik solves the legs. Drawing the pictures takes most of a core; where fewer than
     asked for are tracked per second, the summary shows it, and --rate 30 asks for half.
@@ -185,10 +188,10 @@ def sim(
         page = None if port is None else page_command(port)
         if port is not None:
             console.print(f"The page is at {page_url(port)}", soft_wrap=True)
-        if rig.config.sim.motion == "board" and not feet:
+        if not feet and (rig.config.sim.motion == "board" or missing_calibration(rig)):
             limit_s = duration_s if _is_given(context, "duration_s") else None
-            board = run_board(rig, chosen, limit_s, work, console, page)
-            return 128 + signal.SIGINT if asyncio.run(_unless_interrupted(board)) else 0
+            calibrating = run_for_calibration(rig, chosen, limit_s, work, console, page)
+            return 128 + signal.SIGINT if asyncio.run(_unless_interrupted(calibrating)) else 0
         run = (WalkerRun if feet else SimRun)(rig, chosen, duration_s, work, page)
         interrupted = asyncio.run(_unless_interrupted(run.execute(console, live=not headless and console.is_terminal)))
         if interrupted:

@@ -57,7 +57,7 @@ class KeptFile(Generic[F]):
         Raises:
             CalibrationError: it is not valid.
         """
-        stamp = _stamp(self.path)
+        stamp = file_stamp(self.path)
         if stamp != self._stamp:
             self._content = None if stamp == _ABSENT else read_json_model(self.path, self._model)
             self._stamp = stamp
@@ -154,7 +154,7 @@ def _copy(source: Path, target: Path) -> None:
     half.replace(target)
 
 
-def _stamp(path: Path) -> _Stamp:
+def file_stamp(path: Path) -> _Stamp:
     """Return what changes with a file's content."""
     try:
         found = path.stat()

@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import gc
 import logging
+from collections.abc import Callable
 from typing import Final, Protocol
 
 from pydantic import BaseModel
@@ -83,13 +84,20 @@ def run_service(service: Service, bus_config: BusConfig, *, node_clock: NodeCloc
     return asyncio.run(serve(service, bus_config, node_clock or SystemClock()))
 
 
-async def serve(service: Service, bus_config: BusConfig, node_clock: NodeClock) -> int:
-    """Run a service on the running event loop until SIGINT or SIGTERM; see `run_service`."""
+async def serve(
+    service: Service, bus_config: BusConfig, node_clock: NodeClock, on_stop: Callable[[int], None] | None = None
+) -> int:
+    """Run a service on the running event loop until SIGINT or SIGTERM; see `run_service`.
+
+    `on_stop` is called with the exit code as soon as the process is asked to end.
+    """
     stop = install_stop()
     work = asyncio.create_task(_Runner(service, bus_config, node_clock).run())
     asked = asyncio.create_task(stop.requested.wait())
     try:
         await asyncio.wait((work, asked), return_when=asyncio.FIRST_COMPLETED)
+        if asked.done() and on_stop is not None:
+            on_stop(stop.exit_code)
         asked.cancel()
         work.cancel()
         with contextlib.suppress(asyncio.CancelledError):
@@ -115,7 +123,6 @@ class _Runner:
         self._control = ControlState()
         self._status = StatusBoard()
         self._clock_ready = asyncio.Event()
-        self._digest = configuration.digest(service.config)
 
     async def run(self) -> None:
         service = self._service
@@ -222,7 +229,8 @@ class _Runner:
                     figures=figures,
                     problem=problem,
                     last_error=board.last_error,
-                    config_digest=self._digest,
+                    # Anew each time: services change settings by themselves, too, such as when files change.
+                    config_digest=configuration.digest(self._service.config),
                     clock_offset_s=None if offset is None else offset / 1e9,
                     clock_uncertainty_s=None if uncertainty is None else uncertainty / 1e9,
                 )
@@ -299,5 +307,4 @@ class _Runner:
             self._status.error(f"{self._key('config')}: {error}")
             logger.warning("%s: %s", self._key("config"), error)
             raise
-        self._digest = configuration.digest(self._service.config)
-        logger.info("configuration changed, now %s", self._digest)
+        logger.info("configuration changed, now %s", configuration.digest(self._service.config))

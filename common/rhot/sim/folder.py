@@ -18,6 +18,7 @@ from rhot.rig import HandFile, RegistrationFile, Rig, RigidTransform, load_rig, 
 from rhot.rig.calibration import today
 from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
+from rhot.rig.toml_edit import change_rig_file
 from rhot.sim.calibration import simulated_rig_calibration
 from rhot.sim.coverage import MarkerCoverage
 from rhot.sim.renderer import Renderer
@@ -38,6 +39,7 @@ def write_simulated_rig(
     seed: int = 1,
     sides: Sequence[Side] = ("right",),
     endpoint: str = DEFAULT_ENDPOINT,
+    calibrated: bool = True,
 ) -> Rig:
     """Write the folder of a simulated rig and return it loaded.
 
@@ -48,6 +50,7 @@ def write_simulated_rig(
         seed: of the world and of the calibration's errors.
         sides: hands in the world.
         endpoint: of the router.
+        calibrated: with all that calibration brings; else `rig.toml` alone, for trying the calibration.
 
     Raises:
         CalibrationError: the markers' colours could not be learnt from the rendered pictures.
@@ -71,6 +74,8 @@ def write_simulated_rig(
         seed=seed,
     )
     write_text_atomic(path / RIG_FILE, text)
+    if not calibrated:
+        return load_rig(path)
     configs = load_rig(path).config.cameras
     write_json_model(path / CAMERAS_FILE, simulated_rig_calibration(configs, seed).found)
     write_json_model(path / HAND_FILE, HandFile(date=today(), quality={"source": "simulated"}))
@@ -86,16 +91,18 @@ def write_simulated_rig(
 
 
 def with_motion(rig: Rig, motion: str) -> Rig:
-    """Write into the `rig.toml` of `write_simulated_rig` what moves there, and return the rig loaded again.
+    """Write into the `rig.toml` of a simulated rig what moves there, and return the rig loaded again.
 
     Args:
-        rig: as written; its last table is [sim] and says nothing of the motion yet.
+        rig: simulated.
         motion: as in `SimConfig`.
+
+    Raises:
+        ConfigError: the file cannot be changed; it stays as it is.
     """
     if motion == rig.config.sim.motion:
         return rig
-    file = rig.path / RIG_FILE
-    write_text_atomic(file, file.read_text(encoding="utf-8") + f'motion = "{motion}"\n')
+    change_rig_file(rig.path, {("sim",): {"motion": motion}})
     return load_rig(rig.path)
 
 

@@ -11,6 +11,7 @@ from rhot.errors import ConfigError
 from rhot.messages import Control
 from rhot.rig import Rig
 from rhot.rig.config import SimConfig
+from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.sim.world import World
 
@@ -26,9 +27,9 @@ class TruthService:
     owns_clock = False
 
     def __init__(self, rig: Rig) -> None:
-        """Prepare for the world that a rig describes."""
+        """Prepare for the world that a rig describes; each session takes it as the rig folder holds it then."""
         self._config = rig.config.sim
-        self._world = World.from_rig(rig)
+        self._rig = rig
 
     @property
     def config(self) -> SimConfig:
@@ -45,9 +46,12 @@ class TruthService:
     async def run(self, node: Node, start: Control) -> None:
         """Publish the world's truth at a steady rate until cancelled."""
         period_ns = round(1e9 / _RATE_HZ)
+        self._rig = latest_rig(self._rig)
+        self._config = self._rig.config.sim
+        world = World.from_rig(self._rig)
         while True:
             now_ns = node.clock.now_ns()
             elapsed_ns = now_ns - start.start_t_ns
             t_ns = now_ns - elapsed_ns % period_ns
-            node.publish(TRUTH_KEY, self._world.truth((t_ns - start.start_t_ns) / 1e9, t_ns))
+            node.publish(TRUTH_KEY, world.truth((t_ns - start.start_t_ns) / 1e9, t_ns))
             await asyncio.sleep((period_ns - elapsed_ns % period_ns) / 1e9)

@@ -7,7 +7,7 @@ same pictures joins the background as a class of its own, so that a look-alike i
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -62,7 +62,10 @@ class ColorCalibration:
 
 
 def calibrate(
-    images: Sequence[ImageArray], places: Sequence[Places], markers: Mapping[str, MarkerConfig]
+    images: Sequence[ImageArray],
+    places: Sequence[Places],
+    markers: Mapping[str, MarkerConfig],
+    region_of: Callable[[int], dict[str, BoolArray]] | None = None,
 ) -> ColorCalibration:
     """Fit colours to markers shown in pictures; a marker that is not shown gets none.
 
@@ -71,13 +74,15 @@ def calibrate(
         places: for each image marker name to (u, v), pixels, on the marker or within about 10 px of it, or to a
             rectangle around the marker.
         markers: the rig's markers by name.
+        region_of: returns what `regions` says of a picture by its place among `images`, where that is known.
 
     Raises:
         CalibrationError: no place at all, an unknown marker, a place outside its picture, or nothing there that is
             of a marker's size and differs from its surroundings.
     """
     check_places(images, places, markers)
-    found = [regions(image, shown) for image, shown in zip(images, places, strict=True)]
+    known = region_of or (lambda number: regions(images[number], places[number]))
+    found = [known(number) for number in range(len(images))]
     check_regions(found, places, markers)
     names = [name for name in markers if any(name in shown for shown in places)]
     features = [log_ratio(image[..., ::-1].astype(np.float64)) for image in images]

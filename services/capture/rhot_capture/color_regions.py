@@ -56,13 +56,22 @@ class PickImage:
         image: (H, W, 3) uint8 BGR.
         features: (H, W, 3) float64, smoothed colours in log-ratio space.
         commonness: (H, W) float64, natural logarithm of the share of the picture with a like colour.
-        surroundings: (H, W) float64, logarithm of the density of everything that was not picked.
+        surroundings: colours of everything that was not picked.
     """
 
     image: ImageArray
     features: FloatArray
     commonness: FloatArray
-    surroundings: FloatArray
+    surroundings: GaussianColor
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """A window of a prepared picture; the density is (h, w), its logarithm, of the surroundings' colours."""
+
+    features: FloatArray
+    commonness: FloatArray
+    density: FloatArray
 
 
 def prepare(image: ImageArray, places: Places) -> PickImage:
@@ -77,7 +86,7 @@ def prepare(image: ImageArray, places: Places) -> PickImage:
     around = np.zeros(image.shape[:2], bool)
     for place in places.values():
         around |= _surroundings_of(place, image.shape[:2])
-    return PickImage(image, features, _commonness(features), _density(features, ~around))
+    return PickImage(image, features, _commonness(features), _colors_of(features[~around]))
 
 
 def _surroundings_of(place: Place, shape: tuple[int, ...]) -> BoolArray:
@@ -107,24 +116,22 @@ def regions(image: ImageArray, places: Places) -> dict[str, BoolArray]:
     for region in grown.values():
         taken |= region
     free = cv2.dilate(taken, np.ones((7, 7), np.uint8)) == 0
-    sharper = replace(picture, surroundings=_density(picture.features, free))
+    sharper = replace(picture, surroundings=_colors_of(picture.features[free]))
     return {name: grown[name] if isinstance(place, Box) else grow(sharper, *place) for name, place in places.items()}
 
 
 def _region(picture: PickImage, place: Place, places: Places) -> BoolArray:
     if not isinstance(place, Box):
         return grow(picture, *place)
-    others = np.zeros(picture.surroundings.shape, bool)
+    others = np.zeros(picture.image.shape[:2], bool)
     for other in places.values():
         if other is not place:
             others |= _surroundings_of(other, others.shape)
     return box_region(picture.features, place, others)
 
 
-def _density(features: FloatArray, where: BoolArray) -> FloatArray:
-    color = GaussianColor(components=tuple(fit_mixture(features[where], _SURROUNDINGS, COUNTER_FLOOR)))
-    density, _ = mixture_fit(color, features.reshape(-1, 3))
-    return density.reshape(where.shape)
+def _colors_of(features: FloatArray) -> GaussianColor:
+    return GaussianColor(components=tuple(fit_mixture(features, _SURROUNDINGS, COUNTER_FLOOR)))
 
 
 def _commonness(features: FloatArray) -> FloatArray:
@@ -150,14 +157,14 @@ def grow(picture: PickImage, u: float, v: float) -> BoolArray:
         u: the pick, pixels to the right.
         v: the pick, pixels down.
     """
-    whole = np.zeros(picture.surroundings.shape, bool)
+    whole = np.zeros(picture.image.shape[:2], bool)
     for reach in _WINDOWS_PX:
         left, top = max(0, round(u) - reach), max(0, round(v) - reach)
         window = (slice(top, round(v) + reach + 1), slice(left, round(u) + reach + 1))
-        view = PickImage(
-            picture.image[window], picture.features[window], picture.commonness[window], picture.surroundings[window]
-        )
-        best, best_worth = np.zeros(view.surroundings.shape, bool), -np.inf
+        features = picture.features[window]
+        density, _ = mixture_fit(picture.surroundings, features.reshape(-1, 3))
+        view = _View(features, picture.commonness[window], density.reshape(features.shape[:2]))
+        best, best_worth = np.zeros(view.density.shape, bool), -np.inf
         for seed in _seeds(view, u - left, v - top):
             region = _grow_from(view, seed, _MAX_SHARE * whole.size)
             worth = _worth(view, region, u - left, v - top)
@@ -170,7 +177,7 @@ def grow(picture: PickImage, u: float, v: float) -> BoolArray:
     return whole
 
 
-def _seeds(view: PickImage, u: float, v: float) -> list[tuple[int, int]]:
+def _seeds(view: _View, u: float, v: float) -> list[tuple[int, int]]:
     """Return the pick, places around it, and the rarest places near it.
 
     The rarest alone may all lie in one highlight, those around the pick alone may all miss a small marker.
@@ -194,7 +201,7 @@ def _seeds(view: PickImage, u: float, v: float) -> list[tuple[int, int]]:
     return seeds
 
 
-def _worth(view: PickImage, region: BoolArray, u: float, v: float) -> float:
+def _worth(view: _View, region: BoolArray, u: float, v: float) -> float:
     rows, columns = np.nonzero(region)
     if len(rows) == 0:
         return -np.inf
@@ -209,12 +216,12 @@ def _worth(view: PickImage, region: BoolArray, u: float, v: float) -> float:
         + _COMPACT_WEIGHT * float(np.log(solidity))
         - 2.0 * away**2
         - _CENTRE_WEIGHT * off_centre**2
-        - _LIKENESS_WEIGHT * float(np.maximum(view.surroundings[region], _LEAST_DENSITY).mean())
+        - _LIKENESS_WEIGHT * float(np.maximum(view.density[region], _LEAST_DENSITY).mean())
     )
 
 
-def _grow_from(view: PickImage, seed: tuple[int, int], most_pixels: float) -> BoolArray:
-    region = np.zeros(view.surroundings.shape, bool)
+def _grow_from(view: _View, seed: tuple[int, int], most_pixels: float) -> BoolArray:
+    region = np.zeros(view.density.shape, bool)
     rows = slice(max(0, seed[1] - _PATCH_PX), seed[1] + _PATCH_PX + 1)
     columns = slice(max(0, seed[0] - _PATCH_PX), seed[0] + _PATCH_PX + 1)
     region[rows, columns] = True
@@ -231,13 +238,14 @@ def _grow_from(view: PickImage, seed: tuple[int, int], most_pixels: float) -> Bo
     return region
 
 
-def _grown(view: PickImage, region: BoolArray, seed: tuple[int, int], allowed: BoolArray) -> BoolArray:
+def _grown(view: _View, region: BoolArray, seed: tuple[int, int], allowed: BoolArray) -> BoolArray:
     inner = cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     own = inner if np.count_nonzero(inner) >= _MIN_FIT_PIXELS else region
     color = GaussianColor(components=(fit_component(view.features[own], _GROW_FLOOR),))
-    density, squared = mixture_fit(color, view.features.reshape(-1, 3))
-    fits = (squared <= _GROW_LIMIT**2).reshape(region.shape) & (density.reshape(region.shape) > view.surroundings)
-    opened = cv2.morphologyEx((fits & allowed).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    density, squared = mixture_fit(color, view.features[allowed])
+    fits = np.zeros(region.shape, np.uint8)
+    fits[allowed] = (squared <= _GROW_LIMIT**2) & (density > view.density[allowed])
+    opened = cv2.morphologyEx(fits, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     _, labels = cv2.connectedComponents(opened, connectivity=4)
     label = labels[seed[1], seed[0]]
     if label == 0:

@@ -4,50 +4,21 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
-import cv2
-import numpy as np
-
-from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView
+from rhot.calibration_step import Button, Field, Remark, Room, StepView
 from rhot.errors import CalibrationError, RhotError
 from rhot.rig.colors import ColorsFile
 from rhot.rig.config import MarkerConfig
 from rhot.rig.folder import load_rig
 from rhot.rig.kept_file import KeptFile
-from rhot_capture.color_calibration import ColorCalibration, calibrate
-from rhot_capture.color_console import suggestions, warnings
+from rhot_capture.color_clicks import Clicks
+from rhot_capture.color_learning import Learnt, learn
 from rhot_capture.color_live import live_pictures
-from rhot_capture.color_picks import Place
-from rhot_capture.color_report import overlay_picture
-from rhot_capture.color_table import ColorTable, ImageArray, build_color_table
-from rhot_capture.detector import Detection, MarkerDetector
-from rhot_capture.preview import preview_jpeg
 
 MAX_ROUNDS: Final = 4
 """So many looks at all cameras are learnt from together; each makes the fit slower."""
 _MARKER: Final = "marker"
-_OVERLAY_WIDTH: Final = 480
-
-
-@dataclass(frozen=True, slots=True)
-class _Learnt:
-    """What the clicks so far give."""
-
-    result: ColorCalibration
-    table: ColorTable
-    detections: list[dict[str, Detection]]
-    remarks: tuple[Remark, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Picture:
-    """One picture to click in: whose it is, its pixels, and what was clicked so far."""
-
-    camera: str
-    image: ImageArray
-    places: dict[str, Place]
 
 
 class ColorStep:
@@ -78,37 +49,32 @@ class ColorStep:
         self.fields = (
             Field(_MARKER, "marker", next(iter(self._markers)), tuple(self._markers), "The marker to click next."),
         )
-        self._pictures: list[_Picture] = []
-        self._clicks: list[tuple[_Picture, str]] = []
-        self._learnt: _Learnt | None = None
+        self._clicks = Clicks(self._markers)
+        self._learnt: Learnt | None = None
         self._next = next(iter(self._markers))
         self._doing = ""
-        self._shown: dict[str, bytes] = {}
+        self._shown: Mapping[str, bytes] = {}
         self._held: dict[str, bytes] = {}
         self._problem = ""
         self._clicked = asyncio.Event()
 
     def view(self) -> StepView:
         """Return pictures, figures and what is missing."""
-        picked = {name for each in self._pictures for name in each.places}
-        missing = [name for name in self._markers if name not in picked]
-        enabled = {"take"} if len(self._pictures) < MAX_ROUNDS * len(self._cameras) else set()
-        enabled |= {"anew"} if self._pictures else set()
-        enabled |= {"unclick"} if self._clicks else set()
-        enabled |= {"try"} if self._learnt is not None else set()
-        enabled |= {"save"} if self._kept.on_trial else set()
-        enabled |= {"undo"} if self._kept.can_undo else set()
-        learnt = self._learnt
+        pictures, missing, learnt = self._clicks.pictures, self._clicks.missing, self._learnt
+        enabled = {"take"} if len(pictures) < MAX_ROUNDS * len(self._cameras) else set()
+        enabled |= {"anew"} if pictures else set()
+        enabled |= {"unclick"} if self._clicks.can_take_back else set()
+        enabled |= self._kept.enabled(None if learnt is None else learnt.colors)
         return StepView(
             self._state(),
             self._is_done(),
-            share=len(picked) / len(self._markers),
+            share=1.0 - len(missing) / len(self._markers),
             remarks=(
                 *([Remark(self._problem, "wrong")] if self._problem else self._todo(missing)),
                 *(learnt.remarks if learnt is not None else ()),
             ),
             enabled=frozenset(enabled),
-            tables=() if learnt is None else (_table(learnt),),
+            tables=() if learnt is None else (learnt.table,),
             pictures=dict(self._shown),
             held=dict(self._held),
             values={_MARKER: self._next},
@@ -150,15 +116,11 @@ class ColorStep:
                     Remark(f"Cameras on other machines need {self._kept.path.name} in the rig folder there.", "warning")
                 )
             return said
-        if not self._pictures:
+        if not self._clicks.pictures:
             return [Remark("Take pictures first.")]
         if missing:
             return [Remark(f"Not clicked yet: {', '.join(missing)}. Next: {self._next}.")]
-        unseen = [
-            camera
-            for camera in self._cameras
-            if not any(each.places for each in self._pictures if each.camera == camera)
-        ]
+        unseen = self._clicks.cameras_without
         if unseen:
             return [Remark(f"Nothing clicked in {', '.join(unseen)} yet; one paint looks different in each camera.")]
         learnt = "try the colours" if self._learnt is not None else "the colours are being learnt"
@@ -172,15 +134,13 @@ class ColorStep:
         """
         if button == "take" and not self._doing:
             await self._take()
-        elif button == "unclick" and self._clicks:
-            picture, marker = self._clicks.pop()
-            del picture.places[marker]
-            self._changed(marker)
+        elif button == "unclick" and self._clicks.can_take_back:
+            self._changed(self._clicks.take_back())
         elif button == "anew":
-            self._pictures, self._clicks = [], []
+            self._clicks = Clicks(self._markers)
             self._changed(next(iter(self._markers)))
         elif button == "try" and self._learnt is not None:
-            self._kept.try_out(self._learnt.result.colors)
+            self._kept.try_out(self._learnt.colors)
             self._held = {}
         elif button == "save":
             self._kept.save()
@@ -196,15 +156,7 @@ class ColorStep:
         """
         if not self._held:
             raise CalibrationError("take pictures first: colours are learnt from pictures that stand still")
-        picture = next(each for each in reversed(self._pictures) if each.camera == camera)
-        marker = values[_MARKER]
-        if marker not in picture.places:
-            self._clicks.append((picture, marker))
-        picture.places[marker] = (u, v)
-        # The rest of this picture first, then those of the other cameras.
-        newest = [picture, *{each.camera: each for each in self._pictures}.values()]
-        rest = [name for each in newest for name in self._markers if name not in each.places]
-        self._changed(rest[0] if rest else marker)
+        self._changed(self._clicks.click(camera, values[_MARKER], (u, v)))
 
     def _changed(self, marker: str) -> None:
         """Go on with a marker; what was learnt before the change does not count any more."""
@@ -219,99 +171,27 @@ class ColorStep:
             found = await live_pictures(self._room.bus, self._cameras)
         finally:
             self._doing = ""
-        self._pictures += [_Picture(camera, image, {}) for camera, image in found.items()]
+        self._clicks.add(found)
         self._next = next(iter(self._markers))
         self._hold()
 
     def _hold(self) -> None:
         """Let the newest pictures stand still, with what was clicked in them."""
-        newest = {each.camera: each for each in self._pictures}
-        self._held = {camera: preview_jpeg(_clicked_at(each)) for camera, each in newest.items()}
+        self._held = self._clicks.held()
 
     async def _learn(self) -> None:
-        shown = [_Picture(each.camera, each.image, dict(each.places)) for each in self._pictures if each.places]
-        if not shown:
+        clicked = [each for each in self._clicks.pictures if each.places]
+        if not clicked:
             self._shown = {}
             return
         self._doing = "learning the colours"
         try:
-            learnt = await asyncio.to_thread(_learn, shown, self._markers)
-            pictures = await asyncio.to_thread(_show, shown, learnt)
+            learnt = await asyncio.to_thread(learn, clicked, [dict(each.places) for each in clicked], self._markers)
         except RhotError as error:
             self._problem = f"{error}. Click that marker again, or take the last click back"
             self._shown = {}
         else:
             if not self._clicked.is_set():
-                self._learnt, self._shown = learnt, pictures
+                self._learnt, self._shown = learnt, learnt.pictures
         finally:
             self._doing = ""
-
-
-def _learn(pictures: list[_Picture], markers: Mapping[str, MarkerConfig]) -> _Learnt:
-    images = [each.image for each in pictures]
-    result = calibrate(images, [each.places for each in pictures], markers)
-    table = build_color_table(result.colors, list(markers))
-    detections = [
-        MarkerDetector(dict(markers), table, image.shape[1], image.shape[0]).detect(image) for image in images
-    ]
-    remarks = [Remark(line.removeprefix("warning: "), "warning") for line in warnings(result)]
-    remarks += [Remark(line) for line in suggestions(result)]
-    if not remarks:
-        remarks = [Remark("The colours can be told apart.", "good")]
-    for each, found in zip(pictures, detections, strict=True):
-        unseen = [name for name in each.places if name not in found]
-        if unseen:
-            remarks.insert(
-                0,
-                Remark(
-                    f"{each.camera}: {', '.join(unseen)} clicked but not found by the tracker: is the paint large "
-                    "enough in the picture, and evenly lit?",
-                    "warning",
-                ),
-            )
-    return _Learnt(result, table, detections, tuple(remarks))
-
-
-def _show(pictures: list[_Picture], learnt: _Learnt) -> dict[str, bytes]:
-    """Return pictures with what is found, and what all colours together take in, by title."""
-    shown = {}
-    for number, each in enumerate(pictures):
-        title = (
-            each.camera if number < len({one.camera for one in pictures}) else f"{each.camera}, picture {number + 1}"
-        )
-        found = overlay_picture(each.image, learnt.result, number, learnt.detections[number], _OVERLAY_WIDTH)
-        shown[f"{title}: white = learnt from, green = found"] = preview_jpeg(found)
-        mask = np.where(learnt.table.classify(each.image)[0] > 0, 255, 0).astype(np.uint8)
-        shown[f"{title}: what the colours take in"] = preview_jpeg(each.image, None, mask)
-    return shown
-
-
-def _clicked_at(picture: _Picture) -> ImageArray:
-    canvas = picture.image.copy()
-    for name, place in picture.places.items():
-        u, v = place if isinstance(place, tuple) else place.middle
-        at = (round(u), round(v))
-        for color, thickness in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-            cv2.drawMarker(canvas, at, color, cv2.MARKER_CROSS, 11, thickness)
-            cv2.putText(
-                canvas, name, (at[0] + 8, at[1] - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.4, color, thickness, cv2.LINE_AA
-            )
-    return canvas
-
-
-def _table(learnt: _Learnt) -> Figures:
-    apart = learnt.result.separability
-    rows = []
-    for name, quality in learnt.result.markers.items():
-        nearest, mixed = apart.nearest(name)
-        found = sum(name in each for each in learnt.detections)
-        rows.append(
-            (
-                name,
-                f"{found} of {len(learnt.detections)}",
-                f"{100 * quality.recovered:.0f} %",
-                nearest or "-",
-                f"{100 * mixed:.1f} %" if nearest else "-",
-            )
-        )
-    return Figures("How well they can be told apart", ("marker", "found", "kept", "most like", "mixed up"), tuple(rows))

@@ -122,21 +122,38 @@ def mixture_fit(color: GaussianColor, features: FloatArray) -> tuple[FloatArray,
     Returns:
         (N,) logarithm of the mixture's density, (N,) squared Mahalanobis distance to the nearest component.
     """
-    densities = np.empty((len(color.components), len(features)))
-    squared = np.full(len(features), np.inf)
-    for row, component in enumerate(color.components):
-        component_squared, log_normaliser = _mahalanobis(component, features)
-        densities[row] = np.log(component.weight) + log_normaliser - 0.5 * component_squared
-        np.minimum(squared, component_squared, out=squared)
-    return np.asarray(np.logaddexp.reduce(densities, axis=0)), squared
+    form, constants = _quadratic_forms(color.components)
+    squared = np.maximum(_monomials(features) @ form, 0.0)
+    densities = constants - 0.5 * squared
+    highest = densities.max(axis=1)
+    # What `np.logaddexp.reduce` says, in a third of its time.
+    density: FloatArray = highest + np.log(np.exp(densities - highest[:, None]).sum(axis=1))
+    return density, squared.min(axis=1)
 
 
-def _mahalanobis(component: ColorComponent, features: FloatArray) -> tuple[FloatArray, float]:
-    lower = np.linalg.cholesky(component.covariance())
-    # A product with the small inverse is several times as fast as solving for 65,536 colours.
-    whitened = (features - component.mean()) @ np.linalg.inv(lower).T
-    squared = np.einsum("ij,ij->i", whitened, whitened)
-    return squared, -float(np.log(np.diag(lower)).sum()) - 1.5 * float(np.log(2.0 * np.pi))
+def _quadratic_forms(components: Sequence[ColorComponent]) -> tuple[FloatArray, FloatArray]:
+    """Return the squared Mahalanobis distances to C components as one product with `_monomials`.
+
+    Returns:
+        (10, C) coefficients, and (C,) the logarithm of each component's weight and normaliser.
+    """
+    means = np.array([component.mean() for component in components])
+    covariances = np.array([component.covariance() for component in components])
+    A = np.linalg.inv(covariances)
+    linear = -2.0 * np.einsum("cij,cj->ci", A, means)
+    constant = np.einsum("ci,cij,cj->c", means, A, means)
+    form: FloatArray = np.vstack(
+        [A[:, 0, 0], A[:, 1, 1], A[:, 2, 2], 2 * A[:, 0, 1], 2 * A[:, 0, 2], 2 * A[:, 1, 2], linear.T, constant]
+    )
+    weights = np.array([component.weight for component in components])
+    _, log_determinant = np.linalg.slogdet(covariances)
+    return form, np.log(weights) - 0.5 * log_determinant - 1.5 * float(np.log(2.0 * np.pi))
+
+
+def _monomials(features: FloatArray) -> FloatArray:
+    """Return x², y², z², xy, xz, yz, x, y, z and 1 of (N, 3) features, (N, 10)."""
+    x, y, z = features.T
+    return np.column_stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones(len(features))])
 
 
 def _assign_boxes(

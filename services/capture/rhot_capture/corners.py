@@ -15,19 +15,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot_capture.color_table import ImageArray
-from rhot_capture.grids import CoverageArray
+from rhot_capture.blob import ContourArray
+from rhot_capture.shares import CoverageArray, Shares
 
 FloatArray = NDArray[np.float64]
 Point = tuple[float, float]
 
-_POINTS_PER_SIDE: Final = 16
-_SIDE_MARGIN: Final = 0.18
+_POINTS_PER_SIDE: Final = 12
+_SIDE_MARGIN: Final = 0.17
 """Share of a side left out at either end: corners are rounded by blur and by the brush."""
-_SEARCH_PX: Final = (-3.0, 4.5)
+_SEARCH_PX: Final = (-3.0, 5.5)
 """How far inside and outside of the coarse side the edge is looked for; the mask's outline runs through the centres of
 its outermost pixels, so the edge is rather outside."""
-_STEPS: Final = 16
+_STEPS: Final = 12
 _MAX_SHIFT_PX: Final = 6.0
 _MIN_SIDE_PX: Final = 7.0
 _MAX_RESIDUAL_PX: Final = 0.6
@@ -39,6 +39,7 @@ more tells of a side that is no side but the edge of what hides a corner."""
 _PLACES: Final = np.linspace(_SIDE_MARGIN, 1.0 - _SIDE_MARGIN, _POINTS_PER_SIDE)
 """Of the points on a side, as shares of its length."""
 _POWERS: Final = np.vander(_PLACES, 3, increasing=True)
+_LINEAR: Final = np.ascontiguousarray(_POWERS[:, :2].T)
 _STEP_PX: Final = (_SEARCH_PX[1] - _SEARCH_PX[0]) / (_STEPS - 1)
 _TRAPEZIUM: Final = np.full(_STEPS, _STEP_PX, np.float32)
 _TRAPEZIUM[[0, -1]] *= 0.5
@@ -61,47 +62,47 @@ def _sampling() -> CoverageArray:
 _SAMPLING: Final = _sampling()
 
 
-def find_corners(share: CoverageArray, mask: ImageArray) -> FloatArray | None:
+def find_corners(shares: Shares, outline: ContourArray, shift: Point, area: float) -> FloatArray | None:
     """Return the corners of a patch, or None when the blob is not a quadrilateral that can be trusted.
 
     Args:
-        share: (h, w) float32, painted share per pixel.
-        mask: (h, w) uint8, 255 inside.
+        shares: painted shares of its window.
+        outline: (n, 1, 2) int32, of the blob.
+        shift: x and y, pixels, from the outline's coordinates to those of the window.
+        area: painted area, square pixels.
 
     Returns:
         (4, 2) float64, pixels in the window, clockwise as seen in the image; the first is the one nearest to the
         window's upper left (least u + v).
     """
-    coarse = _coarse_quadrilateral(mask)
+    coarse = _coarse_quadrilateral(outline, shift)
     if coarse is None:
         return None
-    corners = _refine(share, coarse)
+    corners = _refine(shares, coarse)
     if corners is None or max(map(math.dist, corners, coarse)) > _MAX_SHIFT_PX:
         return None
     (a, b, c, d), lengths = _sides(corners)
     for (x1, y1), (x2, y2), longest in ((a, c, max(lengths[0::2])), (b, d, max(lengths[1::2]))):
         if math.hypot(x1 + x2, y1 + y2) > _MAX_CONVERGENCE * longest:
             return None
-    painted = cv2.sumElems(share)[0]
-    if abs(_signed_area(corners) - painted) > _AREA_TOLERANCE * painted:
+    if abs(_signed_area(corners) - area) > _AREA_TOLERANCE * area:
         return None
     return np.array(corners)
 
 
 def _sides(corners: Sequence[Point]) -> tuple[list[Point], list[float]]:
     """Return the vectors along the sides, side k from corner k to corner k + 1, and their lengths."""
-    along = [(x2 - x1, y2 - y1) for (x1, y1), (x2, y2) in pairwise([*corners, corners[0]])]
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = corners
+    along = [(bx - ax, by - ay), (cx - bx, cy - by), (dx - cx, dy - cy), (ax - dx, ay - dy)]
     return along, [math.hypot(x, y) for x, y in along]
 
 
-def _refine(share: CoverageArray, corners: Sequence[Point]) -> list[Point] | None:
+def _refine(shares: Shares, corners: Sequence[Point]) -> list[Point] | None:
     """Return the meeting points of the lines fitted along four sides."""
     along, lengths = _sides(corners)
     outward = [(y / length, -x / length) for (x, y), length in zip(along, lengths, strict=True)]
     samples = (_SAMPLING @ np.array([*corners, *outward], np.float32)).reshape(4 * _POINTS_PER_SIDE, _STEPS, 2)
-    profile = np.asarray(
-        cv2.remap(share, samples, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
-    )
+    profile = shares.at(samples)
     usable = (profile[:, 0] > 0.75) & (profile[:, -1] < 0.25)
     # The painted length along the profile ends at the edge: exact for any symmetric blur.
     edge = (profile @ _TRAPEZIUM + np.float32(_SEARCH_PX[0])).astype(np.float64)
@@ -123,21 +124,23 @@ def _fit_lines(edge: FloatArray, usable: NDArray[np.bool_]) -> list[tuple[float,
         edge: (4, _POINTS_PER_SIDE) float64, pixels.
         usable: (4, _POINTS_PER_SIDE), which points count.
     """
+    weights = usable.astype(np.float64)
     while True:
-        sums = (usable @ _POWERS).tolist()
-        products = ((usable * edge) @ _POWERS[:, :2]).tolist()
-        if min(sums)[0] < _POINTS_PER_SIDE // 2:
-            return None
+        sums = (np.concatenate([weights, weights * edge]) @ _POWERS).tolist()
         lines = []
-        for (n, s, ss), (t, st) in zip(sums, products, strict=True):
+        for (n, s, ss), (t, st, _) in zip(sums[:4], sums[4:], strict=True):
+            if n < _POINTS_PER_SIDE // 2:
+                return None
             slope = (n * st - s * t) / (n * ss - s * s)
             lines.append(((t - slope * s) / n, slope))
-        residual = np.abs(edge - np.array(lines) @ _POWERS[:, :2].T) * usable
-        near = residual <= _OUTLIER_PX
-        if near.all():
-            means = residual.sum(axis=1) / usable.sum(axis=1)
+        residual = np.abs(edge - np.array(lines) @ _LINEAR) * weights
+        worst = residual.max()
+        if worst <= _MAX_RESIDUAL_PX:
+            return lines
+        if worst <= _OUTLIER_PX:
+            means = residual.sum(axis=1) / weights.sum(axis=1)
             return lines if means.max() <= _MAX_RESIDUAL_PX else None
-        usable = usable & near
+        weights *= residual <= _OUTLIER_PX
 
 
 def _meeting_points(lines: Sequence[tuple[float, float, float, float]]) -> list[Point] | None:
@@ -152,9 +155,8 @@ def _meeting_points(lines: Sequence[tuple[float, float, float, float]]) -> list[
     return points
 
 
-def _coarse_quadrilateral(mask: ImageArray) -> list[Point] | None:
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    hull = cv2.convexHull(contours[0] if len(contours) == 1 else max(contours, key=cv2.contourArea))
+def _coarse_quadrilateral(outline: ContourArray, shift: Point) -> list[Point] | None:
+    hull = cv2.convexHull(outline)
     perimeter = cv2.arcLength(hull, True)
     polygon = hull
     for tolerance in (0.02, 0.04, 0.06, 0.09, 0.12):
@@ -163,7 +165,8 @@ def _coarse_quadrilateral(mask: ImageArray) -> list[Point] | None:
             break
     if len(polygon) != 4:
         polygon = cv2.boxPoints(cv2.minAreaRect(hull))
-    corners = [(float(x), float(y)) for x, y in polygon.reshape(4, 2).tolist()]
+    shift_x, shift_y = shift
+    corners = [(x + shift_x, y + shift_y) for x, y in polygon.reshape(4, 2).tolist()]
     if _signed_area(corners) < 0.0:
         corners.reverse()
     if min(_sides(corners)[1]) < _MIN_SIDE_PX:
@@ -173,5 +176,6 @@ def _coarse_quadrilateral(mask: ImageArray) -> list[Point] | None:
 
 
 def _signed_area(corners: Sequence[Point]) -> float:
-    """Area of a polygon, positive when clockwise as seen (v points down)."""
-    return 0.5 * sum([x1 * y2 - x2 * y1 for (x1, y1), (x2, y2) in pairwise([*corners, corners[0]])])
+    """Area of a quadrilateral, positive when clockwise as seen (v points down): half of its diagonals' product."""
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = corners
+    return 0.5 * ((cx - ax) * (dy - by) - (cy - ay) * (dx - bx))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import cv2
@@ -20,36 +19,23 @@ from numpy.typing import NDArray
 from rhot.errors import ConfigError
 from rhot.rig.config import MarkerConfig
 from rhot_capture.blob import Blob, blobs_of
+from rhot_capture.candidates import MIN_PLAUSIBILITY, Candidate, judge, middle_of
 from rhot_capture.color_table import ColorTable, ImageArray
 from rhot_capture.corners import find_corners
 from rhot_capture.cutouts import Cutouts, Region
-from rhot_capture.grids import Window
-from rhot_capture.score import Evidence, probability
+from rhot_capture.score import probability
 from rhot_capture.search import find_regions
 from rhot_capture.subpixel import find_centres
 from rhot_capture.track import MarkerTrack
+from rhot_capture.windows import Window
 
 FloatArray = NDArray[np.float64]
 
-MIN_PLAUSIBILITY: Final = 0.1
-"""A blob that is less like a marker than this is not reported."""
-
-_TYPICAL_LIKELIHOOD: Final = 0.35
-"""Mean of exp(−d²/2) over samples of a three-dimensional normal distribution: 2^(−3/2)."""
-_TYPICAL_SOLIDITY: Final = 0.85
-_MIN_SOLIDITY: Final = 0.5
-_MIN_FILL: Final = 0.5
-_MAX_ADJACENCY: Final = 0.4
-_CLING_RATIO: Final = 1.5
-_SLIVER_SCORE: Final = 0.5
 _SURVEY_FRAMES: Final = 30
-_BOX_3: Final = np.ones((3, 3), np.uint8)
-_BOX_5: Final = np.ones((5, 5), np.uint8)
 
 
-@dataclass(frozen=True, slots=True)
-class Detection:
-    """One marker in one frame.
+class Detection(NamedTuple):
+    """One marker in one frame; a tuple, as those of each frame are made in a quarter of the time of dataclasses.
 
     Attributes:
         u, v: sub-pixel centre of the visible painted area, pixels, pixel centres on integers.
@@ -73,20 +59,6 @@ class Detection:
         return np.concatenate(self.blob.outlines).reshape(-1, 2).astype(np.float64)
 
 
-class _Candidate(NamedTuple):
-    """A blob that may be a marker.
-
-    Attributes:
-        blob: where it is.
-        plausibility: 0 to 1, how much it is like the marker; decides which blob is chosen and whether one is.
-        evidence: for its score, but for what tracks and other blobs tell.
-    """
-
-    blob: Blob
-    plausibility: float
-    evidence: Evidence
-
-
 class MarkerDetector:
     """Finds all markers of one camera, frame after frame."""
 
@@ -104,6 +76,7 @@ class MarkerDetector:
         """
         self._markers = dict(markers)
         self._names = tuple(markers)
+        self._gates = [(marker.min_area_px, marker.max_area_px) for marker in markers.values()]
         self._size = (height, width)
         self._tracks = {name: MarkerTrack() for name in markers}
         self._image: ImageArray = np.zeros((height, width, 3), np.uint8)
@@ -156,7 +129,7 @@ class MarkerDetector:
                 self._tracks[name].miss()
         return self._measure(image, chosen)
 
-    def _follow(self) -> dict[str, _Candidate] | None:
+    def _follow(self) -> dict[str, Candidate] | None:
         """Look for each marker where it is expected; None when one of them is not wholly there."""
         self._since_survey += 1
         if self._since_survey >= _SURVEY_FRAMES:
@@ -173,13 +146,13 @@ class MarkerDetector:
         chosen = self._best(candidates)
         return chosen if len(chosen) == len(looks) else None
 
-    def _survey(self) -> dict[str, _Candidate]:
+    def _survey(self) -> dict[str, Candidate]:
         """Look for every marker in the whole frame."""
         self._since_survey = 0
         looks = find_regions(self._image, self._table)
         return self._best(self._candidates(looks, every=False) or {}) if looks else {}
 
-    def _candidates(self, looks: Sequence[tuple[int, Region]], every: bool) -> dict[str, list[_Candidate]] | None:
+    def _candidates(self, looks: Sequence[tuple[int, Region]], every: bool) -> dict[str, list[Candidate]] | None:
         """Return the candidates for each marker in some regions of the frame; markers without one are absent.
 
         Args:
@@ -187,56 +160,27 @@ class MarkerDetector:
             every: return None as soon as some blob is not wholly in its region.
         """
         cutouts = Cutouts(self._image, self._table, looks)
-        markers = [self._markers[self._names[label - 1]] for label, _ in looks]
-        gates = [(marker.min_area_px, marker.max_area_px) for marker in markers]
-        candidates: dict[str, list[_Candidate]] = {}
-        found = blobs_of(cutouts.own, cutouts.places, gates, self._size)
-        for place, marker, blobs in zip(cutouts.places, markers, found, strict=True):
+        candidates: dict[str, list[Candidate]] = {}
+        found = blobs_of(cutouts.own, cutouts.places, [self._gates[label - 1] for label, _ in looks], self._size)
+        count = [0] * (len(self._names) + 1)
+        for place, blobs in zip(cutouts.places, found, strict=True):
+            count[place.label] += len(blobs)
+        for place, blobs in zip(cutouts.places, found, strict=True):
             name = self._names[place.label - 1]
+            track, alone = self._tracks[name], count[place.label] == 1
             for blob in blobs:
                 if not blob.inside(place.region, self._size):
                     if every:
                         return None
                     continue
-                candidate = self._judge(cutouts, blob, place.label, marker, self._tracks[name])
+                candidate = judge(cutouts, blob, place.label, self._gates[place.label - 1][0], track, alone)
                 if candidate is not None:
                     candidates.setdefault(name, []).append(candidate)
         return candidates
 
-    def _judge(
-        self, cutouts: Cutouts, blob: Blob, label: int, marker: MarkerConfig, track: MarkerTrack
-    ) -> _Candidate | None:
-        """Return a blob as candidate for a marker; None when it is none."""
-        if blob.solidity < _MIN_SOLIDITY:
-            return None
-        window = blob.cut
-        labels = cutouts.labels[window]
-        own = cutouts.own[window] & blob.mask
-        own_pixels = cv2.countNonZero(own)
-        if own_pixels < _MIN_FILL * blob.area:
-            return None
-        # A thin line or a ring is the mixed rim of another marker, not paint of its own; unless the marker was just
-        # here and is being covered.
-        thin = _is_thin(blob, own, own_pixels)
-        if thin and not track.continues(*_middle(blob)):
-            return None
-        if cv2.countNonZero(labels) > own_pixels and _clings(blob, labels, label):
-            return None
-        likelihoods = cv2.LUT(cutouts.packed[window], self._table.likelihoods)
-        colour = min(1.0, cv2.mean(likelihoods, own)[0] / (255.0 * _TYPICAL_LIKELIHOOD))
-        compact = min(1.0, blob.solidity / _TYPICAL_SOLIDITY)
-        size = blob.area / (blob.area + marker.min_area_px)
-        # A sliver is all rim: none of its pixels is pure paint.
-        pure = colour * (_SLIVER_SCORE if thin else 1.0)
-        plausibility = pure * compact * size * (1.0 - blob.border_share)
-        if plausibility <= 0.0:
-            return None
-        evidence = Evidence(colour=math.log(pure), inside=-blob.border_share, alone=0.0)
-        return _Candidate(blob, plausibility, evidence)
-
-    def _best(self, candidates: Mapping[str, list[_Candidate]]) -> dict[str, _Candidate]:
+    def _best(self, candidates: Mapping[str, list[Candidate]]) -> dict[str, Candidate]:
         """Return for each marker the candidate that is most surely it; none where none is surely enough."""
-        chosen: dict[str, _Candidate] = {}
+        chosen: dict[str, Candidate] = {}
         for name in self._names:
             each = candidates.get(name)
             if each is None:
@@ -246,7 +190,7 @@ class MarkerDetector:
                 track = self._tracks[name]
                 # How much it is like the marker, times how well it continues the track, times area.
                 weights = [
-                    one.plausibility * track.preference(*_middle(one.blob), one.blob.area) * one.blob.area
+                    one.plausibility * track.preference(*middle_of(one.blob), one.blob.area) * one.blob.area
                     for one in each
                 ]
                 first, second = sorted(range(len(each)), key=weights.__getitem__, reverse=True)[:2]
@@ -259,54 +203,25 @@ class MarkerDetector:
                 chosen[name] = best
         return chosen
 
-    def _measure(self, image: ImageArray, chosen: Mapping[str, _Candidate]) -> dict[str, Detection]:
+    def _measure(self, image: ImageArray, chosen: Mapping[str, Candidate]) -> dict[str, Detection]:
         """Measure the chosen blobs of a frame."""
         windows = []
         for name, one in chosen.items():
-            blob, is_cap = one.blob, self._markers[name].kind == "cap"
             # At the picture's border a rim is missing, and what the gain does on the other side would not cancel.
+            blob, is_cap = one.blob, self._markers[name].kind == "cap"
             whole = blob.border_share == 0.0
             windows.append(Window(image[blob.window], blob.mask, is_cap and whole, not is_cap and whole))
         found = {}
         for (name, one), centre in zip(chosen.items(), find_centres(windows), strict=True):
             blob = one.blob
             corners = None
-            if centre.share is not None:
-                corners = find_corners(centre.share, blob.mask)
+            if centre.shares is not None:
+                shift = blob.shift[0] - blob.x0, blob.shift[1] - blob.y0
+                corners = find_corners(centre.shares, blob.points, shift, centre.area)
             if corners is not None:
                 corners += (blob.x0, blob.y0)
                 corners.setflags(write=False)
             u, v = blob.x0 + centre.u, blob.y0 + centre.v
             found[name] = Detection(u, v, centre.area, probability(one.evidence), corners, blob)
-            self._tracks[name].hit(u, v, centre.area, 0.5 * max(blob.mask.shape))
+            self._tracks[name].hit(u, v, centre.area, (0.5 * blob.box[2], 0.5 * blob.box[3]))
         return found
-
-
-def _is_thin(blob: Blob, own: ImageArray, own_pixels: int) -> bool:
-    """Tell whether no pixel of a blob has all its eight neighbours in it.
-
-    Args:
-        blob: it.
-        own: (h, w) uint8, 1 where its pixels have its own label.
-        own_pixels: how many.
-    """
-    # Without holes, what is thin is all outline and the inner corners of the outline, at most as many again.
-    if own_pixels == blob.area and own_pixels > 2 * sum(map(len, blob.contours)):
-        return False
-    return cv2.countNonZero(cv2.erode(own, _BOX_3)) == 0
-
-
-def _clings(blob: Blob, labels: ImageArray, label: int) -> bool:
-    """Tell whether a blob hangs on a larger blob of another marker, as the stained rim of that marker does."""
-    ring = labels[(cv2.dilate(blob.mask, _BOX_5) > 0) & (blob.mask == 0)]
-    counts = np.bincount(ring, minlength=label + 1)
-    counts[0] = counts[label] = 0
-    other = int(np.argmax(counts))
-    if counts[other] <= _MAX_ADJACENCY * len(ring):
-        return False
-    return bool(np.count_nonzero(labels == other) > _CLING_RATIO * blob.area)
-
-
-def _middle(blob: Blob) -> tuple[float, float]:
-    height, width = blob.mask.shape
-    return blob.x0 + 0.5 * (width - 1), blob.y0 + 0.5 * (height - 1)

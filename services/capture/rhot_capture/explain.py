@@ -19,7 +19,7 @@ from rhot.explain import Explanation, ExplanationRow, Outline, PictureExplanatio
 from rhot.recording import PictureTrack, VideoTrack
 from rhot.rig import MarkerConfig, Rig
 from rhot.rig.colors import load_colors
-from rhot_capture import detector as limits
+from rhot_capture import candidates as limits
 from rhot_capture.blob import Blob, find_blobs
 from rhot_capture.color_table import ImageArray, build_color_table
 from rhot_capture.detector import Detection, MarkerDetector
@@ -119,7 +119,7 @@ class PictureExplainer:
         )
         note = (
             f"Blobs of each marker's colour, largest first. Asked for: the marker's own area, solidity of at least "
-            f"{limits._MIN_SOLIDITY:g}, own colour on {100 * limits._MIN_FILL:.0f} % of it, a core that is not thin, "
+            f"{limits.MIN_SOLIDITY:g}, own colour on {100 * limits.MIN_FILL:.0f} % of it, a core that is not thin, "
             f"not hanging on a larger blob of another marker, altogether at least {limits.MIN_PLAUSIBILITY:g} alike. "
             "Found anew in the recorded picture; its coding can cost a live marker a pixel or two of its area."
         )
@@ -139,8 +139,8 @@ class PictureExplainer:
             fill=cv2.countNonZero(own) / max(blob.area, 1.0),
             thin=cv2.countNonZero(cv2.erode(own, _BOX_3)) == 0,
             continues=track.continues(*_middle(blob)),
-            clings=limits._clings(blob, window, label),
-            colour=min(1.0, likelihood / limits._TYPICAL_LIKELIHOOD),
+            clings=limits.clings(blob, window, label),
+            colour=min(1.0, likelihood / limits.TYPICAL_LIKELIHOOD),
             expected_px=away,
         )
 
@@ -173,12 +173,12 @@ def _reason(looks: _Looks, marker: MarkerConfig, other_taken: bool) -> str:
         (blob.area < marker.min_area_px, f"too small: {blob.area:.0f} px², min_area_px = {marker.min_area_px:g}"),
         (blob.area > marker.max_area_px, f"too large: {blob.area:.0f} px², max_area_px = {marker.max_area_px:g}"),
         (
-            blob.solidity < limits._MIN_SOLIDITY,
-            f"ragged: solidity {blob.solidity:.2f}, at least {limits._MIN_SOLIDITY:g}",
+            blob.solidity < limits.MIN_SOLIDITY,
+            f"ragged: solidity {blob.solidity:.2f}, at least {limits.MIN_SOLIDITY:g}",
         ),
         (
-            looks.fill < limits._MIN_FILL,
-            f"hollow: own colour on {100 * looks.fill:.0f} %, at least {100 * limits._MIN_FILL:.0f} %",
+            looks.fill < limits.MIN_FILL,
+            f"hollow: own colour on {100 * looks.fill:.0f} %, at least {100 * limits.MIN_FILL:.0f} %",
         ),
         (looks.thin and not looks.continues, "thin: no core of pure colour, and not where the marker just was"),
         (looks.clings, "rim of another marker: it hangs on a larger blob of that colour"),

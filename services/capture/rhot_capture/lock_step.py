@@ -12,7 +12,7 @@ import numpy as np
 
 from rhot.bus import Bus
 from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView
-from rhot.errors import BusError, DeviceError, RhotError
+from rhot.errors import BusError, ConfigError, DeviceError, RhotError
 from rhot.rig.folder import load_config
 from rhot_capture.color_live import decoded
 from rhot_capture.color_table import ImageArray
@@ -27,6 +27,7 @@ MAX_GAIN_RATIO: Final = 1.25
 _INTERVAL_S: Final = 1.0
 _CONNECT_S: Final = 0.5
 _ANSWER_S: Final = 1.0
+_KEEP_S: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,8 @@ class CameraLook:
         exposure_s, gain, white_balance: its locked settings.
         bright: level that the brightest hundredth of the picture reaches, 0 to 255.
         clipped: share of its pixels with a channel at its end.
+        unsaved: it is set otherwise than its `rig.toml` says.
+        can_undo: there are values from before the last saving.
     """
 
     problem: str = ""
@@ -46,6 +49,8 @@ class CameraLook:
     white_balance: tuple[float, float] = (1.0, 1.0)
     bright: float = 0.0
     clipped: float = 0.0
+    unsaved: bool = False
+    can_undo: bool = False
 
 
 class LockStep:
@@ -54,33 +59,52 @@ class LockStep:
     about = (
         "Start `rhot capture` for every camera. It locks exposure, gain and white balance by itself; set them with the "
         "sliders of the tab Cameras: first the exposure, so short that fast fingers stay sharp (4 ms), then the gain, "
-        "then both whites, until a sheet of paper looks grey."
+        "then both whites, until a sheet of paper looks grey. Save what is good: it is written into rig.toml where the "
+        "camera runs, and is there again after a restart."
     )
     fields: tuple[Field, ...] = ()
-    buttons: tuple[Button, ...] = ()
+    buttons = (
+        Button("save", "save", "Exposure, gain and white balance of all cameras, into rig.toml; comments stay."),
+        Button("undo", "undo", "Bring back the values before the last saving."),
+    )
 
     def __init__(self, room: Room) -> None:
         self._room = room
         self._cameras = tuple(load_config(room.rig_path).cameras)
         self._looks: dict[str, CameraLook] = {}
+        self._complete: dict[str, CameraLook] = {}
+        self._looking = False
         self._problem = ""
 
     def view(self) -> StepView:
-        """Return how the cameras stood a moment ago."""
-        remarks = [Remark(self._problem, "wrong")] if self._problem else look_remarks(self._looks)
-        answering = sum(not look.problem for look in self._looks.values())
-        done = bool(self._looks) and all(remark.tone == "good" for remark in remarks)
-        state = f"{answering} of {len(self._cameras)} cameras answer" if self._looks else "looking"
+        """Return how the cameras stood a moment ago; while another step is shown, when all answered last."""
+        # Left while the rig was being started anew, the last look of all would have it that no camera is there.
+        looks = self._looks if self._looking or not self._complete else self._complete
+        remarks = [Remark(self._problem, "wrong")] if self._looking and self._problem else look_remarks(looks)
+        answering = sum(not look.problem for look in looks.values())
+        done = bool(looks) and all(remark.tone == "good" for remark in remarks)
+        state = f"{answering} of {len(self._cameras)} cameras answer" if looks else "looking"
         return StepView(
             "all cameras run and are well exposed" if done else state,
             done,
             share=answering / len(self._cameras),
             remarks=tuple(remarks),
-            tables=(_table(self._looks),) if answering else (),
+            enabled=frozenset(
+                ({"save"} if any(look.unsaved for look in looks.values()) else set())
+                | ({"undo"} if any(look.can_undo for look in looks.values()) else set())
+            ),
+            tables=(_table(looks),) if answering else (),
         )
 
     async def follow(self) -> None:
         """Look until cancelled."""
+        self._looking = True
+        try:
+            await self._look_again_and_again()
+        finally:
+            self._looking = False
+
+    async def _look_again_and_again(self) -> None:
         while True:
             try:
                 async with await Bus.open(self._room.bus, timeout_s=_CONNECT_S) as bus:
@@ -88,13 +112,32 @@ class LockStep:
                     while True:
                         looks = await asyncio.gather(*(_look(bus, name) for name in self._cameras))
                         self._looks = dict(zip(self._cameras, looks, strict=True))
+                        if not any(look.problem for look in looks):
+                            self._complete = self._looks
                         await asyncio.sleep(_INTERVAL_S)
             except BusError as error:
                 self._problem = str(error)
                 await asyncio.sleep(_INTERVAL_S)
 
     async def press(self, button: str, values: Mapping[str, str]) -> None:
-        """There is nothing to press."""
+        """Save or undo exposure, gain and white balance of every camera that answers.
+
+        Raises:
+            RhotError: no router, or a camera refuses; says which and why.
+        """
+        there = [name for name, look in self._looks.items() if not look.problem]
+        refused = []
+        async with await Bus.open(self._room.bus, timeout_s=_CONNECT_S) as bus:
+            # One after the other: those on one machine share a file.
+            for name in there:
+                look = self._looks[name]
+                if look.unsaved if button == "save" else look.can_undo:
+                    replies = await bus.get(f"rhot/keep/capture/{name}?do={button}", timeout_s=_KEEP_S)
+                    refused += [f"{name}: {reply.error}" for reply in replies if reply.error]
+                    refused += [] if replies else [f"{name}: no answer within {_KEEP_S:.0f} s"]
+            self._looks |= {name: await _look(bus, name) for name in there}
+        if refused:
+            raise ConfigError("; ".join(refused))
 
     async def point(self, camera: str, u: float, v: float, values: Mapping[str, str]) -> None:
         """There is nothing to click at."""
@@ -126,6 +169,14 @@ def look_remarks(looks: Mapping[str, CameraLook]) -> list[Remark]:
         remarks.append(
             Remark("the cameras are set differently: give all the same exposure, gain and white balance", "warning")
         )
+    unsaved = [name for name, look in there.items() if look.unsaved]
+    if unsaved:
+        remarks.append(
+            Remark(
+                f"{', '.join(unsaved)}: set otherwise than rig.toml says; save, or it is gone after a restart",
+                "warning",
+            )
+        )
     if looks and not remarks:
         remarks.append(Remark("all cameras run, are locked alike and well exposed; go on with the colours", "good"))
     return remarks
@@ -144,7 +195,17 @@ async def _look(bus: Bus, camera: str) -> CameraLook:
         found = json.loads(settings[0].payload)
         bright, clipped = picture_light(image)
         red, blue = found["white_balance"]
-        return CameraLook("", float(found["exposure_s"]), float(found["gain"]), (red, blue), bright, clipped)
+        kept = await bus.get(f"rhot/keep/capture/{camera}", timeout_s=_ANSWER_S)
+        keep = json.loads(kept[0].payload) if kept and not kept[0].error else {}
+        return CameraLook(
+            exposure_s=float(found["exposure_s"]),
+            gain=float(found["gain"]),
+            white_balance=(red, blue),
+            bright=bright,
+            clipped=clipped,
+            unsaved=bool(keep.get("differs", False)),
+            can_undo=bool(keep.get("can_undo", False)),
+        )
     except (RhotError, DeviceError) as error:
         return CameraLook(str(error).removeprefix(f"camera {camera}: "))
     except (ValueError, KeyError, IndexError, TypeError):

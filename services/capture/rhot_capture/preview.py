@@ -15,6 +15,10 @@ from rhot_capture.detector import Detection
 _QUALITY: Final = 85
 _LINE: Final = (255, 255, 255)
 _SHADOW: Final = (0, 0, 0)
+_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
+_FONT_SCALE: Final = 0.45
+_LINE_PX: Final = 13
+"""Least distance between two lines of text."""
 
 
 _PNG_LEVEL: Final = 1
@@ -58,8 +62,9 @@ def _coded(
     canvas = image.copy()
     if mask is not None:
         canvas[mask == 0] //= 5
-    for name, detection in (detections or {}).items():
-        _draw(canvas, name, detection)
+    for detection in (detections or {}).values():
+        _draw_rim(canvas, detection)
+    mark_places(canvas, {f"{name} {each.score:.2f}": (each.u, each.v) for name, each in (detections or {}).items()})
     ok, data = cv2.imencode(suffix, canvas, options)
     if not ok:
         raise ConfigError(f"preview: a frame of shape {image.shape} cannot be coded as a picture")
@@ -82,16 +87,25 @@ def marker_mask(labels: ImageArray, names: Sequence[str], marker: str) -> ImageA
     return np.where(labels == list(names).index(marker) + 1, 255, 0).astype(np.uint8)
 
 
-def _draw(canvas: ImageArray, name: str, detection: Detection) -> None:
+def mark_places(canvas: ImageArray, places: Mapping[str, tuple[float, float]]) -> None:
+    """Draw a cross at each place (u, v) and its text beside it; texts that would cover one another move down."""
+    taken: list[tuple[int, int, int]] = []
+    for text, (u, v) in sorted(places.items(), key=lambda each: each[1][1]):
+        centre = (round(u), round(v))
+        width = cv2.getTextSize(text, _FONT, _FONT_SCALE, 1)[0][0]
+        x, y = centre[0] + 8, centre[1] - 8
+        while any(x < right and left < x + width and abs(y - other) < _LINE_PX for left, right, other in taken):
+            y += 2
+        taken.append((x, x + width, y))
+        for color, thickness in ((_SHADOW, 3), (_LINE, 1)):
+            cv2.drawMarker(canvas, centre, color, cv2.MARKER_CROSS, 11, thickness)
+            cv2.putText(canvas, text, (x, y), _FONT, _FONT_SCALE, color, thickness, cv2.LINE_AA)
+
+
+def _draw_rim(canvas: ImageArray, detection: Detection) -> None:
     outline = np.round(detection.outline).astype(np.int32).reshape(-1, 1, 2)
     for point in outline[:, 0]:
         cv2.circle(canvas, (int(point[0]), int(point[1])), 0, _LINE, 1)
     if detection.corners is not None:
         corners = np.round(detection.corners * 16.0).astype(np.int32).reshape(-1, 1, 2)
         cv2.polylines(canvas, [corners], True, (0, 255, 255), 1, cv2.LINE_AA, 4)
-    centre = (round(detection.u), round(detection.v))
-    for color, thickness in ((_SHADOW, 3), (_LINE, 1)):
-        cv2.drawMarker(canvas, centre, color, cv2.MARKER_CROSS, 11, thickness)
-        text = f"{name} {detection.score:.2f}"
-        place = (centre[0] + 8, centre[1] - 8)
-        cv2.putText(canvas, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, color, thickness, cv2.LINE_AA)

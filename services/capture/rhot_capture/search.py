@@ -1,11 +1,12 @@
-"""Where in a whole picture markers may be, by looking at every second pixel of every second row.
+"""Where in a whole picture markers may be, by looking at every third pixel of every third row.
 
 A blob that is a marker holds three by three pixels of its colour (`rhot_capture.detector` believes thinner ones only
-where a marker just was), and of these at least one is looked at.
+where a marker just was), and of these one is looked at.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import cv2
@@ -14,8 +15,9 @@ import numpy as np
 from rhot_capture.color_table import ColorTable, ImageArray
 from rhot_capture.cutouts import Region
 
-_STEP: Final = 2
-_ROOM_PX: Final = 10
+_STEP: Final = 3
+_FIRST: Final = 1
+_ROOM_PX: Final = 11
 """Round the pixels that were looked at: what was passed over, the padding of a blob, a part split off by shine."""
 _MOST_PLACES: Final = 100
 _MOST_REGIONS: Final = 6
@@ -35,7 +37,6 @@ def find_regions(image: ImageArray, table: ColorTable) -> list[tuple[int, Region
     """
     height, width = image.shape[:2]
     labels = _sampled_labels(image, table)
-    count = len(table.names)
     contours, _ = cv2.findContours(labels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     if len(contours) > _MOST_PLACES:
         contours = sorted(contours, key=cv2.contourArea, reverse=True)[:_MOST_PLACES]
@@ -43,33 +44,49 @@ def find_regions(image: ImageArray, table: ColorTable) -> list[tuple[int, Region
     for contour in contours:
         left, top, across, down = cv2.boundingRect(contour)
         part = labels[top : top + down, left : left + across]
-        present = np.bincount(part.ravel(), minlength=count + 1).tolist()
-        found = [label for label in range(1, count + 1) if present[label]]
-        for label in found:
-            x, y, w, h = (0, 0, across, down) if len(found) == 1 else cv2.boundingRect(cv2.inRange(part, label, label))
+        column, row = contour[0, 0]
+        for label, pixels, (x, y, w, h) in _labels_in(part, int(labels[row, column])):
             region = Region(
-                max(0, _STEP * (left + x) - _ROOM_PX),
-                max(0, _STEP * (top + y) - _ROOM_PX),
-                min(width, _STEP * (left + x + w - 1) + _ROOM_PX + 1),
-                min(height, _STEP * (top + y + h - 1) + _ROOM_PX + 1),
+                max(0, _FIRST + _STEP * (left + x) - _ROOM_PX),
+                max(0, _FIRST + _STEP * (top + y) - _ROOM_PX),
+                min(width, _FIRST + _STEP * (left + x + w - 1) + _ROOM_PX + 1),
+                min(height, _FIRST + _STEP * (top + y + h - 1) + _ROOM_PX + 1),
             )
-            boxes.setdefault(label, []).append((present[label], region))
+            boxes.setdefault(label, []).append((pixels, region))
     return [(label, region) for label, sized in boxes.items() for region in _joined(sized)]
 
 
+def _labels_in(part: ImageArray, first: int) -> list[tuple[int, int, Sequence[int]]]:
+    """Return the labels that occur, each with its pixels and its upright rectangle.
+
+    Args:
+        part: (h, w) uint8, labels.
+        first: one of them, in most cases the only one.
+    """
+    pixels = cv2.countNonZero(cv2.inRange(part, first, first))
+    if pixels == cv2.countNonZero(part):
+        return [(first, pixels, (0, 0, part.shape[1], part.shape[0]))]
+    present = np.bincount(part.ravel()).tolist()
+    return [
+        (label, count, cv2.boundingRect(cv2.inRange(part, label, label)))
+        for label, count in enumerate(present)
+        if label and count
+    ]
+
+
 def _sampled_labels(image: ImageArray, table: ColorTable) -> ImageArray:
-    """Return the labels of every second pixel of every second row, (H/2, W/2)."""
-    packed = np.asarray(cv2.cvtColor(image[::_STEP], cv2.COLOR_BGR2BGR565)).view(np.uint16)[..., 0]
-    width = packed.shape[1] // 2
-    # Two colours as one number, cut down to the first of them: several times as fast as a copy with a step.
-    halved = packed[:, : 2 * width].view("<u4").astype(np.uint16)
-    return np.asarray(cv2.LUT(halved, table.labels), dtype=np.uint8).reshape(halved.shape)
+    """Return the labels of every third pixel of every third row, (H/3, W/3)."""
+    packed = np.asarray(cv2.cvtColor(image[_FIRST::_STEP], cv2.COLOR_BGR2BGR565)).view(np.uint16)[..., 0]
+    # Columns are left out only now: two bytes with a step are copied ten times as fast as three.
+    sampled = np.ascontiguousarray(packed[:, _FIRST::_STEP])
+    return np.asarray(cv2.LUT(sampled, table.labels), dtype=np.uint8).reshape(sampled.shape)
 
 
 def _joined(sized: list[tuple[int, Region]]) -> list[Region]:
     """Return the largest regions, those that overlap as one."""
-    if len(sized) > 1:
-        sized.sort(reverse=True)
+    if len(sized) == 1:
+        return [sized[0][1]]
+    sized.sort(reverse=True)
     joined: list[Region] = []
     for _, region in sized[:_MOST_REGIONS]:
         grown = region

@@ -19,18 +19,21 @@ from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.messages import Control, MarkerFrame
 from rhot.rig import Rig
 from rhot.rig.colors import ColorsFile, load_colors
+from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.grabber import Grabber
 from rhot_capture.color_table import ImageArray, build_color_table
 from rhot_capture.detector import Detection, MarkerDetector
 from rhot_capture.frame_stream import FrameStream
 from rhot_capture.grabber import grab
+from rhot_capture.kept_optics import KeptOptics
 from rhot_capture.preview import marker_mask, preview_jpeg, preview_png
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources import Frame, Source, open_source
 from rhot_capture.timing import marker_frame, row_time_ns
 
 _PREVIEW_WAIT_S: Final = 0.4
+_APPLY_LIMIT_S: Final = 1.5
 _KEEP_EVERY_S: Final = 1.0
 _LOOK_EVERY: Final = 32
 """Frames between two looks at whether `colors.json` has changed."""
@@ -77,6 +80,7 @@ class CaptureService:
         self._colors_stamp = _stamp(rig.colors_path)
         self._colors = _colors_of(rig)
         self._names = tuple(rig.config.markers)
+        self._kept = KeptOptics(rig.path, camera)
         self._settings = CameraSettings.from_config(config, self._colors)
         table = build_color_table(self._colors, self._names)
         self._detector = MarkerDetector(rig.config.markers, table, *self._size)
@@ -134,10 +138,13 @@ class CaptureService:
             self._building.submit(self._reload, node)
 
     def attach(self, node: Node) -> None:
-        """Declare `rhot/markers/<camera>`, `rhot/@pictures/<camera>` and `rhot/preview/<camera>`."""
+        """Declare `rhot/markers`, `rhot/@pictures`, `rhot/preview` and `rhot/keep/capture`, each for this camera."""
         self._publisher = node.bus.publisher(f"rhot/markers/{self.instance}", MarkerFrame)
         self._frame_stream = FrameStream(self.instance, node.bus)
         node.bus.queryable(f"rhot/preview/{self.instance}", self._answer_preview, slow=True)
+        loop = asyncio.get_running_loop()
+        key = f"rhot/keep/capture/{self.instance}"
+        node.bus.queryable(key, lambda request: self._answer_keep(loop, request), slow=True)
         node.status.include(self._counts)
 
     def _counts(self) -> dict[str, int]:
@@ -149,6 +156,7 @@ class CaptureService:
 
     async def run(self, node: Node, start: Control) -> None:
         """Open the camera, start at the start time (or join late) and publish until cancelled."""
+        self._follow_rig_file()
         source = open_source(self.instance, self._rig, self._clock)
         start_ns = node.node_clock.now_ns() + start.start_t_ns - node.clock.now_ns()
         grabber = grab(source, self.instance)
@@ -157,6 +165,7 @@ class CaptureService:
             if self._is_changed():
                 source.apply(self._settings)
             self._source, self._grabber, self._running = source, grabber, True
+            self._seen = None  # a picture of an earlier session shows what stands there no longer
             self._detector.reset()
             grabber.start()
             while (frame := await grabber.next_frame()) is not None:
@@ -166,6 +175,20 @@ class CaptureService:
         finally:
             self._source, self._running = None, False
             await grabber.stop()
+
+    def _follow_rig_file(self) -> None:
+        """Take over what the rig folder says of this camera now, where a running service can."""
+        latest = latest_rig(self._rig)
+        camera = latest.config.cameras.get(self.instance)
+        if camera is None or (camera.width, camera.height) != self._size or tuple(latest.config.markers) != self._names:
+            logger.error("%s: cameras or markers of rig.toml have changed; start this service again", self.instance)
+            return
+        before = CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors)
+        after = CameraSettings.from_config(camera, self._colors)
+        if not after.same_optics(before):
+            # What was written last counts: the file after the sliders.
+            self._settings = self._settings.with_optics_of(after)
+        self._rig, self._rate_hz = latest, camera.rate_hz
 
     def _is_changed(self) -> bool:
         initial = CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors)
@@ -212,6 +235,22 @@ class CaptureService:
             self._wanted.clear()
             self._fresh.set()
         return detections, seconds
+
+    def _answer_keep(self, loop: asyncio.AbstractEventLoop, request: Request) -> Answer:
+        """Save or undo exposure, gain and white balance, and tell how they stand; runs on a worker thread."""
+        wanted = request.parameters.get("do")
+        if wanted == "save":
+            self._kept.save(self._settings)
+        elif wanted == "undo":
+            optics = self._kept.undo().model_dump()
+
+            async def apply() -> None:
+                self.reconfigure(self._settings.model_copy(update=optics))
+
+            asyncio.run_coroutine_threadsafe(apply(), loop).result(timeout=_APPLY_LIMIT_S)
+        elif wanted is not None:
+            raise ConfigError(f"do={wanted}: only do=save and do=undo are known")
+        return json_answer(self._kept.state(self._settings).model_dump(mode="json"))
 
     def _answer_preview(self, request: Request) -> Answer:
         """Answer with a picture of the newest frame; runs on a worker thread."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 from pydantic import Field, ValidationError
 
@@ -12,6 +12,9 @@ from rhot.messages import Name, first_problem
 from rhot.rig.colors import ColorsFile, Tolerance
 from rhot.rig.config import CameraConfig
 from rhot.rig.file_model import FileModel, NotNegative, Positive
+
+OPTICS: Final = ("exposure_s", "gain", "white_balance", "focus_dioptres")
+"""Fields of `CameraSettings` that rig.toml holds, too."""
 
 
 class CameraSettings(FileModel):
@@ -74,11 +77,15 @@ class CameraSettings(FileModel):
             )
         return settings
 
+    @property
+    def optics(self) -> dict[str, Any]:
+        """What of these settings is the camera's own, by field: exposure, gain, white balance and focus."""
+        return {name: getattr(self, name) for name in OPTICS}
+
     def same_optics(self, other: CameraSettings) -> bool:
         """Tell whether the camera itself is set alike; colours may differ."""
-        return (self.exposure_s, self.gain, self.white_balance, self.focus_dioptres) == (
-            other.exposure_s,
-            other.gain,
-            other.white_balance,
-            other.focus_dioptres,
-        )
+        return self.optics == other.optics
+
+    def with_optics_of(self, other: CameraSettings) -> CameraSettings:
+        """Return these settings with the camera set as in others."""
+        return self.model_copy(update=other.optics)

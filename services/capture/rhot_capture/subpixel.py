@@ -7,10 +7,9 @@ surroundings vary (the matched filter of spectral unmixing). Between its levels 
 α = (t − t₀)/(t₁ − t₀) is the painted share of a pixel. The centre is the centroid of α; blur spreads α evenly to both
 sides of the rim and leaves its centroid.
 
-Light falls unevenly, so both levels are planes over the picture, fitted to the surroundings and to the pure paint. The
-sums of products of (b, g, r, 1, x, y) in both places hold all that these fits need, and as t is linear in the colours,
-numerator and denominator of α are linear in these six too: one product of matrices gives either. Where a plane does not
-describe the paint of a large blob, as at the edge of a shadow, both levels are local means instead, on the full grid.
+Light falls unevenly, so both levels are planes over the picture, fitted to the surroundings and to the pure paint; the
+sums of t by 1, x, y in both places hold all that these fits need. Where a plane does not describe the paint of a large
+blob, as at the edge of a shadow, both levels are local means instead, on the full grid.
 
 Paint in shadow, in a highlight or smeared by motion may have been labelled as nobody's; beside a large blob it is taken
 back by t, which tells paint from the surroundings better than the label does.
@@ -24,16 +23,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
-
-from rhot_capture.grids import Batch, Centre, Grid, Window
-from rhot_capture.unmixing import projections, shares_of_features
+from rhot_capture.batch import Batch
+from rhot_capture.local_levels import local_share
+from rhot_capture.shares import Shares
+from rhot_capture.unmixing import fitted_levels, projection
+from rhot_capture.windows import Centre, Grid, Window, grid_of
 
 _ALIKE: Final = 2.0
 """Windows up to this many times as large as another are measured together."""
 _ROUNDS: Final = 2
 _LOCAL_FROM_PX: Final = 600
 """Pixels of a window; a smaller one holds too little pure paint for levels of its lit and of its shaded side."""
+_MIN_SHARE_OF_MASK: Final = 0.5
+"""With less paint than that, or a centre outside of the window, the shares are nonsense, and the mask counts."""
 
 
 def find_centres(windows: Sequence[Window]) -> list[Centre]:
@@ -45,44 +47,64 @@ def find_centres(windows: Sequence[Window]) -> list[Centre]:
     """
     if not windows:
         return []
-    grids = [Grid(window) for window in windows]
-    order = sorted(range(len(grids)), key=lambda place: grids[place].mask.size)
-    batches = []
-    start = 0
-    for stop in range(1, len(order) + 1):
-        if stop == len(order) or grids[order[stop]].mask.size > _ALIKE * grids[order[start]].mask.size:
-            batches.append(Batch([grids[place] for place in order[start:stop]]))
-            start = stop
-    centres = dict(zip(order, _centres(batches), strict=True))
-    return [centres[place] for place in range(len(windows))]
+    grids = [grid_of(window) for window in windows]
+    sizes = [grid.mask.size for grid in grids]
+    limit = _ALIKE * min(sizes)
+    if max(sizes) <= limit:
+        return _measure(grids)
+    alike = [size <= limit for size in sizes]
+    small = iter(find_centres([window for window, is_small in zip(windows, alike, strict=True) if is_small]))
+    large = iter(find_centres([window for window, is_small in zip(windows, alike, strict=True) if not is_small]))
+    return [next(small if is_small else large) for is_small in alike]
 
 
-def _centres(batches: Sequence[Batch]) -> list[Centre]:
-    moments = np.concatenate([batch.moments() for batch in batches])
-    line, usable = projections(moments)
-    rows: list[slice] = []
-    for batch in batches:
-        start = rows[-1].stop if rows else 0
-        rows.append(slice(start, start + len(batch.mask)))
-        for _ in range(_ROUNDS):
-            if not batch.take_back(line[rows[-1]]):
-                break
-            moments[rows[-1]] = batch.moments()
-    parts, misfit = shares_of_features(moments, line)
-    centres: list[Centre] = []
-    for batch, own in zip(batches, rows, strict=True):
-        share = batch.shares(parts[own])
-        badly = []
-        for place, grid in enumerate(batch.grids):
-            if not usable[own.start + place]:
-                share[place] = batch.mask[place]
-            elif misfit[own.start + place] and grid.window.mask.size >= _LOCAL_FROM_PX:
-                if grid.scale > 1:
-                    badly.append(place)
-                else:
-                    share[place] = batch.local_share(place, line[own.start + place])
-        measured = batch.centroids(share, parts[own])
-        for place in badly:
-            (measured[place],) = _centres([Batch([Grid(batch.grids[place].window, coarse=False)])])
-        centres += measured
+def _measure(grids: Sequence[Grid]) -> list[Centre]:
+    """Return the centres of the blobs on grids of about one size."""
+    batch = Batch(grids)
+    found = [projection(outside, inside, squares) for (outside, inside), squares in batch.color_sums()]
+    t = batch.projected([line for line, _ in found])
+    for _ in range(_ROUNDS):
+        if not batch.take_back(t):
+            break
+    products, deviations = batch.products(t)
+    sums = batch.sums.tolist()
+    levels = [
+        fitted_levels(line, place[:2], product, deviation)
+        for (line, _), place, product, deviation in zip(found, sums, products, deviations, strict=True)
+    ]
+    share = batch.shares(t, levels)
+    finer: list[int] = []
+    for place, ((_, usable), level) in enumerate(zip(found, levels, strict=True)):
+        if not usable:
+            share[place] = batch.weights[place, 2]
+        elif level.misfit and grids[place].window.mask.size >= _LOCAL_FROM_PX:
+            if grids[place].scale > 1:
+                finer.append(place)
+            else:
+                share[place] = local_share(t[place], batch.weights[place, :2], batch.inside.shape[1:])
+    batch.tidy(share)
+    totals = batch.totals(share)
+    x, y = batch.middle
+    doubtful = [
+        place
+        for place, (painted, (m00, m10, m01)) in enumerate(totals)
+        if painted < _MIN_SHARE_OF_MASK * batch.area[place] or abs(m10) > x * m00 or abs(m01) > y * m00
+    ]
+    if doubtful:
+        share[doubtful] = batch.weights[doubtful, 2]
+        totals = batch.totals(share)
+    centres = []
+    for place, (grid, (painted, (m00, m10, m01))) in enumerate(zip(grids, totals, strict=True)):
+        window, scale, left, top = grid[:4]
+        shares: Shares | None = None
+        if window.shared:
+            height, width = grid.mask.shape
+            own = share[place].reshape(batch.inside.shape[1:])[:height, :width]
+            shares = Shares(own, scale, left, top)
+        u = left + scale * (m10 / m00 + x + 0.5) - 0.5
+        v = top + scale * (m01 / m00 + y + 0.5) - 0.5
+        centres.append(Centre(u, v, painted * scale**2, shares))
+    for place in finer:
+        # Local means reach over a few pixels: on a coarser grid too far.
+        (centres[place],) = _measure([grid_of(grids[place].window, coarse=False)])
     return centres

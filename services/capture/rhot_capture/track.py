@@ -15,7 +15,7 @@ _SLIVER_FRAMES: Final = 3
 _SLIVER_GATE_PX: Final = 6.0
 _FLOOR: Final = 0.05
 """A blob far from the prediction keeps this much: it must be 20 times better to win, and wins when it is alone."""
-_MARGIN_PX: Final = 15.0
+_MARGIN_PX: Final = 8.0
 _MARGIN_PER_MOTION: Final = 0.5
 """What a hand turns aside of its motion from one frame to the next; a tip at 1.5 m/s moves 17 pixels in a frame of
 1/60 s, 80 cm away."""
@@ -30,7 +30,7 @@ class MarkerTrack:
         self._motion_u = 0.0
         self._motion_v = 0.0
         self._area = 0.0
-        self._reach = 0.0
+        self._reach = (0.0, 0.0)
         self._missed = _MEMORY_FRAMES
 
     @property
@@ -48,10 +48,10 @@ class MarkerTrack:
         """
         if self._missed > 0:
             return None
-        reach = self._reach + margin_px
+        reach_u, reach_v = self._reach[0] + margin_px, self._reach[1] + margin_px
         u, v = self._u + self._motion_u, self._v + self._motion_v
-        left, top = max(0, int(u - reach)), max(0, int(v - reach))
-        right, bottom = min(width, int(u + reach) + 1), min(height, int(v + reach) + 1)
+        left, top = max(0, int(u - reach_u)), max(0, int(v - reach_v))
+        right, bottom = min(width, int(u + reach_u) + 1), min(height, int(v + reach_v) + 1)
         return Region(left, top, right, bottom) if left < right and top < bottom else None
 
     def preference(self, u: float, v: float, area: float) -> float:
@@ -81,14 +81,14 @@ class MarkerTrack:
         away = math.hypot(u - self._u - frames * self._motion_u, v - self._v - frames * self._motion_v)
         return frames <= _SLIVER_FRAMES and away <= _SLIVER_GATE_PX
 
-    def hit(self, u: float, v: float, area: float, reach_px: float = 0.0) -> None:
+    def hit(self, u: float, v: float, area: float, reach_px: tuple[float, float] = (0.0, 0.0)) -> None:
         """Take the marker's place in this frame.
 
         Args:
             u: centre, pixels to the right.
             v: centre, pixels down.
             area: square pixels.
-            reach_px: how far it extends from its centre.
+            reach_px: how far it extends from its centre to the sides, and up and down.
         """
         if self._missed == 0:
             self._motion_u, self._motion_v = u - self._u, v - self._v

@@ -1,94 +1,109 @@
-"""What of a pixel's colour is paint: the algebra of `rhot_capture.subpixel`, on sums of products alone.
+"""What of a pixel's colour is paint: the algebra of `rhot_capture.subpixel`, on sums over pixels alone.
 
-A pixel's features are blue, green, red, 1, x, y; moments are the sums of their products, (N, 2, 6, 6): N blobs, in the
-surroundings and in the pure paint of each.
+In plain numbers: for a handful of markers twenty calls of numpy on arrays of three by three cost twice as much.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+Vector = tuple[float, float, float]
+Line = tuple[float, float, float, float]
 
 _NOISE: Final = 5.0
 """σ, grey levels: variation of the surroundings that is no reason to avoid a direction."""
-_VARIATION: Final = _NOISE**2 * np.eye(3)
 _MIN_CONTRAST: Final = 12.0
 """Grey levels between paint and surroundings below which their mixture cannot be told."""
 _MIN_SURROUNDINGS: Final = 8
-_RIDGE: Final = np.diag((1e-6, 30.0, 30.0))
+_RIDGE: Final = 30.0
 """Holds the slopes of a level against noise where there are few pixels; measured."""
+_TINY: Final = 1e-6
 _MISFIT: Final = 1.6
 """Deviation of pure paint from its plane, in units of the noise, from which on the levels are local means."""
 
 
-def projections(moments: FloatArray) -> tuple[FloatArray, list[bool]]:
+class Levels(NamedTuple):
+    """Planes of t over a window: coefficients of 1, x, y.
+
+    Attributes:
+        outside: of the surroundings.
+        inside: of the pure paint.
+        misfit: whether a plane describes the pure paint badly.
+    """
+
+    outside: Vector
+    inside: Vector
+    misfit: bool
+
+
+def projection(
+    outside: Sequence[float], inside: Sequence[float], squares: Sequence[Sequence[float]]
+) -> tuple[Line, bool]:
     """Return t as a function of blue, green, red, 1, and whether paint and surroundings can be told apart.
 
     Args:
-        moments: (N, 2, 6, 6) see above.
-
-    Returns:
-        (N, 4) coefficients; N truths.
+        outside: sums of blue, green, red, 1 over the surroundings.
+        inside: the same over the pure paint.
+        squares: (3, 3) sums of the products of blue, green, red over the surroundings.
     """
-    totals = np.maximum(moments[:, :, 3, 3], 1.0)
-    means = moments[:, :, 3, :3] / totals[:, :, None]
-    outside = means[:, 0]
-    paint = means[:, 1] - outside
-    spread = moments[:, 0, :3, :3] / totals[:, :1, None] - outside[:, :, None] * outside[:, None] + _VARIATION
-    direction = _solved(spread, paint)
-    direction /= np.maximum((direction * paint).sum(axis=1, keepdims=True), 1e-9)
-    line = np.empty((len(moments), 4))
-    line[:, :3] = direction
-    line[:, 3] = -(direction * outside).sum(axis=1)
-    usable = (totals[:, 0] >= _MIN_SURROUNDINGS) & ((paint * paint).sum(axis=1) >= _MIN_CONTRAST**2)
-    return line, usable.tolist()
+    b, g, r, total = outside
+    share = 1.0 / max(total, 1.0)
+    b, g, r = b * share, g * share, r * share
+    paint_share = 1.0 / max(inside[3], 1.0)
+    x, y, z = inside[0] * paint_share - b, inside[1] * paint_share - g, inside[2] * paint_share - r
+    (bb, bg, br), (_, gg, gr), (_, _, rr) = squares
+    u, v, w = _solved(
+        (bb * share - b * b + _NOISE**2, bg * share - b * g, br * share - b * r),
+        (gg * share - g * g + _NOISE**2, gr * share - g * r, rr * share - r * r + _NOISE**2),
+        (x, y, z),
+    )
+    scale = 1.0 / max(u * x + v * y + w * z, 1e-9)
+    u, v, w = u * scale, v * scale, w * scale
+    usable = total >= _MIN_SURROUNDINGS and x * x + y * y + z * z >= _MIN_CONTRAST**2
+    return (u, v, w, -(u * b + v * g + w * r)), usable
 
 
-def _solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the solutions of symmetric equations, (N, 3); in plain numbers, faster than a call of LAPACK.
+def fitted_levels(
+    line: Line, places: Sequence[Sequence[float]], products: Sequence[Sequence[float]], squares: float
+) -> Levels:
+    """Return the planes that fit t best.
 
     Args:
-        matrices: (N, 3, 3), positive definite.
-        right: (N, 3).
+        line: t of blue, green, red, 1.
+        places: sums of 1, x, y, x², xy, y² over the surroundings and over the pure paint.
+        products: sums of the products of t with 1, x, y over both.
+        squares: sum of t² over the pure paint.
     """
-    solved = []
-    for ((a, b, c), (_, d, e), (_, _, f)), (x, y, z) in zip(matrices.tolist(), right.tolist(), strict=True):
-        aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
-        bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
-        scale = 1.0 / (a * aa + b * ab + c * ac)
-        solved.append(
-            (
-                (aa * x + ab * y + ac * z) * scale,
-                (ab * x + bb * y + bc * z) * scale,
-                (ac * x + bc * y + cc * z) * scale,
-            )
-        )
-    return np.array(solved)
-
-
-def shares_of_features(moments: FloatArray, line: FloatArray) -> tuple[FloatArray, list[bool]]:
-    """Return α from both levels, and whether planes describe the paint badly.
-
-    Args:
-        moments: (N, 2, 6, 6) see above.
-        line: (N, 4), t of blue, green, red, 1.
-
-    Returns:
-        (N, 2, 6) numerator and denominator of α as functions of blue, green, red, 1, x, y; N truths.
-    """
-    products = (moments[:, :, :, :4] @ line[:, None, :, None])[..., 0]
-    fits = (moments[:, :, 3:, 3:] + _RIDGE).reshape(-1, 3, 3)
-    levels = _solved(fits, products[:, :, 3:].reshape(-1, 3)).reshape(-1, 2, 3)
-    # α = (t − t₀)/(t₁ − t₀)
-    parts = np.zeros((len(line), 2, 6))
-    parts[:, 0, :4] = line
-    parts[:, 0, 3:] -= levels[:, 0]
-    parts[:, 1, 3:] = levels[:, 1] - levels[:, 0]
+    n, x, y, xx, xy, yy = places[0]
+    outside = _solved((n + _TINY, x, y), (xx + _RIDGE, xy, yy + _RIDGE), products[0])
+    n, x, y, xx, xy, yy = places[1]
+    inside = _solved((n + _TINY, x, y), (xx + _RIDGE, xy, yy + _RIDGE), products[1])
     # What a least-squares fit leaves over of the pure paint's t, against what noise alone would.
-    left_over = (line * products[:, 1, :4]).sum(axis=1) - (levels[:, 1] * products[:, 1, 3:]).sum(axis=1)
-    noise = (_MISFIT * _NOISE) ** 2 * (line[:, :3] ** 2).sum(axis=1) * moments[:, 1, 3, 3]
-    return parts, (left_over > noise).tolist()
+    level, slope_x, slope_y = inside
+    t, tx, ty = products[1]
+    left_over = squares - level * t - slope_x * tx - slope_y * ty
+    u, v, w, _ = line
+    noise = (_MISFIT * _NOISE) ** 2 * (u * u + v * v + w * w) * n
+    return Levels(outside, inside, left_over > noise)
+
+
+def _solved(first: Vector, rest: Vector, right: Sequence[float]) -> Vector:
+    """Return the solution of a symmetric equation.
+
+    Args:
+        first: first row of the positive definite matrix.
+        rest: entries (2, 2), (2, 3) and (3, 3) of it.
+        right: right-hand side.
+    """
+    a, b, c = first
+    d, e, f = rest
+    x, y, z = right
+    aa, ab, ac = d * f - e * e, c * e - b * f, b * e - c * d
+    bb, bc, cc = a * f - c * c, b * c - a * e, a * d - b * b
+    scale = 1.0 / (a * aa + b * ab + c * ac)
+    return (
+        (aa * x + ab * y + ac * z) * scale,
+        (ab * x + bb * y + bc * z) * scale,
+        (ac * x + bc * y + cc * z) * scale,
+    )

@@ -104,8 +104,8 @@ class CapModel:
     def __init__(self, markers: Mapping[str, MarkerConfig], hands: Mapping[Side, HandModel]) -> None:
         """Build tables from the hands by side."""
         self.is_cap: NDArray[np.bool_] = np.zeros(len(markers), dtype=bool)
-        self._shift: FloatArray = np.zeros((len(markers), COSINES))
-        self._area: FloatArray = np.zeros((len(markers), COSINES))
+        # (M, 65, 2) shift and area.
+        self._seen: FloatArray = np.zeros((len(markers), COSINES, 2))
         self._cosine: FloatArray = np.zeros((len(markers), COSINES))
         self._largest: FloatArray = np.ones(len(markers))
         tips = {chain[-1]: chain[-2] for chain in CHAINS.values()}
@@ -120,7 +120,7 @@ class CapModel:
             rear = radius + behind * (float(hand.radii[hinge]) - radius)
             offset = hand.marker_offset(name, marker)
             table = cap_table(radius, rear, float(offset[2]))
-            self._shift[place], self._area[place] = table.shift_m, table.area_m2
+            self._seen[place, :, 0], self._seen[place, :, 1] = table.shift_m, table.area_m2
             rising = np.arange(COSINES) <= int(np.argmax(table.area_m2))
             self._largest[place] = table.area_m2.max()
             self._cosine[place] = np.interp(
@@ -132,17 +132,17 @@ class CapModel:
 
     def look_up(self, index: NDArray[np.intp], cosine: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return shift (N,), metres, and visible area (N,), square metres, of markers (N,) at d·u (N,)."""
-        place = (np.clip(cosine, -1.0, 1.0) + 1.0) * (0.5 * (COSINES - 1))
+        place = np.minimum(np.maximum(cosine, -1.0), 1.0) * (0.5 * (COSINES - 1)) + 0.5 * (COSINES - 1)
         low = np.minimum(place.astype(np.intp), COSINES - 2)
-        share = place - low
-        shift = self._shift[index, low] * (1.0 - share) + self._shift[index, low + 1] * share
-        area = self._area[index, low] * (1.0 - share) + self._area[index, low + 1] * share
+        share = (place - low)[:, None]
+        before, after = self._seen[index, low], self._seen[index, low + 1]
+        shift, area = (before + (after - before) * share).T
         return shift, area
 
     def cosine_of(self, index: NDArray[np.intp], area: FloatArray) -> FloatArray:
         """Return d·u (N,) at which markers (N,) show areas (N,), square metres: the smaller one where there are two."""
-        place = np.clip(area / self._largest[index], 0.0, 1.0) * (COSINES - 1)
+        place = np.minimum(np.maximum(area / self._largest[index], 0.0), 1.0) * (COSINES - 1)
         low = np.minimum(place.astype(np.intp), COSINES - 2)
-        share = place - low
-        cosine: FloatArray = self._cosine[index, low] * (1.0 - share) + self._cosine[index, low + 1] * share
+        before, after = self._cosine[index, low], self._cosine[index, low + 1]
+        cosine: FloatArray = before + (after - before) * (place - low)
         return cosine

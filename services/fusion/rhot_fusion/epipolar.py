@@ -71,13 +71,14 @@ class EpipolarModel:
         if camera == 0:
             return xy
         a, b, c = self.coefficients[camera].tolist()
-        x, y = xy[:, 0], xy[:, 1]
+        x, y = xy.T
         error = np.minimum(np.maximum(a + b * x + c * y, -self._limit), self._limit)
         e0, e1, e2 = self._t[camera].tolist()
         # Normal of the line through the epipole and the observation: the first two entries of e × (x, y, 1).
-        normal = np.stack([e1 - e2 * y, e2 * x - e0], axis=1)
-        length = np.maximum(np.sqrt((normal * normal).sum(axis=1)), 1e-9)
-        corrected: FloatArray = xy - normal * (error / length)[:, None]
+        p, q = e1 - e2 * y, e2 * x - e0
+        error /= np.maximum(np.sqrt(p * p + q * q), 1e-9)
+        corrected = np.empty_like(xy)
+        corrected[:, 0], corrected[:, 1] = x - p * error, y - q * error
         return corrected
 
     def residual(self, xy: FloatArray) -> FloatArray:
@@ -87,9 +88,9 @@ class EpipolarModel:
         first = np.ones((count, 3))
         first[:, :2] = xy[0]
         for camera in range(1, len(xy)):
-            line = first @ self._essential[camera].T
-            norm = np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-12)
-            residual[camera] = (line[:, 0] * xy[camera, :, 0] + line[:, 1] * xy[camera, :, 1] + line[:, 2]) / norm
+            a, b, c = self._essential[camera] @ first.T
+            x, y = xy[camera].T
+            residual[camera] = (a * x + b * y + c) / np.maximum(np.sqrt(a * a + b * b), 1e-12)
         return residual
 
     def learn(self, xy: FloatArray, accepted: BoolArray, interval_s: float) -> None:
@@ -104,9 +105,10 @@ class EpipolarModel:
             chosen = usable[camera]
             if not chosen.any():
                 continue
-            features = np.ones((int(np.count_nonzero(chosen)), 3))
-            features[:, 1:] = xy[camera, chosen]
-            values = residual[camera, chosen]
+            views = xy[camera][chosen]
+            features = np.ones((len(views), 3))
+            features[:, 1:] = views
+            values = residual[camera][chosen]
             error_px = (values - features @ self.coefficients[camera]) * self._focal_px
             weight = np.minimum(1.0, 2.0 * self.spread_px / np.maximum(np.abs(error_px), 1e-9))
             self._information[camera] *= forget

@@ -38,10 +38,10 @@ def _gates(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str
     focal_px = tracker.focal_px
     for camera, gates in sorted(tracker.gates.items()):
         slack = (SLACK_PX / focal_px) ** 2
-        limits = [np.sqrt(GATE * ((gates.weight * part).sum(axis=1) + slack)) for part in (gates.a, gates.c)]
+        limits = np.sqrt(GATE * (gates.variance + slack)) * focal_px
         for row, marker in enumerate(gates.index.tolist()):
             miss = gates.y[row] * focal_px
-            limit = [float(part[row]) * focal_px for part in limits]
+            limit = limits[row].tolist()
             accepted = bool(gates.accepted[row])
             rows.append(
                 ExplanationRow(

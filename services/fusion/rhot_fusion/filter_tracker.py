@@ -32,6 +32,8 @@ from rhot_fusion.tracks import LONGEST_GAP, ROWS_SHARE, Tracks
 
 GATE = 16.0
 """Squared innovation of a coordinate, in variances, beyond which an observation is refused: 4 sigma."""
+_BACKS = 6.25
+"""The same up to which an observation does not only move the marker but backs it: 2.5 sigma."""
 SLACK_PX = 1.0
 """Added to the noise in the gate: models of noise and motion are never as good as their figures."""
 _SMALLEST_NOISE_PX = 0.06
@@ -39,13 +41,17 @@ _BLUR = 2.0
 """Of the variance that an error of time between two views means along the motion, this much counts for each view: more
 than half of it, for the error stays the same over several frames."""
 _FIRST_NOISE_PX = 0.3
-_LONGEST_PAIR_S = 0.15
+_LONGEST_PAIR_S, _LONGEST_PAIR = 0.15, 2.5
+"""Moments further apart than this, or this many periods, tell nothing of timing."""
+_EAGER, _LESSON_EVERY = 300, 8
+"""After so many moments the cameras are known well enough to look only at two in a row of every eight."""
 _LATE_S = 0.002
 """An observation this much before the newest one is still taken as simultaneous."""
 _HISTORY_S = 0.06
 """Frames that come later than this after a newer one of another camera are used for nothing."""
 _RESTING_PX_S = 60.0
 """A marker that moves faster through the picture is never twice at the same place to the last digit."""
+_EYE: FloatArray = np.eye(2)
 _FAR_PX = 6.0
 """An observation this far from where it was expected may be another marker's."""
 
@@ -75,6 +81,7 @@ class FilterTracker:
         self._config = config
         self._R = [camera.R_camera_rig for camera in cameras]
         self._t = [camera.t_camera_rig for camera in cameras]
+        self._across = [np.ascontiguousarray(camera.R_camera_rig[:2].T) for camera in cameras]
         self._focal_px = float(np.mean([camera.K[0, 0] for camera in cameras]))
         count = len(markers)
         self._presence = Presence(len(cameras), count)
@@ -88,10 +95,11 @@ class FilterTracker:
         self.epipolar = EpipolarModel(cameras, config.epipolar_limit_px)
         self._noise = TimingNoise(_FIRST_NOISE_PX / self._focal_px)
         self._pair = (np.full((len(cameras) - 1, count, 2), np.nan), np.full((count, 2), np.nan))
-        self._learnt_s = -np.inf
+        self._looked_s = self._learnt_s = -np.inf
+        self._lessons = 0
         self._raw: FloatArray = np.full((len(cameras), count, 2), np.nan)
         self._doubt: FloatArray = np.zeros((len(cameras), count))
-        self._showing = Showing(cameras, self._bank, self._presence, self._hands, self._caps, self._schedule, counts)
+        self._showing = Showing(self._bank, self._presence, self._hands, self._caps, self._schedule, counts)
         self.gates: dict[int, Gates] = {}
         self._history: deque[tuple[Sightings, tuple[FloatArray, ...]]] = deque(maxlen=16)
 
@@ -139,7 +147,7 @@ class FilterTracker:
         self.gates.clear()
         self._raw[:] = np.nan
         self._doubt[:] = 0.0
-        self._learnt_s = -np.inf
+        self._looked_s = self._learnt_s = -np.inf
         self._history.clear()
 
     def advance(self, sightings: Sightings) -> Outcome | None:
@@ -173,38 +181,46 @@ class FilterTracker:
         camera, index, times = sightings.camera, sightings.index, sightings.times_s
         presence, xy = self._presence, sightings.xy
         shift, doubt = self._caps.correct(sightings, self._bank.mean, presence.tracked)
+        middle = xy + shift
+        rows = slice(None) if len(index) == len(presence.tracked) else index
         held = np.zeros(len(index), dtype=bool)
         if not again:
-            held = (xy == self._raw[camera, index]).all(axis=1)
-            self._raw[camera, index] = xy
-            self._doubt[camera, index] = doubt
-            self._remember(camera, index, times, xy + shift)
-        corrected = self.epipolar.correct_one(camera, xy + shift)
-        accepted = presence.tracked[index]
+            raw = self._raw[camera]
+            held = (xy[:, 0] == raw[rows, 0]) & (xy[:, 1] == raw[rows, 1])
+            raw[rows] = xy
+            self._doubt[camera, rows] = doubt
+            self._remember(camera, index, times, middle)
+        corrected = self.epipolar.correct_one(camera, middle)
+        accepted, backing = presence.tracked[index], np.zeros(len(index), dtype=bool)
         known = np.flatnonzero(accepted)
-        if len(known):
-            accepted[known] = self._update(
+        if len(known) == len(index) > 0:
+            accepted, backing = self._update(camera, index, times, corrected, held, doubt)
+        elif len(known):
+            accepted[known], backing[known] = self._update(
                 camera, index[known], times[known], corrected[known], held[known], doubt[known]
             )
-        presence.show(camera, sightings.t_s, index[accepted])
+        presence.show(camera, sightings.t_s, index[accepted], index[backing])
         if not accepted.all():
             self._acquire(sightings, index[~accepted])
         if not again and camera > 0:
             self._learn()
 
     def _remember(self, camera: int, index: IndexArray, times: FloatArray, xy: FloatArray) -> None:
-        later = times > self._tracks.last_t_s[camera, index]
+        later = times > self._tracks.last_t_s[camera][index]
         if not later.all():
             self._counts["late_marker"] += int(np.count_nonzero(~later))
             index, times, xy = index[later], times[later], xy[later]
-        low, high = self._config.volume_m
-        max_rate = self._config.max_speed_m_s / max(0.5 * (low[2] + high[2]), 0.1)
+        (*_, low_m), (*_, high_m) = self._config.volume_m
+        max_rate = self._config.max_speed_m_s / max(0.5 * (low_m + high_m), 0.1)
         self._tracks.append(camera, index, times, xy, max_rate)
 
     def _update(
         self, camera: int, index: IndexArray, times: FloatArray, xy: FloatArray, held: BoolArray, doubt: FloatArray
-    ) -> BoolArray:
-        """Let observations (N, 2) of tracked markers (N,) move their filters; return which were accepted.
+    ) -> tuple[BoolArray, BoolArray]:
+        """Let observations (N, 2) of tracked markers (N,) move their filters.
+
+        Returns:
+            Which were accepted, and which of them lie near enough to what was expected to back it.
 
         Some capture programs repeat the last place of a marker that they lost; what was `held` (N,) like this is
         refused where the marker moves. The `doubt` (N,) is a standard deviation beyond the noise, normalised units.
@@ -212,35 +228,32 @@ class FilterTracker:
         bank = self._bank
         forecast = bank.forecast(index, times)
         noise = max(self.epipolar.spread_px * 0.7071, _SMALLEST_NOISE_PX) / self._focal_px
-        w = forecast.mean[:, 3:] @ self._R[camera][:2].T / np.maximum(forecast.mean[:, 2:3], 0.1)
-        blur = _BLUR * self._noise.sigma_s**2
-        variance = np.empty((len(index), 3))
-        variance[:, 0] = variance[:, 2] = noise * noise + doubt * doubt
-        variance[:, 0] += blur * w[:, 0] ** 2
-        variance[:, 1] = blur * w[:, 0] * w[:, 1]
-        variance[:, 2] += blur * w[:, 1] ** 2
+        w = forecast.mean[:, 3:] @ self._across[camera] / np.maximum(forecast.mean[:, 2:3], 0.1)
+        smear = (_BLUR**0.5 * self._noise.sigma_s) * w
+        variance = (noise * noise + doubt * doubt)[:, None, None] * _EYE + smear[:, :, None] * smear[:, None]
         innovation = innovate(forecast, self._R[camera], self._t[camera], xy, variance)
         # Against the models together, with slack, each axis alone.
-        weight = forecast.weight
-        y = (weight[:, :, None] * innovation.y).sum(axis=1)
-        size, slack = y * y, (SLACK_PX / self._focal_px) ** 2
-        accepted: BoolArray = (size[:, 0] <= GATE * ((weight * innovation.a).sum(axis=1) + slack)) & (
-            size[:, 1] <= GATE * ((weight * innovation.c).sum(axis=1) + slack)
-        )
+        y = innovation.y
+        spread = (forecast.weight[:, None] @ innovation.S.reshape(len(index), -1, 4))[:, 0, ::3]
+        size = y * y
+        ratio = np.maximum.reduce(size / (spread + (SLACK_PX / self._focal_px) ** 2), axis=1)
+        accepted: BoolArray = ratio <= GATE
         if held.any():
             accepted &= ~held | ((w * w).sum(axis=1) < (_RESTING_PX_S / self._focal_px) ** 2)
-        far = accepted & (size.sum(axis=1) > (_FAR_PX / self._focal_px) ** 2)
-        if far.any():
+        if 2.0 * size.max() > (_FAR_PX / self._focal_px) ** 2:
+            far = accepted & (size[:, 0] + size[:, 1] > (_FAR_PX / self._focal_px) ** 2)
             accepted[far] = ~self._belongs_elsewhere(camera, index[far], xy[far], y[far], times[far])
         bank.update(index, accepted, forecast, innovation)
-        self.gates[camera] = Gates(index, times, weight, y, innovation.a, innovation.c, held, accepted)
+        self.gates[camera] = Gates(index, times, y, spread, held, accepted)
         self._counts["refused"] += len(index) - int(np.count_nonzero(accepted))
-        return accepted
+        return accepted, accepted & (ratio <= _BACKS)
 
     def _belongs_elsewhere(
         self, camera: int, index: IndexArray, xy: FloatArray, miss: FloatArray, times: FloatArray
     ) -> BoolArray:
         """Tell which observations (N, 2) lie nearer to where another marker is expected than to their own."""
+        if not len(index):
+            return np.zeros(0, dtype=bool)
         local = self._expected(float(times.max())) @ self._R[camera].T + self._t[camera]
         away = xy[:, None] - local[None, :, :2] / np.maximum(local[None, :, 2:], 0.1)
         distance2 = np.where(self._presence.tracked, (away * away).sum(axis=2), np.inf)
@@ -270,10 +283,14 @@ class FilterTracker:
 
     def _learn(self) -> None:
         """Let the views of one moment teach what the cameras have turned by and how noisy they are."""
-        moment_s = self._schedule.common_moment()
-        if moment_s <= self._learnt_s or not np.isfinite(moment_s):
+        moment_s, period_s = self._schedule.common_moment(), self._schedule.longest_period_s
+        # Once a period is enough, however many cameras there are.
+        if moment_s <= self._looked_s + 0.5 * period_s or not np.isfinite(moment_s):
             return
-        period_s = self._schedule.longest_period_s
+        self._looked_s = moment_s
+        self._lessons += 1
+        if self._lessons > _EAGER and self._lessons % _LESSON_EVERY > 1:
+            return
         shot = self._tracks.at(moment_s, ROWS_SHARE * period_s, LONGEST_GAP * period_s)
         ok = shot.valid & self._presence.fresh & self._presence.tracked
         if ok[0].any() and ok[1:].any():
@@ -283,8 +300,10 @@ class FilterTracker:
         offset, place = shot.xy[1:] - shot.xy[0], shot.xy[0]
         before_offset, before_place = self._pair
         self._pair = (offset, place)
-        chosen = ok[0] & ok[1:] & np.isfinite(before_offset[:, :, 0])
-        if elapsed < _LONGEST_PAIR_S and chosen.any():
+        if elapsed < min(_LONGEST_PAIR_S, _LONGEST_PAIR * period_s):
             jump, way = offset - before_offset, (place - before_place) / elapsed
-            speed2 = np.broadcast_to((way * way).sum(axis=1), chosen.shape)
-            self._noise.learn(0.5 * (jump * jump).sum(axis=2)[chosen], speed2[chosen])
+            chosen = ok[0] & ok[1:] & np.isfinite(jump[:, :, 0])
+            jump *= jump
+            way *= way
+            speed2 = np.broadcast_to(way[:, 0] + way[:, 1], chosen.shape)
+            self._noise.learn(0.5 * (jump[:, :, 0] + jump[:, :, 1])[chosen], speed2[chosen])

@@ -14,18 +14,15 @@ class Gates:
     Attributes:
         index: (N,) markers.
         times_s: (N,) seconds since the stream's start.
-        weight: (N, K) of the motion models.
-        y: (N, 2) innovation, the models together, normalised units.
-        a, c: (N, K) its expected variance along x and y under each model.
+        y: (N, 2) innovation, the motion models together, normalised units.
+        variance: (N, 2) what is expected of its square.
         held: (N,) the very place of the frame before.
         accepted: (N,) whether the observation moved the marker.
     """
 
     index: IndexArray
     times_s: FloatArray
-    weight: FloatArray
     y: FloatArray
-    a: FloatArray
-    c: FloatArray
+    variance: FloatArray
     held: BoolArray
     accepted: BoolArray

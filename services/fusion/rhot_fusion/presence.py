@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.sightings import BoolArray, FloatArray, IndexArray
+from rhot_fusion.sightings import BoolArray, CountArray, FloatArray, IndexArray
 
 _FRESH_PERIODS = 1.5
 _FRESH_S = 0.04
@@ -17,9 +17,10 @@ class Presence:
 
     Attributes:
         tracked: (M,) markers whose place is known.
-        fresh: (C, M) whether each camera's newest frame showed the marker where it was expected.
-        sure: (C, M) whether the one before did too; a marker that was just found again may be something else.
-        frame_s: (C,) time of each camera's newest frame.
+        fresh: (C, M) whether each camera's newest frame showed the marker where it may be.
+        sure: (C, M) whether that is near to where it was expected and the frame before showed it too; a marker that was
+            just found again may be something else.
+        frame_s: time of each camera's newest frame.
         seen_s: (M,) when any camera last saw the marker.
         backed_s: (M,) when two views last backed it.
     """
@@ -28,7 +29,7 @@ class Presence:
         self.tracked: BoolArray = np.zeros(markers, dtype=bool)
         self.fresh: BoolArray = np.zeros((cameras, markers), dtype=bool)
         self.sure: BoolArray = np.zeros((cameras, markers), dtype=bool)
-        self.frame_s: FloatArray = np.full(cameras, -np.inf)
+        self.frame_s: list[float] = [-np.inf] * cameras
         self.seen_s: FloatArray = np.full(markers, -np.inf)
         self.backed_s: FloatArray = np.full(markers, -np.inf)
 
@@ -36,15 +37,16 @@ class Presence:
         """Forget all markers."""
         self.tracked[:] = False
         self.fresh[:] = self.sure[:] = False
-        for times in (self.frame_s, self.seen_s, self.backed_s):
-            times[:] = -np.inf
+        self.frame_s = [-np.inf] * len(self.frame_s)
+        self.seen_s[:] = self.backed_s[:] = -np.inf
 
-    def show(self, camera: int, t_s: float, shown: IndexArray) -> None:
-        """Take a camera's next frame, in which these markers were where they were expected."""
-        fresh = np.zeros(self.fresh.shape[1], dtype=bool)
+    def show(self, camera: int, t_s: float, shown: IndexArray, backed: IndexArray) -> None:
+        """Take a camera's next frame: which markers it showed where they may be, and which where they were expected."""
+        fresh, sure = self.fresh[camera], self.sure[camera]
+        sure[:] = False
+        sure[backed] = fresh[backed]
+        fresh[:] = False
         fresh[shown] = True
-        self.sure[camera] = fresh & self.fresh[camera]
-        self.fresh[camera] = fresh
         self.frame_s[camera] = t_s
         self.seen_s[shown] = t_s
 
@@ -52,10 +54,15 @@ class Presence:
         """Take markers (N,) that views (C, N) have confirmed."""
         self.tracked[found] = True
         self.seen_s[found] = self.backed_s[found] = t_s
-        self.fresh[:, found] = self.sure[:, found] = views
+        self.fresh[:, found] = views
+        self.sure[:, found] = False
 
-    def reach(self, t_s: float, schedule: Schedule) -> BoolArray:
-        """Return which cameras (C, 1) have shown a frame recently enough to back anything at a moment."""
-        reach = np.array([max(_FRESH_PERIODS * schedule.period_s(place), _FRESH_S) for place in range(len(self.fresh))])
-        near: BoolArray = (t_s - self.frame_s <= reach)[:, None]
-        return near
+    def backing(self, t_s: float, schedule: Schedule) -> tuple[CountArray, CountArray]:
+        """Return how many cameras (M,) show each marker at a moment, and how many of them are sure."""
+        near = [
+            t_s - seen_s <= max(_FRESH_PERIODS * schedule.period_s(place), _FRESH_S)
+            for place, seen_s in enumerate(self.frame_s)
+        ]
+        if all(near):
+            return np.count_nonzero(self.fresh, axis=0), np.count_nonzero(self.sure, axis=0)
+        return np.count_nonzero(self.fresh[near], axis=0), np.count_nonzero(self.sure[near], axis=0)

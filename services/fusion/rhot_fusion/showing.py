@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 
 import numpy as np
 
-from rhot.camera import CameraModel
 from rhot.rig import FusionConfig
 from rhot_fusion.cap_directions import CapDirections
 from rhot_fusion.coherence import HandCoherence
 from rhot_fusion.motion_bank import MotionBank
 from rhot_fusion.presence import Presence
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.sightings import FloatArray, Outcome
+from rhot_fusion.sightings import BoolArray, FloatArray, Outcome
 
 _QUIET_DEPTH_M = 0.004
 """Standard deviation in depth up to which a marker is shown as fast as it moves."""
@@ -29,6 +27,10 @@ _COAST_M_S = 0.8
 _DAMPING_S = 0.1
 """Speeds of markers that are not seen fade within this."""
 _FEWEST_SIBLINGS = 2
+# A product with ones costs a third of what `sum` does.
+_OF_PLACE: FloatArray = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+_OF_SPEED: FloatArray = 1.0 - _OF_PLACE
+_ALL: FloatArray = np.ones(3)
 
 
 def ahead_s(elapsed_s: FloatArray) -> FloatArray:
@@ -42,7 +44,6 @@ class Showing:
 
     def __init__(
         self,
-        cameras: Sequence[CameraModel],
         bank: MotionBank,
         presence: Presence,
         hands: HandCoherence,
@@ -50,13 +51,13 @@ class Showing:
         schedule: Schedule,
         counts: Counter[str],
     ) -> None:
-        self._R: FloatArray = np.stack([camera.R_camera_rig for camera in cameras])
-        self._t: FloatArray = np.stack([camera.t_camera_rig for camera in cameras])
         self._bank, self._presence, self._hands = bank, presence, hands
         self._caps, self._schedule, self._counts = caps, schedule, counts
         count = len(bank.mean)
         self._shown: FloatArray = np.full((count, 3), np.nan)
         self._shown_s = -np.inf
+        self._volume_m: object = None
+        self._volume: FloatArray = np.zeros((2, 3))
         self.gliding = np.zeros(count, dtype=bool)
 
     def clear(self) -> None:
@@ -69,28 +70,32 @@ class Showing:
         """Return the markers at a moment, or as much later as they are to be predicted."""
         bank, presence = self._bank, self._presence
         tracked = presence.tracked
-        reach = presence.reach(t_s, self._schedule)
-        views = (presence.fresh & reach).sum(axis=0)
-        low, high = config.volume_m
+        views, sure = presence.backing(t_s, self._schedule)
+        if config.volume_m != self._volume_m:
+            self._volume_m, self._volume = config.volume_m, np.array(config.volume_m)
         place = bank.mean[:, :3]
-        tracked &= ((place >= low) & (place <= high)).all(axis=1)
-        measured = tracked & ((presence.sure & reach).sum(axis=0) >= 2)
+        if not ((place >= self._volume[0]) & (place <= self._volume[1])).all():
+            tracked &= ((place >= self._volume[0]) & (place <= self._volume[1])).all(axis=1)
+        measured = tracked & (sure >= 2)
         presence.backed_s[measured] = t_s
-        self._counts["measured"] += int(np.count_nonzero(measured))
-        if not measured.all():
+        count = int(np.count_nonzero(measured))
+        self._counts["measured"] += count
+        if count < len(measured):
             tracked &= t_s - presence.backed_s <= config.hold_s
             self._coast(t_s)
         ahead = np.where(tracked, t_s - bank.t_s, 0.0)
-        position = place + bank.mean[:, 3:] * (ahead_s(ahead) + config.predict_s)[:, None]
-        spread = np.einsum("mii->mi", bank.cov)
-        variance = spread[:, :3].sum(axis=1) + ahead * ahead * spread[:, 3:].sum(axis=1)
+        position = bank.mean[:, 3:] * (ahead_s(ahead) + config.predict_s)[:, None]
+        position += bank.mean[:, :3]
+        variance = bank.variances @ _OF_PLACE + ahead * ahead * (bank.variances @ _OF_SPEED)
         shape_sigma = self._caps.sigmas()
-        position[~tracked] = np.nan
-        self._glide(position, t_s, config)
-        sigma = np.sqrt(variance + shape_sigma**2)
-        local = position @ self._R.swapaxes(1, 2) + self._t[:, None]
-        xy = np.where(presence.fresh[:, :, None], local[:, :, :2] / local[:, :, 2:], np.nan)
-        return Outcome(t_s + config.predict_s, position, sigma, np.where(tracked, views, 0), measured, xy, shape_sigma)
+        if not tracked.all():
+            position[~tracked] = np.nan
+            views = np.where(tracked, views, 0)
+        self._glide(position, measured, t_s, config)
+        # On its way to where it is seen a marker is not where it is seen.
+        measured &= ~self.gliding
+        sigma = np.sqrt(variance + shape_sigma * shape_sigma)
+        return Outcome(t_s + config.predict_s, position, sigma, views, measured, presence.fresh.copy(), shape_sigma)
 
     def _coast(self, t_s: float) -> None:
         """Carry markers that no camera sees along with the others of their hand."""
@@ -109,26 +114,24 @@ class Showing:
             spread = _COAST_M_S * np.sqrt(max(age**2 - (age - dt) ** 2, 0.0))
             bank.carry(marker, velocity * dt, velocity, spread, t_s)
 
-    def _glide(self, position: FloatArray, t_s: float, config: FusionConfig) -> None:
+    def _glide(self, position: FloatArray, measured: BoolArray, t_s: float, config: FusionConfig) -> None:
         """Let no marker be shown to move faster than is believable, such as when it is found again elsewhere."""
         step = position - self._shown
         longest = config.max_speed_m_s * min(t_s - self._shown_s, self._schedule.longest_period_s)
         # Depth that is known badly is no reason to jump.
-        depth_sigma = np.sqrt(self._bank.cov[:, 2, 2])
-        deepest = longest * np.minimum(np.maximum(_QUIET_DEPTH_M / (depth_sigma + 1e-6), _SLOWEST_GLIDE), 1.0)
+        quiet = _QUIET_DEPTH_M / (np.sqrt(self._bank.variances[:, 2]) + 1e-6)
+        deepest = longest * np.minimum(np.maximum(quiet, _SLOWEST_GLIDE), 1.0)
         # NaN, of markers that were not shown before, compares as false and stays.
-        depth = np.maximum(np.minimum(step[:, 2], deepest), -deepest)
-        held = depth != step[:, 2]
-        held &= np.isfinite(depth)
+        held = np.abs(step[:, 2]) > deepest
         if held.any():
-            step[held, 2] = depth[held]
+            step[held, 2] = np.copysign(deepest, step[:, 2])[held]
             position[held] = self._shown[held] + step[held]
-        length = np.sqrt((step * step).sum(axis=1))
+        length = np.sqrt((step * step) @ _ALL)
         # What was found again elsewhere, or is only predicted, has no haste.
-        unsure = self.gliding | (self._presence.seen_s < t_s - _COAST_S)
+        unsure = self.gliding | ~measured
         allowed = np.where(unsure, _UNSURE_GLIDE * longest, longest)
         fast = length > allowed
-        self.gliding &= fast
+        self.gliding = unsure & fast
         if fast.any():
             position[fast] = self._shown[fast] + step[fast] * (allowed[fast] / length[fast])[:, None]
-        self._shown, self._shown_s = position.copy(), t_s
+        self._shown, self._shown_s = position, t_s

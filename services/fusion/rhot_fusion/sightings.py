@@ -25,7 +25,7 @@ class Sightings:
     Attributes:
         camera: index of the camera.
         t_s: time of the frame: the median of its markers' times, seconds since the stream's start.
-        index: (N,) markers.
+        index: (N,) markers, ascending.
         times_s: (N,) when each was seen.
         xy: (N, 2) normalised image coordinates.
         area_px: (N,) visible painted area, square pixels.
@@ -49,7 +49,7 @@ class Outcome:
         sigma_m: (M,) standard deviation of the position.
         views: (M,) cameras behind it.
         measured: (M,) backed by views of this moment that agree.
-        xy: (C, M, 2) where each camera sees the marker at this moment, normalised coordinates; NaN = it does not.
+        seen: (C, M) which cameras see the marker at this moment.
         shape_sigma_m: (M,) what of `sigma_m` is for the markers' shapes and what hides them; none where nobody asks.
     """
 
@@ -58,7 +58,7 @@ class Outcome:
     sigma_m: FloatArray
     views: CountArray
     measured: BoolArray
-    xy: FloatArray
+    seen: BoolArray
     shape_sigma_m: FloatArray | None = None
 
 

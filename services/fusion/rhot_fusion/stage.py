@@ -163,28 +163,37 @@ class FusionStage:
         uv: list[tuple[float, float]] = []
         times: list[float] = []
         areas: list[float] = []
-        for name, marker in frame.markers.items():
-            place = self._marker_index.get(name)
+        known = 0
+        for place, name in enumerate(self._markers):
+            marker = frame.markers.get(name)
+            if marker is None:
+                continue
+            known += 1
             t_s = frame_s if marker.t_ns is None else (marker.t_ns - base_ns) * 1e-9
-            if place is None:
-                self.counts["unknown_marker"] += 1
-            elif abs(t_s - frame_s) > _ROW_SPREAD_S:
+            if abs(t_s - frame_s) > _ROW_SPREAD_S:
                 self.counts["wrong_marker_time"] += 1
+            elif not (-0.5 < marker.u < frame.width - 0.5 and -0.5 < marker.v < frame.height - 0.5):
+                self.counts["outside"] += 1
             else:
                 places.append(place)
                 uv.append((marker.u, marker.v))
                 times.append(t_s)
                 areas.append(marker.area)
-        model = self._models[camera]
-        index, pixels, t = np.array(places, dtype=np.intp), np.array(uv).reshape(-1, 2), np.array(times)
-        area = np.array(areas)
-        inside = model.contains(pixels)
-        if not inside.all():
-            self.counts["outside"] += int(np.count_nonzero(~inside))
-            index, pixels, t, area = index[inside], pixels[inside], t[inside], area[inside]
-        self._corners.observe(camera, frame, frame_s)
-        middle_s = median(t.tolist()) if len(t) else frame_s
-        return Sightings(camera, middle_s, index, t, model.undistort(pixels), area)
+        if known < len(frame.markers):
+            self.counts["unknown_marker"] += len(frame.markers) - known
+        # Lenses are undone for all pixels at once.
+        count, patches = len(places), self._corners.listed(camera, frame)
+        for points in patches.values():
+            uv += points
+        xy = self._models[camera].undistort(np.array(uv))
+        for first, name in enumerate(patches):
+            t_ns = frame.markers[name].t_ns
+            t_s = frame_s if t_ns is None else (t_ns - base_ns) * 1e-9
+            self._corners.observe(camera, name, t_s, xy[count + 5 * first : count + 5 * first + 5])
+        middle_s = median(times) if times else frame_s
+        return Sightings(
+            camera, middle_s, np.array(places, dtype=np.intp), np.array(times), xy[:count], np.array(areas)
+        )
 
     def _make_tracker(self, config: FusionConfig) -> Tracker:
         rig = self._rig
@@ -201,7 +210,8 @@ class FusionStage:
                 continue
             corners = None
             if measured and name in self._corners.names:
-                corners = self._corners.solve(name, outcome.xy[:, index], outcome.position[index], outcome.t_s)
+                cameras = np.flatnonzero(outcome.seen[:, index]).tolist()
+                corners = self._corners.solve(name, cameras, (x, y, z), outcome.t_s)
             state: State = "measured" if measured else "predicted"
             points[name] = Point(position=(x, y, z), sigma=sigma, views=views, state=state, corners=corners)
         return points

@@ -23,11 +23,13 @@ FloatArray = NDArray[np.float64]
 _MEMORY: Final = 0.998
 """Kept of what was learnt at each pair of frames: about ten seconds."""
 _LARGEST_S: Final = 0.03
-_CLEAR: Final = 4.0
+_CLEAR: Final = 2.0
 """A jump this many times what is expected counts as just that: a glitch is neither kind of noise."""
-_PRIOR_SPEED: Final = 0.05
+_PRIOR_SPEED: Final = 0.5
 """Normalised units per second; speeds below it teach little of time."""
-_PRIOR_COUNT: Final = 20.0
+_PRIOR_COUNT: Final = 300.0
+"""Weight of the prior, in views. Cameras are believed to be well timed until it is plain that they are not: to take the
+changing shape of what is seen of a marker for an error of time costs a third of the accuracy."""
 
 
 class TimingNoise:
@@ -47,9 +49,11 @@ class TimingNoise:
 
     def learn(self, jump2: FloatArray, speed2: FloatArray) -> None:
         """Take squared jumps of a coordinate (N,) and squared speeds (N,), normalised units (per second)."""
+        if not len(jump2):
+            return
         expected = 4.0 * self.sigma**2 + max(self.sigma_s, 0.1 * _LARGEST_S) ** 2 * speed2
         jump2 = np.minimum(jump2, _CLEAR**2 * expected)
-        new = (len(jump2), speed2.sum(), (speed2 * speed2).sum(), jump2.sum(), (jump2 * speed2).sum())
+        new = (len(jump2), speed2.sum(), speed2 @ speed2, jump2.sum(), jump2 @ speed2)
         self._sums = [_MEMORY * old + float(one) for old, one in zip(self._sums, new, strict=True)]
         count, w2, w4, e2, e2w2 = self._sums
         w4 += _PRIOR_SPEED**4

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from rhot.bus import Bus
-from rhot.cli.status import fetch_status
+from rhot.cli.control import newest_control
 from rhot.errors import BusError, ConfigError, WireError
-from rhot.messages import ObjectPose, PointSet, ServiceStatus, decode
+from rhot.messages import Control, ObjectPose, PointSet, decode
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import REGISTRATION_FILE
 from rhot_objects.place_collector import Place, PlaceCollector
@@ -24,7 +24,7 @@ from rhot_objects.stage import key_of
 _CONNECT_TIMEOUT_S: Final = 5.0
 _HINT_S: Final = 0.5
 _CLOCKS_S: Final = 2.0
-"""A file's time and a service's start on another machine compare no better than this."""
+"""A file's time and the start of a session, by another machine's clock, compare no better than this."""
 
 Taken = Callable[[Place], None]
 Hint = Callable[[str], None]
@@ -57,7 +57,7 @@ async def collect_places(
 
     Raises:
         BusError: no router, or a key stays silent.
-        ConfigError: the objects service runs with another registration than the rig folder holds.
+        ConfigError: the session began with another registration than the rig folder holds.
     """
     registration = Registration.from_file(rig.registration)
     done = asyncio.Event()
@@ -93,8 +93,7 @@ async def collect_places(
                 keep(collector.add_pose(message.t_ns, registration.to_tracker(object_id, pose)))
 
     async with await Bus.open(bus_config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
-        _, statuses = await fetch_status(bus, timeout_s=0.5)
-        _check_service(statuses, rig.path / REGISTRATION_FILE)
+        _check_session(await newest_control(bus), rig.path / REGISTRATION_FILE)
         tasks = [asyncio.create_task(follow(bus)) for follow in (follow_points, follow_device)]
         try:
             await _wait(done, tasks, heard, ("rhot/points", object_key), collector, patience_s, hint)
@@ -138,13 +137,12 @@ async def _wait(
             continue
 
 
-def _check_service(statuses: Mapping[str, ServiceStatus], file: Path) -> None:
-    """Refuse an objects service that was started before the registration that would be undone was written."""
-    if not file.exists():
+def _check_session(start: Control | None, file: Path) -> None:
+    """Refuse a session that began before the registration that would be undone was written."""
+    if start is None or start.action != "start" or not file.exists():
         return
-    for name, status in statuses.items():
-        if name.startswith("objects/") and file.stat().st_mtime > time.time() - status.uptime_s + _CLOCKS_S:
-            raise ConfigError(
-                f"{file} was written after `rhot objects` started, so that service still uses an earlier registration; "
-                "start it again, then repeat this command"
-            )
+    if file.stat().st_mtime > start.start_t_ns / 1e9 + _CLOCKS_S:
+        raise ConfigError(
+            f"{file} was written after this session began, so `rhot objects` still uses an earlier registration; start "
+            "the rig anew (`rhot start`), then repeat this"
+        )

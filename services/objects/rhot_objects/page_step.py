@@ -44,6 +44,7 @@ class ObjectStep:
         self._room = room
         rig = load_rig(room.rig_path)
         self._objects = tuple(rig.config.objects)
+        self._simulated = all(each.source == "simulated" for each in rig.config.objects.values())
         self._kept = KeptFile(room.rig_path / REGISTRATION_FILE, RegistrationFile)
         markers = tuple(rig.config.markers)
         self.fields = (
@@ -87,6 +88,8 @@ class ObjectStep:
             stored = self._kept.content
         except RhotError as error:
             return str(error), False
+        if stored is None and self._simulated:
+            return "simulated objects stand in the cameras' space; nothing to do", True
         if stored is None:
             return "not registered: objects stand in their own space", False
         return ("a new registration on trial", False) if self._kept.on_trial else (f"registered {stored.date}", True)
@@ -96,7 +99,7 @@ class ObjectStep:
             taken = Remark(f"{len(self._collector.places)} of {_WANTED} places taken.", "good")
             return (taken, Remark(self._hint, "warning")) if self._hint else (taken,)
         if self._kept.on_trial:
-            text = "The new registration is written. Start `rhot objects` again to use it; then save or undo."
+            text = "Objects stand where the new registration has them: move one, look at the tab Live. Save or undo."
             return (Remark(text, "good"),)
         return ()
 

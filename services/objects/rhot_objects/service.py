@@ -13,6 +13,7 @@ from rhot.messages import Control
 from rhot.rig import Rig
 from rhot.rig.config import ObjectConfig
 from rhot.rig.file_model import FileModel
+from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot_objects.assemble import SourcePlan, plan_sources
 
@@ -66,7 +67,7 @@ class ObjectsService:
     async def run(self, node: Node, start: Control) -> None:
         """Read all sources until cancelled; one that is absent does not hold up the others."""
         async with asyncio.TaskGroup() as tasks:
-            self._plans = plan_sources(self._rig)
+            self._plans = plan_sources(latest_rig(self._rig))
             for plan in self._plans:
                 tasks.create_task(self._follow(node, start, plan))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -33,6 +34,16 @@ def dark_picture(width: int, height: int) -> np.ndarray[tuple[int, ...], np.dtyp
     return np.full((height, width, 3), 28, dtype=np.uint8)
 
 
+@dataclass(frozen=True, slots=True)
+class _CameraNodes:
+    """What is drawn of one camera: its picture's frame, its view down to the desk, its name and its picture."""
+
+    frame: viser.LineSegmentsHandle
+    view: viser.LineSegmentsHandle
+    label: viser.LabelHandle
+    picture: viser.ImageHandle
+
+
 class CameraLayer:
     """All cameras of a rig."""
 
@@ -53,33 +64,42 @@ class CameraLayer:
             clicked: called with whatever is clicked in a picture.
             on_loop: brings a callback to our event loop.
         """
-        self.planes = {name: PicturePlane.of(camera) for name, camera in cameras.items()}
-        self._pictures: dict[str, viser.ImageHandle] = {}
-        self._nodes: list[viser.SceneNodeHandle] = []
-        for name, plane in self.planes.items():
-            lines = scene.add_line_segments(
-                f"/cameras/{name}/frame", plane.lines.astype(np.float32), LINE_COLOR, thickness=_LINE_M
-            )
-            seen = PicturePlane.of(cameras[name], desk_m).lines.astype(np.float32)
-            view = scene.add_line_segments(f"/cameras/{name}/view", seen, VIEW_COLOR, thickness=_LINE_M)
-            label = scene.add_label(
-                f"/cameras/{name}/label", name, position=tuple(plane.eye), anchor="bottom-center", font_screen_scale=0.9
-            )
-            width_m, height_m = plane.size_m
-            picture = scene.add_image(
+        self.planes: dict[str, PicturePlane] = {}
+        self._desk_m = desk_m
+        self._nodes = {name: self._added(scene, name, camera) for name, camera in cameras.items()}
+        for name, nodes in self._nodes.items():
+            nodes.picture.on_click(on_loop(self._pointed(name, clicked)))
+        self.place(cameras)
+
+    @staticmethod
+    def _added(scene: viser.SceneApi, name: str, camera: CameraCalibration) -> _CameraNodes:
+        nowhere = np.zeros((8, 2, 3), np.float32)
+        return _CameraNodes(
+            scene.add_line_segments(f"/cameras/{name}/frame", nowhere, LINE_COLOR, thickness=_LINE_M),
+            scene.add_line_segments(f"/cameras/{name}/view", nowhere, VIEW_COLOR, thickness=_LINE_M),
+            scene.add_label(f"/cameras/{name}/label", name, anchor="bottom-center", font_screen_scale=0.9),
+            scene.add_image(
                 f"/cameras/{name}/picture",
-                dark_picture(plane.width_px, plane.height_px),
-                width_m,
-                height_m,
+                dark_picture(camera.width, camera.height),
+                1.0,
+                1.0,
                 format="jpeg",
-                position=tuple(plane.center),
-                wxyz=tuple(plane.wxyz),
                 cast_shadow=False,
                 receive_shadow=False,
-            )
-            picture.on_click(on_loop(self._pointed(name, clicked)))
-            self._pictures[name] = picture
-            self._nodes += [lines, view, label, picture]
+            ),
+        )
+
+    def place(self, cameras: Mapping[str, CameraCalibration]) -> None:
+        """Put the cameras where a calibration has them; those that are not drawn yet stay away."""
+        for name, nodes in self._nodes.items():
+            if name not in cameras:
+                continue
+            plane = self.planes[name] = PicturePlane.of(cameras[name])
+            nodes.frame.points = plane.lines.astype(np.float32)
+            nodes.view.points = PicturePlane.of(cameras[name], self._desk_m).lines.astype(np.float32)
+            nodes.label.position = tuple(plane.eye)
+            nodes.picture.render_width, nodes.picture.render_height = plane.size_m
+            nodes.picture.position, nodes.picture.wxyz = tuple(plane.center), tuple(plane.wxyz)
 
     def _pointed(
         self, name: str, clicked: PictureClick
@@ -93,9 +113,10 @@ class CameraLayer:
 
     def show_picture(self, name: str, jpeg: bytes) -> None:
         """Show a camera's newest picture."""
-        show_jpeg(self._pictures[name], jpeg)
+        show_jpeg(self._nodes[name].picture, jpeg)
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide all cameras."""
-        for node in self._nodes:
-            node.visible = visible
+        for nodes in self._nodes.values():
+            for node in (nodes.frame, nodes.view, nodes.label, nodes.picture):
+                node.visible = visible

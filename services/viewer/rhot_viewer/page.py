@@ -11,6 +11,7 @@ import contextlib
 import io
 import logging
 import socket
+import threading
 from collections.abc import Callable
 from typing import Any, Final, TypeVar
 
@@ -20,6 +21,7 @@ from rhot.errors import DeviceError
 
 logger = logging.getLogger(__name__)
 
+_CLOSE_LIMIT_S: Final = 0.4
 PANEL_WIDTH_PX: Final = 420
 """Wide enough for a table of services, and leaves most of a tablet (1024 px) to the scene."""
 _BRAND_RGB: Final = (30, 110, 160)
@@ -95,9 +97,15 @@ class Page:
             self._loop.call_soon_threadsafe(work, *arguments)
 
     def close(self) -> None:
-        """Close the page; browsers show that they wait for it."""
+        """Close the page; browsers show that they wait for it.
+
+        viser waits up to six seconds for browsers to say goodbye, which one on a busy machine does not do in time: what
+        is not closed soon ends with the process.
+        """
+        closing = threading.Thread(target=self.server.stop, name="close page", daemon=True)
         with _quiet():
-            self.server.stop()
+            closing.start()
+            closing.join(_CLOSE_LIMIT_S)
 
 
 def _quiet() -> contextlib.redirect_stdout[io.StringIO]:

@@ -161,9 +161,13 @@ class RigScene:
         self._paths.visible = self.shown.trails
         self.cameras.set_visible(self.shown.cameras)
 
-    def new_session(self) -> None:
-        """Forget the paths of an earlier session."""
+    def new_session(self, rig: Rig, colors: Mapping[str, Rgb]) -> None:
+        """Forget the paths of an earlier session, and show the rig as it is calibrated now."""
         self._trails.clear()
+        self._truth = TruthTrack()
+        self._rig, self._colors = rig, colors
+        self._radii = {side: HandModel.from_file(rig.hand, side).radii for side in SIDES}
+        self.cameras.place(rig.cameras)
 
     def frame(self) -> None:
         """Send what has moved; all of one frame arrives together."""

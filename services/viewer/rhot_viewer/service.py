@@ -7,6 +7,7 @@ import contextlib
 import logging
 import os
 import statistics
+import threading
 import time
 from typing import Final
 
@@ -17,6 +18,7 @@ from rhot.clock import SystemClock
 from rhot.errors import ConfigError
 from rhot.messages import Control, ServiceStatus
 from rhot.rig import BusConfig, Rig
+from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.runner import serve
 from rhot_viewer.capture_settings import CaptureSettings
@@ -44,6 +46,8 @@ logger = logging.getLogger(__name__)
 
 _PANEL_INTERVAL_S: Final = 0.25
 _HISTORY_INTERVAL_S: Final = 1.0
+_END_LIMIT_S: Final = 0.9
+"""From Ctrl-C to the end of the process, at most; with two busy processes beside it that was 12 s without a limit."""
 _NICE: Final = 10
 """Where processors are short, tracking goes first and the page shows fewer frames."""
 
@@ -68,6 +72,7 @@ class ViewerService:
             bus_config: how the running rig is reached.
         """
         self._page = page
+        self._rig = rig
         self._config = ViewerConfig()
         self._node: asyncio.Future[Node] = asyncio.get_running_loop().create_future()
         self._inbox = Inbox()
@@ -77,7 +82,7 @@ class ViewerService:
         self._scene = RigScene(page, rig, self._inbox, marker_colors(rig))
         pictures = PicturesPanel(page, self._scene, self._inbox, rig.cameras, rig.config.markers)
         self._pictures = pictures.feed
-        self._calibrate = CalibratePanel(page, self._scene, pictures.feed, Room(rig.path, bus_config))
+        self._calibrate = CalibratePanel(page, self._scene, pictures.feed, Room(rig.path, bus_config), rig.config)
         self._recording = LiveRecording(bus_config, rig.path)
         self._record = RecordPanel(page, self._recording, rig.path)
         self.panels: list[Panel] = [
@@ -118,8 +123,9 @@ class ViewerService:
         self._node.set_result(node)
 
     async def run(self, node: Node, start: Control) -> None:
-        """Begin new trails; the page goes on by itself."""
-        self._scene.new_session()
+        """Begin new trails and show the rig as its folder holds it now; the page goes on by itself."""
+        self._rig = latest_rig(self._rig)
+        self._scene.new_session(self._rig, marker_colors(self._rig))
         await asyncio.Event().wait()
 
     async def show(self) -> None:
@@ -181,6 +187,13 @@ class ViewerService:
         return errors
 
 
+def end_within(exit_code: int, limit_s: float = _END_LIMIT_S) -> None:
+    """End this process after a while whatever still runs: a thread that fits colours cannot be interrupted."""
+    timer = threading.Timer(limit_s, os._exit, (exit_code,))
+    timer.daemon = True
+    timer.start()
+
+
 async def serve_page(rig: Rig, bus_config: BusConfig, host: str, port: int) -> int:
     """Open the page and run the service until SIGINT or SIGTERM; return the exit code.
 
@@ -193,7 +206,7 @@ async def serve_page(rig: Rig, bus_config: BusConfig, host: str, port: int) -> i
     try:
         service = ViewerService(page, rig, bus_config)
         logger.info("the page is at %s", page.url)
-        serving = asyncio.create_task(serve(service, bus_config, SystemClock()))
+        serving = asyncio.create_task(serve(service, bus_config, SystemClock(), on_stop=end_within))
         showing = asyncio.create_task(service.show())
         await asyncio.wait((serving, showing), return_when=asyncio.FIRST_COMPLETED)
         if showing.done():

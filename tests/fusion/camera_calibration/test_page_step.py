@@ -25,7 +25,7 @@ VALUES = {"board": "9x6", "square_mm": "25", "baseline_mm": ""}
 
 
 async def until(condition: Callable[[], Any]) -> None:
-    async with asyncio.timeout(30.0):
+    async with asyncio.timeout(120.0):
         while not condition():
             await asyncio.sleep(0.02)
 

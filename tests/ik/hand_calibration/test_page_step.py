@@ -49,7 +49,7 @@ async def test_a_measurement_says_what_to_do_and_can_be_stopped(
 ) -> None:
     step = HandStep(Room(rig_folder, router))
     measuring = asyncio.create_task(step.press("measure", NOTHING))
-    async with asyncio.timeout(10.0):
+    async with asyncio.timeout(60.0):
         while "point sets" not in step.view().state:
             await asyncio.sleep(0.02)
     assert "get ready" in step.view().state

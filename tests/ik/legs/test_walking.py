@@ -15,6 +15,7 @@ from rhot.rotations import rotation_from_quaternion
 from rhot.sim.walker.person import Person
 from rhot.sim.walker.programs import PROGRAMS
 from rhot.transforms import rigid
+from rhot_ik.legs.ankle import Ankle
 from rhot_ik.legs.body_solver import BodySolution, solve_body
 from rhot_ik.legs.hips import estimate_hips
 
@@ -31,7 +32,7 @@ def solve_program(program: str, height_m: float, seed: int) -> tuple[FloatArray,
     true = person.sample(t_s)
     solutions, knees, hips = [], [], []
     for i in range(len(t_s)):
-        ankles = {side: poses[i] for side, poses in true.ankles.items()}
+        ankles = {side: Ankle(poses[i]) for side, poses in true.ankles.items()}
         T_rig_hips = estimate_hips(true.head[i], ankles, UP, body)
         solution = solve_body(T_rig_hips, ankles, body)
         solutions.append(solution)
@@ -88,7 +89,7 @@ def test_real_walks_never_bend_a_knee_backwards_or_jump(shared_data: Path, name:
     knees, flexions = [], []
     for i in range(len(hips)):
         T_rig_hips = rigid(np.eye(3), hips[i])
-        solution = solve_body(T_rig_hips, {side: poses[i] for side, poses in ankles.items()}, body)
+        solution = solve_body(T_rig_hips, {side: Ankle(poses[i]) for side, poses in ankles.items()}, body)
         for side, leg in solution.legs.items():
             front = np.cross(solution.joints["hips"][:3, 0], leg.ankle - leg.hip)
             assert (leg.knee - (leg.hip + leg.ankle) / 2.0) @ front >= -1e-9, f"{name} sample {i}, {side}"

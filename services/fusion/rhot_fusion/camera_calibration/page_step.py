@@ -58,7 +58,11 @@ class CameraStep:
             Field("board", "board", f"{sim.board_columns}x{sim.board_rows}", (), "Inner corners along and across."),
             Field("square_mm", "square, mm", f"{1e3 * sim.board_square_m:g}", (), "Side of a square, measured."),
             Field(
-                "baseline_mm", "lens distance, mm", "", (), "Of the first two cameras, by a ruler; checked. Optional."
+                "baseline_mm",
+                "lenses, mm",
+                "",
+                (),
+                "Distance of the first two cameras' lenses by a ruler, for checking the result; optional.",
             ),
         )
         self._ended = asyncio.Event()
@@ -120,8 +124,13 @@ class CameraStep:
                 said += self._advice(progress)
         elif self._kept.on_trial:
             said.append(
-                Remark("The new cameras are written. Start the rig anew to track with them; then save or undo.", "good")
+                Remark(
+                    "The rig tracks with the new cameras now: move a hand and look at the tab Live. Save or undo.",
+                    "good",
+                )
             )
+        elif self._found is not None:
+            said.append(Remark("The cameras are solved. Look at the figures, then try them.", "good"))
         return (*said, *self._warnings)
 
     def _silent(self, silent: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -132,7 +141,7 @@ class CameraStep:
 
     def _advice(self, progress: Progress) -> list[Remark]:
         tone: Tone = "good" if progress.state in _GOOD else "warning"
-        said = [Remark(f"{progress.sets} taken. {state_line(progress)}", tone)]
+        said = [Remark(f"{progress.sets} taken: {state_line(progress)}", tone)]
         now_s = asyncio.get_running_loop().time()
         if progress.state is not State.SEARCHING:
             self._searching_since = now_s
@@ -210,7 +219,6 @@ class CameraStep:
         self._found = cameras_file(found, views)
         self._tables = result_tables(found)
         self._warnings = (
-            Remark("The cameras are solved. Look at the figures, then try them.", "good"),
             *(Remark(f"left out {label}: {why}") for label, why in found.left_out.items()),
             *(Remark(text, "warning") for text in found.warnings),
         )

@@ -83,7 +83,7 @@ class HandStep:
         if self._doing:
             return (Remark(self._doing, "warning"),)
         if self._kept.on_trial:
-            return (Remark("The new hand is written. Start the rig anew to track with it; then save or undo.", "good"),)
+            return (Remark("The rig tracks with the new hand now: look at the tab Live. Save or undo.", "good"),)
         if self._found is None:
             return ()
         said = [Remark("Measured. Look at the figures, then try the hand.", "good")]

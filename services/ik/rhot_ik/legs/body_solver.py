@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rhot.body_anatomy import BodyModel
 from rhot.messages import Side
 from rhot.transforms import rigid
+from rhot_ik.legs.ankle import Ankle
 from rhot_ik.legs.hips import OUTWARDS, hip_joint
 from rhot_ik.legs.leg import LegPose, bend_leg
 
@@ -37,22 +38,22 @@ class BodySolution:
     angles_rad: Mapping[Side, FloatArray]
 
 
-def solve_body(T_rig_hips: FloatArray, T_rig_ankles: Mapping[Side, FloatArray], body: BodyModel) -> BodySolution:
+def solve_body(T_rig_hips: FloatArray, ankles: Mapping[Side, Ankle], body: BodyModel) -> BodySolution:
     """Return the lower body between the hips and the ankles that are known.
 
     Args:
         T_rig_hips: (4, 4) middle between the hip joints.
-        T_rig_ankles: side to (4, 4); axes level when the foot stands flat.
+        ankles: one foot or both.
         body: lengths.
     """
     R_hips = T_rig_hips[:3, :3]
     joints: dict[str, FloatArray] = {"hips": T_rig_hips}
     legs: dict[Side, LegPose] = {}
     angles: dict[Side, FloatArray] = {}
-    for side, ankle in T_rig_ankles.items():
+    for side, ankle in ankles.items():
         hip = R_hips @ hip_joint(side, body) + T_rig_hips[:3, 3]
-        leg = bend_leg(hip, ankle[:3, 3], _hinge(R_hips, ankle, hip), body.thigh_m, body.shank_m)
-        R_foot = ankle[:3, :3]
+        leg = bend_leg(hip, ankle.place, _hinge(R_hips, ankle, hip), body.thigh_m, body.shank_m)
+        R_foot = ankle.T_rig_ankle[:3, :3]
         legs[side] = leg
         joints[f"{side}_hip"] = rigid(leg.R_thigh, leg.hip)
         joints[f"{side}_knee"] = rigid(leg.R_shank, leg.knee)
@@ -62,16 +63,17 @@ def solve_body(T_rig_hips: FloatArray, T_rig_ankles: Mapping[Side, FloatArray], 
     return BodySolution(joints, legs, angles)
 
 
-def _hinge(R_hips: FloatArray, ankle: FloatArray, hip: FloatArray) -> FloatArray:
+def _hinge(R_hips: FloatArray, ankle: Ankle, hip: FloatArray) -> FloatArray:
     """Return the direction (3,) of the knee's axis: between those of the foot and of the hips.
 
     Both are weighed by how much of them lies across the leg, so that the mixture never vanishes and never jumps while a
     foot rolls along the leg.
     """
-    line = ankle[:3, 3] - hip
+    line = ankle.place - hip
     down = line / max(float(np.linalg.norm(line)), 1e-9)
     hinge = np.zeros(3)
-    for direction, weight in ((ankle[:3, 0], _FOOT_WEIGHT), (R_hips[:, 0], 1.0 - _FOOT_WEIGHT)):
+    share = _FOOT_WEIGHT * ankle.trust
+    for direction, weight in ((ankle.T_rig_ankle[:3, 0], share), (R_hips[:, 0], 1.0 - share)):
         across = direction - (direction @ down) * down
         # A foot turned backwards is a wrong measurement: it must not turn the knee.
         agreement = float(np.clip((across @ R_hips[:, 0]) / _LEAST_ACROSS, 0.0, 1.0))

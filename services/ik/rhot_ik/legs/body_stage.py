@@ -9,14 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.body_anatomy import BodyModel
-from rhot.messages import BodyJoint, BodyPose, FootPose, HeadPose, LegAngles, Position, Quaternion, Side
+from rhot.messages import BodyJoint, BodyPose, FootPose, HeadPose, LegAngles, Position, Quaternion, Side, State
 from rhot.rig import Rig
-from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
+from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.stage import Output
 from rhot.transforms import rigid
 from rhot.wire_vectors import wire_position, wire_quaternion
 from rhot_ik.legs.body_solver import BodySolution, solve_body
-from rhot_ik.legs.hips import estimate_hips
+from rhot_ik.legs.foot_track import LEAD_S, Carrier, FootTrack
+from rhot_ik.legs.hips import hang_hips, hip_joint, stride, within_reach
+from rhot_ik.legs.stature import Stature
 
 FloatArray = NDArray[np.float64]
 
@@ -25,35 +27,11 @@ _ANGLES: Final = tuple(LegAngles.model_fields)
 _STALE_NS: Final = 300_000_000
 """A foot or head that was not heard of for so long is not known."""
 _TOGETHER_NS: Final = 2_000_000
-_LEAD_NS: Final = 60_000_000
+_LEAD_NS: Final = round(1e9 * LEAD_S)
 """A foot that is older than the other by less than this is carried on by its velocity."""
-_LEARNING: Final = 0.03
-_LEAST_LEVEL: Final = 0.77
-"""Cosine of the steepest instep, 40°."""
-
-
-class FootLevel:
-    """How a foot's marker sits on its instep: learnt from stands, where the sole is level.
-
-    Attributes:
-        R_foot_level: (3, 3) from the axes of the ankle, level when the foot stands flat, to those of `FootPose`.
-    """
-
-    def __init__(self) -> None:
-        self._up = np.array([0.0, 1.0, 0.0])
-        self.R_foot_level: FloatArray = np.eye(3)
-
-    def learn(self, R_rig_foot: FloatArray, up: FloatArray) -> None:
-        """Take one sample of a foot that stands still; one tipped by more than an instep is no stand."""
-        seen = R_rig_foot.T @ up
-        if seen[1] < _LEAST_LEVEL:
-            return
-        self._up = self._up + _LEARNING * (seen - self._up)
-        up_in_foot = self._up / np.linalg.norm(self._up)
-        axis = np.cross([0.0, 1.0, 0.0], up_in_foot)
-        sine = float(np.linalg.norm(axis))
-        if sine > 1e-9:
-            self.R_foot_level = rotation_from_vector(axis / sine * float(np.arctan2(sine, up_in_foot[1])))
+_SIDE_BY_SIDE_M: Final = 0.12
+_CALM_S: Final = 0.05
+_LONGEST_STEP_S: Final = 0.1
 
 
 class BodyStage:
@@ -64,12 +42,17 @@ class BodyStage:
     """
 
     def __init__(self, rig: Rig) -> None:
-        feet = rig.config.feet
-        self._body = BodyModel.from_config(rig.config.body)
+        feet, body = rig.config.feet, rig.config.body
+        model = BodyModel.from_config(body)
+        self._stature = Stature(model, legs_known=body.thigh_m is not None and body.shank_m is not None)
         self._up = np.array([0.0, 1.0, 0.0] if feet is None else feet.up)
         self._up /= np.linalg.norm(self._up)
-        self._ankle_m = {} if feet is None else {side: np.array(foot.ankle_m) for side, foot in feet.feet.items()}
-        self._level = {side: FootLevel() for side in self._ankle_m}
+        self._tracks = {
+            side: FootTrack(np.array(foot.ankle_m), hip_joint(side, model) - [0.0, model.leg_m, 0.0], self._up)
+            for side, foot in ({} if feet is None else feet.feet).items()
+        }
+        self._carrier: Carrier | None = None
+        self._solved_ns = 0
         self._head: HeadPose | None = None
         self._feet: dict[Side, FootPose] = {}
         self._told: dict[Side, int] = {}
@@ -85,11 +68,10 @@ class BodyStage:
         if isinstance(message, HeadPose):
             self._head = message
             return []
-        if message.side not in self._ankle_m:
+        if message.side not in self._tracks:
             return []
         self._feet[message.side] = message
-        if message.stationary and message.state == "measured":
-            self._level[message.side].learn(rotation_from_quaternion(np.array(message.orientation)), self._up)
+        self._tracks[message.side].feed(message)
         newest_ns = max(foot.t_ns for foot in self._feet.values())
         known = {side: foot for side, foot in self._feet.items() if newest_ns - foot.t_ns < _STALE_NS}
         # A foot whose newest sample has been used is waited for, unless it stays away for longer than it is carried on.
@@ -103,28 +85,42 @@ class BodyStage:
             self._counts["no_head"] += 1
             return []
         self._counts["bodies"] += 1
-        return [(BODY_KEY, self._solve(self._head, known, newest_ns))]
+        return [(BODY_KEY, self._solve(self._head, newest_ns))]
 
-    def _solve(self, head: HeadPose, feet: Mapping[Side, FootPose], t_ns: int) -> BodyPose:
+    def _solve(self, head: HeadPose, t_ns: int) -> BodyPose:
         T_rig_head = _transform(head.position, head.orientation)
-        ankles = {side: self._ankle(foot, t_ns) for side, foot in sorted(feet.items())}
-        hips = estimate_hips(T_rig_head, ankles, self._up, self._body)
-        return body_pose(solve_body(hips, ankles, self._body), head, feet, t_ns)
+        higher_m = self._stature.ankles_m
+        found = {side: track.at(t_ns, self._carrier, higher_m[side]) for side, track in self._tracks.items()}
+        ankles = {side: ankle for side, ankle in found.items() if ankle is not None}
+        elapsed_s = min(max(1e-9 * (t_ns - self._solved_ns), 0.0), _LONGEST_STEP_S)
+        hung = hang_hips(T_rig_head, ankles, self._up, self._stature.body)
+        # Somebody stands, the feet side by side.
+        if all(track.stands for track in self._tracks.values()) and stride(ankles, hung[:3, 2]) < _SIDE_BY_SIDE_M:
+            self._stature.learn(hung, ankles, elapsed_s)
+        hips = within_reach(hung, ankles, self._stature.body)
+        self._carry(hips, elapsed_s)
+        self._solved_ns = t_ns
+        states = {side: self._tracks[side].state for side in sorted(ankles)}
+        legs: dict[Side, State] = {side: state for side, state in states.items() if state is not None}
+        solution = solve_body(hips, {side: ankles[side] for side in legs}, self._stature.body)
+        return body_pose(solution, head, legs, t_ns)
 
-    def _ankle(self, foot: FootPose, t_ns: int) -> FloatArray:
-        T_rig_foot = _transform(foot.position, foot.orientation)
-        lead_s = min(t_ns - foot.t_ns, _LEAD_NS) / 1e9
-        place = T_rig_foot[:3, :3] @ self._ankle_m[foot.side] + T_rig_foot[:3, 3]
-        R_rig_level = T_rig_foot[:3, :3] @ self._level[foot.side].R_foot_level
-        return rigid(R_rig_level, place + lead_s * np.array(foot.velocity))
+    def _carry(self, hips: FloatArray, elapsed_s: float) -> None:
+        """Note where the hips are and how they move, for feet that hang from them."""
+        velocity = np.zeros(3)
+        if self._carrier is not None and elapsed_s > 0.0:
+            velocity = self._carrier.velocity
+            moved = (hips[:3, 3] - self._carrier.T_rig_hips[:3, 3]) / elapsed_s
+            velocity = velocity - np.expm1(-elapsed_s / _CALM_S) * (moved - velocity)
+        self._carrier = Carrier(hips, velocity)
 
 
-def body_pose(solution: BodySolution, head: HeadPose, feet: Mapping[Side, FootPose], t_ns: int) -> BodyPose:
-    """Return the message that carries a solution."""
+def body_pose(solution: BodySolution, head: HeadPose, legs: Mapping[Side, State], t_ns: int) -> BodyPose:
+    """Return the message that carries a solution whose legs are measured or predicted."""
     names = list(solution.joints)
     poses = np.stack([solution.joints[name] for name in names])
     positions, quaternions = poses[:, :3, 3], quaternion_from_rotation(poses[:, :3, :3])
-    measured = head.state == "measured" and any(foot.state == "measured" for foot in feet.values())
+    measured = head.state == "measured" and "measured" in legs.values()
     return BodyPose(
         t_ns=t_ns,
         frame=head.frame,
@@ -136,7 +132,7 @@ def body_pose(solution: BodySolution, head: HeadPose, feet: Mapping[Side, FootPo
             side: LegAngles(**dict(zip(_ANGLES, values.tolist(), strict=True)))
             for side, values in solution.angles_rad.items()
         },
-        legs={side: feet[side].state for side in solution.legs},
+        legs=dict(legs),
         state="measured" if measured else "predicted",
     )
 

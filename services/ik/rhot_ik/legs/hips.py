@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rhot.body_anatomy import BodyModel
 from rhot.messages import Side
 from rhot.transforms import rigid
+from rhot_ik.legs.ankle import Ankle
 
 FloatArray = NDArray[np.float64]
 
@@ -44,52 +45,57 @@ _MOST_LEAN: Final = 0.95
 _HEAD_WEIGHT: Final = 0.35
 _STRAIGHTEST: Final = 0.997
 _ROUNDS: Final = 12
+_LEAST_TRUST: Final = 0.01
+_DOUBT_M: Final = 0.1
+"""How far a foot that is trusted by half may be out of reach before it pulls the hips."""
 
 
-def estimate_hips(
-    T_rig_head: FloatArray, T_rig_ankles: Mapping[Side, FloatArray], up: FloatArray, body: BodyModel
-) -> FloatArray:
+def estimate_hips(T_rig_head: FloatArray, ankles: Mapping[Side, Ankle], up: FloatArray, body: BodyModel) -> FloatArray:
     """Return T_rig_hips (4, 4), the middle between the hip joints, +Y up and +X to the body's right.
 
     Args:
         T_rig_head: (4, 4) headset, OpenXR axes.
-        T_rig_ankles: side to (4, 4), axes level when the foot stands flat; one foot or both.
+        ankles: one foot or both.
         up: (3,) unit vector against gravity.
         body: lengths.
     """
-    right = _level_right(T_rig_head, T_rig_ankles, up)
+    return within_reach(hang_hips(T_rig_head, ankles, up, body), ankles, body)
+
+
+def hang_hips(T_rig_head: FloatArray, ankles: Mapping[Side, Ankle], up: FloatArray, body: BodyModel) -> FloatArray:
+    """Return the hips as of `estimate_hips` before they go where the legs reach."""
+    right = _level_right(T_rig_head, ankles, up)
     forward = np.cross(up, right)
-    R = np.stack([right, up, -forward], axis=-1)
     neck = T_rig_head[:3, :3] @ np.array(body.neck_m) + T_rig_head[:3, 3]
-    middle = _between_feet(T_rig_ankles, right, body)
-    lowered_m = body.leg_m + body.neck_height_m - float((neck - middle) @ up)
+    above = neck - np.mean([ankle.place for ankle in ankles.values()], axis=0)
+    lowered_m = body.leg_m + body.neck_height_m - float(above @ up)
     down = float(T_rig_head[:3, 2] @ up)
-    lean = _lean(float((neck - middle) @ forward), lowered_m, _stride(T_rig_ankles, forward), down, body)
+    trust = min(ankle.trust for ankle in ankles.values())
+    lean = _lean(float(above @ forward), lowered_m, stride(ankles, forward), down, trust, body)
     hips = neck - body.neck_height_m * (lean * forward + np.sqrt(1.0 - lean**2) * up)
-    return rigid(R, within_reach(hips, R, T_rig_ankles, body))
+    return rigid(np.stack([right, up, -forward], axis=-1), hips)
 
 
-def within_reach(
-    hips: FloatArray, R_rig_hips: FloatArray, T_rig_ankles: Mapping[Side, FloatArray], body: BodyModel
-) -> FloatArray:
-    """Return the place (3,) nearest to `hips` from which every leg reaches its ankle.
+def within_reach(T_rig_hips: FloatArray, ankles: Mapping[Side, Ankle], body: BodyModel) -> FloatArray:
+    """Return the hips (4, 4), not turned, at the nearest place from which every leg reaches its ankle.
 
     Alternating projections onto the balls of reach (von Neumann 1950); feet that are too far apart for both legs end
-    with the middle between the balls.
+    with the middle between the balls. The less an ankle is known, the farther it may be out of reach.
     """
-    place = hips.copy()
+    R, place = T_rig_hips[:3, :3], T_rig_hips[:3, 3].copy()
     for _ in range(_ROUNDS):
         moved = False
-        for side, ankle in T_rig_ankles.items():
-            joint = place + R_rig_hips @ hip_joint(side, body)
-            line = joint - ankle[:3, 3]
-            over = float(np.linalg.norm(line)) - _STRAIGHTEST * body.leg_m
+        for side, ankle in ankles.items():
+            line = place + R @ hip_joint(side, body) - ankle.place
+            reach = float(np.linalg.norm(line))
+            doubt = 1.0 / max(ankle.trust, _LEAST_TRUST) - 1.0
+            over = reach - _STRAIGHTEST * body.leg_m - doubt * _DOUBT_M
             if over > 0.0:
-                place -= line * (over / float(np.linalg.norm(line)))
+                place -= line * (over / reach)
                 moved = True
         if not moved:
             break
-    return place
+    return rigid(R, place)
 
 
 def hip_joint(side: Side, body: BodyModel) -> FloatArray:
@@ -97,7 +103,13 @@ def hip_joint(side: Side, body: BodyModel) -> FloatArray:
     return np.array([OUTWARDS[side] * body.hip_width_m / 2.0, 0.0, 0.0])
 
 
-def _lean(pivot_m: float, lowered_m: float, stride_m: float, down: float, body: BodyModel) -> float:
+def stride(ankles: Mapping[Side, Ankle], forward: FloatArray) -> float:
+    """Return how far one foot is before the other along a level direction (3,)."""
+    along = [float(ankle.place @ forward) for ankle in ankles.values()]
+    return max(along) - min(along)
+
+
+def _lean(pivot_m: float, lowered_m: float, stride_m: float, down: float, trust: float, body: BodyModel) -> float:
     """Return the lean of the trunk, as a share of its length.
 
     Args:
@@ -105,6 +117,7 @@ def _lean(pivot_m: float, lowered_m: float, stride_m: float, down: float, body: 
         lowered_m: how much lower the pivot is than when standing straight.
         stride_m: how far one foot is before the other: who lunges or kneels keeps the trunk upright.
         down: sine of the angle by which the head looks down.
+        trust: in the feet, 0 to 1: over feet that are only guessed nobody is balanced.
         body: lengths.
     """
     lever = (1.0 - _TRUNK_WEIGHT) * body.neck_height_m
@@ -113,7 +126,7 @@ def _lean(pivot_m: float, lowered_m: float, stride_m: float, down: float, body: 
     standing = 1.0 / (1.0 + (min(excess, 0.0) / _BALANCE_FADES_M) ** 2) ** 2
     usual += _CROUCHING_LEAN * standing * max(lowered_m, 0.0) / body.leg_m / (1.0 + (stride_m / _STRIDE_M) ** 2)
     excess = _outside_soles(pivot_m - lever * usual, body)
-    weight = standing * (_LEAN_SIGMA / _BALANCE_SIGMA_M) ** 2
+    weight = trust * standing * (_LEAN_SIGMA / _BALANCE_SIGMA_M) ** 2
     return float(np.clip(usual + weight * lever * excess / (1.0 + weight * lever**2), -_MOST_LEAN, _MOST_LEAN))
 
 
@@ -122,29 +135,14 @@ def _outside_soles(weight_m: float, body: BodyModel) -> float:
     return weight_m - float(np.clip(weight_m, -body.heel_m, -float(body.ball_m[2])))
 
 
-def _stride(T_rig_ankles: Mapping[Side, FloatArray], forward: FloatArray) -> float:
-    along = [float(T[:3, 3] @ forward) for T in T_rig_ankles.values()]
-    return max(along) - min(along)
-
-
-def _between_feet(T_rig_ankles: Mapping[Side, FloatArray], right: FloatArray, body: BodyModel) -> FloatArray:
-    """Return the middle (3,) between the ankles; of a single foot, what lies half a hip's width beside it."""
-    places = [
-        T[:3, 3] - (0.0 if len(T_rig_ankles) == 2 else 1.0) * OUTWARDS[side] * body.hip_width_m / 2.0 * right
-        for side, T in T_rig_ankles.items()
-    ]
-    middle: FloatArray = np.mean(places, axis=0)
-    return middle
-
-
-def _level_right(T_rig_head: FloatArray, T_rig_ankles: Mapping[Side, FloatArray], up: FloatArray) -> FloatArray:
+def _level_right(T_rig_head: FloatArray, ankles: Mapping[Side, Ankle], up: FloatArray) -> FloatArray:
     """Return the body's level direction to the right (3,): that of the feet, a little of the head.
 
     A foot's +X axis stays level while the foot pitches, so that its heading is known with the heel up, too.
     """
     head = _level(T_rig_head[:3, 0], up)
-    feet = sum((_level(T[:3, 0], up) for T in T_rig_ankles.values()), start=np.zeros(3))
-    total = _HEAD_WEIGHT * head + feet / max(len(T_rig_ankles), 1)
+    feet = sum((ankle.trust * _level(ankle.T_rig_ankle[:3, 0], up) for ankle in ankles.values()), start=np.zeros(3))
+    total = _HEAD_WEIGHT * head + feet / len(ankles)
     for direction in (total, head, np.cross(T_rig_head[:3, 2], up), np.cross(up, np.roll(up, 1) + 1.0)):
         level = _level(direction, up)
         if (norm := float(np.linalg.norm(level))) > 0.05:

@@ -11,23 +11,22 @@ from typing import Any, Final
 
 import viser
 
-from rhot.bus import Bus
 from rhot.calibration_step import CalibrationStep, Room, StepView, load_steps
-from rhot.cli.control import broadcast, new_session
 from rhot.errors import RhotError
+from rhot.rig.config import RigConfig
 from rhot_viewer.camera_layer import dark_picture, show_jpeg
 from rhot_viewer.page import Page
+from rhot_viewer.panels.simulated_world import SimulatedWorld, is_simulated
 from rhot_viewer.picture_feed import PictureFeed
 from rhot_viewer.rig_scene import RigScene
+from rhot_viewer.sessions import Sessions
 from rhot_viewer.step_html import about_html, bar_html, path_html, remarks_html, tables_html
 
 logger = logging.getLogger(__name__)
 
+_REMARKS_HEIGHT: Final = "5.5em"
 _RESTART: Final = "start the rig anew"
-_RESTART_HINT: Final = "A new session: tracking takes over what was calibrated since."
-_CONNECT_S: Final = 2.0
-_CLOCK_S: Final = 2.0
-_DELAY_S: Final = 0.5
+_RESTART_HINT: Final = "A new session; trying, saving and undoing cameras, hand and objects begin one by themselves."
 
 _FieldHandle = viser.GuiDropdownHandle[str] | viser.GuiTextHandle
 
@@ -56,7 +55,7 @@ class CalibratePanel:
 
     title = "Calibrate"
 
-    def __init__(self, page: Page, scene: RigScene, feed: PictureFeed, room: Room) -> None:
+    def __init__(self, page: Page, scene: RigScene, feed: PictureFeed, room: Room, config: RigConfig) -> None:
         """Prepare the tab.
 
         Args:
@@ -64,6 +63,7 @@ class CalibratePanel:
             scene: its pictures can be clicked in.
             feed: of the pictures; a step may let them stand still.
             room: where the steps work.
+            config: of the rig.
         """
         self._page = page
         self._scene = scene
@@ -73,7 +73,8 @@ class CalibratePanel:
         self._current = ""
         self._chosen = asyncio.Event()
         self._work: asyncio.Queue[Callable[[], Any]] = asyncio.Queue()
-        self._problem = ""
+        self._sessions = Sessions(room)
+        self._world = SimulatedWorld(room.rig_path, config) if is_simulated(config) else None
         self._gui: viser.GuiApi | None = None
         scene.on_picture_click(self._clicked)
 
@@ -107,6 +108,10 @@ class CalibratePanel:
             choice.on_update(self._page.on_loop(lambda event: self._choose(str(event.target.value))))
             for title, step in steps.items():
                 self._steps[title] = self._built(gui, title, step)
+            if self._world is not None:
+                self._world.build(
+                    gui, self._page, lambda motion: self._work.put_nowait(partial(self._show_world, motion))
+                )
             restart = gui.add_button(_RESTART, hint=_RESTART_HINT, icon=viser.Icon.REFRESH)
             restart.on_click(self._page.on_loop(lambda _: self._work.put_nowait(self._restart)))
             self._restarted = gui.add_html("")
@@ -160,7 +165,9 @@ class CalibratePanel:
         self._feed.hold(view.held)
 
     def _show(self, parts: _StepParts, view: StepView) -> None:
-        parts.remarks.content = bar_html(view.share) + remarks_html(parts.problem, view.remarks)
+        # Room for some lines at all times: the buttons below would jump away under the pointer with each sentence.
+        remarks = f"<div style='min-height:{_REMARKS_HEIGHT}'>{remarks_html(parts.problem, view.remarks)}</div>"
+        parts.remarks.content = bar_html(view.share) + remarks
         parts.tables.content = tables_html(view.tables)
         for name, button in parts.buttons.items():
             button.disabled = name not in view.enabled
@@ -206,6 +213,8 @@ class CalibratePanel:
             # A fault of one step costs that press, never the page that others look at.
             logger.exception("calibration step %s", title)
             parts.problem = f"{type(error).__name__}: {error}; this is a fault of the program, its log says more"
+        if self._sessions.files_have_changed():
+            await self._restart()
         parts.values = {}  # what the step has chosen is shown again, also where somebody had chosen otherwise
         self.update()
 
@@ -221,12 +230,21 @@ class CalibratePanel:
                 looking.cancel()
                 await asyncio.gather(looking, return_exceptions=True)
 
-    async def _restart(self) -> None:
-        self._restarted.content = ""
+    async def _show_world(self, motion: str) -> None:
+        if self._world is None:
+            return
         try:
-            async with await Bus.open(self._room.bus, timeout_s=_CONNECT_S) as bus:
-                control = await broadcast(bus, "start", new_session(), _DELAY_S, _CLOCK_S)
+            self._world.choose(motion)
         except RhotError as error:
             self._restarted.content = remarks_html(str(error), ())
         else:
-            self._restarted.content = about_html(f"session {control.session} started")
+            await self._restart()
+
+    async def _restart(self) -> None:
+        self._restarted.content = about_html("The rig is started anew …")
+        try:
+            session = await self._sessions.start_anew()
+        except RhotError as error:
+            self._restarted.content = remarks_html(str(error), ())
+        else:
+            self._restarted.content = about_html(f"Session {session} runs with what the rig folder holds now.")

@@ -45,7 +45,10 @@ class CamerasPanel:
 
     def build(self, gui: viser.GuiApi) -> None:
         """Add a folder per camera; the sliders stay grey until the camera has told its settings."""
-        text = "What is moved here acts at once and lasts until the service restarts; rig.toml is not written."
+        text = (
+            "What is moved here acts at once and lasts until the service restarts. The first step of the tab Calibrate "
+            "saves exposure, gain and whites."
+        )
         gui.add_html(_NOTE.format(color="inherit", text=text))
         for place, camera in enumerate(self._settings.cameras):
             with gui.add_folder(f"Camera {camera}", expand_by_default=place == 0):

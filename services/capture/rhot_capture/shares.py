@@ -1,0 +1,50 @@
+"""The painted share of a window's pixels, asked for at places between them."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+CoverageArray = NDArray[np.float32]
+
+MIN_STEP: Final = np.float32(0.2)
+"""Of t, from the level outside to the level inside; where planes come nearer they are extrapolated too far."""
+OVERSHOOT: Final = np.float32(0.25)
+"""Noise may push a share this far below 0 or above 1; clipping tighter would favour one side of the rim."""
+LEAST: Final = -OVERSHOOT
+MOST: Final = np.float32(1.0) + OVERSHOOT
+
+
+class Shares(NamedTuple):
+    """Painted shares on a grid over a window.
+
+    Attributes:
+        share: (h, w) float32, 0 to 1 up to noise, exactly 0 away from the blob.
+        scale: pixels of the window to the side of one of the grid.
+        left, top: of the grid in the window, pixels.
+    """
+
+    share: CoverageArray
+    scale: int
+    left: int
+    top: int
+
+    def at(self, places: CoverageArray) -> CoverageArray:
+        """Return the shares at some places of the window; beyond the grid as at its border.
+
+        A line across an edge has the same integral on a coarser grid: means blur it evenly to both sides.
+
+        Args:
+            places: (n, m, 2) float32, x and y, pixels of the window.
+
+        Returns:
+            (n, m) float32.
+        """
+        if self.scale > 1:
+            shift = np.array((self.left, self.top), np.float32) + np.float32(0.5 * (self.scale - 1))
+            places = (places - shift) * np.float32(1.0 / self.scale)
+        found = cv2.remap(self.share, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+        return np.asarray(found, dtype=np.float32)
