@@ -10,40 +10,32 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhot.body_anatomy import BodyModel
-from rhot.messages import BodyPose, FootPose, HeadPose, Side
+from rhot.messages import BodyPose, FootPose, Side
 from rhot.rig import Rig
 from rhot.rig.config import WalkProgram
 from rhot.rig.feet_config import FeetConfig
-from rhot.rotations import rotation_from_quaternion
 from rhot.sim.walker.disturbances import Cover, Disturbances
 from rhot.sim.walker.person import person_of
 from rhot.sim.walker.world import WalkerWorld
+from rhot_bench.feet_heads import START_NS, Heads
+from rhot_bench.feet_knees import knee_errors
 from rhot_bench.feet_thesis import ThesisTracker
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame, pinhole
-from rhot_feet.imu_sources.simulated import SimulatedSource as SimulatedImu
+from rhot_feet.imu_sources.simulated import SimulatedSource
 from rhot_ik.legs.body_stage import BodyStage
-from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose
-from rhot_objects.sources import HEAD
-from rhot_objects.sources.simulated import SimulatedSource as SimulatedHead
-from rhot_objects.stage import ObjectStage
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
-START_NS: Final = 1_700_000_000_000_000_000
 STEP_S: Final = 0.01
-HEAD_HZ: Final = 90.0
-HEAD_LATE_S: Final = 0.002
 COMPUTE_S: Final = 0.008
 """Between the arrival of a picture and the use of what it shows; the measured time is a figure of its own."""
 LEARN_S: Final = 4.0
@@ -187,8 +179,8 @@ class _Playing:
         self._blackouts, self._blackout_sides = _blackouts(run, self._world, seconds)
         self._camera = pinhole(feet.camera.width, feet.camera.height, self._world.intrinsics, np.empty(0))
         self._stage, self._thesis, self._body = FootStage(feet), ThesisTracker(feet), BodyStage(rig)
-        self._heads = _Heads(self._world, seed)
-        self._sensors = {side: SimulatedImu(self._world, side) for side in feet.feet}
+        self._heads = Heads(self._world, seed)
+        self._sensors = {side: SimulatedSource(self._world, side) for side in feet.feet}
         for sensor in self._sensors.values():
             sensor.open(START_NS)
         self._ours, self._theirs = _Places(), _Places()
@@ -243,7 +235,7 @@ class _Playing:
     def result(self) -> Played:
         """Compare with the truth."""
         world, times = self._world, np.array(self._t_s)
-        knee_error_m, backwards = _knees(self._bodies, world)
+        knee_error_m, backwards = knee_errors(self._bodies, world)
         return Played(
             self._run,
             self._seed,
@@ -259,31 +251,6 @@ class _Playing:
             backwards,
             dict(self._stage.counts),
         )
-
-
-class _Heads:
-    """The headset's poses as the objects service publishes them."""
-
-    def __init__(self, world: WalkerWorld, seed: int) -> None:
-        registration = Registration(Pose.from_matrix(np.eye(4)), {})
-        self._source = SimulatedHead(partial(_head, world), registration, frozenset({HEAD}), seed)
-        self._source.open(START_NS)
-        self._stage = ObjectStage(registration)
-        self._next = 0
-
-    def until(self, now_s: float) -> list[HeadPose]:
-        """Return those that arrived by now and were not returned before."""
-        poses = []
-        while (at_s := self._next / HEAD_HZ) + HEAD_LATE_S <= now_s:
-            at_ns = START_NS + round(1e9 * at_s)
-            outputs = self._stage.feed(self._source.read(at_ns), at_ns)
-            poses += [message for _, message in outputs if isinstance(message, HeadPose)]
-            self._next += 1
-        return poses
-
-
-def _head(world: WalkerWorld, t_s: float) -> dict[str, Pose]:
-    return {HEAD: Pose.from_matrix(world.head(np.array([t_s]))[0])}
 
 
 def _of_height(rig: Rig, height_m: float) -> Rig:
@@ -311,23 +278,3 @@ def _blackouts(run: Run, world: WalkerWorld, seconds: float) -> tuple[FloatArray
                 spans.append((float(t_s[k]), float(t_s[k]) + BLACKOUT_S))
                 sides.append(lifting[0])
     return np.array(spans).reshape(-1, 2), sides
-
-
-def _knees(bodies: list[BodyPose], world: WalkerWorld) -> tuple[FloatArray, int]:
-    """Return the knees' distances from the truth, metres, and how many frames have a knee bent backwards."""
-    if not bodies:
-        return np.empty(0), 0
-    t_s = np.array([1e-9 * (body.t_ns - START_NS) for body in bodies])
-    truth = world.joints(t_s)
-    errors: list[float] = []
-    backwards = 0
-    for k, body in enumerate(bodies):
-        wrong = False
-        for side in body.legs:
-            knee, hip = body.joints[f"{side}_knee"], body.joints[f"{side}_hip"]
-            errors.append(float(np.linalg.norm(np.array(knee.position) - truth[f"{side}_knee"][k, :3, 3])))
-            R_thigh, R_shank = (rotation_from_quaternion(np.array(joint.orientation)) for joint in (hip, knee))
-            # Both have their hinge along x; a bent knee turns the shank backwards, which is about -x.
-            wrong |= not bool((R_thigh.T @ R_shank)[2, 1] < 1e-6)
-        backwards += wrong
-    return np.array(errors), backwards

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from random import Random
 from typing import TypeVar
 
 import numpy as np
@@ -16,6 +17,7 @@ from rhot.evaluate.rows import Row
 
 FloatArray = NDArray[np.float64]
 T = TypeVar("T")
+_SEED = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +64,19 @@ def timed(work: Callable[[], object]) -> float:
 
 
 def interleaved(items: Iterable[T], ways: Mapping[str, Callable[[T], object]], warm_up: int = 5) -> dict[str, Spread]:
-    """Give each item to every way in turn and return their times, without the first items."""
+    """Give each item to every way and return their times, without the first items.
+
+    The order is another one with each item, always the same ones in every run: what comes after a way that fills the
+    processor's caches pays for it.
+    """
     seconds: dict[str, list[float]] = {name: [] for name in ways}
+    names, rng = list(ways), Random(_SEED)
     with no_collection():
         for turn, item in enumerate(items):
-            for name, way in ways.items():
+            rng.shuffle(names)
+            for name in names:
                 began = time.perf_counter()
-                way(item)
+                ways[name](item)
                 spent = time.perf_counter() - began
                 if turn >= warm_up:
                     seconds[name].append(spent)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,33 @@ def test_averages_leave_out_what_is_not_measured() -> None:
     assert rows["    the thesis's tracker on the same data"].value == pytest.approx(40.0)
     assert rows["marker_moving: measured"].value == pytest.approx(75.0)
     assert rows["one core at 60 pictures and 2x100 samples a second"].value == pytest.approx(40.0)
+
+
+def test_seeds_are_told_apart() -> None:
+    run, measured = RUNS["marker_moving"], np.ones(400, np.bool_)
+    played = [made_up(run, np.full(400, error_m), measured=measured) for error_m in (0.001, 0.002, 0.009)]
+    (section, *_) = feet_sections({run.name: played})
+    values = [row.value for row in section.rows[:4]]
+    assert values == pytest.approx([4.0, 40.0, 2.0, 9.0])
+
+
+def test_a_foot_is_back_when_its_marker_is() -> None:
+    """Pictures come back at 1.0 s, the marker at 1.3 s, and the place is right from 1.35 s on."""
+    run, error_m, measured = RUNS["inertial"], np.full(400, 0.2), np.ones(400, np.bool_)
+    played = made_up(run, error_m, measured=measured)
+    track = played.ours["left"]
+    stage = track.stage.copy()
+    stage[:130] = STAGES.index("inertial")
+    error_m[135:] = 0.001
+    hidden = replace(
+        played,
+        ours={"left": replace(track, stage=stage), "right": track},
+        blackouts=np.array([[0.0, 1.0]]),
+        blackout_sides=["left"],
+    )
+    rows = {row.name: row.value for section in feet_sections({run.name: [hidden]}) for row in section.rows}
+    assert rows["inertial stage, 1 s after it was hidden in a step, average"] == pytest.approx(200.0)
+    assert rows["within 20 mm, 0.1 s after its marker is believed again"] == pytest.approx(100.0)
 
 
 def test_the_worst_of_a_task_shows_both_measured_and_predicted() -> None:

@@ -1,11 +1,9 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from marker_scenes import (
     DICTIONARY,
     SIZE_M,
@@ -20,7 +18,6 @@ from marker_scenes import (
 )
 
 from rhot.aruco_dictionary import marker_dictionary
-from rhot_bench.recorded_markers import filter_places, read_marker_test
 from rhot_bench.thesis_feet import ThesisFeet
 from rhot_feet.frames import pinhole
 from rhot_feet.sources.recorded_frames import load_depth_recording
@@ -77,17 +74,3 @@ def test_recorded_walk_on_which_the_thesiss_blob_loses_the_toes(shared_data: Pat
             mark = marks[frame.index]
             distances.append(np.hypot(u - float(mark[f"{side}_toe_u"]), v - float(mark[f"{side}_toe_v"])))
     assert np.mean(np.array(distances) < 15.0) < 0.5
-
-
-@pytest.mark.parametrize("name", ["test0.csv", "test4.csv"])
-def test_filtered_places_of_recorded_detections(shared_data: Path, name: str) -> None:
-    test = read_marker_test(shared_data / "aruco" / "d435_qualisys" / name).first(1500)
-    known = test.known
-
-    def rms_mm(places: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:
-        return 1e3 * float(np.sqrt(np.mean(np.sum((places - test.t_true_m)[known] ** 2, axis=1))))
-
-    scale = 1.0 / 1.03
-    true_size = replace(test, t_m=scale * test.t_m)
-    assert rms_mm(filter_places(test, scale)) < 0.7 * rms_mm(test.t_m[:, 0])
-    assert rms_mm(filter_places(test, scale)) < 0.8 * rms_mm(true_size.t_m[:, 0])

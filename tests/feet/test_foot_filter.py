@@ -13,9 +13,11 @@ from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion, r
 from rhot.turns import rotation_between
 from rhot_feet.alignment import AlignmentLearner
 from rhot_feet.foot_filter import FootFilter
-from rhot_feet.foot_filter_model import FootState
+from rhot_feet.foot_filter_inertial import InertialModel
+from rhot_feet.foot_filter_model import FootFilterSettings, FootState, Observation
 from rhot_feet.imu_sources import ImuSamples
 from rhot_feet.inertial import FusedReader, up_rotation
+from rhot_feet.strapdown import SIZE, InertialNoise, InertialState, Strapdown
 from rhot_feet.thesis_filter import ThesisFilter
 
 FloatArray = NDArray[np.float64]
@@ -144,6 +146,74 @@ def test_hidden_in_steps() -> None:
     assert sigma.mean() < 0.05 and (track.error_m[alone] < 4.0 * sigma).all()
 
 
+def test_a_foot_that_is_never_seen_swinging_is_aligned_by_its_first_step() -> None:
+    """Seen only while it stands, as feet of a walking person mostly are; the second step is hidden altogether."""
+    foot = FootFilter()
+    track = follow(Walk(), 1.7, foot, seen=lambda t: t < 0.0 or 0.55 < t < 1.1)
+    assert foot.aligned
+    hidden = (track.t > 1.1 + LATE_S) & (track.t < 1.65)
+    assert track.error_m[hidden].max() < 0.12
+    assert (track.error_m[hidden] < 4.0 * np.array([state.sigma_m for state in track.states])[hidden]).all()
+    # The depth image's places share their errors: a few of them are worth little more than one.
+    state = foot.state(ns(1.6))
+    assert state is not None
+    spread = 0.04**2 * np.eye(3)
+    before = state.sigma_m
+    for t in np.arange(1.5, 1.6, 1.0 / 60.0):
+        assert foot.depth(ns(float(t)), Walk().foot(float(t))[0], spread)
+    state = foot.state(ns(1.6))
+    assert state is not None
+    alone = 0.04 * np.sqrt(3.0)
+    assert state.sigma_m > 0.88 * np.hypot(1.0 / before, 1.0 / alone) ** -1
+
+
+def test_what_the_depth_image_shows_teaches_nothing_about_the_sensor() -> None:
+    model = InertialModel(
+        Strapdown(np.array([0.0, -9.81, 0.0]), InertialNoise()), up_rotation(np.array([0.0, 1.0, 0.0]))
+    )
+    nothing = np.zeros(3)
+    P = np.full((SIZE, SIZE), 1e-4) + 1e-3 * np.eye(SIZE)
+    before = InertialState(nothing, nothing, np.eye(3), nothing, nothing, nothing, np.eye(3), P)
+    place = np.array([0.05, 0.0, 0.0])
+    after = model.observe(before, Observation(0, place, 1e-3 * np.eye(3), None, np.eye(3), "depth"))
+    assert 0.01 < after.position[0] < 0.05
+    for name in ("acceleration_bias", "rate_bias", "lever", "R", "M"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+    assert np.linalg.eigvalsh(after.P).min() > 0.0
+    taught = model.observe(before, Observation(0, place, 1e-3 * np.eye(3), None, np.eye(3), "marker"))
+    assert np.abs(taught.acceleration_bias).max() > 1e-4
+
+
+def test_a_foot_that_is_elsewhere_says_nothing_against_a_sensor_that_does_not_carry_it() -> None:
+    foot = FootFilter(FootFilterSettings(agreeing=4))
+    forgotten: list[None] = []
+    foot._learner.forget = lambda: forgotten.append(None)  # type: ignore[method-assign]
+    for k in range(40):
+        foot.marker(ns(k / 60.0), np.array([float(k >= 20), 0.0, 0.0]), SIGMA_M**2 * np.eye(3))
+    assert foot.counts.restarts == 1
+    assert not forgotten
+
+
+def test_a_sensor_that_is_not_aligned_still_tells_that_the_foot_sets_off() -> None:
+    """A foot that has stood for long is not trusted to stand on while its sensor is shaken."""
+    sigmas = []
+    for force in (9.81, 25.0):
+        foot = FootFilter()
+        t_ns = np.array([ns(0.01 * k) for k in range(80)])
+        forces = np.tile([0.0, 0.0, 9.81], (80, 1))
+        forces[72:, 2] = force
+        upright = np.tile([0.0, 0.0, 0.0, 1.0], (80, 1))
+        for k in range(80):
+            foot.imu(ImuSamples(t_ns[k : k + 1], forces[k : k + 1], np.zeros((1, 3)), upright[k : k + 1]))
+            if k < 72:
+                foot.marker(int(t_ns[k]), np.zeros(3), SIGMA_M**2 * np.eye(3))
+        state = foot.state(int(t_ns[-1]))
+        assert state is not None
+        sigmas.append(state.sigma_m)
+    assert sigmas[0] < 0.01
+    assert sigmas[1] > 0.03
+
+
 def test_false_markers_do_not_move_it() -> None:
     foot = FootFilter()
     track = follow(Walk(), 8.0, foot, false_share=0.1, seed=3)
@@ -202,7 +272,7 @@ def test_what_is_too_late_is_left_out_and_memory_is_bounded() -> None:
     assert not foot.marker(ns(1.0), np.zeros(3), np.eye(3) * 1e-6)
     assert foot.counts.late == 1
     history = foot._by_sensor
-    assert history is not None and len(history._moments) < 60 and len(foot._felt) < 60
+    assert history is not None and len(history._moments) < 60 and len(foot._samples) < 60
 
 
 def test_depth_alone_is_smoothed() -> None:
@@ -221,13 +291,13 @@ def test_depth_alone_is_smoothed() -> None:
 @pytest.mark.parametrize("yaw_rad", [-2.5, 0.0, 3.1])
 def test_alignment_is_learnt_from_the_first_steps(yaw_rad: float) -> None:
     walk = Walk(yaw_rad=yaw_rad)
-    learner = AlignmentLearner(up_rotation(np.array([0.0, 1.0, 0.0])))
+    learner = AlignmentLearner(up_rotation(np.array([0.0, 1.0, 0.0])), np.zeros(3))
     t = np.arange(-1.0, 3.0, 0.01)
     samples = FusedReader().read(np.array([ns(x) for x in t]), *walk.imu(t, 2))
     random = np.random.default_rng(7)
     first = None
     for k, now in enumerate(t):
-        learner.imu(samples.rows(k, k + 1))
+        learner.imu(samples.rows(k, k + 1), [False])
         if k % 2:
             place, R = walk.foot(now)
             learner.marker(ns(now), place + random.normal(0.0, SIGMA_M, 3), SIGMA_M, R)

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from still_feet import FEET, head, picture, places, standing_samples
 
-from rhot.messages import FootPose
+from rhot.messages import FootPose, Side
+from rhot_feet.depth_floor import FloorPlane
+from rhot_feet.expectation import FootExpectation
 from rhot_feet.foot_stage import FootStage
+from rhot_feet.frames import DepthFrame
+from rhot_feet.marker_tracker import MarkerSightings
 
 START_NS = 1_700_000_000_000_000_000
 FRAME_NS = 33_000_000
@@ -77,6 +84,38 @@ def test_a_sensor_that_feels_its_foot_stand_keeps_it_measured() -> None:
     pose = late["rhot/foot/left"]
     assert (pose.stage, pose.state, pose.stationary) == ("inertial", "measured", True)
     assert off_mm(pose) < 5.0
+
+
+def test_a_foot_whose_sensor_is_shaken_is_not_held_where_it_was() -> None:
+    stage = FootStage(FEET)
+    for k in range(12):
+        see(stage, k, 1)
+        stage.imu("left", standing_samples(START_NS + k * FRAME_NS - 30_000_000, 3))
+    last_ns = START_NS + 11 * FRAME_NS
+    rest = standing_samples(last_ns, 25)
+    stage.imu("left", replace(rest, specific_force=3.5 * rest.specific_force))
+    soon, later = poses(stage, last_ns + 95_000_000), poses(stage, last_ns + 170_000_000)
+    assert (soon["rhot/foot/left"].stage, soon["rhot/foot/left"].state) == ("marker", "predicted")
+    assert set(later) == {"rhot/foot/right"}
+
+
+def test_the_marker_stage_knows_the_floor() -> None:
+    stage = FootStage(FEET)
+    floors: list[FloorPlane | None] = []
+    feed = stage._markers.feed
+
+    def noted(
+        frame: DepthFrame,
+        expected: Mapping[Side, FootExpectation],
+        up_camera: NDArray[np.float64] | None = None,
+        floor: FloorPlane | None = None,
+    ) -> MarkerSightings:
+        floors.append(floor)
+        return feed(frame, expected, up_camera, floor)
+
+    stage._markers.feed = noted  # type: ignore[method-assign]
+    see(stage, 0, 4)
+    assert floors and all(floor is not None for floor in floors)
 
 
 def test_feet_are_found_again_where_nobody_expected_them() -> None:

@@ -51,6 +51,14 @@ def test_markers_that_no_foot_wears_are_not_found() -> None:
     assert FINDER.find(with_noise(color)) == []
 
 
+def test_a_mirrored_marker_is_not_found() -> None:
+    color = background(CAMERA)
+    draw_marker(color, CAMERA, 1, tilted(15.0, 0.3), np.array([0.1, 0.05, 1.0]))
+    color = with_noise(color)
+    assert len(FINDER.find(color)) == 1
+    assert FINDER.find(np.ascontiguousarray(color[:, ::-1])) == []
+
+
 def test_recorded_photographs_match_the_reference(shared_data: Path) -> None:
     folder = shared_data / "aruco" / "images"
     reference = json.loads((folder / "reference_detections.json").read_text())

@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from marker_scenes import (
     DICTIONARY,
     SIZE_M,
@@ -105,9 +106,10 @@ def test_the_nearer_of_two_alike_is_the_foots() -> None:
     assert 1e3 * float(np.linalg.norm(found["left"].place - LEFT)) < 15.0
 
 
-def test_depth_that_contradicts_the_size_refuses() -> None:
+@pytest.mark.parametrize("share", [0.5, 0.8, 1.25, 2.0])
+def test_depth_that_contradicts_the_size_refuses(share: float) -> None:
     # A marker twice as large at the same place looks as if it were half as far away.
-    found = tracker().feed(frame(0, {0: LEFT}, 2.0 * SIZE_M), {"left": expected(LEFT, 0.5)}, UP)
+    found = tracker().feed(frame(0, {0: LEFT}, share * SIZE_M), {"left": expected(LEFT, 0.5)}, UP)
     assert not found.markers
     assert found.refused == {"left": "depth"}
 

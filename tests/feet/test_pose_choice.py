@@ -1,15 +1,12 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 from marker_scenes import SIZE_M, depth_camera, tilted
 from numpy.typing import NDArray
 
 from rhot.rotations import rotation_from_vector, vector_from_rotation
 from rhot_feet.marker_pose import MarkerPose, marker_poses, square_corners, view_square
-from rhot_feet.orientation_track import OrientationCandidate, OrientationTrack
+from rhot_feet.orientation_track import OrientationTrack
 from rhot_feet.pose_choice import OrientationPrior, choose_pose
 
 CAMERA = depth_camera()
@@ -25,7 +22,11 @@ def poses_of(R: Float, t: Float, seed: int, noise_px: float = 0.3) -> tuple[Mark
 
 
 def off(R: Float, pose: MarkerPose) -> float:
-    return float(np.degrees(np.linalg.norm(vector_from_rotation(pose.R_camera_marker @ R.T))))
+    return off_deg(R, pose.R_camera_marker)
+
+
+def off_deg(R: Float, other: Float) -> float:
+    return float(np.degrees(np.linalg.norm(vector_from_rotation(other @ R.T))))
 
 
 def test_an_expected_orientation_decides_what_corners_leave_open() -> None:
@@ -72,21 +73,25 @@ def test_a_track_finds_the_right_branch_and_stays_on_it() -> None:
         t = np.array([0.25 * np.sin(1.1 * t_s), 0.1 * np.cos(0.9 * t_s), 1.5])
         poses = list(poses_of(R, t, int(rng.integers(1 << 30))))
         rng.shuffle(poses)
-        candidates = [OrientationCandidate(p.R_camera_marker, p.covariance[:3, :3], p.cost) for p in poses]
-        chosen = poses[track.feed(t_s, candidates)]
+        chosen = poses[track.feed(t_s, poses)]
         right += number >= 60 and off(R, chosen) == min(off(R, pose) for pose in poses)
     assert right >= 0.97 * 180
     assert track.orientation is not None
-    assert np.degrees(np.linalg.norm(vector_from_rotation(track.orientation @ R.T))) < 5.0
+    assert off_deg(R, track.orientation) < 5.0
     track.reset()
     assert track.orientation is None
 
 
-def test_recorded_detections(shared_data: Path) -> None:
-    recorded_markers = pytest.importorskip("rhot_bench.recorded_markers")
-    test = recorded_markers.read_marker_test(shared_data / "aruco" / "d435_qualisys" / "test0.csv").first(2000)
-    chosen, known = recorded_markers.choose_solutions(test), test.known
-    errors = np.stack([recorded_markers.turns_deg(test.R[known, which], test.R_true[known]) for which in (0, 1)])
-    own = np.take_along_axis(errors, chosen[known][None], axis=0)[0]
-    assert float((own <= errors.min(axis=0)).mean()) > 0.97
-    assert float((errors[0] <= errors[1]).mean()) < 0.85
+def test_several_hypotheses_outvote_the_likeliest() -> None:
+    t, near = np.array([0.0, 0.0, 1.5]), 1e-4 * np.eye(6)
+    alone, first, second = tilted(30.0, 0.0), tilted(-30.0, 0.2), tilted(-30.0, -0.2)
+    track = OrientationTrack()
+    believed = track.feed(
+        0.0, [MarkerPose(R, t, near, cost) for R, cost in ((alone, 0.0), (first, 0.4), (second, 0.4))]
+    )
+    assert believed == 0
+    assert track.orientation is not None
+    assert off_deg(track.orientation, alone) < 1e-6
+    assert track.nearest(np.stack([alone, tilted(-30.0, 0.0)])) == 1
+    track.reset()
+    assert track.nearest(np.stack([first, alone])) == 0

@@ -20,15 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion
-from rhot_feet.alignment import Alignment, AlignmentLearner
-from rhot_feet.foot_filter_history import Felt, History
+from rhot_feet.alignment import AlignmentLearner
+from rhot_feet.alignment_equations import Alignment
+from rhot_feet.foot_filter_history import History
 from rhot_feet.foot_filter_inertial import InertialModel
 from rhot_feet.foot_filter_kinematic import KinematicModel, KinematicState
 from rhot_feet.foot_filter_model import FootFilterSettings, FootMotion, FootState, Observation, Stage
+from rhot_feet.foot_filter_rejected import Rejected
+from rhot_feet.foot_filter_samples import SampleTrack
 from rhot_feet.imu_sources.samples import ImuSamples
-from rhot_feet.inertial import LONGEST_STEP_S, up_rotation
-from rhot_feet.strapdown import ACCELEROMETER, LEVER, MOUNTING, InertialState, InertialStep, Strapdown
-from rhot_feet.zero_velocity import GRAVITY, Rest, StillnessDetector
+from rhot_feet.inertial import up_rotation
+from rhot_feet.strapdown import InertialState, Strapdown
+from rhot_feet.zero_velocity import GRAVITY
 
 FloatArray = NDArray[np.float64]
 State = TypeVar("State")
@@ -37,13 +40,11 @@ _NO_RATE: Final = np.zeros(3)
 _FLOOR: Final = 0.001**2 * np.eye(3)
 """m²: no place out of a picture is better than a millimetre."""
 _ROTATION_FLOOR: Final = np.radians(1.0) ** 2 * np.eye(3)
-_FASTEST: Final = 8.0
-"""m/s; feet are not faster."""
-_GAP_S: Final = 0.03
-"""Samples further apart than this have others missing between them."""
+_DEPTH_ALIKE_S: Final = 0.03
+"""Correlation time of the errors of places out of the depth image: a shoe shows the same side for a while."""
+_YAW_IN_MOTION_RAD: Final = math.radians(9.0)
+"""A foot that swings in sight is better served without a sensor whose yaw is worse known than this."""
 _RETURN_YAW_RAD: Final = math.radians(8.0)
-_MOUNTED: Final = math.radians(20.0)
-"""A mounting known better than this, over all axes, serves a sensor that comes back."""
 
 
 @dataclass(slots=True)
@@ -76,14 +77,12 @@ class FootFilter:
         strapdown = Strapdown(-GRAVITY * self._C[:, 2], self.settings.noise)
         self._inertial = InertialModel(strapdown, self._C)
         self._kinematic = KinematicModel()
-        self._detector = StillnessDetector(self.settings.stillness)
-        self._learner = AlignmentLearner(self._C)
+        self._learner = AlignmentLearner(self._C, np.array(self.settings.sensor_m))
         self._known: Alignment | None = None
-        self._felt: deque[Felt] = deque()
-        self._last_sample: tuple[int, FloatArray] | None = None
+        self._samples = SampleTrack(self.settings.stillness, 2 * self.settings.horizon_ns)
         self._by_sensor: History[InertialState] | None = None
         self._by_sight: History[KinematicState] | None = None
-        self._rejected: list[Observation] = []
+        self._rejected = Rejected(self.settings.agreeing)
         self._restarts_ns: deque[int] = deque(maxlen=3)
         self._seen: dict[str, int] = {}
 
@@ -95,11 +94,14 @@ class FootFilter:
     def imu(self, samples: ImuSamples) -> None:
         """Take samples of the sensor, not older than those before."""
         rotations = rotation_from_quaternion(samples.orientation_xyzw) if len(samples) else ()
-        for t_ns, force, rate, R_world in zip(
-            samples.t_ns.tolist(), samples.specific_force, samples.angular_rate, rotations, strict=True
-        ):
+        stands = [
             self._sample(t_ns, force, rate, R_world)
-        self._learner.imu(samples)
+            for t_ns, force, rate, R_world in zip(
+                samples.t_ns.tolist(), samples.specific_force, samples.angular_rate, rotations, strict=True
+            )
+        ]
+        if self._by_sensor is None:
+            self._learner.imu(samples, stands)
 
     def marker(
         self,
@@ -134,8 +136,8 @@ class FootFilter:
         motion = self._motion(t_ns)
         if motion is None:
             return None
-        rest = self._rest(t_ns)
-        stands = rest is not None and rest.still
+        felt = self._samples.at(t_ns)
+        stands = felt is not None and felt.rest.still
         return FootState(
             t_ns,
             motion.position,
@@ -148,22 +150,16 @@ class FootFilter:
             max(self._seen.values()),
         )
 
-    def _sample(self, t_ns: int, force: FloatArray, rate: FloatArray, R_world: FloatArray) -> None:
-        last, self._last_sample = self._last_sample, (t_ns, force)
-        if last is None or not 0 < t_ns - last[0] <= LONGEST_STEP_S * 1e9:
-            self._detector.reset()
-            self._felt.clear()
+    def _sample(self, t_ns: int, force: FloatArray, rate: FloatArray, R_world: FloatArray) -> bool:
+        """Take a sample; tell whether the foot was felt to stand."""
+        felt = self._samples.add(t_ns, force, rate, R_world)
+        if felt is None:
             self._hand_over(t_ns)
-            return
-        h = (t_ns - last[0]) * 1e-9
-        rest = self._detector.add(h, force, rate)
-        felt = Felt(t_ns, last[0], InertialStep(h, last[1], force, h * rate, h > _GAP_S), rate, rest, R_world)
-        self._felt.append(felt)
-        while t_ns - self._felt[0].t_ns > 2 * self.settings.horizon_ns:
-            self._felt.popleft()
+            return False
         history = self._by_sensor or self._by_sight
         if history is not None and felt.t_ns >= history.start_ns:
             history.add(felt)
+        return felt.rest.still
 
     def _observe(self, observation: Observation) -> bool:
         self._hand_over(observation.t_ns)
@@ -181,18 +177,27 @@ class FootFilter:
         if rotation > self.settings.gate:
             self.counts.rotations_gated += 1
             observation = replace(observation, rotation=None)
+        if observation.stage == "depth" and self._by_sensor is not None:
+            observation = self._one_of_many(observation)
         history.add(observation)
         self._accepted(observation)
         return True
 
+    def _one_of_many(self, observation: Observation) -> Observation:
+        """Return a place out of the depth image for no more than it adds to the one before: their errors are alike."""
+        since_s = 1e-9 * (observation.t_ns - self._seen.get("depth", 0))
+        like = max(1.0, 2.0 * _DEPTH_ALIKE_S / max(since_s, 1e-3))
+        return replace(observation, covariance=like * observation.covariance)
+
     def _accepted(self, observation: Observation) -> None:
         self.counts.accepted += 1
         self._seen[observation.stage] = max(observation.t_ns, self._seen.get(observation.stage, 0))
+        if self._by_sensor is not None:
+            return
         if observation.stage == "marker":
             sigma = math.sqrt(float(np.trace(observation.covariance)) / 3.0)
             self._learner.marker(observation.t_ns, observation.position, sigma, observation.rotation)
-        if self._by_sensor is None:
-            self._take_up(observation)
+        self._take_up(observation)
 
     def _surprise(self, observation: Observation) -> tuple[float, float]:
         if self._by_sensor is not None:
@@ -204,22 +209,19 @@ class FootFilter:
     def _turned_away(self, observation: Observation) -> bool:
         """Remember what the gate turned away; start anew when enough of it agrees."""
         self.counts.gated += 1
-        if self._rejected and not _agree(self._rejected[-1], observation):
-            self._rejected.clear()
-        self._rejected.append(observation)
-        if len(self._rejected) < self.settings.agreeing:
+        if not self._rejected.add(observation):
             return False
         self.counts.restarts += 1
-        self._rejected.clear()
         self._restarts_ns.append(observation.t_ns)
         often = len(self._restarts_ns) == 3 and observation.t_ns - self._restarts_ns[0] < 3_000_000_000
         if self._by_sensor is not None and not often:
             state = self._inertial.restart(self._by_sensor.at(observation.t_ns), observation)
             self._by_sensor = self._again(History(self._inertial, observation.t_ns, state, self.settings.horizon_ns))
         else:
-            # The sensor led astray again and again: what was learnt about it is wrong.
-            self._learner.forget()
-            self._known = None
+            if self._by_sensor is not None:
+                # The sensor led astray again and again: what was learnt about it is wrong.
+                self._learner.forget()
+                self._known = None
             self._begin(observation)
         self._accepted(observation)
         return True
@@ -232,25 +234,26 @@ class FootFilter:
 
     def _again(self, history: History[State]) -> History[State]:
         """Put what the sensor felt since the beginning of a history into it."""
-        for felt in self._felt:
-            if felt.start_ns >= history.start_ns:
-                history.add(felt)
+        for felt in self._samples.since(history.start_ns):
+            history.add(felt)
         return history
 
     def _take_up(self, observation: Observation) -> None:
         """Let the sensor carry the foot as soon as its alignment is known."""
         alignment = self._learner.alignment or self._returned(observation)
-        felt = self._felt_at(observation.t_ns)
+        felt = self._samples.at(observation.t_ns)
         if alignment is None or felt is None or self._by_sight is None:
             return
+        if not felt.rest.still and alignment.yaw_sigma_rad > _YAW_IN_MOTION_RAD:
+            return
         motion = self._kinematic.motion(self._by_sight.at(observation.t_ns), _NO_RATE)
-        state = self._inertial.start(alignment, felt.R_world, motion, felt.rate)
+        state = self._inertial.start(alignment, felt.R_world, motion, felt.rate, stands=felt.rest.still)
         history = History(self._inertial, observation.t_ns, state, self.settings.horizon_ns)
         self._by_sensor, self._by_sight = self._again(history), None
 
     def _returned(self, observation: Observation) -> Alignment | None:
         """Return the alignment of a sensor that was away, with the yaw that the marker's orientation gives it now."""
-        known, felt = self._known, self._felt_at(observation.t_ns)
+        known, felt = self._known, self._samples.at(observation.t_ns)
         if known is None or not known.mounted or observation.rotation is None or felt is None:
             return None
         level = self._C.T @ observation.rotation @ known.M.T @ felt.R_world.T
@@ -260,46 +263,18 @@ class FootFilter:
     def _hand_over(self, t_ns: int) -> None:
         """Go on without the sensor when it has been silent for too long, as of a moment."""
         history = self._by_sensor
-        if history is None or self._last_sample is None:
-            return
-        silent_ns = self._last_sample[0]
-        if self._felt and t_ns - silent_ns <= LONGEST_STEP_S * 1e9:
+        if history is None or not self._samples.is_silent(t_ns):
             return
         state = history.at(history.newest_ns)
         kinematic = self._kinematic.follow(self._inertial.motion(state, state.rate_bias))
-        self._known = self._learned(state)
+        self._known = self._inertial.learnt(state)
         self._learner.forget()
         self._by_sensor = None
         self._by_sight = History(self._kinematic, history.newest_ns, kinematic, self.settings.horizon_ns)
 
-    def _learned(self, state: InertialState) -> Alignment | None:
-        """Return what is known of lever and mounting when the sensor goes away; its yaw may be another afterwards."""
-        covariance = np.zeros((6, 6))
-        covariance[:3, :3], covariance[3:, 3:] = state.P[LEVER, LEVER], state.P[ACCELEROMETER, ACCELEROMETER]
-        mounted = float(np.trace(state.P[MOUNTING, MOUNTING])) < _MOUNTED**2
-        return Alignment(
-            0.0, math.pi, state.lever.copy(), state.acceleration_bias.copy(), covariance, state.M.copy(), mounted
-        )
-
-    def _felt_at(self, t_ns: int) -> Felt | None:
-        """Return the sample nearest to a moment, if one is near."""
-        # From the newest backwards: what is asked for is seldom older than a picture.
-        nearest = None
-        for felt in reversed(self._felt):
-            if nearest is not None and abs(felt.t_ns - t_ns) > abs(nearest.t_ns - t_ns):
-                break
-            nearest = felt
-        if nearest is None or abs(nearest.t_ns - t_ns) > LONGEST_STEP_S * 1e9:
-            return None
-        return nearest
-
-    def _rest(self, t_ns: int) -> Rest | None:
-        felt = self._felt_at(t_ns)
-        return None if felt is None else felt.rest
-
     def _motion(self, t_ns: int) -> FootMotion | None:
         if self._by_sensor is not None:
-            felt = self._felt_at(t_ns)
+            felt = self._samples.at(t_ns)
             return self._inertial.motion(self._by_sensor.at(t_ns), _NO_RATE if felt is None else felt.rate)
         if self._by_sight is not None:
             return self._kinematic.motion(self._by_sight.at(t_ns), _NO_RATE)
@@ -312,13 +287,3 @@ class FootFilter:
             return "depth"
         # A sensor that is not aligned yet still feels that the foot stands where it was seen.
         return "inertial" if self._by_sensor is not None or stands else "lost"
-
-
-def _agree(before: Observation, after: Observation) -> bool:
-    """Whether one foot may have been at both places, one after the other."""
-    span_s = (after.t_ns - before.t_ns) * 1e-9
-    if not 0.0 < span_s < 0.3:
-        return False
-    room = _FASTEST * span_s + 4.0 * math.sqrt(float(np.trace(before.covariance + after.covariance)))
-    change = after.position - before.position
-    return math.sqrt(float(change @ change)) <= room

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rhot.rotations import rotation_z
 from rhot.turns import rotation_between
-from rhot_feet.alignment import Alignment
+from rhot_feet.alignment_equations import Alignment
 from rhot_feet.foot_filter_model import FootMotion, Observation
 from rhot_feet.strapdown import (
     ACCELEROMETER,
@@ -24,6 +24,7 @@ from rhot_feet.strapdown import (
     InertialStep,
     Strapdown,
     correct,
+    correct_place,
     skew,
 )
 
@@ -33,8 +34,13 @@ _TILT_RAD: Final = float(np.radians(1.5))
 """How wrong a sensor's own idea of up may be at the start."""
 _RATE_BIAS: Final = float(np.radians(0.3))
 """rad/s; a BNO080 has removed its bias, a raw sensor has been still at some time."""
-_MOUNTING_RAD: Final = float(np.radians(6.0))
+_MOUNTING_RAD: Final = float(np.radians(3.0))
+_SPEED_AT_REST: Final = 0.02
+_SPEED_IN_MOTION: Final = 1.5
+"""How wrong the velocity may be at the start, m/s per axis."""
 _UNMOUNTED_RAD: Final = float(np.radians(90.0))
+_MOUNTED_RAD: Final = float(np.radians(20.0))
+"""A mounting known better than this, over all axes, serves a sensor that comes back."""
 _RATE_AT_REST: Final = float(np.radians(3.0))
 """Noise of the rate as a measure of its bias while nothing turns, rad/s, for one sample of 5 ms."""
 _MOST_RATE: Final = float(np.radians(1.0))
@@ -56,7 +62,13 @@ class InertialModel:
         self._C = C
 
     def start(
-        self, alignment: Alignment, R_world_sensor: FloatArray, motion: FootMotion, angular_rate: FloatArray
+        self,
+        alignment: Alignment,
+        R_world_sensor: FloatArray,
+        motion: FootMotion,
+        angular_rate: FloatArray,
+        *,
+        stands: bool,
     ) -> InertialState:
         """Return the first state.
 
@@ -65,29 +77,38 @@ class InertialModel:
             R_world_sensor: (3, 3) its orientation at the moment, by itself.
             motion: the foot at the moment.
             angular_rate: (3,) rad/s at the moment, sensor frame.
+            stands: the foot was felt to stand.
         """
         R = self._C @ rotation_z(alignment.yaw_rad) @ R_world_sensor
-        P = np.zeros((SIZE, SIZE))
-        P[POSITION, POSITION] = motion.covariance + (0.01**2) * _UNIT
-        P[VELOCITY, VELOCITY] = 0.3**2 * _UNIT
+        arm = R @ alignment.lever
         up = self._C[:, 2]
-        P[ATTITUDE, ATTITUDE] = _TILT_RAD**2 * _UNIT + alignment.yaw_sigma_rad**2 * np.outer(up, up)
-        lever = alignment.covariance[:3, :3] + 0.01**2 * _UNIT
-        # The foot's place is known, the sensor's follows: an error of the lever is one of the sensor's place, reversed.
-        P[LEVER, LEVER], P[POSITION, LEVER], P[LEVER, POSITION] = lever, -R @ lever, -lever @ R.T
-        P[POSITION, POSITION] += R @ lever @ R.T
-        P[ACCELEROMETER, ACCELEROMETER] = alignment.covariance[3:, 3:] + 0.03**2 * _UNIT
-        P[GYROSCOPE, GYROSCOPE] = _RATE_BIAS**2 * _UNIT
-        P[MOUNTING, MOUNTING] = (_MOUNTING_RAD if alignment.mounted else _UNMOUNTED_RAD) ** 2 * _UNIT
+        # What is wrong for reasons of its own: place and velocity of the foot, attitude, and so on.
+        source = np.zeros((SIZE, SIZE))
+        source[POSITION, POSITION] = motion.covariance + (0.01**2) * _UNIT
+        source[VELOCITY, VELOCITY] = (_SPEED_AT_REST if stands else _SPEED_IN_MOTION) ** 2 * _UNIT
+        source[ATTITUDE, ATTITUDE] = _TILT_RAD**2 * _UNIT + alignment.yaw_sigma_rad**2 * np.outer(up, up)
+        source[LEVER, LEVER] = alignment.covariance[:3, :3] + 0.01**2 * _UNIT
+        source[ACCELEROMETER, ACCELEROMETER] = alignment.covariance[3:, 3:] + 0.03**2 * _UNIT
+        source[GYROSCOPE, GYROSCOPE] = _RATE_BIAS**2 * _UNIT
+        source[MOUNTING, MOUNTING] = (_MOUNTING_RAD if alignment.mounted else _UNMOUNTED_RAD) ** 2 * _UNIT
+        # And what follows: lever and bias from the yaw, the sensor's place from the lever, for the foot's is known,
+        # and the mounting from the attitude, for the foot's orientation is.
+        follows = np.eye(SIZE)
+        follows[LEVER, ATTITUDE] = np.outer(alignment.by_yaw[:3], up)
+        follows[ACCELEROMETER, ATTITUDE] = np.outer(alignment.by_yaw[3:], up)
+        follows[POSITION, LEVER] = -R
+        follows[POSITION, ATTITUDE] = skew(arm) - R @ follows[LEVER, ATTITUDE]
+        if alignment.mounted:
+            follows[MOUNTING, ATTITUDE] = -R.T
         return InertialState(
-            motion.position - R @ alignment.lever,
-            motion.velocity - R @ np.cross(angular_rate, alignment.lever),
+            motion.position - arm,
+            np.zeros(3) if stands else motion.velocity - R @ np.cross(angular_rate, alignment.lever),
             R,
             alignment.bias.copy(),
             np.zeros(3),
             alignment.lever.copy(),
             alignment.M if alignment.mounted else R.T @ motion.rotation,
-            P,
+            follows @ source @ follows.T,
         )
 
     def restart(self, state: InertialState, observation: Observation) -> InertialState:
@@ -110,6 +131,14 @@ class InertialModel:
             P,
         )
 
+    def learnt(self, state: InertialState) -> Alignment:
+        """Return what is known of lever and mounting when the sensor goes away; its yaw may be another afterwards."""
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3], covariance[3:, 3:] = state.P[LEVER, LEVER], state.P[ACCELEROMETER, ACCELEROMETER]
+        mounted = float(np.trace(state.P[MOUNTING, MOUNTING])) < _MOUNTED_RAD**2
+        lever, bias, M = state.lever.copy(), state.acceleration_bias.copy(), state.M.copy()
+        return Alignment(0.0, np.pi, lever, bias, covariance, np.zeros(6), M, mounted)
+
     def predict(self, state: InertialState, duration_s: float, step: InertialStep | None) -> InertialState:
         """Return the state after what the sensor felt; without a step it floats on evenly."""
         if step is None:
@@ -128,7 +157,8 @@ class InertialModel:
 
     def observe(self, state: InertialState, observation: Observation) -> InertialState:
         """Return the state after an observation of its moment."""
-        return correct(state, *self._linearised(state, observation))
+        update = correct_place if observation.stage == "depth" else correct
+        return update(state, *self._linearised(state, observation))
 
     def rest(self, state: InertialState, speed_sigma: float, gate: float | None) -> InertialState:
         """Return the state after the sensor's velocity was felt to be zero."""

@@ -3,8 +3,8 @@
 Place, velocity and acceleration, the last fading with `_FADES_S` (Singer 1970, "Estimating optimal tracking filter
 performance for manned maneuvering targets", IEEE Transactions on Aerospace and Electronic Systems 6 (4)); how strong it
 is follows from how surprising the observations were, so that a foot that stands is smoothed and one that swings is
-followed. Orientation turns on at a random rate that fades likewise. Unseen for longer than `_SEEN_S` the foot comes to
-rest instead of flying off.
+followed; a sensor on the foot, aligned or not, tells at once when it is accelerated. Orientation turns on at a random
+rate that fades likewise. Unseen for longer than `_SEEN_S` the foot comes to rest instead of flying off.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rhot.turns import orthonormal, rotation_between, turn_from_vector
 from rhot_feet.foot_filter_model import FootMotion, Observation
 from rhot_feet.strapdown import InertialStep
+from rhot_feet.zero_velocity import GRAVITY
 
 FloatArray = NDArray[np.float64]
 
@@ -29,6 +30,8 @@ _STOPS_S: Final = 0.06
 _CALMEST: Final = 0.5
 _WILDEST: Final = 25.0
 """Bounds of the standard deviation of the acceleration, m/s²."""
+_TURNS_WITH: Final = 3.0
+"""Acceleration that goes with a rate of turning, m/s² per rad/s: a heel is lifted slowly before the foot swings."""
 _QUICK: Final = 0.25
 """How fast it follows the surprise of the observations."""
 _ROOM_M: Final = 0.01
@@ -89,7 +92,13 @@ class KinematicModel:
         return state
 
     def predict(self, state: KinematicState, duration_s: float, step: InertialStep | None) -> KinematicState:
-        """Return the state `duration_s` later; what a sensor felt does not count."""
+        """Return the state `duration_s` later; a sensor only tells how strongly the foot is accelerated at least."""
+        if step is not None:
+            force = math.sqrt(float(step.force_after @ step.force_after))
+            turning = math.sqrt(float(step.turn_rad @ step.turn_rad)) / step.duration_s
+            liveliness = min(max(abs(force - GRAVITY), _TURNS_WITH * turning), _WILDEST)
+            if liveliness > state.liveliness:
+                state = replace(state, liveliness=liveliness)
         seen_s = _SEEN_S - state.unseen_s
         if 0.0 < seen_s < duration_s:
             state, duration_s = self.predict(state, seen_s, step), duration_s - seen_s

@@ -23,6 +23,7 @@ class FootFilterSettings:
 
     Attributes:
         up: (3,) direction against gravity, rig frame, of any length.
+        sensor_m: (3,) about where the inertial sensor is worn, metres, foot frame.
         noise: of the inertial sensor.
         stillness: of the detector of stand-stills.
         horizon_ns: how late a measurement may be.
@@ -32,6 +33,7 @@ class FootFilterSettings:
     """
 
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    sensor_m: tuple[float, float, float] = (0.0, 0.0, 0.07)
     noise: InertialNoise = field(default_factory=InertialNoise)
     stillness: StillnessSettings = field(default_factory=StillnessSettings)
     horizon_ns: int = 250_000_000

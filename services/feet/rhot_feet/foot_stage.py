@@ -29,20 +29,24 @@ from rhot_feet.foot_filter_model import FootFilterSettings, FootState
 from rhot_feet.frames import DepthFrame
 from rhot_feet.head_track import HeadTrack
 from rhot_feet.imu_sources.samples import ImuSamples
-from rhot_feet.marker_tracker import FootMarker, MarkerSightings, MarkerTracker
+from rhot_feet.marker_tracker import FootMarker, MarkerTracker
 from rhot_feet.thesis_filter import ThesisFilter
+from rhot_feet.view import HEAD_TURN_RAD, Seen, View
 
 FloatArray = NDArray[np.float64]
 
 RIG_FRAME: Final = "rig"
-_HEAD_TURN_RAD: Final = float(np.radians(0.1))
-"""Noise of the head's orientation, per axis; it swings the camera's line of sight."""
-_HEAD_PLACE_M: Final = 0.0005
 _KNOWN_TURN_RAD: Final = float(np.radians(60.0))
 """A foot whose orientation is worse known than this, root of the sum of variances, is not expected to be turned any
 way."""
+_VAGUE_M: Final = 0.06
+"""A foot whose place is worse known than this is not called measured any more."""
 _ASTRAY_M: Final = 0.5
-"""A foot whose place is worse known than this is looked for everywhere, and not published."""
+_ASTRAY_FELT_M: Final = 0.2
+"""A foot whose place is worse known than this is looked for everywhere, and not published; less is borne with when its
+sensor feels it move, for then it cannot have stayed where it was."""
+_FELT_NS: Final = 250_000_000
+"""For so long after its last sample a sensor counts."""
 _DOUBT_S: Final = 0.75
 """For so long are markers refused for not being where they are expected before the expectation itself is dropped."""
 _ROOM_M: Final = 0.01
@@ -70,36 +74,6 @@ class _Filter(Protocol):
     def depth(self, t_ns: int, position: FloatArray, covariance: FloatArray) -> bool: ...
 
     def state(self, t_ns: int) -> FootState | None: ...
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """A picture, where its camera was, and what it is expected to show.
-
-    Attributes:
-        frame: the picture.
-        T_rig_camera: (4, 4) at the middle of its exposure.
-        expected: foot to where the filter predicts it.
-    """
-
-    frame: DepthFrame
-    T_rig_camera: FloatArray
-    expected: Mapping[Side, FootExpectation]
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """What a picture showed.
-
-    Attributes:
-        view: the picture.
-        markers: by the marker stage.
-        blobs: by the depth stage.
-    """
-
-    view: View
-    markers: MarkerSightings
-    blobs: DepthSightings
 
 
 @dataclass(slots=True)
@@ -134,7 +108,9 @@ class FootStage:
         ids: dict[Side, int] = {side: foot.marker_id for side, foot in config.feet.items()}
         self._markers = MarkerTracker(marker_dictionary(config.dictionary), ids, config.marker_size_m, depth_range_m)
         self._blobs = DepthTracker(depth_range_m)
-        self._feet: dict[Side, _Foot] = {side: _Foot(_filter(config)) for side in config.feet}
+        self._feet: dict[Side, _Foot] = {
+            side: _Foot(_filter(config, foot.ankle_m)) for side, foot in config.feet.items()
+        }
         self._newest_ns = 0
         self._looks = 0
         self._counts: Counter[str] = Counter(frames=0, no_head=0)
@@ -184,7 +160,8 @@ class FootStage:
     def look(self, view: View) -> Seen:
         """Find the feet in a picture; pictures come here one after the other, in order of time."""
         up_camera = view.T_rig_camera[:3, :3].T @ self._up
-        markers = self._markers.feed(view.frame, view.expected, up_camera)
+        floor = self._blobs.find_floor(view.frame, up_camera)
+        markers = self._markers.feed(view.frame, view.expected, up_camera, floor)
         seen: dict[Side, FootExpectation] = {}
         for side, marker in markers.markers.items():
             known = view.expected.get(side)
@@ -211,8 +188,8 @@ class FootStage:
                 believed = _put_marker(foot.filter, marker, view)
                 self._count(side, "marker", "" if believed else "gate")
             elif blob is not None:
-                position = _in_rig(view.T_rig_camera, blob.place)
-                believed = foot.filter.depth(t_ns, position, _covariance(view, blob.place, blob.covariance))
+                position = view.in_rig(blob.place)
+                believed = foot.filter.depth(t_ns, position, view.covariance_in_rig(blob.place, blob.covariance))
                 self._count(side, "depth", "" if believed else "gate")
             for stage, refused in (("marker", seen.markers.refused), ("depth", seen.blobs.refused)):
                 if side in refused:
@@ -231,9 +208,11 @@ class FootStage:
             if state is None:
                 continue
             backed = state.stage in ("marker", "depth") or (state.stage == "inertial" and state.stationary)
+            backed &= state.sigma_m <= _VAGUE_M
             if backed:
                 foot.backed_ns = max(foot.backed_ns, t_ns)
-            foot.lost = t_ns - max(foot.backed_ns, state.measured_ns) > self._hold_ns or state.sigma_m > _ASTRAY_M
+            astray_m = _ASTRAY_FELT_M if t_ns - foot.felt_ns <= _FELT_NS else _ASTRAY_M
+            foot.lost = t_ns - max(foot.backed_ns, state.measured_ns) > self._hold_ns or state.sigma_m > astray_m
             if not foot.lost:
                 outputs.append((f"rhot/foot/{side}", _message(side, state, backed=backed)))
         return outputs
@@ -269,34 +248,21 @@ class FootStage:
         self._counts[f"{side}_{stage}" + (f"_{refusal}" if refusal else "")] += 1
 
 
-def _filter(config: FeetConfig) -> _Filter:
-    settings = FootFilterSettings(up=config.up)
+def _filter(config: FeetConfig, ankle_m: tuple[float, float, float]) -> _Filter:
+    settings = FootFilterSettings(up=config.up, sensor_m=ankle_m)
     return FootFilter(settings) if config.method == "filter" else ThesisFilter(settings)
 
 
 def _put_marker(target: _Filter, marker: FootMarker, view: View) -> bool:
     """Put a marker into a filter, with its orientation where that is clear."""
     T = view.T_rig_camera
-    position, covariance = _in_rig(T, marker.place), _covariance(view, marker.place, marker.covariance[3:, 3:])
+    position, covariance = view.in_rig(marker.place), view.covariance_in_rig(marker.place, marker.covariance[3:, 3:])
     if not marker.orientation_clear:
         return target.marker(marker.t_ns, position, covariance)
     R = T[:3, :3]
-    turning = R @ marker.covariance[:3, :3] @ R.T + _HEAD_TURN_RAD**2 * np.eye(3)
+    turning = R @ marker.covariance[:3, :3] @ R.T + HEAD_TURN_RAD**2 * np.eye(3)
     orientation = quaternion_from_rotation(R @ marker.R_camera_foot)
     return target.marker(marker.t_ns, position, covariance, orientation, turning)
-
-
-def _in_rig(T_rig_camera: FloatArray, place: FloatArray) -> FloatArray:
-    rig: FloatArray = T_rig_camera[:3, :3] @ place + T_rig_camera[:3, 3]
-    return rig
-
-
-def _covariance(view: View, place: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (3, 3) in the rig frame of a place seen from a head whose own pose is noisy."""
-    R = view.T_rig_camera[:3, :3]
-    swing = _HEAD_TURN_RAD**2 * (float(place @ place) * np.eye(3) - np.outer(place, place))
-    rig: FloatArray = R @ (covariance + swing) @ R.T + _HEAD_PLACE_M**2 * np.eye(3)
-    return rig
 
 
 def _message(side: Side, state: FootState, *, backed: bool) -> FootPose:

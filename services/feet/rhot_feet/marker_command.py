@@ -16,7 +16,13 @@ from rhot_feet.marker_sheet import PAPERS_MM, write_marker_sheet
 @click.command()
 @click.argument("file", metavar="FILE.pdf", type=click.Path(path_type=Path, dir_okay=False))
 @rig_option
-@click.option("--paper", type=click.Choice(list(PAPERS_MM), case_sensitive=False), default="a4", show_default=True)
+@click.option(
+    "--paper",
+    type=click.Choice(list(PAPERS_MM), case_sensitive=False),
+    default="a4",
+    show_default=True,
+    help="Size of the paper.",
+)
 def markers(file: Path, rig_path: Path, paper: str) -> None:
     """Draw the feet's markers to print, in the size and with the numbers of [feet] in rig.toml.
 
@@ -25,7 +31,10 @@ def markers(file: Path, rig_path: Path, paper: str) -> None:
     """
     feet = load_rig(rig_path).config.feet
     if feet is None:
-        raise ConfigError(f"{rig_path / 'rig.toml'} names no feet; add [feet] with [feet.left] or [feet.right]")
+        raise ConfigError(
+            f"{rig_path / 'rig.toml'} names no feet; add [feet.left] with marker_id = 1 and [feet.right] with "
+            "marker_id = 2"
+        )
     numbers = {side: foot.marker_id for side, foot in feet.feet.items()}
     write_marker_sheet(file, numbers, feet.dictionary, feet.marker_size_m, paper)
     console = Console(soft_wrap=True, markup=False, highlight=False)

@@ -19,7 +19,7 @@ from rhot_feet.frames import DepthFrame
 from rhot_feet.marker_detection import MarkerDetection, MarkerFinder
 from rhot_feet.marker_gates import Refusal, refuse_detection, refuse_pose
 from rhot_feet.marker_pose import MarkerPose, marker_poses, view_square
-from rhot_feet.orientation_track import OrientationCandidate, OrientationTrack
+from rhot_feet.orientation_track import OrientationTrack
 from rhot_feet.pose_choice import CLEAR_MARGIN, OrientationPrior, PoseChoice, choose_pose
 from rhot_feet.region import Region
 
@@ -239,7 +239,7 @@ class MarkerTracker:
         pose, clear = candidate.choice.pose, candidate.choice.clear
         if _prior(expected) is None:
             # Nobody knows how the foot is turned: its own past has to tell.
-            pose = candidate.poses[memory.track.feed(1e-9 * t_ns, [_orientation(each) for each in candidate.poses])]
+            pose = candidate.poses[memory.track.feed(1e-9 * t_ns, candidate.poses)]
             clear = memory.track.margin >= CLEAR_MARGIN
         return FootMarker(
             t_ns,
@@ -256,7 +256,3 @@ def _prior(expected: FootExpectation | None) -> OrientationPrior | None:
     if expected is None or expected.R_camera_foot is None or expected.orientation_covariance is None:
         return None
     return OrientationPrior(expected.R_camera_foot @ R_FOOT_MARKER, expected.orientation_covariance)
-
-
-def _orientation(pose: MarkerPose) -> OrientationCandidate:
-    return OrientationCandidate(pose.R_camera_marker, pose.covariance[:3, :3], pose.cost)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.rotations import quaternion_from_rotation, rotation_from_vector
+from rhot_feet.marker_pose import MarkerPose
 
 FloatArray = NDArray[np.float64]
 
@@ -40,21 +41,6 @@ _DROP: Final = 15.0
 _MAX_GAP_S: Final = 0.5
 _FIRST_RATE: Final = 2.0
 """Standard deviation of the angular velocity of a marker that has just appeared, rad/s."""
-
-
-@dataclass(frozen=True, slots=True)
-class OrientationCandidate:
-    """One of the poses of one picture.
-
-    Attributes:
-        R: (3, 3), marker to camera.
-        covariance: (3, 3) of a turn about the camera's axes, square radians.
-        cost: squared residuals over their variances.
-    """
-
-    R: FloatArray
-    covariance: FloatArray
-    cost: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,23 +86,32 @@ class OrientationTrack:
             return 0.0
         return float("inf") if len(self._state.weight) == 1 else float(-2.0 * self._state.weight[1])
 
-    def feed(self, t_s: float, candidates: Sequence[OrientationCandidate]) -> int:
-        """Take the poses of one picture and return the index of the one to believe.
+    def feed(self, t_s: float, poses: Sequence[MarkerPose]) -> int:
+        """Take the poses of one picture and return the index of the one to believe, see `nearest`.
 
         Args:
             t_s: time, seconds; later than the picture before.
-            candidates: at least one.
+            poses: at least one.
         """
-        R = np.stack([candidate.R for candidate in candidates])
-        noise = np.stack([candidate.covariance for candidate in candidates]) + _FLOOR_RAD**2 * np.eye(3)
-        costs = np.array([candidate.cost for candidate in candidates])
+        R = np.stack([pose.R_camera_marker for pose in poses])
+        noise = np.stack([pose.covariance[:3, :3] for pose in poses]) + _FLOOR_RAD**2 * np.eye(3)
+        costs = np.array([pose.cost for pose in poses])
         evidence = np.maximum(-0.5 * (costs - costs.min()), -_MAX_EVIDENCE)
         if self._state is None:
             self._state = _first(t_s, R, noise, evidence)
         else:
             self._state = _updated(_predicted(self._state, t_s), self._state.t_s, R, noise, evidence)
-        turn = _turns(R @ self._state.R[0].T)
-        return int(np.argmin((turn * turn).sum(axis=-1)))
+        return self.nearest(R)
+
+    def nearest(self, R: FloatArray) -> int:
+        """Return to which of orientations (M, 3, 3) most of the belief lies nearest; 0 before the first picture.
+
+        That need not be the one nearest to the likeliest hypothesis: several others may outweigh it together.
+        """
+        if self._state is None:
+            return 0
+        nearest = np.argmax(np.einsum("nij,mij->nm", self._state.R, R), axis=1)
+        return int(np.argmax(np.bincount(nearest, weights=np.exp(self._state.weight), minlength=len(R))))
 
 
 def _first(t_s: float, R: FloatArray, noise: FloatArray, evidence: FloatArray) -> _Hypotheses:

@@ -1,0 +1,81 @@
+"""What one sensor felt lately, sample by sample."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot_feet.foot_filter_history import Felt
+from rhot_feet.inertial import LONGEST_STEP_S
+from rhot_feet.strapdown import InertialStep
+from rhot_feet.zero_velocity import StillnessDetector, StillnessSettings
+
+FloatArray = NDArray[np.float64]
+
+_GAP_S: Final = 0.03
+"""Samples further apart than this have others missing between them."""
+
+
+class SampleTrack:
+    """The last samples of a sensor."""
+
+    def __init__(self, stillness: StillnessSettings, kept_ns: int) -> None:
+        """Begin.
+
+        Args:
+            stillness: of the detector of stand-stills.
+            kept_ns: how long samples are kept.
+        """
+        self._detector = StillnessDetector(stillness)
+        self._kept_ns = kept_ns
+        self._felt: deque[Felt] = deque()
+        self._last: tuple[int, FloatArray] | None = None
+
+    def __len__(self) -> int:
+        return len(self._felt)
+
+    def add(self, t_ns: int, force: FloatArray, rate: FloatArray, R_world: FloatArray) -> Felt | None:
+        """Take a sample; return what was felt since the one before, None when the sensor was away meanwhile.
+
+        Args:
+            t_ns: of the sample.
+            force: (3,) m/s², sensor frame.
+            rate: (3,) rad/s, sensor frame.
+            R_world: (3, 3) from the sensor to its own level world.
+        """
+        last, self._last = self._last, (t_ns, force)
+        if last is None or not 0 < t_ns - last[0] <= LONGEST_STEP_S * 1e9:
+            self._detector.reset()
+            self._felt.clear()
+            return None
+        h = (t_ns - last[0]) * 1e-9
+        rest = self._detector.add(h, force, rate)
+        felt = Felt(t_ns, last[0], InertialStep(h, last[1], force, h * rate, h > _GAP_S), rate, rest, R_world)
+        self._felt.append(felt)
+        while t_ns - self._felt[0].t_ns > self._kept_ns:
+            self._felt.popleft()
+        return felt
+
+    def is_silent(self, t_ns: int) -> bool:
+        """Tell whether the sensor had gone away at a moment."""
+        return not self._felt or t_ns - self._felt[-1].t_ns > LONGEST_STEP_S * 1e9
+
+    def at(self, t_ns: int) -> Felt | None:
+        """Return the sample nearest to a moment, if one is near."""
+        # From the newest backwards: what is asked for is seldom older than a picture.
+        nearest = None
+        for felt in reversed(self._felt):
+            if nearest is not None and abs(felt.t_ns - t_ns) > abs(nearest.t_ns - t_ns):
+                break
+            nearest = felt
+        if nearest is None or abs(nearest.t_ns - t_ns) > LONGEST_STEP_S * 1e9:
+            return None
+        return nearest
+
+    def since(self, t_ns: int) -> Iterator[Felt]:
+        """Return what was felt from a moment on."""
+        return (felt for felt in self._felt if felt.start_ns >= t_ns)

@@ -1,0 +1,64 @@
+"""A picture of the feet, where its camera was, and what it showed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.messages import Side
+from rhot_feet.depth_tracker import DepthSightings
+from rhot_feet.expectation import FootExpectation
+from rhot_feet.frames import DepthFrame
+from rhot_feet.marker_tracker import MarkerSightings
+
+FloatArray = NDArray[np.float64]
+
+HEAD_TURN_RAD: Final = float(np.radians(0.1))
+"""Noise of the head's orientation, per axis; it swings the camera's line of sight."""
+_HEAD_PLACE_M: Final = 0.0005
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A picture, where its camera was, and what it is expected to show.
+
+    Attributes:
+        frame: the picture.
+        T_rig_camera: (4, 4) at the middle of its exposure.
+        expected: foot to where the filter predicts it.
+    """
+
+    frame: DepthFrame
+    T_rig_camera: FloatArray
+    expected: Mapping[Side, FootExpectation]
+
+    def in_rig(self, place: FloatArray) -> FloatArray:
+        """Return a place (3,) of the camera frame in the rig frame."""
+        rig: FloatArray = self.T_rig_camera[:3, :3] @ place + self.T_rig_camera[:3, 3]
+        return rig
+
+    def covariance_in_rig(self, place: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Return the covariance (3, 3) in the rig frame of a place seen from a head whose own pose is noisy."""
+        R = self.T_rig_camera[:3, :3]
+        swing = HEAD_TURN_RAD**2 * (float(place @ place) * np.eye(3) - np.outer(place, place))
+        rig: FloatArray = R @ (covariance + swing) @ R.T + _HEAD_PLACE_M**2 * np.eye(3)
+        return rig
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a picture showed.
+
+    Attributes:
+        view: the picture.
+        markers: by the marker stage.
+        blobs: by the depth stage.
+    """
+
+    view: View
+    markers: MarkerSightings
+    blobs: DepthSightings
