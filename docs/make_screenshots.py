@@ -104,8 +104,12 @@ def take_desktop(browser: Browser) -> None:
     browser.click_text("Timeline", "[role=tab]")
     time.sleep(CHARTS_S)
     save(browser, "timeline")
+    browser.click_text("View", "[role=tab]")
+    browser.click_text("hand")
     # Last, and not first: by now the scene is as bright as it gets.
     browser.click_text("Live", "[role=tab]")
+    time.sleep(SETTLE_S)
+    browser.wait_for("document.body.innerText.includes('all fingers')", UP_S)
     save(browser, "live")
 
 
