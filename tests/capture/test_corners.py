@@ -92,3 +92,17 @@ def test_corners_of_a_smeared_patch_are_those_at_mid_exposure(
     corners = MarkerDetector(markers, table, 121, 121).detect(image)["base"].corners
     assert corners is not None
     assert corner_errors(corners, patches[4].corners).max() < 0.4
+
+
+def test_corners_of_a_turning_patch_are_followed_as_well_as_found_anew(
+    scene: Callable[..., Any], shape: type[Any], markers: Any, table: Any
+) -> None:
+    following = MarkerDetector(markers, table, 121, 121)
+    for frame in range(6):
+        # The last one has turned too far for the one before to tell where the corners are.
+        angle = 0.1 * frame if frame < 5 else 1.4
+        patch = shape("base", 55 + 1.3 * frame, 60, radius=9, angle=angle, kind="rectangle")
+        corners = following.detect(scene([patch], size=(121, 121)).image)["base"].corners
+        assert corners is not None
+        assert corner_errors(corners, patch.corners).max() < 0.15
+        assert np.argmin(corners.sum(axis=1)) == 0

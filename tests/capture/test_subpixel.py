@@ -34,7 +34,7 @@ def share_in(image: Any, mask: Any) -> Any:
     share = np.zeros(mask.shape, np.float32)
     rows, columns = np.indices(mask[part].shape, np.float32)
     assert centre.shares is not None
-    share[part] = centre.shares.at(np.dstack([columns, rows]))
+    share[part] = centre.shares.at(np.dstack(centre.shares.on_grid((columns, rows))))
     return share
 
 

@@ -282,8 +282,11 @@ def _blob(parts: Sequence[_Part], place: Cutout, drawing: _Drawing | None, shape
     xb, yb = min(x1, region.right), min(y1, region.bottom)
     cut = slice(ya - shift_y, yb - shift_y), slice(xa - shift_x, xb - shift_x)
     area = parts[0].area
-    if drawing is not None and xb - xa == x1 - x0 and yb - ya == y1 - y0:
+    if drawing is not None:
         mask = seen = drawing.filled[cut]
+        if xb - xa < x1 - x0 or yb - ya < y1 - y0:
+            mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
+            mask[ya - y0 : yb - y0, xa - x0 : xb - x0] = seen
     else:
         mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
         cv2.drawContours(mask, contours, -1, 255, cv2.FILLED, offset=(shift_x - x0, shift_y - y0))

@@ -79,6 +79,8 @@ class MarkerDetector:
         self._gates = [(marker.min_area_px, marker.max_area_px) for marker in markers.values()]
         self._size = (height, width)
         self._tracks = {name: MarkerTrack() for name in markers}
+        # Corners of patches in the last frame, from their centres.
+        self._shapes: dict[str, list[tuple[float, float]]] = {}
         self._image: ImageArray = np.zeros((height, width, 3), np.uint8)
         self._since_survey = 0
         self.table = table
@@ -104,6 +106,7 @@ class MarkerDetector:
 
     def reset(self) -> None:
         """Forget where the markers were."""
+        self._shapes.clear()
         self._tracks = {name: MarkerTrack() for name in self._markers}
 
     def detect(self, image: ImageArray) -> dict[str, Detection]:
@@ -127,6 +130,7 @@ class MarkerDetector:
         for name in self._markers:
             if name not in chosen:
                 self._tracks[name].miss()
+                self._shapes.pop(name, None)
         return self._measure(image, chosen)
 
     def _follow(self) -> dict[str, Candidate] | None:
@@ -215,13 +219,18 @@ class MarkerDetector:
         for (name, one), centre in zip(chosen.items(), find_centres(windows), strict=True):
             blob = one.blob
             corners = None
+            u, v = blob.x0 + centre.u, blob.y0 + centre.v
             if centre.shares is not None:
                 shift = blob.shift[0] - blob.x0, blob.shift[1] - blob.y0
-                corners = find_corners(centre.shares, blob.points, shift, centre.area)
-            if corners is not None:
-                corners += (blob.x0, blob.y0)
-                corners.setflags(write=False)
-            u, v = blob.x0 + centre.u, blob.y0 + centre.v
+                shape = self._shapes.get(name)
+                expected = None if shape is None else [(centre.u + x, centre.v + y) for x, y in shape]
+                corners = find_corners(centre.shares, blob.points, shift, centre.area, expected)
+                if corners is None:
+                    self._shapes.pop(name, None)
+                else:
+                    self._shapes[name] = (corners - (centre.u, centre.v)).tolist()
+                    corners += (blob.x0, blob.y0)
+                    corners.setflags(write=False)
             found[name] = Detection(u, v, centre.area, probability(one.evidence), corners, blob)
             self._tracks[name].hit(u, v, centre.area, (0.5 * blob.box[2], 0.5 * blob.box[3]))
         return found

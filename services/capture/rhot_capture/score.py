@@ -40,4 +40,4 @@ def probability(evidence: Evidence) -> float:
     """Return the score of a detection, 0 to 1."""
     colour, inside, alone = WEIGHTS
     log_odds = BIAS + colour * evidence.colour + inside * evidence.inside + alone * evidence.alone
-    return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, log_odds))))
+    return 1.0 / (1.0 + math.exp(min(30.0, -log_odds)))

@@ -17,8 +17,11 @@ from rhot_capture.cutouts import Region
 
 _STEP: Final = 3
 _FIRST: Final = 1
-_ROOM_PX: Final = 11
-"""Round the pixels that were looked at: what was passed over, the padding of a blob, a part split off by shine."""
+_ROOM_PX: Final = 9
+"""Round the pixels that were looked at: what was passed over, the padding of a blob, and a pixel beyond it. Regions
+of parts that shine has split overlap and become one."""
+_BEFORE: Final = _FIRST - _ROOM_PX
+_AFTER: Final = _FIRST - _STEP + _ROOM_PX + 1
 _MOST_PLACES: Final = 100
 _MOST_REGIONS: Final = 6
 """For one label; the largest are kept."""
@@ -43,34 +46,33 @@ def find_regions(image: ImageArray, table: ColorTable) -> list[tuple[int, Region
     boxes: dict[int, list[tuple[int, Region]]] = {}
     for contour in contours:
         left, top, across, down = cv2.boundingRect(contour)
-        part = labels[top : top + down, left : left + across]
-        column, row = contour[0, 0]
-        for label, pixels, (x, y, w, h) in _labels_in(part, int(labels[row, column])):
+        for label, pixels, (x, y, w, h) in _labels_in(labels[top : top + down, left : left + across]):
             region = Region(
-                max(0, _FIRST + _STEP * (left + x) - _ROOM_PX),
-                max(0, _FIRST + _STEP * (top + y) - _ROOM_PX),
-                min(width, _FIRST + _STEP * (left + x + w - 1) + _ROOM_PX + 1),
-                min(height, _FIRST + _STEP * (top + y + h - 1) + _ROOM_PX + 1),
+                max(0, _STEP * (left + x) + _BEFORE),
+                max(0, _STEP * (top + y) + _BEFORE),
+                min(width, _STEP * (left + x + w) + _AFTER),
+                min(height, _STEP * (top + y + h) + _AFTER),
             )
             boxes.setdefault(label, []).append((pixels, region))
     return [(label, region) for label, sized in boxes.items() for region in _joined(sized)]
 
 
-def _labels_in(part: ImageArray, first: int) -> list[tuple[int, int, Sequence[int]]]:
+def _labels_in(part: ImageArray) -> list[tuple[int, int, Sequence[int]]]:
     """Return the labels that occur, each with its pixels and its upright rectangle.
 
     Args:
-        part: (h, w) uint8, labels.
-        first: one of them, in most cases the only one.
+        part: (h, w) uint8, labels, not all 0; in most cases of one kind.
     """
-    pixels = cv2.countNonZero(cv2.inRange(part, first, first))
-    if pixels == cv2.countNonZero(part):
-        return [(first, pixels, (0, 0, part.shape[1], part.shape[0]))]
-    present = np.bincount(part.ravel()).tolist()
+    values = part.tobytes()
+    highest = max(values)
+    pixels = values.count(highest)
+    if pixels + values.count(0) == len(values):
+        height, width = part.shape
+        return [(highest, pixels, (0, 0, width, height))]
     return [
-        (label, count, cv2.boundingRect(cv2.inRange(part, label, label)))
-        for label, count in enumerate(present)
-        if label and count
+        (label, values.count(label), cv2.boundingRect(cv2.inRange(part, label, label)))
+        for label in sorted(set(values))
+        if label
     ]
 
 

@@ -32,19 +32,22 @@ class Shares(NamedTuple):
     left: int
     top: int
 
+    def on_grid(self, place: tuple[float, float]) -> tuple[float, float]:
+        """Return where on the grid a place of the window is, both x and y in pixels."""
+        x, y = place
+        half = 0.5 * (self.scale - 1)
+        return (x - self.left - half) / self.scale, (y - self.top - half) / self.scale
+
     def at(self, places: CoverageArray) -> CoverageArray:
-        """Return the shares at some places of the window; beyond the grid as at its border.
+        """Return the shares at some places; beyond the grid as at its border.
 
         A line across an edge has the same integral on a coarser grid: means blur it evenly to both sides.
 
         Args:
-            places: (n, m, 2) float32, x and y, pixels of the window.
+            places: (n, m, 2) float32, x and y on the grid.
 
         Returns:
             (n, m) float32.
         """
-        if self.scale > 1:
-            shift = np.array((self.left, self.top), np.float32) + np.float32(0.5 * (self.scale - 1))
-            places = (places - shift) * np.float32(1.0 / self.scale)
         found = cv2.remap(self.share, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
         return np.asarray(found, dtype=np.float32)

@@ -61,27 +61,26 @@ def find_centres(windows: Sequence[Window]) -> list[Centre]:
 def _measure(grids: Sequence[Grid]) -> list[Centre]:
     """Return the centres of the blobs on grids of about one size."""
     batch = Batch(grids)
-    found = [projection(outside, inside, squares) for (outside, inside), squares in batch.color_sums()]
+    found = [projection(*sums) for sums in batch.color_sums()]
     t = batch.projected([line for line, _ in found])
     for _ in range(_ROUNDS):
         if not batch.take_back(t):
             break
     products, deviations = batch.products(t)
-    sums = batch.sums.tolist()
     levels = [
-        fitted_levels(line, place[:2], product, deviation)
-        for (line, _), place, product, deviation in zip(found, sums, products, deviations, strict=True)
+        fitted_levels(line, place, product, deviation)
+        for (line, _), place, product, deviation in zip(found, batch.sums, products, deviations, strict=True)
     ]
     share = batch.shares(t, levels)
     finer: list[int] = []
     for place, ((_, usable), level) in enumerate(zip(found, levels, strict=True)):
         if not usable:
-            share[place] = batch.weights[place, 2]
+            share[place] = batch.insides[place]
         elif level.misfit and grids[place].window.mask.size >= _LOCAL_FROM_PX:
             if grids[place].scale > 1:
                 finer.append(place)
             else:
-                share[place] = local_share(t[place], batch.weights[place, :2], batch.inside.shape[1:])
+                share[place] = local_share(t[place], batch.weights[place], batch.shape[1:])
     batch.tidy(share)
     totals = batch.totals(share)
     x, y = batch.middle
@@ -91,7 +90,7 @@ def _measure(grids: Sequence[Grid]) -> list[Centre]:
         if painted < _MIN_SHARE_OF_MASK * batch.area[place] or abs(m10) > x * m00 or abs(m01) > y * m00
     ]
     if doubtful:
-        share[doubtful] = batch.weights[doubtful, 2]
+        share[doubtful] = batch.insides[doubtful]
         totals = batch.totals(share)
     centres = []
     for place, (grid, (painted, (m00, m10, m01))) in enumerate(zip(grids, totals, strict=True)):
@@ -99,7 +98,7 @@ def _measure(grids: Sequence[Grid]) -> list[Centre]:
         shares: Shares | None = None
         if window.shared:
             height, width = grid.mask.shape
-            own = share[place].reshape(batch.inside.shape[1:])[:height, :width]
+            own = share[place].reshape(batch.shape[1:])[:height, :width]
             shares = Shares(own, scale, left, top)
         u = left + scale * (m10 / m00 + x + 0.5) - 0.5
         v = top + scale * (m01 / m00 + y + 0.5) - 0.5

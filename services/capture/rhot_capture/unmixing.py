@@ -38,21 +38,26 @@ class Levels(NamedTuple):
 
 
 def projection(
-    outside: Sequence[float], inside: Sequence[float], squares: Sequence[Sequence[float]]
+    outside: Sequence[float],
+    inside: Sequence[float],
+    blue: Sequence[float],
+    green: Sequence[float],
+    red: Sequence[float],
 ) -> tuple[Line, bool]:
     """Return t as a function of blue, green, red, 1, and whether paint and surroundings can be told apart.
 
     Args:
         outside: sums of blue, green, red, 1 over the surroundings.
         inside: the same over the pure paint.
-        squares: (3, 3) sums of the products of blue, green, red over the surroundings.
+        blue, green, red: the same over the surroundings, times blue, green or red.
     """
     b, g, r, total = outside
     share = 1.0 / max(total, 1.0)
     b, g, r = b * share, g * share, r * share
     paint_share = 1.0 / max(inside[3], 1.0)
     x, y, z = inside[0] * paint_share - b, inside[1] * paint_share - g, inside[2] * paint_share - r
-    (bb, bg, br), (_, gg, gr), (_, _, rr) = squares
+    bb, bg, br, _ = blue
+    gg, gr, rr = green[1], green[2], red[2]
     u, v, w = _solved(
         (bb * share - b * b + _NOISE**2, bg * share - b * g, br * share - b * r),
         (gg * share - g * g + _NOISE**2, gr * share - g * r, rr * share - r * r + _NOISE**2),
