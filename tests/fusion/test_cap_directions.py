@@ -73,10 +73,10 @@ def test_the_area_tells_where_a_finger_points_that_was_solved_wrong(make_rig: Ma
         errors = []
         for camera in (0, 1, 0, 1):
             away = PLACE - [0.075 * camera, 0.0, 0.0]
-            cosine = -(true @ away) / np.linalg.norm(away)
-            along, area = model.look_up(ONE, np.array([cosine]))
-            seen = away + true * along[0]
-            xy, paint_px = seen[:2] / seen[2], 0.9 * area * (530.0 / PLACE[2]) ** 2
+            cosine = float(-(true @ away) / np.linalg.norm(away))
+            along, area = model.look_up(INDEX, cosine)
+            seen = away + true * along
+            xy, paint_px = seen[:2] / seen[2], np.array([0.9 * area * (530.0 / PLACE[2]) ** 2])
             shift, _ = caps.correct(Sightings(camera, 0.0, ONE, np.zeros(1), xy[None], paint_px), KNOWN, ALL)
             errors.append((xy + shift[0] - away[:2] / away[2]) * 530.0)
         assert np.hypot(*(xy - away[:2] / away[2])) * 530.0 > 1.0

@@ -60,13 +60,13 @@ def test_visible_middles_of_moving_hands(x: float) -> None:
             direction = -sample.joints["right"].rotation(f"{name}_tip")[0][:, 2]
             ray = eye.center - middle
             cosine = float(direction @ ray / np.linalg.norm(ray))
-            shift, area = caps.look_up(np.array([place]), np.array([cosine]))
-            whole_px = area[0] * (530.0 / middle[2]) ** 2
+            shift, area = caps.look_up(place, cosine)
+            whole_px = area * (530.0 / middle[2]) ** 2
             if seen[name].area_px < 0.97 * whole_px:
                 continue
             found = np.array([seen[name].u, seen[name].v])
             plain.append(np.linalg.norm(found - eye.project(middle[None])[0]))
-            modelled.append(np.linalg.norm(found - eye.project((middle + shift[0] * direction)[None])[0]))
+            modelled.append(np.linalg.norm(found - eye.project((middle + shift * direction)[None])[0]))
     assert len(modelled) > 80
     assert np.median(plain) > 1.0
     assert np.percentile(modelled, 95) < 0.1

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhot_fusion.motion_bank import SHARES, MotionBank, innovate
+from rhot_fusion.innovation import Eye, innovate
+from rhot_fusion.motion_bank import SHARES, MotionBank
 
 FloatArray = NDArray[np.float64]
 
@@ -19,14 +20,15 @@ def follow(path: FloatArray, seed: int = 0) -> tuple[FloatArray, MotionBank]:
     rng = np.random.default_rng(seed)
     bank = MotionBank(ALONE)
     bank.start(ONE, path[:1], np.diag([1e-7, 1e-7, 1e-5])[None], 0.0)
-    variance = NOISE**2 * np.eye(2)[None]
     estimates = np.empty_like(path)
     for number, place in enumerate(path):
         t = np.array([-0.075 * (number % 2), 0.0, 0.0])
         local = place + t
         xy = (local[:2] / local[2] + rng.normal(0.0, NOISE, 2))[None]
         forecast = bank.forecast(ONE, np.array([number * PERIOD_S]))
-        innovation = innovate(forecast, np.eye(3), t, xy, variance)
+        eye = Eye((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (t[0], t[1], t[2]))
+        variance = [(NOISE**2, 0.0, NOISE**2)]
+        innovation = innovate(forecast.mean.tolist(), forecast.filters, eye, xy.tolist(), variance)
         bank.update(ONE, np.ones(1, dtype=bool), forecast, innovation)
         estimates[number] = bank.mean[0, :3]
     return estimates, bank

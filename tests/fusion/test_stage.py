@@ -11,11 +11,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from marker_streams import EPOCH_NS, MARKERS, Motion, Seen, pinhole_cameras, truth_figures, watch
+from numpy.typing import NDArray
 
+from rhot.camera import CameraModel
 from rhot.errors import ConfigError
 from rhot.messages import Marker, MarkerFrame, PointSet
 from rhot.rig import FusionConfig, Rig
 from rhot_fusion.stage import FusionStage
+
+FloatArray = NDArray[np.float64]
 
 STILL = Motion(amplitude_m=(0.0, 0.0, 0.0))
 SLOW = Motion(frequency_hz=(0.35, 0.45, 0.25))
@@ -355,3 +359,24 @@ def test_a_frame_costs_less_than_its_share(make_rig: MakeRig) -> None:
         spent.append(perf_counter() - began)
     # About 0.35 ms on the machine it was written on; 120 frames a second may not take a fifth of a core.
     assert np.median(spent) < 1.6e-3
+
+
+def test_what_a_lens_cannot_have_shown_counts_for_nothing(make_rig: MakeRig, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = make_rig()
+    seen = watch(rig, SLOW, 1.5)
+    wrong = seen[40::10]
+    without_it = run(FusionStage(rig), [without(one, "index") if one in wrong else one for one in seen])
+    stage, undistort = FusionStage(rig), CameraModel.undistort
+    published = []
+    for one in seen:
+        place_of_index = [name for name in MARKERS if name in one.frame.markers].index("index")
+
+        def outside(model: CameraModel, pixels: FloatArray, row: int = place_of_index) -> FloatArray:
+            xy = undistort(model, pixels)
+            xy[row] = np.nan
+            return xy
+
+        monkeypatch.setattr(CameraModel, "undistort", outside if one in wrong else undistort)
+        published += run(stage, [one])
+    assert stage.counts["outside"] == len(wrong)
+    assert [points.points for points in published] == [points.points for points in without_it]

@@ -126,7 +126,9 @@ class Association:
         states.coast(self._hands.siblings, t_s)
         position = states.show(t_s, longest_step_s)
         age = np.where(states.tracked, t_s - states.backed_s, 0.0)
-        return Outcome(t_s, position, np.hypot(states.sigma_m, MANEUVER_M_S * age), views, measured, moment.views.used)
+        sigma = np.hypot(states.sigma_m, MANEUVER_M_S * age)
+        columns = (position, sigma, views, measured, moment.views.used)
+        return Outcome(t_s, *(column.tolist() for column in columns))
 
     def _prepare(self, shot: Snapshot, t_s: float) -> _Moment:
         views = Views(self.epipolar.correct(shot.xy), shot.valid & self._geometry.uses[:, None])

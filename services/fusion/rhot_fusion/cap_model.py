@@ -104,10 +104,10 @@ class CapModel:
     def __init__(self, markers: Mapping[str, MarkerConfig], hands: Mapping[Side, HandModel]) -> None:
         """Build tables from the hands by side."""
         self.is_cap: NDArray[np.bool_] = np.zeros(len(markers), dtype=bool)
-        # (M, 65, 2) shift and area.
-        self._seen: FloatArray = np.zeros((len(markers), COSINES, 2))
-        self._cosine: FloatArray = np.zeros((len(markers), COSINES))
-        self._largest: FloatArray = np.ones(len(markers))
+        nothing = [0.0] * COSINES
+        # By marker and entry; plain numbers, for a few markers at a time are asked for.
+        self._shift, self._area, self._cosine = ([nothing] * len(markers) for _ in range(3))
+        self._largest = [1.0] * len(markers)
         tips = {chain[-1]: chain[-2] for chain in CHAINS.values()}
         for place, (name, marker) in enumerate(markers.items()):
             if marker.kind != "cap" or marker.joint not in tips:
@@ -120,29 +120,28 @@ class CapModel:
             rear = radius + behind * (float(hand.radii[hinge]) - radius)
             offset = hand.marker_offset(name, marker)
             table = cap_table(radius, rear, float(offset[2]))
-            self._seen[place, :, 0], self._seen[place, :, 1] = table.shift_m, table.area_m2
             rising = np.arange(COSINES) <= int(np.argmax(table.area_m2))
-            self._largest[place] = table.area_m2.max()
-            self._cosine[place] = np.interp(
-                np.linspace(0.0, self._largest[place], COSINES),
-                table.area_m2[rising],
-                np.linspace(-1.0, 1.0, COSINES)[rising],
+            largest = float(table.area_m2.max())
+            cosine = np.interp(
+                np.linspace(0.0, largest, COSINES), table.area_m2[rising], np.linspace(-1.0, 1.0, COSINES)[rising]
             )
+            self._shift[place], self._area[place] = table.shift_m.tolist(), table.area_m2.tolist()
+            self._cosine[place], self._largest[place] = cosine.tolist(), largest
             self.is_cap[place] = True
 
-    def look_up(self, index: NDArray[np.intp], cosine: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return shift (N,), metres, and visible area (N,), square metres, of markers (N,) at d·u (N,)."""
-        place = np.minimum(np.maximum(cosine, -1.0), 1.0) * (0.5 * (COSINES - 1)) + 0.5 * (COSINES - 1)
-        low = np.minimum(place.astype(np.intp), COSINES - 2)
-        share = (place - low)[:, None]
-        before, after = self._seen[index, low], self._seen[index, low + 1]
-        shift, area = (before + (after - before) * share).T
-        return shift, area
+    def look_up(self, marker: int, cosine: float) -> tuple[float, float]:
+        """Return shift, metres, and visible area, square metres, of a marker at d·u."""
+        place = (min(max(cosine, -1.0), 1.0) + 1.0) * (0.5 * (COSINES - 1))
+        low = min(int(place), COSINES - 2)
+        share, shift, area = place - low, self._shift[marker], self._area[marker]
+        return (
+            shift[low] + (shift[low + 1] - shift[low]) * share,
+            area[low] + (area[low + 1] - area[low]) * share,
+        )
 
-    def cosine_of(self, index: NDArray[np.intp], area: FloatArray) -> FloatArray:
-        """Return d·u (N,) at which markers (N,) show areas (N,), square metres: the smaller one where there are two."""
-        place = np.minimum(np.maximum(area / self._largest[index], 0.0), 1.0) * (COSINES - 1)
-        low = np.minimum(place.astype(np.intp), COSINES - 2)
-        before, after = self._cosine[index, low], self._cosine[index, low + 1]
-        cosine: FloatArray = before + (after - before) * (place - low)
-        return cosine
+    def cosine_of(self, marker: int, area: float) -> float:
+        """Return d·u at which a marker shows an area, square metres: the smaller one where there are two."""
+        place = min(max(area / self._largest[marker], 0.0), 1.0) * (COSINES - 1)
+        low = min(int(place), COSINES - 2)
+        cosine = self._cosine[marker]
+        return cosine[low] + (cosine[low + 1] - cosine[low]) * (place - low)

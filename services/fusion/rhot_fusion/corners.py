@@ -38,12 +38,13 @@ class _View:
     Attributes:
         center: metres, rig frame.
         axis: direction in which it looks.
-        aside: (2, 3) the x and y axes of its picture, rig frame.
+        right, down: the x and y axes of its picture.
     """
 
     center: Vector
     axis: Vector
-    aside: FloatArray
+    right: Vector
+    down: Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ class _Seen:
     """
 
     t_s: float
-    rays: list[list[float]]
+    rays: list[Vector]
 
 
 class PatchCorners:
@@ -74,7 +75,7 @@ class PatchCorners:
         self._sizes = {name: (width, length) for name, (width, length) in sizes.items()}
         self._cameras = list(cameras)
         self._views = [
-            _View(_vector(camera.center), _vector(camera.R_camera_rig[2]), camera.R_camera_rig[:2])
+            _View(_vector(camera.center), *(_vector(camera.R_camera_rig[axis]) for axis in (2, 0, 1)))
             for camera in cameras
         ]
         self._focal_px = float(np.mean([camera.K[0, 0] for camera in cameras]))
@@ -93,10 +94,12 @@ class PatchCorners:
                     listed[name] = points
         return listed
 
-    def observe(self, camera: int, name: str, t_s: float, xy: FloatArray) -> None:
+    def observe(self, camera: int, name: str, t_s: float, xy: Sequence[Sequence[float]]) -> None:
         """Take a patch's centre and corners (5, 2), normalised coordinates, seen at t_s."""
-        rays = (xy[1:] - xy[0]) @ self._views[camera].aside
-        self._seen[name, camera] = _Seen(t_s, rays.tolist())
+        (a, b, c), (d, e, f) = self._views[camera].right, self._views[camera].down
+        (x0, y0), *corners = xy
+        offsets = [(x - x0, y - y0) for x, y in corners]
+        self._seen[name, camera] = _Seen(t_s, [(x * a + y * d, x * b + y * e, x * c + y * f) for x, y in offsets])
 
     def solve(self, name: str, cameras: Sequence[int], position: Vector, t_s: float) -> Corners | None:
         """Return a patch's corners, metres, rig frame, in cyclic order, or None where the views do not agree on them.
@@ -134,10 +137,11 @@ class PatchCorners:
     def _fits(self, name: str, quad: Sequence[Vector]) -> bool:
         """Tell whether the sides of a quad have the patch's size, in either order."""
         p, q, r, s = (math.dist(quad[corner - 1], quad[corner]) for corner in (1, 2, 3, 0))
-        return any(
-            max(abs(p / u - 1.0), abs(q / v - 1.0), abs(r / u - 1.0), abs(s / v - 1.0)) <= _SIDE_TOLERANCE
-            for u, v in (self._sizes[name], self._sizes[name][::-1])
-        )
+        width, length = self._sizes[name]
+        for u, v in ((width, length), (length, width)):
+            if max(abs(p / u - 1.0), abs(q / v - 1.0), abs(r / u - 1.0), abs(s / v - 1.0)) <= _SIDE_TOLERANCE:
+                return True
+        return False
 
 
 def _vector(values: FloatArray) -> Vector:
@@ -149,7 +153,7 @@ def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _rays(view: _View, position: Vector, offsets: Sequence[Sequence[float]]) -> list[Vector]:
+def _rays(view: _View, position: Vector, offsets: Sequence[Vector]) -> list[Vector]:
     """Return the rays from a camera, at depth 1, that lie beside the one to a position by offsets."""
     x, y, z = position[0] - view.center[0], position[1] - view.center[1], position[2] - view.center[2]
     depth = max(_dot((x, y, z), view.axis), 1e-3)
@@ -163,23 +167,29 @@ def _meet(a: Vector, first: Sequence[Vector], b: Vector, second: Sequence[Vector
     The middle of the shortest line between two rays (Hartley and Sturm, "Triangulation", 1997, section 3.1) is as good
     as a least-squares point for the shape of a patch, at a fraction of the cost.
     """
-    way = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    (ax, ay, az), (bx, by, bz) = a, b
+    wx, wy, wz = bx - ax, by - ay, bz - az
     places: list[Vector] = []
-    largest = 0.0
-    for d, e in zip(first, second, strict=True):
-        dd, de, ee, dw, ew = _dot(d, d), _dot(d, e), _dot(e, e), _dot(d, way), _dot(e, way)
+    largest2 = 0.0
+    for (dx, dy, dz), (ex, ey, ez) in zip(first, second, strict=True):
+        dd, ee, de = dx * dx + dy * dy + dz * dz, ex * ex + ey * ey + ez * ez, dx * ex + dy * ey + dz * ez
+        dw, ew = dx * wx + dy * wy + dz * wz, ex * wx + ey * wy + ez * wz
         # Parallel rays meet nowhere; the point is thrown far away and no side fits.
         det = max(dd * ee - de * de, 1e-12)
         s, t = (dw * ee - ew * de) / det, (dw * de - ew * dd) / det
-        p = (a[0] + s * d[0], a[1] + s * d[1], a[2] + s * d[2])
-        q = (b[0] + t * e[0], b[1] + t * e[1], b[2] + t * e[2])
-        largest = max(largest, math.dist(p, q))
-        places.append((0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1]), 0.5 * (p[2] + q[2])))
-    return places, largest
+        px, py, pz = ax + s * dx, ay + s * dy, az + s * dz
+        qx, qy, qz = bx + t * ex, by + t * ey, bz + t * ez
+        largest2 = max(largest2, (px - qx) ** 2 + (py - qy) ** 2 + (pz - qz) ** 2)
+        places.append((0.5 * (px + qx), 0.5 * (py + qy), 0.5 * (pz + qz)))
+    return places, math.sqrt(largest2)
 
 
 def _around(quad: Sequence[Vector], position: Vector) -> Corners:
     """Return a quad moved so that its middle lies at a position."""
-    x, y, z = (place - 0.25 * sum(axis) for place, axis in zip(position, zip(*quad, strict=True), strict=True))
-    a, b, c, d = ((p[0] + x, p[1] + y, p[2] + z) for p in quad)
-    return (a, b, c, d)
+    a, b, c, d = quad
+    x, y, z = (place - 0.25 * (p + q + r + s) for place, p, q, r, s in zip(position, a, b, c, d, strict=True))
+    return _moved(a, x, y, z), _moved(b, x, y, z), _moved(c, x, y, z), _moved(d, x, y, z)
+
+
+def _moved(corner: Vector, x: float, y: float, z: float) -> Vector:
+    return corner[0] + x, corner[1] + y, corner[2] + z

@@ -13,6 +13,7 @@ along them cannot be told from depth.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from statistics import median
 
@@ -71,15 +72,17 @@ class EpipolarModel:
         if camera == 0:
             return xy
         a, b, c = self.coefficients[camera].tolist()
-        x, y = xy.T
-        error = np.minimum(np.maximum(a + b * x + c * y, -self._limit), self._limit)
         e0, e1, e2 = self._t[camera].tolist()
-        # Normal of the line through the epipole and the observation: the first two entries of e × (x, y, 1).
-        p, q = e1 - e2 * y, e2 * x - e0
-        error /= np.maximum(np.sqrt(p * p + q * q), 1e-9)
-        corrected = np.empty_like(xy)
-        corrected[:, 0], corrected[:, 1] = x - p * error, y - q * error
-        return corrected
+        limit = self._limit
+        corrected: list[tuple[float, float]] = []
+        # Without numpy, whose calls cost more than the sums for a handful of markers.
+        for x, y in xy.tolist():
+            error = min(max(a + b * x + c * y, -limit), limit)
+            # Normal of the line through the epipole and the observation: the first two entries of e × (x, y, 1).
+            p, q = e1 - e2 * y, e2 * x - e0
+            error /= max(math.sqrt(p * p + q * q), 1e-9)
+            corrected.append((x - p * error, y - q * error))
+        return np.array(corrected).reshape(-1, 2)
 
     def residual(self, xy: FloatArray) -> FloatArray:
         """Return the signed distance (C, M) of each observation from the first camera's epipolar line; row 0 is NaN."""

@@ -21,14 +21,15 @@ from rhot_fusion.cap_directions import CapDirections
 from rhot_fusion.coherence import HandCoherence
 from rhot_fusion.epipolar import EpipolarModel
 from rhot_fusion.gates import Gates
-from rhot_fusion.motion_bank import MotionBank, innovate
+from rhot_fusion.innovation import Eye, innovate, pace
+from rhot_fusion.lessons import Lessons
+from rhot_fusion.motion_bank import MotionBank
 from rhot_fusion.path_smoothing import PathRecord, SmoothedPath
 from rhot_fusion.presence import Presence
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.showing import Showing, ahead_s
 from rhot_fusion.sightings import BoolArray, FloatArray, IndexArray, Outcome, Sightings
-from rhot_fusion.timing_noise import TimingNoise
-from rhot_fusion.tracks import LONGEST_GAP, ROWS_SHARE, Tracks
+from rhot_fusion.tracks import Tracks
 
 GATE = 16.0
 """Squared innovation of a coordinate, in variances, beyond which an observation is refused: 4 sigma."""
@@ -40,18 +41,12 @@ _SMALLEST_NOISE_PX = 0.06
 _BLUR = 2.0
 """Of the variance that an error of time between two views means along the motion, this much counts for each view: more
 than half of it, for the error stays the same over several frames."""
-_FIRST_NOISE_PX = 0.3
-_LONGEST_PAIR_S, _LONGEST_PAIR = 0.15, 2.5
-"""Moments further apart than this, or this many periods, tell nothing of timing."""
-_EAGER, _LESSON_EVERY = 300, 8
-"""After so many moments the cameras are known well enough to look only at two in a row of every eight."""
 _LATE_S = 0.002
 """An observation this much before the newest one is still taken as simultaneous."""
 _HISTORY_S = 0.06
 """Frames that come later than this after a newer one of another camera are used for nothing."""
 _RESTING_PX_S = 60.0
 """A marker that moves faster through the picture is never twice at the same place to the last digit."""
-_EYE: FloatArray = np.eye(2)
 _FAR_PX = 6.0
 """An observation this far from where it was expected may be another marker's."""
 
@@ -81,7 +76,7 @@ class FilterTracker:
         self._config = config
         self._R = [camera.R_camera_rig for camera in cameras]
         self._t = [camera.t_camera_rig for camera in cameras]
-        self._across = [np.ascontiguousarray(camera.R_camera_rig[:2].T) for camera in cameras]
+        self._eyes = [Eye.of(camera) for camera in cameras]
         self._focal_px = float(np.mean([camera.K[0, 0] for camera in cameras]))
         count = len(markers)
         self._presence = Presence(len(cameras), count)
@@ -93,11 +88,9 @@ class FilterTracker:
         self._tracks = Tracks(len(cameras), count)
         self._acquisition = Acquisition(cameras, count, self._hands)
         self.epipolar = EpipolarModel(cameras, config.epipolar_limit_px)
-        self._noise = TimingNoise(_FIRST_NOISE_PX / self._focal_px)
-        self._pair = (np.full((len(cameras) - 1, count, 2), np.nan), np.full((count, 2), np.nan))
-        self._looked_s = self._learnt_s = -np.inf
-        self._lessons = 0
-        self._raw: FloatArray = np.full((len(cameras), count, 2), np.nan)
+        self._lessons = Lessons(len(cameras), count, self._focal_px)
+        # By camera and marker: the place in its newest frame.
+        self._raw: list[dict[int, list[float]]] = [{} for _ in cameras]
         self._doubt: FloatArray = np.zeros((len(cameras), count))
         self._showing = Showing(self._bank, self._presence, self._hands, self._caps, self._schedule, counts)
         self.gates: dict[int, Gates] = {}
@@ -145,9 +138,10 @@ class FilterTracker:
         self._caps.clear()
         self._showing.clear()
         self.gates.clear()
-        self._raw[:] = np.nan
+        for raw in self._raw:
+            raw.clear()
         self._doubt[:] = 0.0
-        self._looked_s = self._learnt_s = -np.inf
+        self._lessons.clear()
         self._history.clear()
 
     def advance(self, sightings: Sightings) -> Outcome | None:
@@ -182,13 +176,13 @@ class FilterTracker:
         presence, xy = self._presence, sightings.xy
         shift, doubt = self._caps.correct(sightings, self._bank.mean, presence.tracked)
         middle = xy + shift
-        rows = slice(None) if len(index) == len(presence.tracked) else index
-        held = np.zeros(len(index), dtype=bool)
+        held = [False] * len(index)
         if not again:
             raw = self._raw[camera]
-            held = (xy[:, 0] == raw[rows, 0]) & (xy[:, 1] == raw[rows, 1])
-            raw[rows] = xy
-            self._doubt[camera, rows] = doubt
+            for row, (marker, place) in enumerate(zip(index.tolist(), xy.tolist(), strict=True)):
+                held[row] = raw.get(marker) == place
+                raw[marker] = place
+            self._doubt[camera, index] = doubt
             self._remember(camera, index, times, middle)
         corrected = self.epipolar.correct_one(camera, middle)
         accepted, backing = presence.tracked[index], np.zeros(len(index), dtype=bool)
@@ -196,26 +190,28 @@ class FilterTracker:
         if len(known) == len(index) > 0:
             accepted, backing = self._update(camera, index, times, corrected, held, doubt)
         elif len(known):
+            repeated = [held[row] for row in known.tolist()]
             accepted[known], backing[known] = self._update(
-                camera, index[known], times[known], corrected[known], held[known], doubt[known]
+                camera, index[known], times[known], corrected[known], repeated, doubt[known]
             )
         presence.show(camera, sightings.t_s, index[accepted], index[backing])
         if not accepted.all():
             self._acquire(sightings, index[~accepted])
         if not again and camera > 0:
-            self._learn()
+            self._lessons.learn(self._tracks, presence, self._schedule, self.epipolar)
 
     def _remember(self, camera: int, index: IndexArray, times: FloatArray, xy: FloatArray) -> None:
         later = times > self._tracks.last_t_s[camera][index]
-        if not later.all():
-            self._counts["late_marker"] += int(np.count_nonzero(~later))
+        late = len(later) - int(np.count_nonzero(later))
+        if late:
+            self._counts["late_marker"] += late
             index, times, xy = index[later], times[later], xy[later]
         (*_, low_m), (*_, high_m) = self._config.volume_m
         max_rate = self._config.max_speed_m_s / max(0.5 * (low_m + high_m), 0.1)
         self._tracks.append(camera, index, times, xy, max_rate)
 
     def _update(
-        self, camera: int, index: IndexArray, times: FloatArray, xy: FloatArray, held: BoolArray, doubt: FloatArray
+        self, camera: int, index: IndexArray, times: FloatArray, xy: FloatArray, held: list[bool], doubt: FloatArray
     ) -> tuple[BoolArray, BoolArray]:
         """Let observations (N, 2) of tracked markers (N,) move their filters.
 
@@ -225,35 +221,45 @@ class FilterTracker:
         Some capture programs repeat the last place of a marker that they lost; what was `held` (N,) like this is
         refused where the marker moves. The `doubt` (N,) is a standard deviation beyond the noise, normalised units.
         """
-        bank = self._bank
+        bank, eye = self._bank, self._eyes[camera]
         forecast = bank.forecast(index, times)
+        mean = forecast.mean.tolist()
         noise = max(self.epipolar.spread_px * 0.7071, _SMALLEST_NOISE_PX) / self._focal_px
-        w = forecast.mean[:, 3:] @ self._across[camera] / np.maximum(forecast.mean[:, 2:3], 0.1)
-        smear = (_BLUR**0.5 * self._noise.sigma_s) * w
-        variance = (noise * noise + doubt * doubt)[:, None, None] * _EYE + smear[:, :, None] * smear[:, None]
-        innovation = innovate(forecast, self._R[camera], self._t[camera], xy, variance)
+        blur = _BLUR * self._lessons.noise.sigma_s**2
+        paces = [pace(eye, state) for state in mean]
+        variance = [
+            (noise * noise + more * more + blur * u * u, blur * u * v, noise * noise + more * more + blur * v * v)
+            for more, (u, v) in zip(doubt.tolist(), paces, strict=True)
+        ]
+        innovation = innovate(mean, forecast.filters, eye, xy.tolist(), variance)
         # Against the models together, with slack, each axis alone.
-        y = innovation.y
         spread = (forecast.weight[:, None] @ innovation.S.reshape(len(index), -1, 4))[:, 0, ::3]
-        size = y * y
-        ratio = np.maximum.reduce(size / (spread + (SLACK_PX / self._focal_px) ** 2), axis=1)
-        accepted: BoolArray = ratio <= GATE
-        if held.any():
-            accepted &= ~held | ((w * w).sum(axis=1) < (_RESTING_PX_S / self._focal_px) ** 2)
-        if 2.0 * size.max() > (_FAR_PX / self._focal_px) ** 2:
-            far = accepted & (size[:, 0] + size[:, 1] > (_FAR_PX / self._focal_px) ** 2)
-            accepted[far] = ~self._belongs_elsewhere(camera, index[far], xy[far], y[far], times[far])
-        bank.update(index, accepted, forecast, innovation)
-        self.gates[camera] = Gates(index, times, y, spread, held, accepted)
-        self._counts["refused"] += len(index) - int(np.count_nonzero(accepted))
-        return accepted, accepted & (ratio <= _BACKS)
+        slack = (SLACK_PX / self._focal_px) ** 2
+        resting, far = (_RESTING_PX_S / self._focal_px) ** 2, (_FAR_PX / self._focal_px) ** 2
+        accepted, backing, doubted = [False] * len(index), [False] * len(index), []
+        for row, ((x, y), (xx, yy), (u, v), repeated) in enumerate(
+            zip(innovation.y.tolist(), spread.tolist(), paces, held, strict=True)
+        ):
+            # NaN stays NaN in the sum, and passes no gate.
+            ratio = max(x * x / (xx + slack), y * y / (yy + slack)) + 0.0 * (x + y)
+            accepted[row] = ratio <= GATE and not (repeated and u * u + v * v >= resting)
+            backing[row] = ratio <= _BACKS
+            if accepted[row] and x * x + y * y > far:
+                doubted.append(row)
+        taken = np.array(accepted)
+        if doubted:
+            taken[doubted] = ~self._belongs_elsewhere(
+                camera, index[doubted], xy[doubted], innovation.y[doubted], times[doubted]
+            )
+        bank.update(index, taken, forecast, innovation)
+        self.gates[camera] = Gates(index, times, innovation.y, spread, held, taken)
+        self._counts["refused"] += len(index) - int(np.count_nonzero(taken))
+        return taken, taken & backing
 
     def _belongs_elsewhere(
         self, camera: int, index: IndexArray, xy: FloatArray, miss: FloatArray, times: FloatArray
     ) -> BoolArray:
         """Tell which observations (N, 2) lie nearer to where another marker is expected than to their own."""
-        if not len(index):
-            return np.zeros(0, dtype=bool)
         local = self._expected(float(times.max())) @ self._R[camera].T + self._t[camera]
         away = xy[:, None] - local[None, :, :2] / np.maximum(local[None, :, 2:], 0.1)
         distance2 = np.where(self._presence.tracked, (away * away).sum(axis=2), np.inf)
@@ -277,33 +283,7 @@ class FilterTracker:
         if found is None:
             return
         self._bank.start(found.index, found.position, found.covariance, found.t_s)
-        self._showing.gliding[found.index] = tracked[found.index]
+        for marker in found.index.tolist():
+            self._showing.found(marker, elsewhere=bool(tracked[marker]))
         self._presence.find(found.index, found.views, sightings.t_s)
         self._history.clear()
-
-    def _learn(self) -> None:
-        """Let the views of one moment teach what the cameras have turned by and how noisy they are."""
-        moment_s, period_s = self._schedule.common_moment(), self._schedule.longest_period_s
-        # Once a period is enough, however many cameras there are.
-        if moment_s <= self._looked_s + 0.5 * period_s or not np.isfinite(moment_s):
-            return
-        self._looked_s = moment_s
-        self._lessons += 1
-        if self._lessons > _EAGER and self._lessons % _LESSON_EVERY > 1:
-            return
-        shot = self._tracks.at(moment_s, ROWS_SHARE * period_s, LONGEST_GAP * period_s)
-        ok = shot.valid & self._presence.fresh & self._presence.tracked
-        if ok[0].any() and ok[1:].any():
-            self.epipolar.learn(shot.xy, ok, moment_s - self._learnt_s)
-        elapsed = moment_s - self._learnt_s
-        self._learnt_s = moment_s
-        offset, place = shot.xy[1:] - shot.xy[0], shot.xy[0]
-        before_offset, before_place = self._pair
-        self._pair = (offset, place)
-        if elapsed < min(_LONGEST_PAIR_S, _LONGEST_PAIR * period_s):
-            jump, way = offset - before_offset, (place - before_place) / elapsed
-            chosen = ok[0] & ok[1:] & np.isfinite(jump[:, :, 0])
-            jump *= jump
-            way *= way
-            speed2 = np.broadcast_to(way[:, 0] + way[:, 1], chosen.shape)
-            self._noise.learn(0.5 * (jump[:, :, 0] + jump[:, :, 1])[chosen], speed2[chosen])

@@ -24,5 +24,5 @@ class Gates:
     times_s: FloatArray
     y: FloatArray
     variance: FloatArray
-    held: BoolArray
+    held: list[bool]
     accepted: BoolArray

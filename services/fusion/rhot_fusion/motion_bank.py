@@ -14,10 +14,12 @@ so that mixing the filters is a step of each towards the marker's joint estimate
 
 A handful of markers is little to compute and much to call: the form follows the number of numpy calls. A filter is kept
 as the distance d of its mean from the joint estimate under its covariance P, one array of seven rows, so that mixing,
-moving, seeing and weighing are one operation on both. With H the derivative of an observation and r its distance from
-what the joint estimate foretells, B = (P H', d H' − r), a filter's update is
+moving, seeing and weighing are one operation on both. Beside it stands its second moment M = P + d d' about the joint
+estimate, whose covariance is J = Σ w M; with β the step of mixing, what comes of it is linear in the three:
 
-    (P, d) ← (P, d) − B S⁻¹ (P H')'.
+    P ← (1 − β)² P + β (1 − β) M + β J,    d ← (1 − β) d.
+
+With B and S of `innovation`, a filter's update is (P, d) ← (P, d) − B S⁻¹ (P H')'.
 
 Arrays are replaced and never changed in place: what `save` returns is just them.
 """
@@ -30,6 +32,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot_fusion.innovation import Innovation
 from rhot_fusion.path_smoothing import PathRecord
 
 FloatArray = NDArray[np.float64]
@@ -50,16 +53,18 @@ _SPEED_SIGMA_M_S: Final = 0.5
 _MODELS: Final = len(DENSITIES)
 _SHARE: FloatArray = np.array(SHARES)
 _EYE: FloatArray = np.eye(3)
-_STAY: FloatArray = np.eye(6)
-_DRIFT: FloatArray = np.kron(np.array([[0.0, 0.0], [1.0, 0.0]]), _EYE)
-"""A row of a state or covariance moves on by its product with _STAY + dt · _DRIFT."""
+_STAY: FloatArray = np.eye(7)
+_DRIFT: FloatArray = np.diag([1.0, 1.0, 1.0, 0.0], 3)
+"""A filter X of seven rows moves on to F X G', with F = _STAY + dt · _DRIFT and G its first six rows and columns."""
 _TURNED: IndexArray = np.array([3, 1, 1, 0])
 _ADJUGATE: FloatArray = np.array([1.0, -1.0, -1.0, 1.0])
 """The inverse of [[a, b], [b, c]] is its entries in this order with these signs over the determinant."""
 _SUM: FloatArray = np.ones((_MODELS, 1))
+_PAIR: FloatArray = np.ones(2)
 _AWAY: Final = 6
 """The row of a filter that holds its mean; the rows before are its covariance."""
 _ENTRIES: Final = 42
+_ROWS: Final = 2 * _MODELS + 1
 # Covariances of white acceleration: dt³/3 of position, dt²/2 between position and velocity, dt of velocity.
 _POWERS: FloatArray = np.array([3.0, 2.0, 1.0])
 _PARTS: Final = (
@@ -105,22 +110,9 @@ class Forecast:
         """(N, K, 6) means less the joint one."""
         return self.filters[:, :, _AWAY]
 
-
-@dataclass(frozen=True, slots=True)
-class Innovation:
-    """How observations differ from what was expected.
-
-    Attributes:
-        y: (N, 2) innovation, the models together, normalised units.
-        B: (N, K, 7, 2) covariance between state and observation; in the last row the innovation's negative.
-        S: (N, K, 2, 2) innovation covariance.
-        det: (N, K) its determinant.
-    """
-
-    y: FloatArray
-    B: FloatArray
-    S: FloatArray
-    det: FloatArray
+    def of(self, chosen: NDArray[np.bool_]) -> Forecast:
+        """Return the same of the chosen (N,) markers."""
+        return Forecast(self.filters[chosen], self.weight[chosen], self.mean[chosen], self.t_s[chosen])
 
 
 class MotionBank:
@@ -144,8 +136,8 @@ class MotionBank:
         self._count = len(company)
         # What a marker's own surprise and that of the others tell of its model; the log of a likelihood is −½ of it.
         self._company: FloatArray = -0.5 * (np.eye(self._count) + COMPANY * company)
-        self._filters: FloatArray = np.zeros((self._count, _MODELS, _AWAY + 1, 6))
-        self._joint: FloatArray = np.zeros((self._count, _AWAY + 1, 6))
+        # The filters' P and d, their M and d, and J: (M, 2 K + 1, 7, 6).
+        self._moments: FloatArray = np.zeros((self._count, _ROWS, _AWAY + 1, 6))
         self.weight: FloatArray = np.tile(_SHARE, (self._count, 1))
         self.mean: FloatArray = np.zeros((self._count, 6))
         self.t_s: FloatArray = np.full(self._count, -np.inf)
@@ -153,12 +145,12 @@ class MotionBank:
     @property
     def cov(self) -> FloatArray:
         """(M, 6, 6) covariance of the joint estimate."""
-        return self._joint[:, :_AWAY]
+        return self._moments[:, -1, :_AWAY]
 
     @property
     def variances(self) -> FloatArray:
         """(M, 6) diagonals of `cov`."""
-        return self._joint.reshape(self._count, _ENTRIES)[:, : _AWAY * 6 : _AWAY + 1]
+        return self._moments.reshape(self._count, _ROWS, _ENTRIES)[:, -1, : _AWAY * 6 : _AWAY + 1]
 
     def clear(self) -> None:
         """Forget all markers."""
@@ -168,32 +160,25 @@ class MotionBank:
 
     def save(self) -> tuple[FloatArray, ...]:
         """Return everything, for `restore`."""
-        return self._filters, self._joint, self.weight, self.mean, self.t_s
+        return self._moments, self.weight, self.mean, self.t_s
 
     def restore(self, saved: tuple[FloatArray, ...]) -> None:
         """Go back to what was saved."""
-        self._filters, self._joint, self.weight, self.mean, self.t_s = saved
+        self._moments, self.weight, self.mean, self.t_s = saved
         if self.record is not None:
             self.record.cut(self.t_s)
 
     def _replace(
-        self,
-        rows: IndexArray | slice,
-        filters: FloatArray,
-        joint: FloatArray,
-        weight: FloatArray,
-        mean: FloatArray,
-        t_s: FloatArray,
+        self, rows: IndexArray | slice, moments: FloatArray, weight: FloatArray, mean: FloatArray, t_s: FloatArray
     ) -> None:
         """Put new arrays in the place of the old, with these rows changed."""
-        new = filters, joint, weight, mean, t_s
-        if isinstance(rows, slice):
-            self._filters, self._joint, self.weight, self.mean, self.t_s = new
-            return
-        old = [array.copy() for array in self.save()]
-        for array, changed in zip(old, new, strict=True):
-            array[rows] = changed
-        self._filters, self._joint, self.weight, self.mean, self.t_s = old
+        new = moments, weight, mean, t_s
+        if not isinstance(rows, slice):
+            old = [array.copy() for array in self.save()]
+            for array, changed in zip(old, new, strict=True):
+                array[rows] = changed
+            new = old[0], old[1], old[2], old[3]
+        self._moments, self.weight, self.mean, self.t_s = new
 
     def _rows(self, index: IndexArray) -> IndexArray | slice:
         """Return what selects markers (N,), ascending; all of them without a copy."""
@@ -204,71 +189,76 @@ class MotionBank:
         count = len(index)
         state = np.zeros((count, 6))
         state[:, :3] = position
-        joint = np.zeros((count, _AWAY + 1, 6))
-        joint[:, :3, :3] = covariance
-        joint[:, 3:_AWAY, 3:] = _SPEED_SIGMA_M_S**2 * _EYE
-        filters = np.repeat(joint[:, None], _MODELS, axis=1)
-        self._replace(index, filters, joint, np.tile(_SHARE, (count, 1)), state, np.full(count, t_s))
+        moments = np.zeros((count, _ROWS, _AWAY + 1, 6))
+        moments[:, :, :3, :3] = covariance[:, None]
+        moments[:, :, 3:_AWAY, 3:] = _SPEED_SIGMA_M_S**2 * _EYE
+        self._replace(index, moments, np.tile(_SHARE, (count, 1)), state, np.full(count, t_s))
         if self.record is not None:
-            self.record.begin(index, t_s, state, joint[:, :_AWAY])
+            self.record.begin(index, t_s, state, moments[:, -1, :_AWAY])
 
     def forecast(self, index: IndexArray, t_s: FloatArray) -> Forecast:
         """Return what is expected of markers (N,), ascending, at times (N,); nothing changes."""
         rows, count = self._rows(index), len(index)
-        dt = np.maximum(t_s - self.t_s[rows], 0.0)
-        stay = np.exp(dt * (-1.0 / SWITCH_S))[:, None]
+        dt = np.maximum(t_s - self.t_s[rows], 0.0)[:, None]
+        stay = np.exp(dt * (-1.0 / SWITCH_S))
         entering = (1.0 - stay) * _SHARE
         weight = stay * self.weight[rows]
         weight += entering
-        share = (entering / weight)[:, :, None]
-        before = self._filters[rows]
-        away = before[:, :, _AWAY] * np.sqrt(share - share * share)
-        filters = self._joint[rows][:, None] - before
-        filters *= share[:, :, :, None]
-        filters += before
-        filters[:, :, :_AWAY] += away[:, :, :, None] @ away[:, :, None]
-        dt = dt[:, None, None]
-        filters = filters.reshape(count, _MODELS * (_AWAY + 1), 6) @ (_STAY + dt * _DRIFT)
-        filters = filters.reshape(count, _MODELS, _ENTRIES)
-        filters[:, :, :18] += dt * filters[:, :, 18:36]
-        filters += (dt[:, 0] ** _POWERS @ _GROWTH).reshape(filters.shape)
-        mean = self.mean[rows].copy()
-        mean[:, :3] += dt[:, 0] * mean[:, 3:]
-        return Forecast(filters.reshape(count, _MODELS, _AWAY + 1, 6), weight, mean, t_s)
+        share = entering / weight
+        keep = 1.0 - share
+        mixing = np.zeros((count, _MODELS * _ROWS))
+        mixing[:, :: _ROWS + 1] = keep * keep
+        mixing[:, _MODELS :: _ROWS + 1] = share * keep
+        mixing[:, _ROWS - 1 :: _ROWS] = share
+        filters = mixing.reshape(count, _MODELS, _ROWS) @ self._moments[rows].reshape(count, _ROWS, _ENTRIES)
+        filters = filters.reshape(count, _MODELS, _AWAY + 1, 6)
+        move = _STAY + dt[:, :, None] * _DRIFT
+        moved = move.swapaxes(1, 2)[:, None, :_AWAY, :_AWAY]
+        filters = move[:, None] @ filters @ moved
+        filters += (dt**_POWERS @ _GROWTH).reshape(filters.shape)
+        mean = (self.mean[rows][:, None] @ moved[:, 0])[:, 0]
+        return Forecast(filters, weight, mean, t_s)
 
     def update(self, index: IndexArray, chosen: NDArray[np.bool_], forecast: Forecast, innovation: Innovation) -> None:
         """Let the chosen (N,) of the observations move their markers (N,), ascending."""
-        if not chosen.all():
+        if np.count_nonzero(chosen) < len(chosen):
             index = index[chosen]
             if not len(index):
                 return
-            forecast = Forecast(*(getattr(forecast, name)[chosen] for name in Forecast.__slots__))
-            innovation = Innovation(*(getattr(innovation, name)[chosen] for name in Innovation.__slots__))
+            forecast, innovation = forecast.of(chosen), innovation.of(chosen)
         B, S, det, rows, count = innovation.B, innovation.S, innovation.det, self._rows(index), len(index)
         # The same entry for both off the diagonal: the exact inverse would feed what rounding makes unlike in them.
         inverse = S.reshape(count, _MODELS, 4).take(_TURNED, axis=2) * (_ADJUGATE / det[:, :, None])
-        inverse = inverse.reshape(S.shape)
-        # A product of views that are not contiguous takes five times as long.
-        taken = B @ inverse @ np.ascontiguousarray(B.swapaxes(2, 3))
-        filters = forecast.filters - taken[:, :, :, :_AWAY]
-        # The last entry is the squared Mahalanobis distance.
-        surprise = np.minimum(taken[:, :, _AWAY, _AWAY], _CLEAR_D2) + np.log(det)
+        gain = B @ inverse.reshape(S.shape)
+        # The innovation's squared Mahalanobis distance.
+        distance2 = (gain[:, :, _AWAY] * B[:, :, _AWAY]) @ _PAIR
+        surprise = np.minimum(distance2, _CLEAR_D2) + np.log(det)
         company = self._company if isinstance(rows, slice) else self._company[index[:, None], index]
         evidence = company @ surprise
         # Bounded by _CLEAR_D2: against any one of the models nothing overflows.
         weight = forecast.weight * np.exp(evidence - evidence[:, :1])
         weight /= weight @ _SUM
-        joint = (weight[:, None] @ filters.reshape(count, _MODELS, _ENTRIES)).reshape(count, _AWAY + 1, 6)
-        mean = forecast.mean + joint[:, _AWAY]
-        filters[:, :, _AWAY] -= joint[:, _AWAY, None]
-        joint[:, _AWAY] = 0.0
-        joint[:, :_AWAY] += _scatter(weight, filters)
+        moments = np.empty((count, _ROWS, _AWAY + 1, 6))
+        filters, seconds = moments[:, :_MODELS], moments[:, _MODELS:-1]
+        # A product of views that are not contiguous takes five times as long.
+        np.subtract(forecast.filters, gain @ np.ascontiguousarray(B[:, :, :_AWAY].swapaxes(2, 3)), out=filters)
+        away = np.zeros((count, _MODELS, _AWAY + 1))
+        away[:, :, :_AWAY] = filters[:, :, _AWAY]
+        step = weight[:, None] @ away
+        away -= step
+        filters[:, :, _AWAY] = row = away[:, :, :_AWAY]
+        # The last entry of d is 0: the last row of the second moments is that of the filters.
+        np.matmul(away[:, :, :, None], row[:, :, None], out=seconds)
+        seconds += filters
+        flat = moments.reshape(count, _ROWS, _ENTRIES)
+        np.matmul(weight[:, None], flat[:, _MODELS:-1], out=flat[:, -1:])
+        mean = forecast.mean + step[:, 0, :_AWAY]
         if self.record is not None:
             expected = (forecast.weight[:, None] @ forecast.filters.reshape(count, _MODELS, _ENTRIES))[:, 0]
-            expected = expected.reshape(count, _AWAY + 1, 6)[:, :_AWAY] + _scatter(forecast.weight, forecast.filters)
+            expected = expected.reshape(count, _AWAY + 1, 6)[:, :_AWAY] + _scatter(forecast.weight, forecast.away)
             dt = np.maximum(forecast.t_s - self.t_s[rows], 0.0)
-            self.record.observed(index, forecast.t_s, dt, (forecast.mean, expected), (mean, joint[:, :_AWAY]))
-        self._replace(rows, filters, joint, weight, mean, forecast.t_s)
+            self.record.observed(index, forecast.t_s, dt, (forecast.mean, expected), (mean, moments[:, -1, :_AWAY]))
+        self._replace(rows, moments, weight, mean, forecast.t_s)
 
     def carry(self, marker: int, step: FloatArray, velocity: FloatArray, spread_m: float, t_s: float) -> None:
         """Move a marker that nobody sees along with its hand.
@@ -280,49 +270,23 @@ class MotionBank:
             spread_m: standard deviation that its place gains along each axis.
             t_s: the moment.
         """
-        filters, joint, mean = self._filters[marker].copy(), self._joint[marker].copy(), self.mean[marker].copy()
+        moments, mean = self._moments[marker].copy(), self.mean[marker].copy()
         mean[:3] += step
         mean[3:] = velocity
-        filters[:, _AWAY] = 0.0
-        for P in (filters[:, :_AWAY], joint[:_AWAY]):
-            P[..., :3, 3:] = 0.0
-            P[..., 3:, :3] = 0.0
-            P[..., :3, :3] += spread_m**2 * _EYE
-            P[..., 3:, 3:] = _SPEED_SIGMA_M_S**2 * _EYE
+        # About one mean, the second moments are the covariances.
+        moments[_MODELS:-1] = moments[:_MODELS]
+        moments[:, _AWAY] = 0.0
+        moments[:, :3, 3:] = 0.0
+        moments[:, 3:_AWAY, :3] = 0.0
+        moments[:, :3, :3] += spread_m**2 * _EYE
+        moments[:, 3:_AWAY, 3:] = _SPEED_SIGMA_M_S**2 * _EYE
         one = np.array([marker])
-        self._replace(one, filters, joint, _SHARE, mean, np.full(1, t_s))
+        self._replace(one, moments, _SHARE, mean, np.full(1, t_s))
         if self.record is not None:
-            self.record.carried(marker, t_s, mean, joint[:_AWAY])
+            self.record.carried(marker, t_s, mean, moments[-1, :_AWAY])
 
 
-def _scatter(weight: FloatArray, filters: FloatArray) -> FloatArray:
-    """Return Σ w d d' (N, 6, 6) over the models."""
-    away = np.ascontiguousarray(filters[:, :, _AWAY])
-    scatter: FloatArray = np.ascontiguousarray((weight[:, :, None] * away).swapaxes(1, 2)) @ away
+def _scatter(weight: FloatArray, away: FloatArray) -> FloatArray:
+    """Return Σ w d d' (N, 6, 6) over the models (N, K, 6)."""
+    scatter: FloatArray = (weight[:, :, None] * away).swapaxes(1, 2) @ away
     return scatter
-
-
-def innovate(forecast: Forecast, R: FloatArray, t: FloatArray, xy: FloatArray, variance: FloatArray) -> Innovation:
-    """Compare observations with a forecast, to first order about its mean.
-
-    Args:
-        forecast: of N markers.
-        R: (3, 3) rotates rig directions into the camera frame.
-        t: (3,) metres; X_camera = R · X_rig + t.
-        xy: (N, 2) observed normalised image coordinates.
-        variance: (N, 2, 2) of the observation.
-    """
-    count = len(xy)
-    local = forecast.mean[:, :3] @ R.T + t
-    # A marker on or behind the image plane has no useful derivative; its innovation refuses it.
-    inverse = 1.0 / np.maximum(local[:, 2:], 1e-2)
-    projected = local[:, :2] * inverse
-    y = xy - projected
-    H = (R[:2] - projected[:, :, None] * R[2]) * inverse[:, :, None]
-    Ht = np.ascontiguousarray(H.swapaxes(1, 2))
-    B = (forecast.filters.reshape(count, _MODELS * (_AWAY + 1), 6)[:, :, :3] @ Ht).reshape(count, _MODELS, _AWAY + 1, 2)
-    B[:, :, _AWAY] -= y[:, None]
-    S = H[:, None] @ B[:, :, :3]
-    S += variance[:, None]
-    a, b, _, c = S.reshape(count, _MODELS, 4).transpose(2, 0, 1)
-    return Innovation(y, B, S, a * c - b * b)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.sightings import BoolArray, CountArray, FloatArray, IndexArray
+from rhot_fusion.sightings import BoolArray, FloatArray, IndexArray
 
 _FRESH_PERIODS = 1.5
 _FRESH_S = 0.04
@@ -57,12 +57,16 @@ class Presence:
         self.fresh[:, found] = views
         self.sure[:, found] = False
 
-    def backing(self, t_s: float, schedule: Schedule) -> tuple[CountArray, CountArray]:
+    def backing(self, t_s: float, schedule: Schedule) -> tuple[list[int], list[int]]:
         """Return how many cameras (M,) show each marker at a moment, and how many of them are sure."""
         near = [
             t_s - seen_s <= max(_FRESH_PERIODS * schedule.period_s(place), _FRESH_S)
             for place, seen_s in enumerate(self.frame_s)
         ]
-        if all(near):
-            return np.count_nonzero(self.fresh, axis=0), np.count_nonzero(self.sure, axis=0)
-        return np.count_nonzero(self.fresh[near], axis=0), np.count_nonzero(self.sure[near], axis=0)
+        return _counted(self.fresh, near), _counted(self.sure, near)
+
+
+def _counted(flags: BoolArray, near: list[bool]) -> list[int]:
+    """Return of how many of the near cameras (C,) each marker's flag (C, M) is set."""
+    rows = [row for row, here in zip(flags.tolist(), near, strict=True) if here]
+    return [sum(column) for column in zip(*rows, strict=True)] or [0] * flags.shape[1]

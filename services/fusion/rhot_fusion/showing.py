@@ -1,7 +1,11 @@
-"""What is shown of the filters' markers: at one moment, no faster than is believable, hidden ones with their hand."""
+"""What is shown of the filters' markers: at one moment, no faster than is believable, hidden ones with their hand.
+
+Plain numbers, marker by marker: for a handful of them numpy's calls cost twice what the sums do.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 import numpy as np
@@ -12,7 +16,7 @@ from rhot_fusion.coherence import HandCoherence
 from rhot_fusion.motion_bank import MotionBank
 from rhot_fusion.presence import Presence
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.sightings import BoolArray, FloatArray, Outcome
+from rhot_fusion.sightings import FloatArray, Outcome
 
 _QUIET_DEPTH_M = 0.004
 """Standard deviation in depth up to which a marker is shown as fast as it moves."""
@@ -27,10 +31,7 @@ _COAST_M_S = 0.8
 _DAMPING_S = 0.1
 """Speeds of markers that are not seen fade within this."""
 _FEWEST_SIBLINGS = 2
-# A product with ones costs a third of what `sum` does.
-_OF_PLACE: FloatArray = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-_OF_SPEED: FloatArray = 1.0 - _OF_PLACE
-_ALL: FloatArray = np.ones(3)
+_NOWHERE = [math.nan] * 3
 
 
 def ahead_s(elapsed_s: FloatArray) -> FloatArray:
@@ -53,49 +54,63 @@ class Showing:
     ) -> None:
         self._bank, self._presence, self._hands = bank, presence, hands
         self._caps, self._schedule, self._counts = caps, schedule, counts
-        count = len(bank.mean)
-        self._shown: FloatArray = np.full((count, 3), np.nan)
-        self._shown_s = -np.inf
-        self._volume_m: object = None
-        self._volume: FloatArray = np.zeros((2, 3))
-        self.gliding = np.zeros(count, dtype=bool)
+        self._count = len(bank.mean)
+        self.clear()
 
     def clear(self) -> None:
         """Forget what was shown."""
-        self._shown[:] = np.nan
-        self._shown_s = -np.inf
-        self.gliding[:] = False
+        self._shown = [_NOWHERE] * self._count
+        self._shown_s = -math.inf
+        # Markers on their way to where they are seen.
+        self._gliding = [False] * self._count
+
+    def found(self, marker: int, *, elsewhere: bool) -> None:
+        """Note that a marker was found, and whether it was shown elsewhere until then."""
+        self._gliding[marker] = elsewhere
 
     def outcome(self, t_s: float, config: FusionConfig) -> Outcome:
         """Return the markers at a moment, or as much later as they are to be predicted."""
         bank, presence = self._bank, self._presence
-        tracked = presence.tracked
         views, sure = presence.backing(t_s, self._schedule)
-        if config.volume_m != self._volume_m:
-            self._volume_m, self._volume = config.volume_m, np.array(config.volume_m)
-        place = bank.mean[:, :3]
-        if not ((place >= self._volume[0]) & (place <= self._volume[1])).all():
-            tracked &= ((place >= self._volume[0]) & (place <= self._volume[1])).all(axis=1)
-        measured = tracked & (sure >= 2)
-        presence.backed_s[measured] = t_s
-        count = int(np.count_nonzero(measured))
+        (left, top, near), (right, bottom, far) = config.volume_m
+        for marker, (x, y, z) in enumerate(bank.mean[:, :3].tolist()):
+            if not (left <= x <= right and top <= y <= bottom and near <= z <= far):
+                presence.tracked[marker] = False
+        measured = [here and cameras >= 2 for here, cameras in zip(presence.tracked.tolist(), sure, strict=True)]
+        count = sum(measured)
         self._counts["measured"] += count
-        if count < len(measured):
-            tracked &= t_s - presence.backed_s <= config.hold_s
+        if count == len(measured):
+            presence.backed_s.fill(t_s)
+        else:
+            presence.backed_s[measured] = t_s
+            presence.tracked &= t_s - presence.backed_s <= config.hold_s
             self._coast(t_s)
-        ahead = np.where(tracked, t_s - bank.t_s, 0.0)
-        position = bank.mean[:, 3:] * (ahead_s(ahead) + config.predict_s)[:, None]
-        position += bank.mean[:, :3]
-        variance = bank.variances @ _OF_PLACE + ahead * ahead * (bank.variances @ _OF_SPEED)
-        shape_sigma = self._caps.sigmas()
-        if not tracked.all():
-            position[~tracked] = np.nan
-            views = np.where(tracked, views, 0)
-        self._glide(position, measured, t_s, config)
-        # On its way to where it is seen a marker is not where it is seen.
-        measured &= ~self.gliding
-        sigma = np.sqrt(variance + shape_sigma * shape_sigma)
-        return Outcome(t_s + config.predict_s, position, sigma, views, measured, presence.fresh.copy(), shape_sigma)
+        tracked, shape_sigma = presence.tracked.tolist(), self._caps.sigmas()
+        longest = config.max_speed_m_s * min(t_s - self._shown_s, self._schedule.longest_period_s)
+        shown, sigmas = [_NOWHERE] * self._count, [0.0] * self._count
+        for marker, (here, (x, y, z, vx, vy, vz), (sx, sy, sz, su, sv, sw), seen_s, shape) in enumerate(
+            zip(tracked, bank.mean.tolist(), bank.variances.tolist(), bank.t_s.tolist(), shape_sigma, strict=True)
+        ):
+            if not here:
+                views[marker] = 0
+                self._gliding[marker] = False
+                continue
+            ahead = t_s - seen_s
+            path = config.predict_s - _DAMPING_S * math.expm1(ahead * (-1.0 / _DAMPING_S))
+            place = [x + path * vx, y + path * vy, z + path * vz]
+            # What was found again elsewhere, or is only predicted, has no haste.
+            unsure = self._gliding[marker] or not measured[marker]
+            # Depth that is known badly is no reason to jump.
+            quiet = min(max(_QUIET_DEPTH_M / (math.sqrt(sz) + 1e-6), _SLOWEST_GLIDE), 1.0)
+            shown[marker], fast = _glided(
+                self._shown[marker], place, _UNSURE_GLIDE * longest if unsure else longest, quiet * longest
+            )
+            # On its way to where it is seen a marker is not where it is seen.
+            self._gliding[marker] = unsure and fast
+            measured[marker] = measured[marker] and not self._gliding[marker]
+            sigmas[marker] = math.sqrt(sx + sy + sz + ahead * ahead * (su + sv + sw) + shape * shape)
+        self._shown, self._shown_s = shown, t_s
+        return Outcome(t_s + config.predict_s, shown, sigmas, views, measured, presence.fresh.tolist(), shape_sigma)
 
     def _coast(self, t_s: float) -> None:
         """Carry markers that no camera sees along with the others of their hand."""
@@ -114,24 +129,27 @@ class Showing:
             spread = _COAST_M_S * np.sqrt(max(age**2 - (age - dt) ** 2, 0.0))
             bank.carry(marker, velocity * dt, velocity, spread, t_s)
 
-    def _glide(self, position: FloatArray, measured: BoolArray, t_s: float, config: FusionConfig) -> None:
-        """Let no marker be shown to move faster than is believable, such as when it is found again elsewhere."""
-        step = position - self._shown
-        longest = config.max_speed_m_s * min(t_s - self._shown_s, self._schedule.longest_period_s)
-        # Depth that is known badly is no reason to jump.
-        quiet = _QUIET_DEPTH_M / (np.sqrt(self._bank.variances[:, 2]) + 1e-6)
-        deepest = longest * np.minimum(np.maximum(quiet, _SLOWEST_GLIDE), 1.0)
-        # NaN, of markers that were not shown before, compares as false and stays.
-        held = np.abs(step[:, 2]) > deepest
-        if held.any():
-            step[held, 2] = np.copysign(deepest, step[:, 2])[held]
-            position[held] = self._shown[held] + step[held]
-        length = np.sqrt((step * step) @ _ALL)
-        # What was found again elsewhere, or is only predicted, has no haste.
-        unsure = self.gliding | ~measured
-        allowed = np.where(unsure, _UNSURE_GLIDE * longest, longest)
-        fast = length > allowed
-        self.gliding = unsure & fast
-        if fast.any():
-            position[fast] = self._shown[fast] + step[fast] * (allowed[fast] / length[fast])[:, None]
-        self._shown, self._shown_s = position, t_s
+
+def _glided(shown: list[float], place: list[float], longest_m: float, deepest_m: float) -> tuple[list[float], bool]:
+    """Let no marker be shown to move faster than is believable, such as when it is found again elsewhere.
+
+    Args:
+        shown: where it was shown before, metres; NaN = it was not, and stays where it is.
+        place: where it is.
+        longest_m: how far it may go.
+        deepest_m: how far in depth.
+
+    Returns:
+        Where to show it, and whether that is not yet where it is, but for its depth.
+    """
+    (x0, y0, z0), (x, y, z) = shown, place
+    dx, dy, dz = x - x0, y - y0, z - z0
+    # NaN compares as false.
+    if abs(dz) > deepest_m:
+        dz = math.copysign(deepest_m, dz)
+        place = [x, y, z0 + dz]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if length > longest_m:
+        share = longest_m / length
+        return [x0 + share * dx, y0 + share * dy, z0 + share * dz], True
+    return place, False

@@ -41,7 +41,7 @@ class Sightings:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The markers at one moment.
+    """The markers at one moment, in plain numbers.
 
     Attributes:
         t_s: the moment, seconds since the stream's start.
@@ -54,12 +54,12 @@ class Outcome:
     """
 
     t_s: float
-    position: FloatArray
-    sigma_m: FloatArray
-    views: CountArray
-    measured: BoolArray
-    seen: BoolArray
-    shape_sigma_m: FloatArray | None = None
+    position: list[list[float]]
+    sigma_m: list[float]
+    views: list[int]
+    measured: list[bool]
+    seen: list[list[bool]]
+    shape_sigma_m: list[float] | None = None
 
 
 class Tracker(Protocol):

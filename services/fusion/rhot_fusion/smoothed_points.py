@@ -27,7 +27,7 @@ class PublishedSet:
 
     points: PointSet
     t_s: float
-    shape_sigma_m: FloatArray
+    shape_sigma_m: list[float]
 
 
 def smoothed_points(
@@ -39,7 +39,7 @@ def smoothed_points(
     times = np.array([one.t_s for one in published])
     read = [path.at(times) for path in paths]
     place, variance = np.stack([position for position, _ in read], axis=1), np.stack([v for _, v in read], axis=1)
-    sigma = np.sqrt(variance + np.stack([one.shape_sigma_m for one in published]) ** 2)
+    sigma = np.sqrt(variance + np.array([one.shape_sigma_m for one in published]) ** 2)
     index = {name: marker for marker, name in enumerate(names)}
     return [_moved(one.points, index, place[row], sigma[row]) for row, one in enumerate(published)]
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
+from itertools import islice
 from statistics import median
 
 import numpy as np
@@ -186,14 +188,24 @@ class FusionStage:
         for points in patches.values():
             uv += points
         xy = self._models[camera].undistort(np.array(uv))
-        for first, name in enumerate(patches):
-            t_ns = frame.markers[name].t_ns
-            t_s = frame_s if t_ns is None else (t_ns - base_ns) * 1e-9
-            self._corners.observe(camera, name, t_s, xy[count + 5 * first : count + 5 * first + 5])
+        if patches:
+            corners = iter(xy[count:].tolist())
+            for name in patches:
+                t_ns = frame.markers[name].t_ns
+                t_s = frame_s if t_ns is None else (t_ns - base_ns) * 1e-9
+                self._corners.observe(camera, name, t_s, list(islice(corners, 5)))
         middle_s = median(times) if times else frame_s
-        return Sightings(
+        seen = Sightings(
             camera, middle_s, np.array(places, dtype=np.intp), np.array(times), xy[:count], np.array(areas)
         )
+        return seen if math.isfinite(seen.xy.sum()) else self._inside_lens(seen)
+
+    def _inside_lens(self, seen: Sightings) -> Sightings:
+        """Return the sightings at which the camera's lens model has an inverse."""
+        there = np.isfinite(seen.xy).all(axis=1)
+        self.counts["outside"] += int(np.count_nonzero(~there))
+        index, times, xy, area = seen.index[there], seen.times_s[there], seen.xy[there], seen.area_px[there]
+        return replace(seen, index=index, times_s=times, xy=xy, area_px=area)
 
     def _make_tracker(self, config: FusionConfig) -> Tracker:
         rig = self._rig
@@ -202,15 +214,14 @@ class FusionStage:
 
     def _points(self, outcome: Outcome) -> dict[str, Point]:
         points: dict[str, Point] = {}
-        columns = (outcome.position, outcome.sigma_m, outcome.views, outcome.measured)
         for index, (name, (x, y, z), sigma, views, measured) in enumerate(
-            zip(self._markers, *(column.tolist() for column in columns), strict=True)
+            zip(self._markers, outcome.position, outcome.sigma_m, outcome.views, outcome.measured, strict=True)
         ):
             if math.isnan(x):
                 continue
             corners = None
             if measured and name in self._corners.names:
-                cameras = np.flatnonzero(outcome.seen[:, index]).tolist()
+                cameras = [camera for camera, seen in enumerate(outcome.seen) if seen[index]]
                 corners = self._corners.solve(name, cameras, (x, y, z), outcome.t_s)
             state: State = "measured" if measured else "predicted"
             points[name] = Point(position=(x, y, z), sigma=sigma, views=views, state=state, corners=corners)
