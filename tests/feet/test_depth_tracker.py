@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rhot.camera import CameraModel
 from rhot.messages import Side
 from rhot.rotations import rotation_x
-from rhot_feet.depth_floor import find_floor
+from rhot_feet.depth_floor import FloorPlane, find_floor
 from rhot_feet.depth_points import COARSE_PX, PixelRays
 from rhot_feet.depth_tracker import DepthTracker
 from rhot_feet.expectation import FootExpectation
@@ -97,6 +97,29 @@ def test_hidden_feet_are_found_where_they_went() -> None:
             normalised.append(errors[-1] @ np.linalg.solve(foot.covariance, errors[-1]) / 3.0)
     assert 1e3 * float(np.mean(np.linalg.norm(errors, axis=1))) < 12.0
     assert float(np.mean(normalised)) < 2.0
+
+
+def test_a_foot_half_hidden_by_a_knee_stays_where_it_is() -> None:
+    tracker, marker = DepthTracker(RANGE), place(0.0, 0.085, 0.7)
+    for seed in range(4):
+        tracker.feed(picture({"left": marker}, seed), {}, {"left": expected(marker)}, UP)
+    depths = np.minimum(plane_depths(CAMERA, UP, FLOOR), np.where((it := foot_depths(marker)) > 0.0, it, np.inf))
+    # A knee near the camera stands before the toes.
+    row = round(float(CAMERA.project(marker[None])[0, 1])) - 10
+    depths[:row] = 0.6
+    half = DepthFrame(9, background(CAMERA), depth_image(depths, 9), CAMERA, 9)
+    found = tracker.feed(half, {"left": expected(marker + np.array([0.01, 0.0, 0.01]))}, {}, UP)
+    assert set(found.feet) == {"left"}, found.refused
+    assert 1e3 * float(np.linalg.norm(found.feet["left"].place - marker)) < 12.0
+
+
+def test_a_floor_once_measured_is_where_the_moved_camera_sees_it() -> None:
+    floor = FloorPlane(-UP / float(-UP @ FLOOR))
+    turn, step = rotation_x(0.2), np.array([0.1, -0.2, 0.05])
+    T_old_new = np.eye(4)
+    T_old_new[:3, :3], T_old_new[:3, 3] = turn, step
+    point = turn.T @ (FLOOR + 0.3 * UP - step)
+    assert float(floor.seen_from(T_old_new).heights_m(point)) == pytest.approx(0.3, abs=1e-9)
 
 
 def test_feet_side_by_side_stay_two() -> None:

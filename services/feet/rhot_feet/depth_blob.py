@@ -3,7 +3,8 @@
 A foot is what stands above the floor within a cylinder about its marker and reaches not much higher than it: the shank,
 which looks alike all the way up, is left out. Where the two cylinders meet, each point goes to the nearer foot, so that
 feet side by side stay two. The cylinder is moved to where its own content says that the marker is, until it stays; its
-height stays as it was expected, for a cylinder that rises lets in ever more of the shank.
+height stays as it was expected, for a cylinder that rises lets in ever more of the shank. Of a foot that is partly
+hidden only the part in sight is compared (`depth_shape`).
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.camera import CameraModel
 from rhot.messages import Side
 from rhot_feet.depth_floor import FloorPlane
 from rhot_feet.depth_points import Mask, PointGrid
+from rhot_feet.depth_shape import FootShape, part_in_sight
 
 FloatArray = NDArray[np.float64]
 
@@ -32,7 +35,9 @@ _BELOW_MARKER_M: Final = 0.16
 _FLOOR_CLEARANCE_M: Final = 0.015
 _FLOOR_NOISE: Final = 0.008
 """Clearance from the floor grows by so much times the depth squared, as its noise does."""
-_ROUNDS: Final = 6
+_ROUNDS: Final = 10
+_FULL_ROUNDS: Final = 4
+"""After so many the steps are halved: where points come in and go out again, the search would swing."""
 _SETTLED_M: Final = 1e-3
 _MIN_POINTS: Final = 40
 _KERNEL: Final = np.ones((3, 3), np.uint8)
@@ -45,11 +50,13 @@ class BlobSeed:
     Attributes:
         place: (3,) expected place of the marker, metres, camera frame.
         offset: (3,) from the blob's centroid to the marker, metres, camera frame.
+        shape: the foot's whole surface, camera axes, where it is known.
         fixed: the marker is seen: its place is what it is, only its points are wanted.
     """
 
     place: FloatArray
     offset: FloatArray
+    shape: FootShape | None = None
     fixed: bool = False
 
 
@@ -59,17 +66,21 @@ class FootBlob:
 
     Attributes:
         place: (3,) of the marker as the blob tells it, metres, camera frame.
-        centroid: (3,) of the blob's points.
-        count: number of points.
+        centroid: (3,) of the blob's points, moved to where that of the whole foot would be.
+        points: (N, 3) of the blob.
+        weights: (N,) how much they count.
         area: weighted sum of their squared depths, proportional to the surface seen.
+        in_sight: 0 to 1, share of the foot's surface before which nothing stands; 1 while its shape is not known.
         cut: 0 to 1, share of its points at the picture's edge: some of the foot is out of sight.
         settled: the search came to rest.
     """
 
     place: FloatArray
     centroid: FloatArray
-    count: int
+    points: FloatArray
+    weights: FloatArray
     area: float
+    in_sight: float
     cut: float
     settled: bool
 
@@ -79,7 +90,7 @@ def find_blobs(
     seeds: Mapping[Side, BlobSeed],
     floor: FloorPlane | None,
     up_camera: FloatArray,
-    picture_size: tuple[int, int],
+    camera: CameraModel,
 ) -> dict[Side, FootBlob]:
     """Return the blobs of the feet; one of which too little is in sight is absent.
 
@@ -88,7 +99,7 @@ def find_blobs(
         seeds: foot to where it is looked for.
         floor: the floor, where it is known.
         up_camera: (3,) unit vector out of the floor or against gravity, camera frame.
-        picture_size: width and height of the whole picture, pixels.
+        camera: the lens.
     """
     solid = grid.valid.copy()
     if floor is not None:
@@ -104,7 +115,9 @@ def find_blobs(
     places = {side: seed.place for side, seed in seeds.items()}
     members: dict[Side, Mask] = {}
     moved: dict[Side, float] = dict.fromkeys(seeds, np.inf)
-    for _ in range(_ROUNDS):
+    in_sight: dict[Side, float] = dict.fromkeys(seeds, 1.0)
+    hidden_shift: dict[Side, FloatArray] = dict.fromkeys(seeds, np.zeros(3))
+    for turn in range(_ROUNDS):
         distances = {side: _distances(points, levels, place, up_camera) for side, place in places.items()}
         for side, seed in seeds.items():
             # Shoe and heel hang together by way of the shank, which itself does not count.
@@ -114,10 +127,15 @@ def find_blobs(
                 members.pop(side, None)
                 continue
             members[side] = member
+            if seed.shape is not None:
+                in_sight[side], hidden_shift[side] = part_in_sight(seed.shape, places[side], grid, camera)
             if seed.fixed:
                 moved[side] = 0.0
                 continue
-            place = np.average(points[member], axis=0, weights=weights[side][member]) + seed.offset
+            place = np.average(points[member], axis=0, weights=weights[side][member])
+            place += hidden_shift[side] + seed.offset
+            if turn >= _FULL_ROUNDS:
+                place = 0.5 * (place + places[side])
             moved[side] = float(np.linalg.norm(place - places[side]))
             places[side] = place
         if all(step < _SETTLED_M for step in moved.values()):
@@ -127,10 +145,12 @@ def find_blobs(
         inside, share = points[member], weights[side][member]
         blobs[side] = FootBlob(
             places[side],
-            np.average(inside, axis=0, weights=share),
-            int(member.sum()),
+            np.average(inside, axis=0, weights=share) + hidden_shift[side],
+            inside,
+            share,
             float(share @ inside[:, 2] ** 2),
-            _cut(grid, rows[member], columns[member], picture_size),
+            in_sight[side],
+            _cut(grid, rows[member], columns[member], camera),
             moved[side] < 10.0 * _SETTLED_M,
         )
     return blobs
@@ -177,7 +197,7 @@ def _connected(
     return chosen
 
 
-def _cut(grid: PointGrid, rows: NDArray[np.intp], columns: NDArray[np.intp], picture_size: tuple[int, int]) -> float:
+def _cut(grid: PointGrid, rows: NDArray[np.intp], columns: NDArray[np.intp], camera: CameraModel) -> float:
     """Return the share of a blob's points that lie at the picture's edge, against what its outline would have there."""
     height, width = grid.valid.shape
     edge = np.zeros(len(rows), dtype=np.bool_)
@@ -185,8 +205,8 @@ def _cut(grid: PointGrid, rows: NDArray[np.intp], columns: NDArray[np.intp], pic
         edge |= columns <= 1
     if grid.region.top <= 0:
         edge |= rows <= 1
-    if grid.region.right >= picture_size[0]:
+    if grid.region.right >= camera.width:
         edge |= columns >= width - 2
-    if grid.region.bottom >= picture_size[1]:
+    if grid.region.bottom >= camera.height:
         edge |= rows >= height - 2
     return min(1.0, float(edge.sum()) / float(np.sqrt(len(rows))))

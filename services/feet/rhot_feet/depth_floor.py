@@ -49,6 +49,11 @@ class FloorPlane:
         heights: FloatArray = (1.0 - points @ self.coefficients) / float(np.linalg.norm(self.coefficients))
         return heights
 
+    def seen_from(self, T_old_new: FloatArray) -> FloorPlane:
+        """Return the same floor in the frame of a camera that has moved; (4, 4) maps its new frame to its old one."""
+        coefficients = T_old_new[:3, :3].T @ self.coefficients
+        return FloorPlane(coefficients / (1.0 - float(self.coefficients @ T_old_new[:3, 3])))
+
 
 def find_floor(
     grid: PointGrid, up_camera: FloatArray | None = None, previous: FloorPlane | None = None

@@ -40,7 +40,7 @@ _NO_RATE: Final = np.zeros(3)
 _FLOOR: Final = 0.001**2 * np.eye(3)
 """m²: no place out of a picture is better than a millimetre."""
 _ROTATION_FLOOR: Final = np.radians(1.0) ** 2 * np.eye(3)
-_DEPTH_ALIKE_S: Final = 0.03
+_DEPTH_ALIKE_S: Final = 0.01
 """Correlation time of the errors of places out of the depth image: a shoe shows the same side for a while."""
 _YAW_IN_MOTION_RAD: Final = math.radians(9.0)
 """A foot that swings in sight is better served without a sensor whose yaw is worse known than this."""

@@ -24,7 +24,6 @@ from rhot_feet.strapdown import (
     InertialStep,
     Strapdown,
     correct,
-    correct_place,
     skew,
 )
 
@@ -157,8 +156,7 @@ class InertialModel:
 
     def observe(self, state: InertialState, observation: Observation) -> InertialState:
         """Return the state after an observation of its moment."""
-        update = correct_place if observation.stage == "depth" else correct
-        return update(state, *self._linearised(state, observation))
+        return correct(state, *self._linearised(state, observation))
 
     def rest(self, state: InertialState, speed_sigma: float, gate: float | None) -> InertialState:
         """Return the state after the sensor's velocity was felt to be zero."""

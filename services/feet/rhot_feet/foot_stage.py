@@ -54,7 +54,7 @@ _STRAYS: Final = 0.1
 """By how much, and by how much more a second, a foot carried by its sensor is farther off than its filter thinks: tilt
 and bias of a sensor are no white noise. The gates leave it that much room."""
 _LEARN_EVERY: Final = 4
-"""While no foot is hidden, the depth stage only learns, which it need not do from every picture."""
+"""The depth stage need not learn from every picture in which a marker is seen."""
 _SILENT_NS: Final = 60_000_000
 """Poses go on as of so long ago when nothing is measured any more."""
 
@@ -160,7 +160,7 @@ class FootStage:
     def look(self, view: View) -> Seen:
         """Find the feet in a picture; pictures come here one after the other, in order of time."""
         up_camera = view.T_rig_camera[:3, :3].T @ self._up
-        floor = self._blobs.find_floor(view.frame, up_camera)
+        floor = self._blobs.find_floor(view.frame, up_camera, view.T_rig_camera)
         markers = self._markers.feed(view.frame, view.expected, up_camera, floor)
         seen: dict[Side, FootExpectation] = {}
         for side, marker in markers.markers.items():
@@ -173,9 +173,10 @@ class FootStage:
                 seen[side] = FootExpectation(marker.place, marker.covariance[3:, 3:], R)
         hidden = {side: foot for side, foot in view.expected.items() if side not in markers.markers}
         self._looks += 1
-        if not hidden and self._looks % _LEARN_EVERY:
+        learns = self._looks % _LEARN_EVERY == 0
+        if not (hidden or learns):
             return Seen(view, markers, DepthSightings({}, {}, None))
-        return Seen(view, markers, self._blobs.feed(view.frame, hidden, seen, up_camera))
+        return Seen(view, markers, self._blobs.feed(view.frame, hidden, seen, up_camera, learns=learns))
 
     def take(self, seen: Seen) -> None:
         """Put into the filters what a picture showed."""

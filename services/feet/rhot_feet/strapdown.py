@@ -189,26 +189,6 @@ class Strapdown:
         )
 
 
-def correct_place(state: InertialState, H: FloatArray, residual: FloatArray, noise: FloatArray) -> InertialState:
-    """Return the state after a measurement that may move place and velocity, but teaches nothing about the sensor.
-
-    Its noise is no white one: what it would teach about biases and lever is its own error. A filter that considers
-    errors without estimating them (Schmidt 1966), hence the longer form of the covariance.
-
-    Args:
-        state: before it.
-        H: (m, 21) derivative of the measurement by the errors.
-        residual: (m,) measured minus expected.
-        noise: (m, m) covariance of the measurement.
-    """
-    PHt = state.P @ H.T
-    K = np.linalg.solve(H @ PHt + noise, PHt.T).T
-    K[ATTITUDE.start :] = 0.0
-    A = _UNITS - K @ H
-    P = A @ state.P @ A.T + K @ noise @ K.T
-    return inject(state, K @ residual, 0.5 * (P + P.T))
-
-
 def correct(state: InertialState, H: FloatArray, residual: FloatArray, noise: FloatArray) -> InertialState:
     """Return the state after a measurement.
 
