@@ -9,7 +9,7 @@ import msgpack
 import pytest
 import zenoh
 
-from rhot.bus import Answer, Bus, Request
+from rhot.bus import Answer, Bus, Reply, Request
 from rhot.errors import BusError, ConfigError
 from rhot.messages import Control, Marker, MarkerFrame, decode
 from rhot.rig import BusConfig
@@ -23,6 +23,14 @@ def frame(t_ns: int, camera: str = "left") -> MarkerFrame:
         height=480,
         markers={"thumb": Marker(u=1.0, v=2.0, area=3.0, score=0.5)},
     )
+
+
+async def answers(asker: Bus, selector: str) -> list[Reply]:
+    """Ask until somebody answers: a queryable is known to others only some moments after it was declared."""
+    async with asyncio.timeout(5):
+        while not (replies := await asker.get(selector)):
+            await asyncio.sleep(0.001)
+    return replies
 
 
 async def test_a_message_arrives_as_sent_and_numbered(router: BusConfig) -> None:
@@ -70,16 +78,17 @@ async def test_the_last_value_answers_queries_as_msgpack_and_as_json(router: Bus
         assert await asker.get("rhot/markers/*") == [], "nothing before the first message"
         publisher.put(frame(5))
         publisher.put(frame(6))
-        (packed,) = await asker.get("rhot/markers/left")
-        (text,) = await asker.get("rhot/**?format=json")
+        (packed,) = await answers(asker, "rhot/markers/left")
+        (text,) = await answers(asker, "rhot/**?format=json")
     assert decode(packed.payload, MarkerFrame).t_ns == 6
     assert json.loads(text.payload)["markers"]["thumb"]["u"] == 1.0
     assert text.encoding == "application/json"
 
 
 async def test_plain_zenoh_reads_the_keys_without_our_code(router: BusConfig) -> None:
-    async with await Bus.open(router) as sender:
+    async with await Bus.open(router) as sender, await Bus.open(router) as asker:
         sender.publisher("rhot/markers/left", MarkerFrame).put(frame(5))
+        await answers(asker, "rhot/markers/left")
         config = zenoh.Config.from_json5(json.dumps({"mode": "client", "connect": {"endpoints": list(router.connect)}}))
 
         def ask() -> list[zenoh.Reply]:
@@ -101,8 +110,8 @@ async def test_a_handler_that_fails_answers_with_its_reason(router: BusConfig) -
     async with await Bus.open(router) as server, await Bus.open(router) as asker:
         server.queryable("rhot/preview/left", refuse, slow=True)
         server.queryable("rhot/crash", crash)
-        (refused,) = await asker.get("rhot/preview/left?mask=toe")
-        (crashed,) = await asker.get("rhot/crash")
+        (refused,) = await answers(asker, "rhot/preview/left?mask=toe")
+        (crashed,) = await answers(asker, "rhot/crash")
     assert refused.error == "no such mask: toe"
     assert "oops" in crashed.error
 
