@@ -19,7 +19,7 @@ from rhot.rig.folder import write_text_atomic
 from rhot.sim.walker.folder import write_walker_rig
 from rhot_bench.feet_runs import SIDES, Played, Run, play
 from rhot_bench.feet_sections import MM, TASKS, feet_sections
-from rhot_bench.output import counted, json_option, show
+from rhot_bench.output import counted, json_option, page_option, show
 
 HEIGHTS_M: Final = (1.50, 1.60, 1.75, 1.90, 2.00)
 RUNS: Final = {
@@ -51,13 +51,7 @@ _LONGER: Final = {"inertial": 2.0}
     help="Seconds of each; drawing and tracking take about three times as long.",
 )
 @json_option
-@click.option(
-    "--html",
-    "html_path",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.html",
-    help="Write tables and plots as one HTML file.",
-)
+@page_option("--html")
 @click.option(
     "--rig",
     "rig_path",
@@ -69,7 +63,7 @@ def feet(
     seeds: int,
     duration_s: float,
     json_path: Path | None,
-    html_path: Path | None,
+    page_path: Path | None,
     rig_path: Path | None,
 ) -> None:
     """Track the feet of a simulated person and compare with the truth.
@@ -86,7 +80,7 @@ def feet(
     height_*   knees of persons from 1.50 to 2.00 m
     """  # noqa: D301
     check_output("--json", json_path)
-    check_output("--html", html_path)
+    check_output("--html", page_path)
     chosen = _chosen(runs)
     cv2.setNumThreads(1)
     console = Console(stderr=True, soft_wrap=True)
@@ -103,10 +97,10 @@ def feet(
                 done.setdefault(run.name, []).append(one)
     sections = feet_sections(done)
     show("evaluate feet", sections, json_path, seeds=seeds, seconds=duration_s, runs=[run.name for run in chosen])
-    if html_path is not None:
+    if page_path is not None:
         text = f"Simulated persons, seeds 1 to {seeds}, {duration_s:g} s each. Truth is the centre of each marker."
-        write_text_atomic(html_path, html_report("Feet against truth", text, sections, _plots(done)))
-        console.print(f"report: {html_path}")
+        write_text_atomic(page_path, html_report("Feet against truth", text, sections, _plots(done)))
+        console.print(f"report: {page_path}")
 
 
 def _chosen(names: str | None) -> list[Run]:

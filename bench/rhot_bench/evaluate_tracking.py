@@ -16,7 +16,7 @@ from rhot.evaluate.rows import check_output
 from rhot.evaluate.svg import histogram, line_plot
 from rhot.rig import Rig
 from rhot.rig.folder import write_text_atomic
-from rhot_bench.output import counted, json_option, show
+from rhot_bench.output import counted, json_option, page_option, show
 from rhot_bench.simulated_rig import simulated_rig
 from rhot_bench.tracking import MM, SETTLE_S, Scene, Tracked, run_scene, tracking_sections
 
@@ -55,13 +55,7 @@ _LEAST_S: Final = 0.6
 )
 @click.option("--quick", is_flag=True, help="A tenth of the time, rougher figures.")
 @json_option
-@click.option(
-    "--report",
-    "report_path",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.html",
-    help="Write tables and plots as one HTML file.",
-)
+@page_option("--report")
 @click.option(
     "--rig",
     "rig_path",
@@ -76,7 +70,7 @@ def tracking(
     method: str | None,
     quick: bool,
     json_path: Path | None,
-    report_path: Path | None,
+    page_path: Path | None,
     rig_path: Path | None,
 ) -> None:
     """Track simulated pictures and compare every point and joint with the truth.
@@ -90,7 +84,7 @@ def tracking(
     fast    the script sped up: accuracy at 1.5 m/s, lag
     """  # noqa: D301
     check_output("--json", json_path)
-    check_output("--report", report_path)
+    check_output("--report", page_path)
     share = _QUICK if quick else 1.0
     scenes = {
         "script": Scene("script", "script", 1.0, max(duration_s * share, _LEAST_S)),
@@ -114,10 +108,10 @@ def tracking(
     sections = tracking_sections(done)
     seconds = {name: one.scene.seconds for name, one in done.items()}
     show("evaluate tracking", sections, json_path, seed=seed, method=used, seconds=seconds)
-    if report_path is not None:
+    if page_path is not None:
         text = f"Simulated rig, seed {seed}, fusion method {used}. Truth is the centre of the painted volume."
-        write_text_atomic(report_path, html_report("Tracking against truth", text, sections, _plots(done)))
-        console.print(f"report: {report_path}")
+        write_text_atomic(page_path, html_report("Tracking against truth", text, sections, _plots(done)))
+        console.print(f"report: {page_path}")
 
 
 def _with_method(rig: Rig, method: str) -> Rig:

@@ -26,6 +26,21 @@ def json_option(command: F) -> F:
     )(command)
 
 
+def page_option(flag: str) -> Callable[[F], F]:
+    """Return what gives a command the option of this name for a page with its tables and plots, as `page_path`."""
+
+    def add(command: F) -> F:
+        return click.option(
+            flag,
+            "page_path",
+            type=click.Path(path_type=Path, dir_okay=False),
+            metavar="FILE.html",
+            help="Write tables and plots as one HTML file.",
+        )(command)
+
+    return add
+
+
 def counted(console: Console) -> Progress:
     """Return a display of work that is counted, with the time it still takes; it goes when the work is done."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

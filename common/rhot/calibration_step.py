@@ -13,6 +13,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final, Literal, Protocol
 
+from rhot.errors import ConfigError
 from rhot.rig.config import BusConfig
 
 GROUP: Final = "rhot.page_steps"
@@ -149,6 +150,18 @@ class CalibrationStep(Protocol):
     async def point(self, camera: str, u: float, v: float, values: Mapping[str, str]) -> None:
         """Take a click at a raw pixel of a camera's picture; see `press`."""
         ...
+
+
+def typed_metres(what: str, text: str, example: str) -> float:
+    """Return a length that was typed in millimetres, with a point or a comma, in metres.
+
+    Raises:
+        ConfigError: not a number; `example` shows one.
+    """
+    try:
+        return 1e-3 * float(text.replace(",", "."))
+    except ValueError as error:
+        raise ConfigError(f"{what} '{text}': not a number; write millimetres, such as {example}") from error
 
 
 class _Absent:

@@ -1,4 +1,4 @@
-"""Arrays as the tuples that messages carry."""
+"""Arrays as the tuples that messages and files carry."""
 
 from __future__ import annotations
 

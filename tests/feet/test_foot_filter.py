@@ -295,10 +295,11 @@ def test_alignment_is_learnt_from_the_first_steps(yaw_rad: float) -> None:
     learner = AlignmentLearner(up_rotation(np.array([0.0, 1.0, 0.0])), np.zeros(3))
     t = np.arange(-1.0, 3.0, 0.01)
     samples = FusedReader().read(np.array([ns(x) for x in t]), *walk.imu(t, 2))
+    rotations = rotation_from_quaternion(samples.orientation_xyzw)
     random = np.random.default_rng(7)
     first = None
     for k, now in enumerate(t):
-        learner.imu(samples.rows(k, k + 1), [False])
+        learner.imu(samples.rows(k, k + 1), rotations[k : k + 1], [False])
         if k % 2:
             place, R = walk.foot(now)
             learner.marker(ns(now), place + random.normal(0.0, SIGMA_M, 3), SIGMA_M, R)

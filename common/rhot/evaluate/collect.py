@@ -111,6 +111,33 @@ def object_sample(pose: ObjectPose, age_s: float) -> ObjectSample:
     return ObjectSample(pose.t_ns, age_s, pose.position, pose.orientation, pose.state == "measured")
 
 
+async def follow(
+    mailbox: EventSubscriber,
+    model: type[M],
+    rig_now_ns: Callable[[], int],
+    keep: Callable[[str, M, float], None],
+    refuse: Callable[[], None],
+) -> None:
+    """Read messages until cancelled.
+
+    Args:
+        mailbox: where they arrive.
+        model: of all of them.
+        rig_now_ns: reads the rig clock.
+        keep: takes the last part of the key, the message, and its age in seconds when it arrived.
+        refuse: called for what is no such message.
+    """
+    async for sample in mailbox:
+        # Counted to the arrival, not to the moment at which this busy process found time to look.
+        arrived_t_ns = rig_now_ns() - (time.monotonic_ns() - sample.arrived_ns)
+        try:
+            message = decode(sample.payload, model)
+        except WireError:
+            refuse()
+            continue
+        keep(sample.key.rpartition("/")[2], message, (arrived_t_ns - message.t_ns) / 1e9)
+
+
 async def collect(bus: Bus, into: Collected, rig_now_ns: Callable[[], int]) -> None:
     """Collect hands, points and objects until cancelled.
 
@@ -120,16 +147,8 @@ async def collect(bus: Bus, into: Collected, rig_now_ns: Callable[[], int]) -> N
         rig_now_ns: reads the rig clock.
     """
 
-    async def follow(mailbox: EventSubscriber, model: type[M], keep: Callable[[str, M, float], None]) -> None:
-        async for sample in mailbox:
-            # Counted to the arrival, not to the moment at which this busy process found time to look.
-            arrived_t_ns = rig_now_ns() - (time.monotonic_ns() - sample.arrived_ns)
-            try:
-                message = decode(sample.payload, model)
-            except WireError:
-                into.invalid += 1
-                continue
-            keep(sample.key.rpartition("/")[2], message, (arrived_t_ns - message.t_ns) / 1e9)
+    def refuse() -> None:
+        into.invalid += 1
 
     def keep_points(_: str, points: PointSet, age_s: float) -> None:
         into.points.append(points_sample(points, age_s))
@@ -141,6 +160,6 @@ async def collect(bus: Bus, into: Collected, rig_now_ns: Callable[[], int]) -> N
         into.objects.setdefault(name, []).append(object_sample(pose, age_s))
 
     async with asyncio.TaskGroup() as tasks:
-        tasks.create_task(follow(bus.events("rhot/points"), PointSet, keep_points))
-        tasks.create_task(follow(bus.events("rhot/hand/*"), HandPose, keep_hand))
-        tasks.create_task(follow(bus.events("rhot/object/*"), ObjectPose, keep_object))
+        tasks.create_task(follow(bus.events("rhot/points"), PointSet, rig_now_ns, keep_points, refuse))
+        tasks.create_task(follow(bus.events("rhot/hand/*"), HandPose, rig_now_ns, keep_hand, refuse))
+        tasks.create_task(follow(bus.events("rhot/object/*"), ObjectPose, rig_now_ns, keep_object, refuse))

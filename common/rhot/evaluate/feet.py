@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -12,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.bus import Bus, EventSubscriber
-from rhot.errors import WireError
+from rhot.bus import Bus
+from rhot.evaluate.collect import follow
 from rhot.evaluate.figures import spread
-from rhot.messages import BodyPose, FootPose, Side, decode
+from rhot.messages import BodyPose, FootPose, Side
 from rhot.sim.walker.world import WalkerWorld
 
 FloatArray = NDArray[np.float64]
@@ -73,34 +72,21 @@ class CollectedFeet:
 async def collect_feet(bus: Bus, into: CollectedFeet, rig_now_ns: Callable[[], int]) -> None:
     """Collect feet and bodies until cancelled; `into` grows meanwhile, `rig_now_ns` reads the rig clock."""
 
-    async def feet(mailbox: EventSubscriber) -> None:
-        async for sample in mailbox:
-            arrived_ns = rig_now_ns() - (time.monotonic_ns() - sample.arrived_ns)
-            try:
-                pose = decode(sample.payload, FootPose)
-            except WireError:
-                into.invalid += 1
-                continue
-            into.feet.setdefault(pose.side, []).append(
-                FootSample(
-                    pose.t_ns, (arrived_ns - pose.t_ns) / 1e9, pose.position, pose.stage, pose.state == "measured"
-                )
-            )
+    def refuse() -> None:
+        into.invalid += 1
 
-    async def bodies(mailbox: EventSubscriber) -> None:
-        async for sample in mailbox:
-            try:
-                body = decode(sample.payload, BodyPose)
-            except WireError:
-                into.invalid += 1
-                continue
-            positions = {side: body.joints[f"{side}_knee"].position for side in body.legs}
-            backwards = any(angles.knee_flexion < 0.0 for angles in body.angles.values())
-            into.knees.append(KneesSample(body.t_ns, positions, backwards))
+    def keep_foot(_: str, pose: FootPose, age_s: float) -> None:
+        sample = FootSample(pose.t_ns, age_s, pose.position, pose.stage, pose.state == "measured")
+        into.feet.setdefault(pose.side, []).append(sample)
+
+    def keep_body(_: str, body: BodyPose, __: float) -> None:
+        positions = {side: body.joints[f"{side}_knee"].position for side in body.legs}
+        backwards = any(angles.knee_flexion < 0.0 for angles in body.angles.values())
+        into.knees.append(KneesSample(body.t_ns, positions, backwards))
 
     async with asyncio.TaskGroup() as tasks:
-        tasks.create_task(feet(bus.events("rhot/foot/*")))
-        tasks.create_task(bodies(bus.events("rhot/body")))
+        tasks.create_task(follow(bus.events("rhot/foot/*"), FootPose, rig_now_ns, keep_foot, refuse))
+        tasks.create_task(follow(bus.events("rhot/body"), BodyPose, rig_now_ns, keep_body, refuse))
 
 
 def feet_figures(

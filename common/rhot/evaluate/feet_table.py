@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rich import box
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
-from rhot.evaluate.table import number_text
+from rhot.evaluate.table import figures_table, number_text
 
 
 def live_feet_table(
@@ -20,7 +18,8 @@ def live_feet_table(
     head = Text.assemble(
         ("RHOT simulated feet", "bold"), f"   {elapsed_s:5.1f} of {duration_s:.0f} s   ", ("Ctrl-C ends it", "dim")
     )
-    tracking = _table("tracked", "rate /s", "error median mm", "error p95 mm", "worst mm", "age p50 ms", "stages")
+    tracking = figures_table("tracked", "rate /s", "error median mm", "error p95 mm", "worst mm", "age p50 ms")
+    tracking.add_column("stages")
     tracking.add_row(
         "feet",
         number_text(figures, "rate_hz"),
@@ -44,7 +43,8 @@ def live_feet_table(
 
 def feet_summary(report: Mapping[str, Any]) -> RenderableType:
     """Return the summary that ends a run; every number of it stands in the report."""
-    table = _table("figure", "value", "", title="Summary")
+    table = figures_table("figure", "value", title="Summary")
+    table.add_column("")
 
     def millimetres(*path: str) -> str:
         return f"{number_text(report, *path)} mm"
@@ -72,17 +72,3 @@ def stages_text(figures: Mapping[str, Any]) -> str:
     stages: Mapping[str, float] = figures.get("stages", {})
     ranked = sorted(stages.items(), key=lambda item: -item[1])
     return ", ".join(f"{stage} {100 * share:.0f} %" for stage, share in ranked)
-
-
-def _table(*columns: str, title: str | None = None) -> Table:
-    table = Table(
-        title=title,
-        title_justify="left",
-        header_style="bold",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        padding=(0, 1, 0, 0),
-    )
-    for column in columns:
-        table.add_column(column, justify="left" if column in ("tracked", "figure", "stages", "") else "right")
-    return table

@@ -23,6 +23,21 @@ def number_text(figures: Mapping[str, Any], *path: str, digits: int = 1) -> str:
     return f"{value:.{digits}f}" if isinstance(value, int | float) else _NOTHING
 
 
+def figures_table(*columns: str, title: str | None = None) -> Table:
+    """Return an empty table for names in the first column and figures in the others."""
+    table = Table(
+        title=title,
+        title_justify="left",
+        header_style="bold",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        padding=(0, 1, 0, 0),
+    )
+    for place, column in enumerate(columns):
+        table.add_column(column, justify="right" if place else "left")
+    return table
+
+
 def live_table(
     elapsed_s: float, duration_s: float, figures: Mapping[str, Any], services: RenderableType
 ) -> RenderableType:
@@ -36,9 +51,7 @@ def live_table(
     head = Text.assemble(
         ("RHOT simulated rig", "bold"), f"   {elapsed_s:5.1f} of {duration_s:.0f} s   ", ("Ctrl-C ends it", "dim")
     )
-    tracking = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    for column in ("tracked", "rate /s", "error median mm", "error p95 mm", "age p50 ms", "age p99 ms"):
-        tracking.add_column(column, justify="left" if column == "tracked" else "right")
+    tracking = figures_table("tracked", "rate /s", "error median mm", "error p95 mm", "age p50 ms", "age p99 ms")
     tracking.add_row(
         "fingertips",
         number_text(figures, "rate_hz"),
@@ -60,16 +73,7 @@ def live_table(
 
 def summary(report: Mapping[str, Any]) -> RenderableType:
     """Return the summary that ends a run; every number of it stands in the report."""
-    table = Table(
-        title="Summary",
-        title_justify="left",
-        header_style="bold",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        padding=(0, 1, 0, 0),
-    )
-    table.add_column("figure")
-    table.add_column("value", justify="right")
+    table = figures_table("figure", "value", title="Summary")
     table.add_column("", style="dim")
     coverage = f"{100 * report['coverage']:.2f} %" if "coverage" in report else _NOTHING
 
@@ -95,16 +99,7 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
     ]
     for row in rows:
         table.add_row(*row)
-    parts = Table(
-        title="Where the latency goes",
-        title_justify="left",
-        header_style="bold",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        padding=(0, 1, 0, 0),
-    )
-    for column in ("step", "p50 ms", "p99 ms"):
-        parts.add_column(column, justify="left" if column == "step" else "right")
+    parts = figures_table("step", "p50 ms", "p99 ms", title="Where the latency goes")
     for name, part in report.get("latency_ms", {}).get("parts", {}).items():
         parts.add_row(name, f"{part['p50']:.1f}", f"{part['p99']:.1f}")
     return Group(table, parts)

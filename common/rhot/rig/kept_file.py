@@ -6,10 +6,11 @@ The former file is put aside in the rig folder itself, so that a trial survives 
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Generic, TypeVar
 
-from rhot.errors import ConfigError
+from rhot.errors import ConfigError, RhotError
 from rhot.rig.calibration import CalibrationFile
 from rhot.rig.folder import read_json_model, write_json_model
 
@@ -62,6 +63,22 @@ class KeptFile(Generic[F]):
             self._content = None if stamp == _ABSENT else read_json_model(self.path, self._model)
             self._stamp = stamp
         return self._content
+
+    def standing(self, absent: tuple[str, bool], trial: str, kept: Callable[[F], tuple[str, bool]]) -> tuple[str, bool]:
+        """Return in words how the file stands, and whether the rig is calibrated by it.
+
+        Args:
+            absent: without a file.
+            trial: while it is on trial.
+            kept: of its content otherwise.
+        """
+        try:
+            content = self.content
+        except RhotError as error:
+            return str(error), False
+        if content is None:
+            return absent
+        return (trial, False) if self.on_trial else kept(content)
 
     def try_out(self, content: F) -> None:
         """Write new content; services that look at the file take it over, and `undo` brings the former one back.

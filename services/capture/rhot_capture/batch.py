@@ -45,7 +45,6 @@ class Batch:
     """Grids in one array; H and W hold the largest and a margin below and beside it.
 
     Attributes:
-        grids: the grids.
         shape: N, H and W.
         colours: (N, 4, H·W) float32: blue, green, red, 1.
         places: (6, H·W) float32: 1, x, y from the middle, x², xy, y².
@@ -56,7 +55,6 @@ class Batch:
     """
 
     def __init__(self, grids: Sequence[Grid]) -> None:
-        self.grids = grids
         count = len(grids)
         sizes = [grid.mask.shape for grid in grids]
         height = max([size[0] for size in sizes]) + _MARGIN_PX

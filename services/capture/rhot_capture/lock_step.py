@@ -12,7 +12,7 @@ import numpy as np
 
 from rhot.bus import Bus
 from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView
-from rhot.errors import BusError, ConfigError, DeviceError, RhotError
+from rhot.errors import BusError, ConfigError, RhotError
 from rhot.rig.folder import load_config
 from rhot_capture.color_live import decoded
 from rhot_capture.color_table import ImageArray
@@ -206,7 +206,7 @@ async def _look(bus: Bus, camera: str) -> CameraLook:
             unsaved=bool(keep.get("differs", False)),
             can_undo=bool(keep.get("can_undo", False)),
         )
-    except (RhotError, DeviceError) as error:
+    except RhotError as error:
         return CameraLook(str(error).removeprefix(f"camera {camera}: "))
     except (ValueError, KeyError, IndexError, TypeError):
         return CameraLook("its settings are not understood; do page and capture service have the same version?")

@@ -24,16 +24,16 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.rotations import rotation_from_quaternion
 from rhot_feet.alignment_equations import PRIOR, UNKNOWNS, Alignment, AlignmentEquations
 from rhot_feet.alignment_steps import Step, StepWatcher
 from rhot_feet.imu_sources.samples import ImuSamples
-from rhot_feet.inertial import LONGEST_STEP_S
+from rhot_feet.inertial import LONGEST_STEP_S, nearest_sample
 from rhot_feet.zero_velocity import GRAVITY
 
 FloatArray = NDArray[np.float64]
@@ -98,9 +98,11 @@ class AlignmentLearner:
             self._alignment, self._unsolved = self._equations.solve() or self._alignment, 0
         return self._alignment
 
-    def imu(self, samples: ImuSamples, stands: Sequence[bool]) -> None:
-        """Take samples, and whether the foot was felt to stand at each; a gap ends stretch and step."""
-        rotations = rotation_from_quaternion(samples.orientation_xyzw)
+    def imu(self, samples: ImuSamples, rotations: Sequence[FloatArray] | FloatArray, stands: Sequence[bool]) -> None:
+        """Take samples, their orientations R_world_sensor (3, 3), and whether the foot was felt to stand at each.
+
+        A gap ends stretch and step.
+        """
         for t_ns, force, R, still in zip(samples.t_ns.tolist(), samples.specific_force, rotations, stands, strict=True):
             if self._samples and t_ns - self._samples[-1][0] > LONGEST_STEP_S * 1e9:
                 self._samples.clear()
@@ -129,13 +131,8 @@ class AlignmentLearner:
 
     def _learn_turning(self, t_ns: int, rotation: FloatArray) -> None:
         """Take in an orientation."""
-        # From the newest backwards: a picture is a few samples old.
-        nearest = None
-        for sample in reversed(self._samples):
-            if nearest is not None and abs(sample[0] - t_ns) > abs(nearest[0] - t_ns):
-                break
-            nearest = sample
-        if nearest is None or abs(nearest[0] - t_ns) > LONGEST_STEP_S * 1e9:
+        nearest = nearest_sample(self._samples, t_ns, itemgetter(0))
+        if nearest is None:
             return
         self._equations.add_orientation(t_ns, nearest[2], self._C.T @ rotation)
         self._unsolved += 1

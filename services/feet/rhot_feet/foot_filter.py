@@ -101,7 +101,7 @@ class FootFilter:
             )
         ]
         if self._by_sensor is None:
-            self._learner.imu(samples, stands)
+            self._learner.imu(samples, rotations, stands)
 
     def marker(
         self,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhot_feet.foot_filter_history import Felt
-from rhot_feet.inertial import LONGEST_STEP_S
+from rhot_feet.inertial import LONGEST_STEP_S, nearest_sample
 from rhot_feet.strapdown import InertialStep
 from rhot_feet.zero_velocity import StillnessDetector, StillnessSettings
 
@@ -66,15 +67,7 @@ class SampleTrack:
 
     def at(self, t_ns: int) -> Felt | None:
         """Return the sample nearest to a moment, if one is near."""
-        # From the newest backwards: what is asked for is seldom older than a picture.
-        nearest = None
-        for felt in reversed(self._felt):
-            if nearest is not None and abs(felt.t_ns - t_ns) > abs(nearest.t_ns - t_ns):
-                break
-            nearest = felt
-        if nearest is None or abs(nearest.t_ns - t_ns) > LONGEST_STEP_S * 1e9:
-            return None
-        return nearest
+        return nearest_sample(self._felt, t_ns, attrgetter("t_ns"))
 
     def since(self, t_ns: int) -> Iterator[Felt]:
         """Return what was felt from a moment on."""

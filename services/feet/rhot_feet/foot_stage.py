@@ -21,6 +21,7 @@ from rhot.messages import FootPose, HeadPose, Side
 from rhot.rig.feet_config import FeetConfig
 from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.stage import Output
+from rhot.wire_vectors import wire_position, wire_quaternion
 from rhot_feet.depth_tracker import DepthSightings, DepthTracker
 from rhot_feet.expectation import FootExpectation
 from rhot_feet.foot_filter import FootFilter
@@ -267,16 +268,13 @@ def _put_marker(target: _Filter, marker: FootMarker, view: View) -> bool:
 
 
 def _message(side: Side, state: FootState, *, backed: bool) -> FootPose:
-    x, y, z = state.position.tolist()
-    qx, qy, qz, qw = state.orientation_xyzw.tolist()
-    vx, vy, vz = state.velocity.tolist()
     return FootPose(
         t_ns=state.t_ns,
         side=side,
         frame=RIG_FRAME,
-        position=(x, y, z),
-        orientation=(qx, qy, qz, qw),
-        velocity=(vx, vy, vz),
+        position=wire_position(state.position),
+        orientation=wire_quaternion(state.orientation_xyzw),
+        velocity=wire_position(state.velocity),
         sigma=state.sigma_m,
         stage=state.stage,
         stationary=state.stationary,

@@ -14,7 +14,8 @@ Automatic Control 53 (5), 2008, with the gain as the source leaves it open).
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections.abc import Callable, Reversible
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from rhot_feet.zero_velocity import GRAVITY
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+S = TypeVar("S")
 
 LONGEST_STEP_S: Final = 0.25
 """Samples further apart than this do not belong together: the sensor was away."""
@@ -33,6 +35,17 @@ _LEVELLING: Final = 0.5
 """Gain of the complementary filter, 1/s."""
 _LEVEL_BAND: Final = 0.5
 """m/s²: a force that differs from gravity by more does not say where up is."""
+
+
+def nearest_sample(samples: Reversible[S], t_ns: int, time_of: Callable[[S], int]) -> S | None:
+    """Return the one of some samples, in order of time, that is nearest to a moment, if one is near."""
+    # From the newest backwards: what is asked for is seldom older than a picture.
+    nearest = None
+    for sample in reversed(samples):
+        if nearest is not None and abs(time_of(sample) - t_ns) > abs(time_of(nearest) - t_ns):
+            break
+        nearest = sample
+    return None if nearest is None or abs(time_of(nearest) - t_ns) > LONGEST_STEP_S * 1e9 else nearest
 
 
 def level_rotation(specific_force: FloatArray) -> FloatArray:

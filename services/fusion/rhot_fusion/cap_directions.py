@@ -21,8 +21,7 @@ from rhot.rig import MarkerConfig
 from rhot.skeleton import CHAINS
 from rhot_fusion.cap_model import CapModel
 from rhot_fusion.sightings import BoolArray, FloatArray, Sightings
-
-Vector = tuple[float, float, float]
+from rhot_fusion.vectors import Vector, vector
 
 _UNKNOWN_SIGMA_M: Final = 0.003
 """Where the middle of a cap may be from the middle of its visible part, when nobody knows where it points."""
@@ -58,7 +57,7 @@ class CapDirections:
         self, cameras: Sequence[CameraModel], markers: Mapping[str, MarkerConfig], hands: Mapping[Side, HandModel]
     ) -> None:
         self._model = CapModel(markers, hands)
-        self._R = [[_vector(row) for row in camera.R_camera_rig] for camera in cameras]
+        self._R = [[vector(row) for row in camera.R_camera_rig] for camera in cameras]
         # Metres to the root of the paint that is found, per pixel and metre of depth.
         self._scale = [1.0 / (_PAINT_SHARE**0.5 * float(camera.K[0, 0])) for camera in cameras]
         before = {chain[-1]: chain[-2] for chain in CHAINS.values()}
@@ -69,7 +68,7 @@ class CapDirections:
         self._markers = range(len(markers))
         centers = np.stack([camera.center for camera in cameras])
         # From the middle of the rig to each camera, in that camera's frame.
-        self._aside = [_vector(camera.R_camera_rig @ (camera.center - centers.mean(axis=0))) for camera in cameras]
+        self._aside = [vector(camera.R_camera_rig @ (camera.center - centers.mean(axis=0))) for camera in cameras]
         self._side = [_sideways(camera, centers) for camera in cameras]
         self.clear()
 
@@ -138,8 +137,7 @@ class CapDirections:
             zip(index, sightings.xy.tolist(), sightings.area_px.tolist(), strict=True)
         ):
             direction = self._direction[marker]
-            # A lens that cannot be undone at a pixel gives no place there.
-            if direction is not None and math.isfinite(xy[0] + xy[1]):
+            if direction is not None:
                 depth = max(depths[marker], 0.1)
                 shift[row], doubt[row] = self._shift(camera, marker, direction, xy, area_px if anywhere else 0.0, depth)
         return np.array(shift).reshape(-1, 2), np.array(doubt)
@@ -203,11 +201,6 @@ class CapDirections:
             hidden = [_HIDDEN_SIGMA_M * (1.0 - min(1.0, *shares)) for shares in zip(*self._share, strict=True)]
             self._sigmas = [math.sqrt(one * one + more * more) for one, more in zip(self._sigma_m, hidden, strict=True)]
         return self._sigmas
-
-
-def _vector(values: FloatArray) -> Vector:
-    x, y, z = values.tolist()
-    return (x, y, z)
 
 
 def _unit(x: float, y: float, z: float) -> Vector:

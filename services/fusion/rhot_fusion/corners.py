@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rhot.camera import CameraModel
 from rhot.messages import MarkerFrame, PixelPoint, Position
 from rhot.rig import MarkerConfig
+from rhot_fusion.vectors import Vector, vector
 
 FloatArray = NDArray[np.float64]
 
@@ -27,7 +28,6 @@ _SIDE_TOLERANCE = 0.35
 """Sides may differ from the patch's by this share: paint has soft edges and depth is noisy."""
 _RESIDUAL_PX = 3.0
 
-Vector = tuple[float, float, float]
 Corners = tuple[Position, Position, Position, Position]
 
 
@@ -75,7 +75,7 @@ class PatchCorners:
         self._sizes = {name: (width, length) for name, (width, length) in sizes.items()}
         self._cameras = list(cameras)
         self._views = [
-            _View(_vector(camera.center), *(_vector(camera.R_camera_rig[axis]) for axis in (2, 0, 1)))
+            _View(vector(camera.center), *(vector(camera.R_camera_rig[axis]) for axis in (2, 0, 1)))
             for camera in cameras
         ]
         self._focal_px = float(np.mean([camera.K[0, 0] for camera in cameras]))
@@ -142,11 +142,6 @@ class PatchCorners:
             if max(abs(p / u - 1.0), abs(q / v - 1.0), abs(r / u - 1.0), abs(s / v - 1.0)) <= _SIDE_TOLERANCE:
                 return True
         return False
-
-
-def _vector(values: FloatArray) -> Vector:
-    x, y, z = values.tolist()
-    return (x, y, z)
 
 
 def _dot(a: Vector, b: Vector) -> float:

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
+from rhot_fusion.vectors import Vector, vector
 
 FloatArray = NDArray[np.float64]
-Vector = tuple[float, float, float]
 
 _NEAREST_M: Final = 1e-2
 """A marker on or behind the image plane has no useful derivative; its innovation refuses it."""
@@ -49,9 +49,8 @@ class Eye:
     @classmethod
     def of(cls, camera: CameraModel) -> Eye:
         """Return the numbers of a camera."""
-        right, down, ahead = ((x, y, z) for x, y, z in camera.R_camera_rig.tolist())
-        x, y, z = camera.t_camera_rig.tolist()
-        return cls(right, down, ahead, (x, y, z))
+        right, down, ahead = map(vector, camera.R_camera_rig)
+        return cls(right, down, ahead, vector(camera.t_camera_rig))
 
 
 @dataclass(frozen=True, slots=True)

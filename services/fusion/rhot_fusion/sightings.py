@@ -27,7 +27,7 @@ class Sightings:
         t_s: time of the frame: the median of its markers' times, seconds since the stream's start.
         index: (N,) markers, ascending.
         times_s: (N,) when each was seen.
-        xy: (N, 2) normalised image coordinates.
+        xy: (N, 2) normalised image coordinates, finite.
         area_px: (N,) visible painted area, square pixels.
     """
 

@@ -55,7 +55,6 @@ class FusionStage:
         self._models = list(models.values())
         self._camera_index = {name: place for place, name in enumerate(models)}
         self._markers = tuple(rig.config.markers)
-        self._marker_index = {name: place for place, name in enumerate(self._markers)}
         self._config = rig.config.fusion
         self._periods_s = [1.0 / camera.rate_hz for camera in rig.config.cameras.values()]
         self._rig = rig

@@ -84,15 +84,12 @@ class ObjectStep:
     def _stored(self) -> tuple[str, bool]:
         if not self._objects:
             return "rig.toml names no objects; nothing to do", True
-        try:
-            stored = self._kept.content
-        except RhotError as error:
-            return str(error), False
-        if stored is None and self._simulated:
-            return "simulated objects stand in the cameras' space; nothing to do", True
-        if stored is None:
-            return "not registered: objects stand in their own space", False
-        return ("a new registration on trial", False) if self._kept.on_trial else (f"registered {stored.date}", True)
+        absent = ("not registered: objects stand in their own space", False)
+        if self._simulated:
+            absent = ("simulated objects stand in the cameras' space; nothing to do", True)
+        return self._kept.standing(
+            absent, "a new registration on trial", lambda stored: (f"registered {stored.date}", True)
+        )
 
     def _todo(self) -> tuple[Remark, ...]:
         if self._collecting is not None:

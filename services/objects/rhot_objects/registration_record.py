@@ -14,6 +14,7 @@ from rhot.rig import RegistrationFile, RigidTransform
 from rhot.rig.calibration import today
 from rhot.rig.file_model import FileModel, Vector3
 from rhot.rotations import FloatArray, quaternion_from_rotation, rotation_from_quaternion
+from rhot.wire_vectors import wire_position, wire_quaternion
 from rhot_objects.registration_fit import LEVER, PARAMETERS, POSITION, ROTATION, Estimate, Places, RegistrationFit
 
 _Row = Annotated[tuple[float, ...], Field(min_length=PARAMETERS, max_length=PARAMETERS)]
@@ -162,21 +163,16 @@ def registration_file(
         rotation_sd_deg=round(float(np.degrees(estimate.rotation_sd_rad)), 5),
         object=object_id,
         marker=marker,
-        center_tracker_m=_vector3(estimate.center_space),
-        lever_m=_vector3(estimate.lever_m),
+        center_tracker_m=wire_position(estimate.center_space),
+        lever_m=wire_position(estimate.lever_m),
         covariance=tuple(tuple(row) for row in estimate.covariance.tolist()),
         moved_mm=None if moved is None else round(1e3 * moved[0], 4),
         turned_deg=None if moved is None else round(float(np.degrees(moved[1])), 5),
     )
-    x, y, z, w = quaternion_from_rotation(estimate.R_rig_tracker).tolist()
+    orientation = wire_quaternion(quaternion_from_rotation(estimate.R_rig_tracker))
     return RegistrationFile(
         date=today(),
         quality=quality.model_dump(mode="json", exclude_none=True),
-        T_rig_tracker=RigidTransform(position=_vector3(estimate.t_rig_tracker), orientation=(x, y, z, w)),
+        T_rig_tracker=RigidTransform(position=wire_position(estimate.t_rig_tracker), orientation=orientation),
         T_tracker_object=earlier.T_tracker_object,
     )
-
-
-def _vector3(values: FloatArray) -> Vector3:
-    x, y, z = values.tolist()
-    return x, y, z

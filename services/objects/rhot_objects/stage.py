@@ -9,6 +9,7 @@ import numpy as np
 
 from rhot.messages import HeadPose, ObjectPose, State
 from rhot.stage import Output
+from rhot.wire_vectors import wire_position, wire_quaternion
 from rhot_objects.registration import Registration
 from rhot_objects.rigid import Pose
 from rhot_objects.sources import HEAD, PoseSample
@@ -77,7 +78,6 @@ def key_of(object_id: str) -> str:
 
 def _output(object_id: str, pose: Pose, t_ns: int, state: State) -> Output:
     model = HeadPose if object_id == HEAD else ObjectPose
-    x, y, z = pose.position.tolist()
-    qx, qy, qz, qw = pose.orientation_xyzw.tolist()
-    message = model(t_ns=t_ns, frame=RIG_FRAME, position=(x, y, z), orientation=(qx, qy, qz, qw), state=state)
+    position, orientation = wire_position(pose.position), wire_quaternion(pose.orientation_xyzw)
+    message = model(t_ns=t_ns, frame=RIG_FRAME, position=position, orientation=orientation, state=state)
     return key_of(object_id), message

@@ -34,7 +34,6 @@ _TRAIL_S: Final = 2.0
 _BACKGROUND: Final = (18, 20, 24)
 _VOLUME_COLOR: Final = (70, 84, 104)
 _GRID_CELL_M: Final = 0.1
-_AXES_M: Final = 0.07
 
 
 @dataclass(slots=True)

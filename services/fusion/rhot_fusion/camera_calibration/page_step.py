@@ -8,8 +8,8 @@ from datetime import datetime
 from typing import Final
 
 from rhot.bus import Bus
-from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView, Tone
-from rhot.errors import ConfigError, RhotError
+from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView, Tone, typed_metres
+from rhot.errors import ConfigError
 from rhot.rig import CamerasFile, load_rig
 from rhot.rig.folder import CAMERAS_FILE
 from rhot.rig.kept_file import KeptFile
@@ -106,15 +106,11 @@ class CameraStep:
 
     def _stored(self) -> tuple[str, bool]:
         """Return where the rig folder stands, and whether it is calibrated."""
-        try:
-            stored = self._kept.content
-        except RhotError as error:
-            return str(error), False
-        if stored is None:
-            return "not calibrated: fields of view and places are those of rig.toml", False
-        if self._kept.on_trial:
-            return "new cameras on trial", False
-        return f"calibrated {stored.date}", set(self._cameras) <= set(stored.cameras)
+        return self._kept.standing(
+            ("not calibrated: fields of view and places are those of rig.toml", False),
+            "new cameras on trial",
+            lambda stored: (f"calibrated {stored.date}", set(self._cameras) <= set(stored.cameras)),
+        )
 
     def _remarks(self, progress: Progress | None) -> tuple[Remark, ...]:
         said: list[Remark] = []
@@ -242,10 +238,7 @@ def _metres(what: str, text: str) -> float:
     Raises:
         ConfigError: not a positive number.
     """
-    try:
-        found = float(text.replace(",", "."))
-    except ValueError as error:
-        raise ConfigError(f"{what} '{text}': not a number; write millimetres, such as 25") from error
-    if not 0.0 < found < 1e4:
-        raise ConfigError(f"{what} {found:g} mm: must be more than 0 and less than 10000 mm")
-    return 1e-3 * found
+    found = typed_metres(what, text, "25")
+    if not 0.0 < found < 10.0:
+        raise ConfigError(f"{what} {1e3 * found:g} mm: must be more than 0 and less than 10000 mm")
+    return found

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 
-from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView
-from rhot.errors import ConfigError, RhotError
+from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView, typed_metres
+from rhot.errors import ConfigError
 from rhot.messages import PointSet, Side
 from rhot.rig import HandFile, load_rig
 from rhot.rig.calibration import today
@@ -69,15 +69,11 @@ class HandStep:
         """Nothing happens before the start."""
 
     def _stored(self) -> tuple[str, bool]:
-        try:
-            stored = self._kept.content
-        except RhotError as error:
-            return str(error), False
-        if stored is None:
-            return "not measured: a hand of the length in rig.toml", False
-        if self._kept.on_trial:
-            return "a new hand on trial", False
-        return f"{1e3 * stored.length_m:.0f} mm long, saved {stored.date}", True
+        return self._kept.standing(
+            ("not measured: a hand of the length in rig.toml", False),
+            "a new hand on trial",
+            lambda stored: (f"{1e3 * stored.length_m:.0f} mm long, saved {stored.date}", True),
+        )
 
     def _remarks(self) -> tuple[Remark, ...]:
         if self._doing:
@@ -157,10 +153,7 @@ def _typed(values: Mapping[str, str]) -> tuple[float | None, float | None]:
 def _metres(what: str, text: str) -> float | None:
     if not text.strip():
         return None
-    try:
-        return 1e-3 * float(text.replace(",", "."))
-    except ValueError as error:
-        raise ConfigError(f"{what} '{text}': not a number; write millimetres, such as 189") from error
+    return typed_metres(what, text, "189")
 
 
 def _table(found: HandFile) -> Figures:

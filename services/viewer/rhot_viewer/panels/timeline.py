@@ -32,7 +32,6 @@ class TimelinePanel:
         self._plots: dict[str, viser.GuiUplotHandle] = {}
         self._drawn: dict[str, tuple[str, ...]] = {}
         self._colors: dict[str, str] = {}
-        self._length = 0
 
     def build(self, gui: viser.GuiApi) -> None:
         """Add the charts, empty."""
