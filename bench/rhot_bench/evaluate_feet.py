@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import click
-import cv2
 from rich.console import Console
 
 from rhot.errors import ConfigError
@@ -20,6 +21,7 @@ from rhot.sim.walker.folder import write_walker_rig
 from rhot_bench.feet_runs import SIDES, Played, Run, play
 from rhot_bench.feet_sections import MM, TASKS, feet_sections
 from rhot_bench.output import counted, json_option, page_option, show
+from rhot_bench.processes import each
 
 HEIGHTS_M: Final = (1.50, 1.60, 1.75, 1.90, 2.00)
 RUNS: Final = {
@@ -48,7 +50,14 @@ _LONGER: Final = {"inertial": 2.0}
     type=click.FloatRange(5, 600),
     default=8.0,
     show_default=True,
-    help="Seconds of each; drawing and tracking take about three times as long.",
+    help="Seconds of each; drawing and tracking take about twice as long.",
+)
+@click.option(
+    "--jobs",
+    type=click.IntRange(1, 64),
+    default=os.cpu_count() or 1,
+    show_default="all processors",
+    help="So many runs at once. Processor times are truest with 1.",
 )
 @json_option
 @page_option("--html")
@@ -62,6 +71,7 @@ def feet(
     runs: str | None,
     seeds: int,
     duration_s: float,
+    jobs: int,
     json_path: Path | None,
     page_path: Path | None,
     rig_path: Path | None,
@@ -82,25 +92,37 @@ def feet(
     check_output("--json", json_path)
     check_output("--html", page_path)
     chosen = _chosen(runs)
-    cv2.setNumThreads(1)
     console = Console(stderr=True, soft_wrap=True)
     done: dict[str, list[Played]] = {}
     with counted(console) as progress, tempfile.TemporaryDirectory() as folder:
         rig = _rig(rig_path, Path(folder) / "rig")
-        rate_hz = rig.config.feet.camera.rate_hz if rig.config.feet else 60.0
-        seconds = {run.name: duration_s * _LONGER.get(run.name, 1.0) for run in chosen}
-        task = progress.add_task("", total=round(rate_hz * seeds * sum(seconds.values())))
-        for run in chosen:
-            for seed in range(1, seeds + 1):
-                progress.update(task, description=f"{run.name}, {seed} of {seeds}")
-                one = play(run, rig, seed, seconds[run.name], lambda: progress.advance(task))
-                done.setdefault(run.name, []).append(one)
+        tasks = [
+            _Task(run, rig, seed, duration_s * _LONGER.get(run.name, 1.0))
+            for run in chosen
+            for seed in range(1, seeds + 1)
+        ]
+        bar = progress.add_task(f"{jobs} at once", total=len(tasks))
+        for task, played in zip(tasks, each(_play, tasks, jobs), strict=True):
+            done.setdefault(task.run.name, []).append(played)
+            progress.update(bar, advance=1, description=f"{task.run.name}, {task.seed} of {seeds}")
     sections = feet_sections(done)
     show("evaluate feet", sections, json_path, seeds=seeds, seconds=duration_s, runs=[run.name for run in chosen])
     if page_path is not None:
         text = f"Simulated persons, seeds 1 to {seeds}, {duration_s:g} s each. Truth is the centre of each marker."
         write_text_atomic(page_path, html_report("Feet against truth", text, sections, _plots(done)))
         console.print(f"report: {page_path}")
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    run: Run
+    rig: Rig
+    seed: int
+    seconds: float
+
+
+def _play(task: _Task) -> Played:
+    return play(task.run, task.rig, task.seed, task.seconds)
 
 
 def _chosen(names: str | None) -> list[Run]:

@@ -8,7 +8,7 @@ our service would publish them.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -152,20 +152,19 @@ class _Places:
         )
 
 
-def play(run: Run, rig: Rig, seed: int, seconds: float, advance: Callable[[], None]) -> Played:
-    """Play one run; `advance` is called once per picture.
+def play(run: Run, rig: Rig, seed: int, seconds: float) -> Played:
+    """Play one run.
 
     Args:
         run: what is played.
         rig: with `[feet]`; its seed and program do not count.
         seed: of the world.
         seconds: how long.
-        advance: shows progress.
     """
     rig = rig if run.height_m is None else _of_height(rig, run.height_m)
     playing = _Playing(run, rig, seed, seconds)
     for tick in range(round(seconds / STEP_S)):
-        playing.step(tick * STEP_S, advance)
+        playing.step(tick * STEP_S)
     return playing.result()
 
 
@@ -191,7 +190,7 @@ class _Playing:
         self._pose_s: list[float] = []
         self._index = 0
 
-    def step(self, now_s: float, advance: Callable[[], None]) -> None:
+    def step(self, now_s: float) -> None:
         """Hand over what has arrived by now, and ask for the feet."""
         now_ns = START_NS + round(1e9 * now_s)
         for head in self._heads.until(now_s):
@@ -207,7 +206,6 @@ class _Playing:
         imu_s = time.process_time() - begun
         while self._world.timing(self._index).delivered_s + COMPUTE_S <= now_s:
             self._picture()
-            advance()
         begun = time.process_time()
         due_ns = self._stage.due_ns(now_ns)
         feet = [message for _, message in self._stage.poses(due_ns) if isinstance(message, FootPose)]
