@@ -99,18 +99,42 @@ def test_hidden_feet_are_found_where_they_went() -> None:
     assert float(np.mean(normalised)) < 2.0
 
 
+def half_hidden(marker: Float, seed: int) -> DepthFrame:
+    """A foot before whose toes a knee near the camera stands."""
+    depths = np.minimum(plane_depths(CAMERA, UP, FLOOR), np.where((it := foot_depths(marker)) > 0.0, it, np.inf))
+    row = round(float(CAMERA.project(marker[None])[0, 1])) - 10
+    depths[:row] = 0.6
+    return DepthFrame(seed, background(CAMERA), depth_image(depths, seed), CAMERA, seed)
+
+
 def test_a_foot_half_hidden_by_a_knee_stays_where_it_is() -> None:
     tracker, marker = DepthTracker(RANGE), place(0.0, 0.085, 0.7)
     for seed in range(4):
         tracker.feed(picture({"left": marker}, seed), {}, {"left": expected(marker)}, UP)
-    depths = np.minimum(plane_depths(CAMERA, UP, FLOOR), np.where((it := foot_depths(marker)) > 0.0, it, np.inf))
-    # A knee near the camera stands before the toes.
-    row = round(float(CAMERA.project(marker[None])[0, 1])) - 10
-    depths[:row] = 0.6
-    half = DepthFrame(9, background(CAMERA), depth_image(depths, 9), CAMERA, 9)
+    half = half_hidden(marker, 9)
     found = tracker.feed(half, {"left": expected(marker + np.array([0.01, 0.0, 0.01]))}, {}, UP)
     assert set(found.feet) == {"left"}, found.refused
     assert 1e3 * float(np.linalg.norm(found.feet["left"].place - marker)) < 12.0
+
+
+def test_what_was_learnt_in_the_axes_of_the_foot_is_not_used_in_those_of_the_camera() -> None:
+    tracker, marker = DepthTracker(RANGE), place(0.0, 0.085, 0.7)
+    for seed in range(4):
+        tracker.feed(picture({"left": marker}, seed), {}, {"left": expected(marker)}, UP)
+    turned = FootExpectation(marker, 0.03**2 * np.eye(3))
+    assert tracker.feed(picture({"left": marker}, 9), {"left": turned}, {}, UP).refused == {"left": "unknown"}
+
+
+def test_a_foot_that_may_be_turned_is_less_surely_where_it_is_found() -> None:
+    tracker, marker = DepthTracker(RANGE), place(0.0, 0.085, 0.7)
+    for seed in range(4):
+        tracker.feed(picture({"left": marker}, seed), {}, {"left": expected(marker)}, UP)
+    sigmas = []
+    for turn_rad in (0.1, 1.0):
+        foot = FootExpectation(marker, 0.03**2 * np.eye(3), R_CAMERA_WORLD, turn_rad**2 * np.eye(3))
+        found = tracker.feed(half_hidden(marker, 9), {"left": foot}, {}, UP).feet["left"]
+        sigmas.append(float(np.sqrt(np.trace(found.covariance))))
+    assert sigmas[1] > 1.3 * sigmas[0]
 
 
 def test_a_floor_once_measured_is_where_the_moved_camera_sees_it() -> None:

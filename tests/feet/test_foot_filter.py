@@ -215,6 +215,20 @@ def test_a_sensor_that_is_not_aligned_still_tells_that_the_foot_sets_off() -> No
     assert sigmas[1] > 0.03
 
 
+def test_a_foot_unseen_is_about_as_it_was_turned_even_when_it_is_found_elsewhere_by_depth() -> None:
+    foot, covariance = FootFilter(), SIGMA_M**2 * np.eye(3)
+    orientation = quaternion_from_rotation(rotation_from_vector(np.array([0.1, 0.8, 0.0])))
+    for k in range(30):
+        foot.marker(ns(k / 60.0), np.zeros(3), covariance, orientation)
+    for k in range(30, 50):
+        foot.depth(ns(k / 60.0), np.array([3.0, 0.0, 0.0]), covariance)
+    state = foot.state(ns(50 / 60.0))
+    assert foot.counts.restarts == 1
+    assert state is not None and abs(state.position[0] - 3.0) < 0.01
+    assert abs(float(state.orientation_xyzw @ orientation)) > 0.99
+    assert np.degrees(np.sqrt(state.orientation_covariance[0, 0])) < 61.0
+
+
 def test_false_markers_do_not_move_it() -> None:
     foot = FootFilter()
     track = follow(Walk(), 8.0, foot, false_share=0.1, seed=3)

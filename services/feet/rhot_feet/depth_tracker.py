@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
 from rhot.messages import Side
+from rhot.transforms import cross_matrix
 from rhot_feet.depth_blob import RADIUS_M, BlobSeed, FootBlob, find_blobs
 from rhot_feet.depth_floor import FloorPlane, find_floor
 from rhot_feet.depth_points import COARSE_PX, FINE_PX, PixelRays
@@ -92,6 +93,7 @@ class _Offset:
         area: usual `FootBlob.area` of the whole foot.
         count: sightings.
         shape: the foot's surface, in the frame of `mean`.
+        in_foot: that is the foot's frame.
     """
 
     mean: FloatArray
@@ -99,6 +101,7 @@ class _Offset:
     area: float
     count: int
     shape: FootShape
+    in_foot: bool
 
     def with_sighting(self, offset: FloatArray, area: float, shape: FootShape) -> _Offset:
         share = max(1.0 / (self.count + 1), _FORGETTING)
@@ -107,7 +110,7 @@ class _Offset:
         usual = self.area + share * (area - self.area)
         # The shape is what was seen most of.
         shape = shape if shape.area > _WHOLE_SHARE * self.shape.area else self.shape
-        return _Offset(self.mean + share * difference, variance, usual, self.count + 1, shape)
+        return _Offset(self.mean + share * difference, variance, usual, self.count + 1, shape, self.in_foot)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,8 +192,9 @@ class DepthTracker:
             learns: else the feet that are seen only tell which points are theirs.
         """
         hidden = {side: foot for side, foot in expected.items() if side not in seen}
-        refused: dict[Side, DepthRefusal] = {side: "unknown" for side in hidden if side not in self._offsets}
-        hidden = {side: foot for side, foot in hidden.items() if side in self._offsets}
+        learnt = {side: offset for side, foot in (hidden | dict(seen)).items() if (offset := self._learnt(side, foot))}
+        refused: dict[Side, DepthRefusal] = {side: "unknown" for side in hidden if side not in learnt}
+        hidden = {side: foot for side, foot in hidden.items() if side in learnt}
         floor = self.find_floor(frame, up_camera)
         if frame.depth_mm is None or not (hidden or seen):
             return DepthSightings({}, refused, floor)
@@ -199,7 +203,7 @@ class DepthTracker:
             return DepthSightings({}, refused | dict.fromkeys(hidden, "hidden"), floor)
         seeds: dict[Side, BlobSeed] = {}
         for side, foot in (hidden | dict(seen)).items():
-            known = self._offsets.get(side)
+            known = learnt.get(side)
             if known is None:
                 seeds[side] = BlobSeed(foot.place, np.zeros(3), fixed=True)
             else:
@@ -220,6 +224,11 @@ class DepthTracker:
                 refused[side] = outcome
         return DepthSightings(feet, refused, floor)
 
+    def _learnt(self, side: Side, foot: FootExpectation) -> _Offset | None:
+        """Return what is known of a foot in the axes in which it is expected."""
+        known = self._offsets.get(side)
+        return known if known is not None and known.in_foot == (foot.R_camera_foot is not None) else None
+
     def _learn(self, side: Side, foot: FootExpectation, blob: FootBlob) -> None:
         if blob.cut > _MAX_CUT or blob.in_sight < _LEAST_IN_SIGHT:
             return
@@ -227,9 +236,9 @@ class DepthTracker:
         offset = R.T @ (foot.place - blob.centroid)
         area = blob.area / blob.in_sight
         shape = shape_of((blob.points - foot.place) @ R, blob.weights, blob.area)
-        known = self._offsets.get(side)
+        known = self._learnt(side, foot)
         self._offsets[side] = (
-            _Offset(offset, np.full(3, _FIRST_SIGMA_M**2), area, 1, shape)
+            _Offset(offset, np.full(3, _FIRST_SIGMA_M**2), area, 1, shape, foot.R_camera_foot is not None)
             if known is None
             else known.with_sighting(offset, area, shape)
         )
@@ -253,6 +262,9 @@ class DepthTracker:
         variance = (learnt.variance + _LEAST_SIGMA_M**2) * doubt**2
         level_variance = _LEVEL_SHARE**2 * float(up @ foot.covariance @ up)
         covariance = R @ np.diag(variance) @ R.T + level_variance * np.outer(up, up)
+        if foot.orientation_covariance is not None:
+            arm = cross_matrix(blob.place - np.average(blob.points, axis=0, weights=blob.weights))
+            covariance += arm @ foot.orientation_covariance @ arm.T
         if innovation_distance(blob.place, covariance, foot) > GATE_SIGMAS:
             return "motion"
         return FootDepth(t_ns, blob.place, covariance, len(blob.points))

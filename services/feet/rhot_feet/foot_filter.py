@@ -228,6 +228,9 @@ class FootFilter:
 
     def _begin(self, observation: Observation) -> None:
         state = self._kinematic.start(observation.position, observation.covariance, observation.rotation)
+        if observation.rotation is None and self._by_sight is not None:
+            before = self._by_sight.at(observation.t_ns)
+            state = replace(state, R=before.R, turning=before.turning)
         self._by_sensor = None
         self._by_sight = self._again(History(self._kinematic, observation.t_ns, state, self.settings.horizon_ns))
         self._seen[observation.stage] = observation.t_ns

@@ -44,6 +44,8 @@ _CALMS: Final = 1.25
 _TURNING: Final = 6.0
 """Standard deviation of the rate of turning, rad/s."""
 _TURNING_AT_REST: Final = 0.01
+_MOST_TURNED: Final = math.radians(60.0)
+"""A foot whose orientation was seen does not come to be turned by more meanwhile, per axis, one standard deviation."""
 _UNIT: Final = np.eye(3)
 _PLACE: Final = np.concatenate([_UNIT, np.zeros((3, 6))], axis=1)
 _REST: Final = np.concatenate([np.zeros((6, 3)), np.eye(6)], axis=1)
@@ -131,6 +133,10 @@ class KinematicModel:
         A = np.array([[1.0, path], [0.0, fades]])
         w = 2.0 * _TURNING**2 / _FADES_S
         turning = A @ state.turning @ A.T + w * np.array([[h**3 / 3.0, h**2 / 2.0], [h**2 / 2.0, h]])
+        most = max(_MOST_TURNED**2, float(state.turning[0, 0]))
+        if turning[0, 0] > most:
+            within = np.array([math.sqrt(most / turning[0, 0]), 1.0])
+            turning *= np.outer(within, within)
         return KinematicState(
             G @ state.motion,
             P,

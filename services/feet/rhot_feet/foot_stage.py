@@ -37,9 +37,8 @@ from rhot_feet.view import HEAD_TURN_RAD, Seen, View
 FloatArray = NDArray[np.float64]
 
 RIG_FRAME: Final = "rig"
-_KNOWN_TURN_RAD: Final = float(np.radians(60.0))
-"""A foot whose orientation is worse known than this, root of the sum of variances, is not expected to be turned any
-way."""
+_KNOWN_TURN_RAD: Final = float(np.radians(120.0))
+"""A foot whose orientation is worse known than this, root of the sum of variances, was never seen turned any way."""
 _VAGUE_M: Final = 0.06
 """A foot whose place is worse known than this is not called measured any more."""
 _ASTRAY_M: Final = 0.5
