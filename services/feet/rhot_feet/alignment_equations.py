@@ -36,7 +36,9 @@ _YAW_ENOUGH_RAD: Final = float(np.radians(15.0))
 _WORST_SURPRISE: Final = 16.0
 """Mean squared normalised residual above which the stretches do not agree with each other."""
 _TURN_RAD: Final = float(np.radians(2.0))
-"""Noise of the marker's orientation; more than a single picture's, because that of successive ones is much the same."""
+"""Noise of the marker's orientation."""
+_TURN_ALIKE_S: Final = 0.1
+"""Time in which successive pictures see a marker's orientation with much the same error: they count as one."""
 _CIRCLE: Final = np.linspace(-math.pi, math.pi, 240, endpoint=False)
 UNKNOWNS: Final = 8
 """cos ψ, sin ψ, lever, bias."""
@@ -111,10 +113,12 @@ class AlignmentEquations:
 
     def add_orientation(self, t_ns: int, R_world_sensor: FloatArray, R_level_foot: FloatArray) -> None:
         """Put in how sensor and foot were turned at one moment, (3, 3) each."""
-        kept = math.exp(-1e-9 * max(t_ns - self._turned_ns, 0) / _TURN_MEMORY_S)
+        since_s = 1e-9 * max(t_ns - self._turned_ns, 0)
+        kept, weight = math.exp(-since_s / _TURN_MEMORY_S), min(since_s / _TURN_ALIKE_S, 1.0)
         self._turned_ns = max(t_ns, self._turned_ns)
-        self._turned = kept * self._turned + np.einsum("ji,ajl,lm->aim", R_world_sensor, _TURNS, R_level_foot)
-        self._turns = kept * self._turns + 1.0
+        added = weight * np.einsum("ji,ajl,lm->aim", R_world_sensor, _TURNS, R_level_foot)
+        self._turned = kept * self._turned + added
+        self._turns = kept * self._turns + weight
 
     def solve(self) -> Alignment | None:
         """Return what is known; None until the yaw is."""
