@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
 from rhot.turns import rotation_between
 from rhot_feet.alignment import AlignmentLearner
+from rhot_feet.alignment_equations import Alignment
 from rhot_feet.foot_filter import FootFilter
 from rhot_feet.foot_filter_inertial import InertialModel
-from rhot_feet.foot_filter_model import FootFilterSettings, FootState, Observation
+from rhot_feet.foot_filter_model import FootFilterSettings, FootMotion, FootState, Observation
 from rhot_feet.imu_sources import ImuSamples
 from rhot_feet.inertial import FusedReader, up_rotation
-from rhot_feet.strapdown import InertialNoise, InertialState, InertialStep, Strapdown
+from rhot_feet.strapdown import ATTITUDE, InertialNoise, InertialState, InertialStep, Strapdown
 from rhot_feet.thesis_filter import ThesisFilter
 
 FloatArray = NDArray[np.float64]
@@ -154,17 +155,48 @@ def test_a_foot_that_is_never_seen_swinging_is_aligned_by_its_first_step() -> No
     hidden = (track.t > 1.1 + LATE_S) & (track.t < 1.65)
     assert track.error_m[hidden].max() < 0.12
     assert (track.error_m[hidden] < 4.0 * np.array([state.sigma_m for state in track.states])[hidden]).all()
-    # The depth image's places share their errors in part: six of them are worth less than six.
+
+
+@pytest.mark.parametrize("rate_hz", [60.0, 120.0])
+def test_places_out_of_the_depth_image_share_their_errors(rate_hz: float) -> None:
+    """Twice as many in the same time tell hardly more."""
+    foot = FootFilter()
+    follow(Walk(), 1.7, foot, seen=lambda t: t < 0.0 or 0.55 < t < 1.1)
+    assert foot.aligned
+    for t in np.arange(1.5, 1.6, 1.0 / rate_hz):
+        assert foot.depth(ns(float(t)), Walk().foot(float(t))[0], 0.04**2 * np.eye(3))
     state = foot.state(ns(1.6))
     assert state is not None
-    spread = 0.04**2 * np.eye(3)
-    before = state.sigma_m
-    for t in np.arange(1.5, 1.6, 1.0 / 60.0):
-        assert foot.depth(ns(float(t)), Walk().foot(float(t))[0], spread)
-    state = foot.state(ns(1.6))
-    assert state is not None
-    alone = 0.04 * np.sqrt(3.0)
-    assert state.sigma_m > 0.66 * np.hypot(1.0 / before, 1.0 / alone) ** -1
+    assert 0.025 < state.sigma_m < 0.030
+
+
+def test_a_foot_that_stands_tells_nothing_of_the_yaw_of_its_sensor() -> None:
+    """Corrections of tilt and lever must not make the filter believe that it knows the yaw."""
+    C, random = up_rotation(np.array([0.0, 1.0, 0.0])), np.random.default_rng(5)
+    model = InertialModel(Strapdown(np.array([0.0, -9.81, 0.0]), InertialNoise()), C)
+    walk, yaw_sigma = Walk(), float(np.radians(10.0))
+    place, R_foot = walk.foot(-1.0)
+    R_sensor = R_foot @ walk.R_sensor_foot.T
+    # The sensor's own idea of up is three degrees off, the lever ten centimetres.
+    wrong = rotation_from_vector(np.radians([2.0, 0.0, -2.0])) @ R_sensor
+    alignment = Alignment(
+        0.0, yaw_sigma, np.zeros(3), np.zeros(3), np.diag(np.repeat([0.01, 0.01], 3)), np.zeros(6),
+        wrong.T @ R_foot, True,
+    )  # fmt: skip
+    motion = FootMotion(place, np.zeros(3), R_foot, 1e-4 * np.eye(3), 1e-2 * np.eye(3))
+    state = model.start(alignment, C.T @ wrong, motion, np.zeros(3), stands=True)
+    force = R_sensor.T @ np.array([0.0, 9.81, 0.0])
+    step = InertialStep(0.01, force, force, np.zeros(3))
+    for k in range(200):
+        state = model.rest(model.predict(state, 0.01, step), 0.01, None)
+        if k % 2:
+            seen = rotation_from_vector(random.normal(0.0, ROTATION_SIGMA, 3)) @ R_foot
+            at = place + random.normal(0.0, SIGMA_M, 3)
+            spread = ROTATION_SIGMA**2 * np.eye(3)
+            state = model.observe(state, Observation(0, at, SIGMA_M**2 * np.eye(3), seen, spread, "marker"))
+    off = rotation_between(R_sensor, state.R)
+    assert np.degrees(np.hypot(off[0], off[2])) < 1.0
+    assert np.sqrt(state.P[ATTITUDE, ATTITUDE][1, 1]) > 0.9 * yaw_sigma
 
 
 def test_what_the_depth_image_shows_corrects_the_tilt_that_led_the_foot_astray() -> None:
