@@ -261,6 +261,20 @@ def test_a_foot_unseen_is_about_as_it_was_turned_even_when_it_is_found_elsewhere
     assert np.degrees(np.sqrt(state.orientation_covariance[0, 0])) < 61.0
 
 
+@pytest.mark.parametrize(("shaken", "held"), [(False, True), (True, False)])
+def test_a_foot_felt_to_stand_ever_since_it_was_seen_counts_as_seen(shaken: bool, held: bool) -> None:
+    foot = FootFilter()
+    forces = np.tile([0.0, 0.0, 9.81], (200, 1))
+    forces[100:110, 0] = 8.0 * shaken
+    for k, force in enumerate(forces):
+        foot.imu(ImuSamples(np.array([ns(0.01 * k)]), force[None], np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]])))
+        if k < 80:
+            foot.marker(ns(0.01 * k), np.zeros(3), SIGMA_M**2 * np.eye(3))
+    state = foot.state(ns(1.99))
+    assert state is not None and state.stationary
+    assert (state.measured_ns == ns(1.99)) is held
+
+
 def test_false_markers_do_not_move_it() -> None:
     foot = FootFilter()
     track = follow(Walk(), 8.0, foot, false_share=0.1, seed=3)

@@ -85,6 +85,7 @@ class FootFilter:
         self._rejected = Rejected(self.settings.agreeing)
         self._restarts_ns: deque[int] = deque(maxlen=3)
         self._seen: dict[str, int] = {}
+        self._stood_ns: int | None = 0
 
     @property
     def aligned(self) -> bool:
@@ -147,15 +148,21 @@ class FootFilter:
             motion.rotation_covariance,
             self._stage(t_ns, stands=stands),
             stands,
-            max(self._seen.values()),
+            max(*self._seen.values(), self._stood_ns or 0),
         )
 
     def _sample(self, t_ns: int, force: FloatArray, rate: FloatArray, R_world: FloatArray) -> bool:
         """Take a sample; tell whether the foot was felt to stand."""
         felt = self._samples.add(t_ns, force, rate, R_world)
         if felt is None:
+            self._stood_ns = None
             self._hand_over(t_ns)
             return False
+        # A foot that has stood ever since it was seen is where it was seen.
+        if not felt.rest.still:
+            self._stood_ns = None
+        elif self._stood_ns is not None:
+            self._stood_ns = felt.t_ns
         history = self._by_sensor or self._by_sight
         if history is not None and felt.t_ns >= history.start_ns:
             history.add(felt)
@@ -191,6 +198,7 @@ class FootFilter:
 
     def _accepted(self, observation: Observation) -> None:
         self.counts.accepted += 1
+        self._stood_ns = observation.t_ns
         self._seen[observation.stage] = max(observation.t_ns, self._seen.get(observation.stage, 0))
         if self._by_sensor is not None:
             return

@@ -55,7 +55,7 @@ class FootState:
         orientation_covariance: (3, 3) of the orientation's error as a rotation vector in the rig frame, rad².
         stage: the best evidence of the last moment.
         stationary: the foot stands.
-        measured_ns: when it was last seen.
+        measured_ns: when it was last seen, or last felt to have stood ever since.
     """
 
     t_ns: int
