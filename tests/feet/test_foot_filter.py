@@ -275,6 +275,20 @@ def test_a_foot_felt_to_stand_ever_since_it_was_seen_counts_as_seen(shaken: bool
     assert (state.measured_ns == ns(1.99)) is held
 
 
+@pytest.mark.parametrize("turned_deg", [0.0, 10.0])
+def test_a_foot_stood_while_samples_were_lost_if_it_is_as_it_was_before(turned_deg: float) -> None:
+    foot, still = FootFilter(), np.array([[0.0, 0.0, 0.0, 1.0]])
+    after = quaternion_from_rotation(rotation_from_vector(np.radians([0.0, 0.0, turned_deg])))[None]
+    for k in (*range(60), *range(75, 90)):
+        orientation = still if k < 60 else after
+        foot.imu(ImuSamples(np.array([ns(0.01 * k)]), np.array([[0.0, 0.0, 9.81]]), np.zeros((1, 3)), orientation))
+        if k < 40:
+            foot.marker(ns(0.01 * k), np.zeros(3), SIGMA_M**2 * np.eye(3))
+    state = foot.state(ns(0.9))
+    assert state is not None
+    assert (state.sigma_m < 0.01) is (turned_deg == 0.0)
+
+
 def test_false_markers_do_not_move_it() -> None:
     foot = FootFilter()
     track = follow(Walk(), 8.0, foot, false_share=0.1, seed=3)

@@ -95,12 +95,13 @@ class FootFilter:
     def imu(self, samples: ImuSamples) -> None:
         """Take samples of the sensor, not older than those before."""
         rotations = rotation_from_quaternion(samples.orientation_xyzw) if len(samples) else ()
-        stands = [
-            self._sample(t_ns, force, rate, R_world)
-            for t_ns, force, rate, R_world in zip(
-                samples.t_ns.tolist(), samples.specific_force, samples.angular_rate, rotations, strict=True
-            )
-        ]
+        stands = []
+        for t_ns, force, rate, R_world in zip(
+            samples.t_ns.tolist(), samples.specific_force, samples.angular_rate, rotations, strict=True
+        ):
+            for missing_ns in self._samples.missing(t_ns, force, R_world):
+                self._sample(missing_ns, force, _NO_RATE, R_world)
+            stands.append(self._sample(t_ns, force, rate, R_world))
         if self._by_sensor is None:
             self._learner.imu(samples, rotations, stands)
 

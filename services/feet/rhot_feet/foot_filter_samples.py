@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterator
 from operator import attrgetter
@@ -19,6 +20,10 @@ FloatArray = NDArray[np.float64]
 
 _GAP_S: Final = 0.03
 """Samples further apart than this have others missing between them."""
+_BRIDGED_NS: Final = 10_000_000
+_SAME_FORCE: Final = 0.5
+"""m/s²"""
+_SAME_TURN_COSINE: Final = math.cos(math.radians(1.5))
 
 
 class SampleTrack:
@@ -60,6 +65,25 @@ class SampleTrack:
         while t_ns - self._felt[0].t_ns > self._kept_ns:
             self._felt.popleft()
         return felt
+
+    def missing(self, t_ns: int, force: FloatArray, R_world: FloatArray) -> range:
+        """Return the times of samples that were lost before a sample, while the foot stood.
+
+        It did when it stood before and is turned and borne alike afterwards: no step is over so soon.
+
+        Args:
+            t_ns: of the sample.
+            force: (3,) m/s², sensor frame.
+            R_world: (3, 3) from the sensor to its own level world.
+        """
+        before = self._felt[-1] if self._felt else None
+        if before is None or not before.rest.still or not _GAP_S < 1e-9 * (t_ns - before.t_ns) <= LONGEST_STEP_S:
+            return range(0)
+        changed = force - before.step.force_after
+        cosine = 0.5 * (float((R_world * before.R_world).sum()) - 1.0)
+        if float(changed @ changed) > _SAME_FORCE**2 or cosine < _SAME_TURN_COSINE:
+            return range(0)
+        return range(before.t_ns + _BRIDGED_NS, t_ns - _BRIDGED_NS // 2, _BRIDGED_NS)
 
     def is_silent(self, t_ns: int) -> bool:
         """Tell whether the sensor had gone away at a moment."""

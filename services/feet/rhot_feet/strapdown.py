@@ -207,11 +207,11 @@ def correct(state: InertialState, H: FloatArray, residual: FloatArray, noise: Fl
 def inject(state: InertialState, dx: FloatArray, P: FloatArray) -> InertialState:
     """Return the state moved by errors (21,), with a new covariance (21, 21).
 
-    What pictures show is the foot's place p + R·l and turn R·M, whatever the yaw of R. The covariance says so in terms of
-    R and l as they were; carried over as it is, each correction of tilt or lever would seem to have told something of
-    the yaw. So the errors of the foot's place and turn are what is kept (Barrau and Bonnabel, "The invariant extended
-    Kalman filter as a stable observer", IEEE Transactions on Automatic Control 62 (4), 2017, choose errors for the
-    same reason).
+    What pictures show is the foot's place p + R·l and turn R·M, whatever the yaw of R. The covariance says so in terms
+    of R and l as they were; carried over as it is, each correction of tilt or lever would seem to have told something
+    of the yaw. So the errors of the foot's place and turn are what is kept (Barrau and Bonnabel, "The invariant
+    extended Kalman filter as a stable observer", IEEE Transactions on Automatic Control 62 (4), 2017, choose errors for
+    the same reason).
     """
     R, lever = orthonormal(turn_from_vector(dx[ATTITUDE]) @ state.R), state.lever + dx[LEVER]
     kept = _UNITS.copy()
