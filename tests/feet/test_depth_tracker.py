@@ -161,6 +161,20 @@ def test_feet_side_by_side_stay_two() -> None:
         assert abs(1e3 * float(distance) - 1e3 * gap) < 20.0
 
 
+def test_a_foot_that_may_be_anywhere_is_not_taken_for_the_other_one() -> None:
+    """The left foot is out of sight, with the right one standing about where it is expected."""
+    tracker, left, right = DepthTracker(RANGE), place(-0.12, 0.085, 0.7), place(0.12, 0.085, 0.75)
+    both: dict[Side, FootExpectation] = {"left": expected(left), "right": expected(right)}
+    for seed in range(4):
+        tracker.feed(picture({"left": left, "right": right}, seed), {}, both, UP)
+    alone = picture({"right": right}, 9)
+    lost = expected(0.4 * left + 0.6 * right, sigma_m=0.1)
+    # Nobody knows that it is the right one.
+    assert tracker.feed(alone, {"left": lost}, {}, UP).refused == {"left": "vague"}
+    # Its marker is seen, but there is half of it left when the other half is taken for the left one.
+    assert tracker.feed(alone, {"left": lost}, {"right": expected(right)}, UP).refused == {"left": "other"}
+
+
 def test_what_is_not_a_foot_is_refused() -> None:
     tracker = DepthTracker(RANGE)
     at: dict[Side, Float] = {"left": place(-0.12, 0.085, 0.7)}

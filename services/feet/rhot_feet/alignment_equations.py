@@ -31,7 +31,7 @@ _MEMORY: Final = 0.97
 """Weight that older stretches and steps keep at each new one: the sensor's north drifts."""
 _TURN_MEMORY_S: Final = 16.0
 """Time constant with which orientations are forgotten."""
-_YAW_ENOUGH_RAD: Final = float(np.radians(15.0))
+_YAW_ENOUGH_RAD: Final = float(np.radians(25.0))
 """The filter refines the yaw; this is enough for it to start from."""
 _WORST_SURPRISE: Final = 16.0
 """Mean squared normalised residual above which the stretches do not agree with each other."""

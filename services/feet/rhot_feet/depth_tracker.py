@@ -16,38 +16,25 @@ from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
 from rhot.messages import Side
-from rhot.transforms import cross_matrix
-from rhot_feet.depth_blob import RADIUS_M, BlobSeed, FootBlob, find_blobs
+from rhot_feet.depth_blob import RADIUS_M, BlobSeed, find_blobs
 from rhot_feet.depth_floor import FloorPlane, find_floor
+from rhot_feet.depth_learnt import BlobRefusal, LearntFoot, Neighbour, axes, learnt_from
 from rhot_feet.depth_points import COARSE_PX, FINE_PX, PixelRays
-from rhot_feet.depth_shape import FootShape, shape_of
-from rhot_feet.expectation import GATE_SIGMAS, FootExpectation, expected_region, innovation_distance
+from rhot_feet.expectation import FootExpectation, expected_region
 from rhot_feet.frames import DepthFrame
 from rhot_feet.region import Region
 
 FloatArray = NDArray[np.float64]
 
-DepthRefusal = Literal["unknown", "hidden", "size", "cut", "unsettled", "motion"]
+DepthRefusal = Literal["unknown", "vague"] | BlobRefusal
 
-_FORGETTING: Final = 0.03
-_FIRST_SIGMA_M: Final = 0.02
-"""Per axis, of an offset that was seen once."""
-_LEAST_SIGMA_M: Final = 0.004
-_AREA_RATIO: Final = (0.4, 2.0)
-"""A blob that shows less or more of its usual surface than this is half hidden, or more than a foot."""
-_AREA_SIGMA: Final = 1.5
-_HIDDEN_SIGMA: Final = 1.0
-"""By how much more a place is in doubt when hardly anything of the foot is in sight."""
-_MAX_CUT: Final = 0.5
-_LEAST_IN_SIGHT: Final = 0.2
-"""Share of the foot's surface; of less the rest cannot be told."""
-_WHOLE_SHARE: Final = 0.95
-"""A sighting of nearly the most surface ever seen renews a foot's shape."""
-_LEVEL_SHARE: Final = 0.4
-"""Part of an error of the expected height that remains in the found one: the blob is cut off in relation to it."""
+_VAGUE_M: Final = 0.06
+"""A foot that is worse expected than this, in any direction, may be taken for the other one, unless it is known where
+that is."""
 _FLOOR_NS: Final = 60_000_000
 """The floor is measured this often; in between the head's pose tells where it is."""
 _REACH_M: Final = RADIUS_M + 0.06
+_BOTH: Final[tuple[Side, Side]] = ("left", "right")
 _UPRIGHT: Final = np.array([0.0, -1.0, 0.0])
 
 
@@ -84,36 +71,6 @@ class DepthSightings:
 
 
 @dataclass(frozen=True, slots=True)
-class _Offset:
-    """From a blob's centroid to the marker.
-
-    Attributes:
-        mean: (3,) metres, foot frame, or camera frame while the foot's orientation is unknown.
-        variance: (3,) about the mean.
-        area: usual `FootBlob.area` of the whole foot.
-        count: sightings.
-        shape: the foot's surface, in the frame of `mean`.
-        in_foot: that is the foot's frame.
-    """
-
-    mean: FloatArray
-    variance: FloatArray
-    area: float
-    count: int
-    shape: FootShape
-    in_foot: bool
-
-    def with_sighting(self, offset: FloatArray, area: float, shape: FootShape) -> _Offset:
-        share = max(1.0 / (self.count + 1), _FORGETTING)
-        difference = offset - self.mean
-        variance = (1.0 - share) * (self.variance + share * difference**2)
-        usual = self.area + share * (area - self.area)
-        # The shape is what was seen most of.
-        shape = shape if shape.area > _WHOLE_SHARE * self.shape.area else self.shape
-        return _Offset(self.mean + share * difference, variance, usual, self.count + 1, shape, self.in_foot)
-
-
-@dataclass(frozen=True, slots=True)
 class _MeasuredFloor:
     """The floor as one picture showed it.
 
@@ -138,7 +95,7 @@ class DepthTracker:
             depth_range_m: nearest and farthest depth that is believed.
         """
         self._depth_range_m = depth_range_m
-        self._offsets: dict[Side, _Offset] = {}
+        self._learnt: dict[Side, LearntFoot] = {}
         self._floor: FloorPlane | None = None
         self._floor_t_ns: int | None = None
         self._measured_floor: _MeasuredFloor | None = None
@@ -192,9 +149,16 @@ class DepthTracker:
             learns: else the feet that are seen only tell which points are theirs.
         """
         hidden = {side: foot for side, foot in expected.items() if side not in seen}
-        learnt = {side: offset for side, foot in (hidden | dict(seen)).items() if (offset := self._learnt(side, foot))}
+        learnt = {
+            side: known
+            for side, foot in (hidden | dict(seen)).items()
+            if (known := self._learnt.get(side)) is not None and known.serves(foot)
+        }
         refused: dict[Side, DepthRefusal] = {side: "unknown" for side in hidden if side not in learnt}
         hidden = {side: foot for side, foot in hidden.items() if side in learnt}
+        if len(hidden | dict(seen)) < len(_BOTH):
+            refused |= {side: "vague" for side, foot in hidden.items() if _is_vague(foot)}
+            hidden = {side: foot for side, foot in hidden.items() if side not in refused}
         floor = self.find_floor(frame, up_camera)
         if frame.depth_mm is None or not (hidden or seen):
             return DepthSightings({}, refused, floor)
@@ -207,67 +171,32 @@ class DepthTracker:
             if known is None:
                 seeds[side] = BlobSeed(foot.place, np.zeros(3), fixed=True)
             else:
-                R = _axes(foot)
+                R = axes(foot)
                 seeds[side] = BlobSeed(foot.place, R @ known.mean, known.shape.turned(R), fixed=side in seen)
         grid = self._rays(frame.camera).points(frame.depth_mm, region, self._depth_range_m)
         up = self._up(up_camera)
         blobs = find_blobs(grid, seeds, floor, up, frame.camera)
         for side, foot in seen.items() if learns else ():
-            if side in blobs:
-                self._learn(side, foot, blobs[side])
+            now = learnt_from(foot, blobs[side], learnt.get(side)) if side in blobs else None
+            if now is not None:
+                self._learnt[side] = now
         feet: dict[Side, FootDepth] = {}
+        neighbours = {
+            side: Neighbour(blob.place, learnt[side].share(blob) if side in learnt else 1.0)
+            for side, blob in blobs.items()
+        }
         for side, foot in hidden.items():
-            outcome = self._judge(frame.t_ns, side, foot, blobs.get(side), up)
-            if isinstance(outcome, FootDepth):
-                feet[side] = outcome
-            else:
+            blob = blobs.get(side)
+            if blob is None:
+                refused[side] = "hidden"
+                continue
+            others = [neighbour for other, neighbour in neighbours.items() if other != side]
+            outcome = learnt[side].judged(foot, blob, others, up)
+            if isinstance(outcome, str):
                 refused[side] = outcome
+            else:
+                feet[side] = FootDepth(frame.t_ns, blob.place, outcome, len(blob.points))
         return DepthSightings(feet, refused, floor)
-
-    def _learnt(self, side: Side, foot: FootExpectation) -> _Offset | None:
-        """Return what is known of a foot in the axes in which it is expected."""
-        known = self._offsets.get(side)
-        return known if known is not None and known.in_foot == (foot.R_camera_foot is not None) else None
-
-    def _learn(self, side: Side, foot: FootExpectation, blob: FootBlob) -> None:
-        if blob.cut > _MAX_CUT or blob.in_sight < _LEAST_IN_SIGHT:
-            return
-        R = _axes(foot)
-        offset = R.T @ (foot.place - blob.centroid)
-        area = blob.area / blob.in_sight
-        shape = shape_of((blob.points - foot.place) @ R, blob.weights, blob.area)
-        known = self._learnt(side, foot)
-        self._offsets[side] = (
-            _Offset(offset, np.full(3, _FIRST_SIGMA_M**2), area, 1, shape, foot.R_camera_foot is not None)
-            if known is None
-            else known.with_sighting(offset, area, shape)
-        )
-
-    def _judge(
-        self, t_ns: int, side: Side, foot: FootExpectation, blob: FootBlob | None, up: FloatArray
-    ) -> FootDepth | DepthRefusal:
-        if blob is None or blob.in_sight < _LEAST_IN_SIGHT:
-            return "hidden"
-        learnt = self._offsets[side]
-        ratio = blob.area / (blob.in_sight * learnt.area)
-        if not _AREA_RATIO[0] <= ratio <= _AREA_RATIO[1]:
-            return "size"
-        if blob.cut > _MAX_CUT:
-            return "cut"
-        if not blob.settled:
-            return "unsettled"
-        R = _axes(foot)
-        # A blob that shows less of the foot than usual has its centre elsewhere.
-        doubt = 1.0 + _AREA_SIGMA * abs(float(np.log(ratio))) + _HIDDEN_SIGMA * (1.0 - blob.in_sight)
-        variance = (learnt.variance + _LEAST_SIGMA_M**2) * doubt**2
-        level_variance = _LEVEL_SHARE**2 * float(up @ foot.covariance @ up)
-        covariance = R @ np.diag(variance) @ R.T + level_variance * np.outer(up, up)
-        if foot.orientation_covariance is not None:
-            arm = cross_matrix(blob.place - np.average(blob.points, axis=0, weights=blob.weights))
-            covariance += arm @ foot.orientation_covariance @ arm.T
-        if innovation_distance(blob.place, covariance, foot) > GATE_SIGMAS:
-            return "motion"
-        return FootDepth(t_ns, blob.place, covariance, len(blob.points))
 
     def _rays(self, camera: CameraModel) -> PixelRays:
         if self._fine is None or self._fine.camera is not camera:
@@ -280,9 +209,8 @@ class DepthTracker:
         return _UPRIGHT if self._floor is None else self._floor.up
 
 
-def _axes(foot: FootExpectation) -> FloatArray:
-    """Return the frame (3, 3) in which a foot's offset is kept: its own, or the camera's while it is not known."""
-    return np.eye(3) if foot.R_camera_foot is None else foot.R_camera_foot
+def _is_vague(foot: FootExpectation) -> bool:
+    return float(np.linalg.eigvalsh(foot.covariance)[-1]) > _VAGUE_M**2
 
 
 def _joint_region(feet: list[FootExpectation], camera: CameraModel) -> Region | None:

@@ -44,7 +44,7 @@ _CALMS: Final = 1.25
 _TURNING: Final = 6.0
 """Standard deviation of the rate of turning, rad/s."""
 _TURNING_AT_REST: Final = 0.01
-_MOST_TURNED: Final = math.radians(60.0)
+_MOST_TURNED: Final = math.radians(45.0)
 """A foot whose orientation was seen does not come to be turned by more meanwhile, per axis, one standard deviation."""
 _UNIT: Final = np.eye(3)
 _PLACE: Final = np.concatenate([_UNIT, np.zeros((3, 6))], axis=1)

@@ -37,6 +37,7 @@ from rhot_feet.view import HEAD_TURN_RAD, Seen, View
 FloatArray = NDArray[np.float64]
 
 RIG_FRAME: Final = "rig"
+_OTHER: Final[dict[Side, Side]] = {"left": "right", "right": "left"}
 _KNOWN_TURN_RAD: Final = float(np.radians(120.0))
 """A foot whose orientation is worse known than this, root of the sum of variances, was never seen turned any way."""
 _VAGUE_M: Final = 0.06
@@ -195,7 +196,10 @@ class FootStage:
             for stage, refused in (("marker", seen.markers.refused), ("depth", seen.blobs.refused)):
                 if side in refused:
                     self._count(side, stage, refused[side])
-            self._doubt(foot, t_ns, believed=believed, contradicted=seen.markers.refused.get(side) == "motion")
+            # The other one's marker where this foot is expected, again and again: its blob was taken for this one's.
+            swapped = marker is None and seen.markers.refused.get(_OTHER[side]) == "other"
+            elsewhere = seen.markers.refused.get(side) == "motion"
+            self._doubt(foot, t_ns, believed=believed and not swapped, contradicted=elsewhere or swapped)
 
     def due_ns(self, now_ns: int) -> int:
         """Return the time for which poses are due: of the newest measurement, plus the configured prediction."""
