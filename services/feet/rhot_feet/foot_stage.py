@@ -46,6 +46,8 @@ _ASTRAY_M: Final = 0.5
 _ASTRAY_FELT_M: Final = 0.2
 """A foot whose place is worse known than this is looked for everywhere, and not published; less is borne with when its
 sensor feels it move, for then it cannot have stayed where it was."""
+_SHOWN_FELT_M: Final = 0.12
+"""Then it is no longer published from here on, though still looked for where it should be."""
 _FELT_NS: Final = 250_000_000
 """For so long after its last sample a sensor counts."""
 _DOUBT_S: Final = 0.75
@@ -216,9 +218,10 @@ class FootStage:
             backed &= state.sigma_m <= _VAGUE_M
             if backed:
                 foot.backed_ns = max(foot.backed_ns, t_ns)
-            astray_m = _ASTRAY_FELT_M if t_ns - foot.felt_ns <= _FELT_NS else _ASTRAY_M
+            feels = t_ns - foot.felt_ns <= _FELT_NS
+            astray_m = _ASTRAY_FELT_M if feels else _ASTRAY_M
             foot.lost = t_ns - max(foot.backed_ns, state.measured_ns) > self._hold_ns or state.sigma_m > astray_m
-            if not foot.lost:
+            if not (foot.lost or (feels and state.sigma_m > _SHOWN_FELT_M)):
                 outputs.append((f"rhot/foot/{side}", _message(side, state, backed=backed)))
         return outputs
 
