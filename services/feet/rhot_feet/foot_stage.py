@@ -46,7 +46,7 @@ _ASTRAY_M: Final = 0.5
 _ASTRAY_FELT_M: Final = 0.2
 """A foot whose place is worse known than this is looked for everywhere, and not published; less is borne with when its
 sensor feels it move, for then it cannot have stayed where it was."""
-_SHOWN_FELT_M: Final = 0.12
+_SHOWN_FELT_M: Final = 0.1
 """Then it is no longer published from here on, though still looked for where it should be."""
 _FELT_NS: Final = 250_000_000
 """For so long after its last sample a sensor counts."""
