@@ -12,10 +12,12 @@ from still_feet import FEET, head, picture, places, standing_samples
 
 from rhot.messages import FootPose, Side
 from rhot_feet.depth_floor import FloorPlane
+from rhot_feet.depth_tracker import DepthSightings, FootDepth
 from rhot_feet.expectation import FootExpectation
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame
 from rhot_feet.marker_tracker import MarkerSightings
+from rhot_feet.view import Seen
 
 START_NS = 1_700_000_000_000_000_000
 FRAME_NS = 33_000_000
@@ -127,6 +129,23 @@ def test_feet_are_found_again_where_nobody_expected_them() -> None:
     for pose in poses(stage, t_ns).values():
         assert 1e3 * np.linalg.norm(np.array(pose.position) - places()[pose.side] - shift_m) < 10.0
     assert len(poses(stage, t_ns)) == 2
+
+
+def test_a_foot_found_by_depth_where_the_others_marker_is_seen_is_given_up() -> None:
+    """The blob of the right foot was taken for the left one, whose marker is not in sight."""
+    stage = FootStage(FEET)
+    t_ns = see(stage, 0, 12)
+    for k in range(40):
+        stage.head(head(t_ns + k * FRAME_NS))
+        stage.head(head(t_ns + k * FRAME_NS + 1))
+        view = stage.expect(picture(12 + k, t_ns + k * FRAME_NS))
+        assert view is not None
+        if "left" not in view.expected:
+            break
+        place, covariance = view.expected["left"].place, 1e-4 * np.eye(3)
+        blobs = DepthSightings({"left": FootDepth(view.frame.t_ns, place, covariance, 300)}, {}, None)
+        stage.take(Seen(view, MarkerSightings({}, {"right": "other"}), blobs))
+    assert 0.7 < 1e-9 * k * FRAME_NS < 0.9
 
 
 def test_poses_go_on_a_little_behind_now_when_nothing_is_measured() -> None:
