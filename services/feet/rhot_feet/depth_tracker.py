@@ -149,16 +149,16 @@ class DepthTracker:
             learns: else the feet that are seen only tell which points are theirs.
         """
         hidden = {side: foot for side, foot in expected.items() if side not in seen}
+        present = hidden | dict(seen)
         learnt = {
             side: known
-            for side, foot in (hidden | dict(seen)).items()
+            for side, foot in present.items()
             if (known := self._learnt.get(side)) is not None and known.serves(foot)
         }
         refused: dict[Side, DepthRefusal] = {side: "unknown" for side in hidden if side not in learnt}
-        hidden = {side: foot for side, foot in hidden.items() if side in learnt}
-        if len(hidden | dict(seen)) < len(_BOTH):
-            refused |= {side: "vague" for side, foot in hidden.items() if _is_vague(foot)}
-            hidden = {side: foot for side, foot in hidden.items() if side not in refused}
+        if len({*learnt, *seen}) < len(_BOTH):
+            refused |= {side: "vague" for side, foot in hidden.items() if side in learnt and _is_vague(foot)}
+        hidden = {side: foot for side, foot in hidden.items() if side not in refused}
         floor = self.find_floor(frame, up_camera)
         if frame.depth_mm is None or not (hidden or seen):
             return DepthSightings({}, refused, floor)
