@@ -153,7 +153,7 @@ class FootFilter:
         )
 
     def _sample(self, t_ns: int, force: FloatArray, rate: FloatArray, R_world: FloatArray) -> bool:
-        """Take a sample; tell whether the foot was felt to stand."""
+        """Take a sample; tell whether the foot was felt to rest, if only as shortly as one that walks fast."""
         felt = self._samples.add(t_ns, force, rate, R_world)
         if felt is None:
             self._stood_ns = None
@@ -167,7 +167,7 @@ class FootFilter:
         history = self._by_sensor or self._by_sight
         if history is not None and felt.t_ns >= history.start_ns:
             history.add(felt)
-        return felt.rest.still
+        return felt.rest.speed_sigma is not None
 
     def _observe(self, observation: Observation) -> bool:
         self._hand_over(observation.t_ns)
