@@ -113,25 +113,26 @@ def find_blobs(
     levels = points @ up_camera
     weights = {side: _weights(levels - float(seed.place @ up_camera)) for side, seed in seeds.items()}
     places = {side: seed.place for side, seed in seeds.items()}
+    distances = {side: _distances(points, levels, place, up_camera) for side, place in places.items()}
     members: dict[Side, Mask] = {}
-    moved: dict[Side, float] = dict.fromkeys(seeds, np.inf)
+    moved: dict[Side, float] = dict.fromkeys(seeds, 0.0)
     in_sight: dict[Side, float] = dict.fromkeys(seeds, 1.0)
     hidden_shift: dict[Side, FloatArray] = dict.fromkeys(seeds, np.zeros(3))
+    searched = [side for side, seed in seeds.items() if not seed.fixed]
     for turn in range(_ROUNDS):
-        distances = {side: _distances(points, levels, place, up_camera) for side, place in places.items()}
-        for side, seed in seeds.items():
-            # Shoe and heel hang together by way of the shank, which itself does not count.
-            leg = _connected(_near(distances, side), rows, columns, solid.shape, weights[side])
-            member = leg & (weights[side] > 0.0)
-            if member.sum() < _MIN_POINTS:
+        distances |= {
+            side: _distances(points, levels, places[side], up_camera) for side in searched if moved[side] > 0.0
+        }
+        for side in searched:
+            seed = seeds[side]
+            member = _member(distances, side, rows, columns, solid.shape, weights[side])
+            if member is None:
                 members.pop(side, None)
+                moved[side] = 0.0
                 continue
             members[side] = member
             if seed.shape is not None:
                 in_sight[side], hidden_shift[side] = part_in_sight(seed.shape, places[side], grid, camera)
-            if seed.fixed:
-                moved[side] = 0.0
-                continue
             place = np.average(points[member], axis=0, weights=weights[side][member])
             place += hidden_shift[side] + seed.offset
             if turn >= _FULL_ROUNDS:
@@ -140,6 +141,13 @@ def find_blobs(
             places[side] = place
         if all(step < _SETTLED_M for step in moved.values()):
             break
+    # Feet whose place is given need their points alone, when the others have found theirs.
+    for side, seed in seeds.items():
+        member = _member(distances, side, rows, columns, solid.shape, weights[side]) if seed.fixed else None
+        if member is not None:
+            members[side] = member
+            if seed.shape is not None:
+                in_sight[side], hidden_shift[side] = part_in_sight(seed.shape, seed.place, grid, camera)
     blobs: dict[Side, FootBlob] = {}
     for side, member in members.items():
         inside, share = points[member], weights[side][member]
@@ -179,6 +187,20 @@ def _near(distances: Mapping[Side, FloatArray], side: Side) -> Mask:
         if other != side:
             near &= distances[side] < distance
     return near
+
+
+def _member(
+    distances: Mapping[Side, FloatArray],
+    side: Side,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    shape: tuple[int, ...],
+    weights: FloatArray,
+) -> Mask | None:
+    """Tell which points are a foot's; None when they are too few."""
+    # Shoe and heel hang together by way of the shank, which itself does not count.
+    member: Mask = _connected(_near(distances, side), rows, columns, shape, weights) & (weights > 0.0)
+    return member if member.sum() >= _MIN_POINTS else None
 
 
 def _connected(
