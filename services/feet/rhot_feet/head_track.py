@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.messages import HeadPose
-from rhot.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
+from rhot.rotations import rotation_from_quaternion
 from rhot.transforms import rigid
+from rhot.turns import turn_from_vector, vector_from_turn
 
 FloatArray = NDArray[np.float64]
 
@@ -49,6 +50,6 @@ class HeadTrack:
             return None
         first, second = self._poses[first_ns], self._poses[second_ns]
         share = (t_ns - first_ns) / (second_ns - first_ns)
-        turned = share * vector_from_rotation(first[:3, :3].T @ second[:3, :3])
+        turned = share * vector_from_turn(first[:3, :3].T @ second[:3, :3])
         place = first[:3, 3] + share * (second[:3, 3] - first[:3, 3])
-        return rigid(first[:3, :3] @ rotation_from_vector(turned), place)
+        return rigid(first[:3, :3] @ turn_from_vector(turned), place)

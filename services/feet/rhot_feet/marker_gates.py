@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
-from rhot.rotations import vector_from_rotation
+from rhot.turns import rotation_between
 from rhot_feet.depth_floor import FloorPlane
 from rhot_feet.depth_plane import DepthPlane
 from rhot_feet.expectation import GATE_SIGMAS, FootExpectation, innovation_distance
@@ -93,7 +93,7 @@ def refuse_pose(
 
 
 def _is_turned(pose: MarkerPose, prior: OrientationPrior) -> bool:
-    turn = vector_from_rotation(pose.R_camera_marker @ prior.R_camera_marker.T)
+    turn = rotation_between(prior.R_camera_marker, pose.R_camera_marker)
     sigmas = float(np.sqrt(turn @ np.linalg.solve(pose.covariance[:3, :3] + prior.covariance, turn)))
     return float(np.linalg.norm(turn)) > _MAX_TURN_RAD and sigmas > _TURN_SIGMAS
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.rotations import vector_from_rotation
+from rhot.turns import rotation_between
 from rhot_feet.marker_pose import MarkerPose
 
 FloatArray = NDArray[np.float64]
@@ -80,7 +80,7 @@ def choose_pose(
 def _surprise(pose: MarkerPose, prior: OrientationPrior | None) -> float:
     if prior is None:
         return 0.0
-    turn = vector_from_rotation(pose.R_camera_marker @ prior.R_camera_marker.T)
+    turn = rotation_between(prior.R_camera_marker, pose.R_camera_marker)
     distance = float(turn @ np.linalg.solve(pose.covariance[:3, :3] + prior.covariance, turn))
     return min(distance, _MAX_SURPRISE)
 
