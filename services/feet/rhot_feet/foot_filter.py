@@ -19,7 +19,8 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion
+from rhot.rotations import rotation_from_quaternion
+from rhot.turns import quaternion_from_turn
 from rhot_feet.alignment import AlignmentLearner
 from rhot_feet.alignment_equations import Alignment
 from rhot_feet.foot_filter_history import History
@@ -144,7 +145,7 @@ class FootFilter:
             t_ns,
             motion.position,
             motion.velocity,
-            quaternion_from_rotation(motion.rotation),
+            np.array(quaternion_from_turn(motion.rotation)),
             motion.covariance,
             motion.rotation_covariance,
             self._stage(t_ns, stands=stands),

@@ -184,7 +184,7 @@ class InertialModel:
         G[:, ATTITUDE], G[:, MOUNTING] = _UNIT, state.R
         return FootMotion(
             state.position + arm,
-            state.velocity + np.cross(turning, arm),
+            state.velocity + skew(turning) @ arm,
             state.foot_rotation,
             H @ state.P @ H.T,
             G @ state.P @ G.T,

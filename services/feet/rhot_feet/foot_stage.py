@@ -19,8 +19,9 @@ from rhot.aruco_dictionary import marker_dictionary
 from rhot.camera_mounting import camera_mounting
 from rhot.messages import FootPose, HeadPose, Side
 from rhot.rig.feet_config import FeetConfig
-from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion
+from rhot.rotations import rotation_from_quaternion
 from rhot.stage import Output
+from rhot.turns import quaternion_from_turn
 from rhot.wire_vectors import wire_position, wire_quaternion
 from rhot_feet.depth_tracker import DepthSightings, DepthTracker
 from rhot_feet.expectation import FootExpectation
@@ -269,7 +270,7 @@ def _put_marker(target: _Filter, marker: FootMarker, view: View) -> bool:
         return target.marker(marker.t_ns, position, covariance)
     R = T[:3, :3]
     turning = R @ marker.covariance[:3, :3] @ R.T + HEAD_TURN_RAD**2 * np.eye(3)
-    orientation = quaternion_from_rotation(R @ marker.R_camera_foot)
+    orientation = np.array(quaternion_from_turn(R @ marker.R_camera_foot))
     return target.marker(marker.t_ns, position, covariance, orientation, turning)
 
 
