@@ -50,6 +50,11 @@ def rotation_between(R0: FloatArray, R1: FloatArray) -> FloatArray:
     return vector_from_turn(R1 @ R0.T)
 
 
+def turn_cosine(R0: FloatArray, R1: FloatArray) -> float:
+    """Return the cosine of the angle between two rotations (3, 3)."""
+    return 0.5 * (float((R0 * R1).sum()) - 1.0)
+
+
 def turn_between(start: FloatArray, end: FloatArray) -> FloatArray:
     """Return the shortest rotation (3, 3) that takes one unit vector (3,) to another."""
     axis = np.cross(start, end)

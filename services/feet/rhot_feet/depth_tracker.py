@@ -20,7 +20,7 @@ from rhot_feet.depth_blob import RADIUS_M, BlobSeed, find_blobs
 from rhot_feet.depth_floor import FloorPlane, find_floor
 from rhot_feet.depth_learnt import BlobRefusal, LearntFoot, Neighbour, axes, learnt_from
 from rhot_feet.depth_points import COARSE_PX, FINE_PX, PixelRays
-from rhot_feet.expectation import FootExpectation, expected_region
+from rhot_feet.expectation import OTHER_FOOT, FootExpectation, expected_region
 from rhot_feet.frames import DepthFrame
 from rhot_feet.region import Region
 
@@ -34,7 +34,6 @@ that is."""
 _FLOOR_NS: Final = 60_000_000
 """The floor is measured this often; in between the head's pose tells where it is."""
 _REACH_M: Final = RADIUS_M + 0.06
-_BOTH: Final[tuple[Side, Side]] = ("left", "right")
 _UPRIGHT: Final = np.array([0.0, -1.0, 0.0])
 
 
@@ -156,7 +155,7 @@ class DepthTracker:
             if (known := self._learnt.get(side)) is not None and known.serves(foot)
         }
         refused: dict[Side, DepthRefusal] = {side: "unknown" for side in hidden if side not in learnt}
-        if len({*learnt, *seen}) < len(_BOTH):
+        if len({*learnt, *seen}) < len(OTHER_FOOT):
             refused |= {side: "vague" for side, foot in hidden.items() if side in learnt and _is_vague(foot)}
         hidden = {side: foot for side, foot in hidden.items() if side not in refused}
         floor = self.find_floor(frame, up_camera)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
+from rhot.messages import Side
 from rhot_feet.region import Region
 
 FloatArray = NDArray[np.float64]
 
+OTHER_FOOT: Final[dict[Side, Side]] = {"left": "right", "right": "left"}
 GATE_SIGMAS = 4.0
 """A place that lies farther from the expected one than this is somebody else's."""
 _MARGIN_PX = 10.0

@@ -24,7 +24,7 @@ from rhot.stage import Output
 from rhot.turns import quaternion_from_turn
 from rhot.wire_vectors import wire_position, wire_quaternion
 from rhot_feet.depth_tracker import DepthSightings, DepthTracker
-from rhot_feet.expectation import FootExpectation
+from rhot_feet.expectation import OTHER_FOOT, FootExpectation
 from rhot_feet.foot_filter import FootFilter
 from rhot_feet.foot_filter_kinematic import room_m
 from rhot_feet.foot_filter_model import FootFilterSettings, FootState
@@ -38,7 +38,6 @@ from rhot_feet.view import HEAD_TURN_RAD, Seen, View
 FloatArray = NDArray[np.float64]
 
 RIG_FRAME: Final = "rig"
-_OTHER: Final[dict[Side, Side]] = {"left": "right", "right": "left"}
 _KNOWN_TURN_RAD: Final = float(np.radians(120.0))
 """A foot whose orientation is worse known than this, root of the sum of variances, was never seen turned any way."""
 _VAGUE_M: Final = 0.06
@@ -200,7 +199,7 @@ class FootStage:
                 if side in refused:
                     self._count(side, stage, refused[side])
             # The other one's marker where this foot is expected, again and again: its blob was taken for this one's.
-            swapped = marker is None and seen.markers.refused.get(_OTHER[side]) == "other"
+            swapped = marker is None and seen.markers.refused.get(OTHER_FOOT[side]) == "other"
             elsewhere = seen.markers.refused.get(side) == "motion"
             self._doubt(foot, t_ns, believed=believed and not swapped, contradicted=elsewhere or swapped)
 

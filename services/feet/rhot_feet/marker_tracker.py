@@ -14,7 +14,7 @@ from rhot.aruco_dictionary import R_FOOT_MARKER
 from rhot.messages import Side
 from rhot_feet.depth_floor import FloorPlane
 from rhot_feet.depth_plane import DepthPlane, fit_depth_plane
-from rhot_feet.expectation import FootExpectation, expected_region
+from rhot_feet.expectation import OTHER_FOOT, FootExpectation, expected_region
 from rhot_feet.frames import DepthFrame
 from rhot_feet.marker_detection import MarkerDetection, MarkerFinder
 from rhot_feet.marker_gates import Refusal, refuse_detection, refuse_pose
@@ -196,7 +196,6 @@ class MarkerTracker:
         choice = choose_pose(poses, prior=prior, up_camera=up_camera)
         if choice is None:
             return "shape"
-        other: Side = "right" if side == "left" else "left"
         reason = refuse_pose(
             choice.pose,
             view,
@@ -206,7 +205,7 @@ class MarkerTracker:
             up_camera,
             floor,
             expected.get(side),
-            expected.get(other),
+            expected.get(OTHER_FOOT[side]),
             prior,
         )
         return reason or _Candidate(choice, poses, detection, plane)

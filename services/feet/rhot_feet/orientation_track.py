@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.rotations import quaternion_from_rotation
-from rhot.turns import turn_from_vector
+from rhot.turns import turn_cosine, turn_from_vector
 from rhot_feet.marker_pose import MarkerPose
 
 FloatArray = NDArray[np.float64]
@@ -161,18 +161,13 @@ def _updated(
         if weight[place] < best - _DROP or len(kept) == _HYPOTHESES:
             break
         orientation = turn_from_vector(step[place, :3]) @ state.R[parent[place]]
-        if all(_cosine(orientation, other) < _MERGE_COSINE for other in orientations):
+        if all(turn_cosine(orientation, other) < _MERGE_COSINE for other in orientations):
             kept.append(place)
             orientations.append(orientation)
     chosen = np.stack(orientations)
     share = min(1.0, dt / _FACING_S)
     mean = (1.0 - share) * state.facing[parent[kept]] + share * chosen[:, :, 2]
     return _Hypotheses(state.t_s, chosen, rate[kept], P[kept], weight[kept] - best, mean)
-
-
-def _cosine(first: FloatArray, second: FloatArray) -> float:
-    """Return the cosine of the angle between two rotations (3, 3)."""
-    return 0.5 * (float((first * second).sum()) - 1.0)
 
 
 def _turns(R: FloatArray) -> FloatArray:
