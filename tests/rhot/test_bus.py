@@ -8,8 +8,9 @@ import json
 import msgpack
 import pytest
 import zenoh
+from bus_watch import answers
 
-from rhot.bus import Answer, Bus, Reply, Request
+from rhot.bus import Answer, Bus, Request
 from rhot.errors import BusError, ConfigError
 from rhot.messages import Control, Marker, MarkerFrame, decode
 from rhot.rig import BusConfig
@@ -23,14 +24,6 @@ def frame(t_ns: int, camera: str = "left") -> MarkerFrame:
         height=480,
         markers={"thumb": Marker(u=1.0, v=2.0, area=3.0, score=0.5)},
     )
-
-
-async def answers(asker: Bus, selector: str) -> list[Reply]:
-    """Ask until somebody answers: a queryable is known to others only some moments after it was declared."""
-    async with asyncio.timeout(5):
-        while not (replies := await asker.get(selector)):
-            await asyncio.sleep(0.001)
-    return replies
 
 
 async def test_a_message_arrives_as_sent_and_numbered(router: BusConfig) -> None:

@@ -4,6 +4,7 @@ import datetime as dt
 from pathlib import Path
 
 import pytest
+from bus_watch import until_known
 
 from rhot.bus import Bus
 from rhot.cli.doctor import Finding, check_rig, check_running
@@ -82,6 +83,7 @@ async def test_a_running_rig_whose_cameras_have_moved_is_told(
         )
         bus.publisher("rhot/status/fusion/main", ServiceStatus).put(status)
         bus.alive("rhot/alive/fusion/main")
+        await until_known(router, "fusion/main")
         finding = about(await check_running(router, rig), "fusion/main: the cameras")
     assert finding.level == level
     assert says in finding.text
@@ -94,6 +96,7 @@ async def test_an_uncalibrated_rig_has_nothing_to_have_moved_from(rig_folder: Pa
         status = ServiceStatus(t_ns=1, service="fusion", instance="main", state="running", figures=figures)
         bus.publisher("rhot/status/fusion/main", ServiceStatus).put(status)
         bus.alive("rhot/alive/fusion/main")
+        await until_known(router, "fusion/main")
         findings = await check_running(router, load_rig(rig_folder))
     assert not [finding for finding in findings if "moved" in finding.text]
 
@@ -105,5 +108,6 @@ async def test_before_anything_was_seen_nothing_is_said(rig_folder: Path, router
         status = ServiceStatus(t_ns=1, service="fusion", instance="main", state="running", figures=figures)
         bus.publisher("rhot/status/fusion/main", ServiceStatus).put(status)
         bus.alive("rhot/alive/fusion/main")
+        await until_known(router, "fusion/main")
         findings = await check_running(router, rig)
     assert not [finding for finding in findings if "stand as calibrated" in finding.text]

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 import pytest
+from bus_watch import answers
 from stub_rig import StubRig
 
 from rhot.bus import Answer, Bus, Request
@@ -52,13 +53,6 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 async def until(condition: Callable[[], Any]) -> None:
     async with asyncio.timeout(PATIENCE_S):
         while not condition():
-            await asyncio.sleep(0.005)
-
-
-async def reachable(asking: Bus, key: str) -> None:
-    """Wait until a queryable of another session has become known to the router."""
-    async with asyncio.timeout(PATIENCE_S):
-        while not await asking.get(key, timeout_s=PATIENCE_S):
             await asyncio.sleep(0.005)
 
 
@@ -133,7 +127,7 @@ async def test_settings_are_read_changed_and_refused(bus: Bus, viewer_bus: Bus) 
     def left() -> int:
         return settings.cameras["left"].version
 
-    await reachable(viewer_bus, "rhot/config/capture/left")
+    await answers(viewer_bus, "rhot/config/capture/left")
     camera.payloads.clear()
     async with Running(settings.run(viewer_bus)):
         settings.ask("left", {})
@@ -178,7 +172,7 @@ async def test_pictures_are_asked_for_only_while_somebody_looks(bus: Bus, viewer
         return Answer(b"\xff\xd8 a picture", "image/jpeg")
 
     bus.queryable("rhot/preview/left", answer)
-    await reachable(viewer_bus, "rhot/preview/left")
+    await answers(viewer_bus, "rhot/preview/left")
     asked.clear()
     shown: list[tuple[str, Picture]] = []
     feed = PictureFeed(["left", "silent"], lambda camera, picture: shown.append((camera, picture)))
