@@ -146,10 +146,13 @@ async def test_who_joins_late_learns_the_start_from_the_others(router: BusConfig
             await wait_for_status(bus, "fusion/main", lambda status: status.state == "running")
         # The one who said start is gone by now.
         async with running(doubler(owns_clock=False, name="late"), router), await Bus.open(router) as bus:
-            status = await wait_for_status(bus, "late/main", lambda status: status.state == "running")
+            status = await wait_for_status(
+                bus,
+                "late/main",
+                # The first answer may have been a slow one: the clock gets better by asking again.
+                lambda status: status.state == "running" and (status.clock_uncertainty_s or 1.0) < 0.05,
+            )
             assert status.session == "s1"
-            assert status.clock_uncertainty_s is not None
-            assert status.clock_uncertainty_s < 0.05
 
 
 def has_refused(number: int, status: ServiceStatus) -> bool:
