@@ -32,6 +32,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither the status nor a device that is absent is waited for longer than needed."""
     monkeypatch.setattr(runner, "_STATUS_INTERVAL_S", 0.05)
     monkeypatch.setattr(feet_service, "_RETRY_S", 0.05)
+    monkeypatch.setattr(feet_service, "_HEADLESS_S", 0.2)
 
 
 @pytest.fixture
@@ -87,14 +88,31 @@ class Sensor:
         return
 
 
+class Head:
+    """Where the headset's poses come from: held still, told so late, or not at all."""
+
+    def __init__(self, late_s: float = 0.0) -> None:
+        self.late_s = late_s
+        self.tracked = True
+
+    async def hold(self, bus: Bus) -> None:
+        publisher = bus.publisher("rhot/head", HeadPose)
+        while True:
+            if self.tracked:
+                publisher.put(head(time.time_ns() - round(1e9 * self.late_s)))
+            await asyncio.sleep(0.015)
+
+
 @asynccontextmanager
-async def running(rig: Rig, router: BusConfig, camera: Camera, sensor: Sensor) -> AsyncIterator[Bus]:
-    """Run the service and move the head; yields a session of the test's own."""
+async def running(
+    rig: Rig, router: BusConfig, camera: Camera, sensor: Sensor, headset: Head | None = None
+) -> AsyncIterator[Bus]:
+    """Run the service and hold the head; yields a session of the test's own."""
     service = FeetService(rig, open_camera=lambda _rig, _now: camera, sensors=lambda _rig, _feet: {"left": sensor})
     tasks: list[asyncio.Task[int] | asyncio.Task[None]] = [asyncio.create_task(serve(service, router, SystemClock()))]
     try:
         async with await Bus.open(router) as bus:
-            tasks.append(asyncio.create_task(_hold_head(bus)))
+            tasks.append(asyncio.create_task((headset or Head()).hold(bus)))
             control = bus.publisher("rhot/control", Control, reliable=True)
             assert await control.wait_for_reader(LIMIT_S)
             now_ns = time.time_ns()
@@ -104,13 +122,6 @@ async def running(rig: Rig, router: BusConfig, camera: Camera, sensor: Sensor) -
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-
-
-async def _hold_head(bus: Bus) -> None:
-    publisher = bus.publisher("rhot/head", HeadPose)
-    while True:
-        publisher.put(head(time.time_ns()))
-        await asyncio.sleep(0.015)
 
 
 async def foot(bus: Bus, wanted: Callable[[FootPose], bool]) -> FootPose:
@@ -156,6 +167,21 @@ async def test_a_sensor_that_is_pulled_out_comes_back(rig: Rig, router: BusConfi
         assert "sensor" in (await status(bus, lambda status: bool(status.problem))).problem
         sensor.plugged = True
         await foot(bus, lambda pose: pose.side == "left" and pose.stationary)
+        await status(bus, lambda status: not status.problem)
+
+
+async def test_a_picture_waits_for_a_head_that_is_told_late(rig: Rig, router: BusConfig) -> None:
+    async with running(rig, router, Camera(), Sensor(), Head(late_s=0.1)) as bus:
+        await foot(bus, lambda pose: pose.side == "right" and pose.state == "measured")
+
+
+async def test_a_head_that_is_not_tracked_is_told_and_comes_back(rig: Rig, router: BusConfig) -> None:
+    headset = Head()
+    headset.tracked = False
+    async with running(rig, router, Camera(), Sensor(), headset) as bus:
+        assert "rhot/head" in (await status(bus, lambda status: bool(status.problem))).problem
+        headset.tracked = True
+        await foot(bus, lambda pose: pose.side == "right" and pose.stage == "marker")
         await status(bus, lambda status: not status.problem)
 
 

@@ -376,11 +376,11 @@ def test_alignment_is_learnt_from_the_first_steps(yaw_rad: float) -> None:
         learner.imu(samples.rows(k, k + 1), rotations[k : k + 1], [False])
         if k % 2:
             place, R = walk.foot(now)
-            learner.marker(ns(now), place + random.normal(0.0, SIGMA_M, 3), SIGMA_M, R)
-        if first is None and learner.alignment is not None:
+            learner.marker(ns(now), place + random.normal(0.0, SIGMA_M, 3), SIGMA_M, R, np.radians(2.0))
+        if first is None and learner.alignment() is not None:
             first = now
     assert first is not None and first < 1.7
-    alignment = learner.alignment
+    alignment = learner.alignment()
     assert alignment is not None and alignment.mounted
     # What the learnt yaw makes of the sensor's own orientation is the sensor's orientation in the rig.
     _, R_sensor = walk.sensor(float(t[-1]))

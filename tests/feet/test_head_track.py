@@ -68,3 +68,11 @@ def test_keeps_one_second() -> None:
     heads = track(*np.arange(0.0, 3.0, 0.01).tolist())
     assert heads.at(ns(1.5)) is None
     assert heads.at(ns(2.5)) is not None
+
+
+def test_a_moment_is_awaited_while_poses_come_but_none_reaches_it() -> None:
+    heads = track(0.0, 0.01)
+    assert not heads.awaits(ns(0.02)), "the head goes on as it did"
+    assert heads.awaits(ns(0.1))
+    assert not heads.awaits(ns(2.0)), "no pose has come for long"
+    assert not HeadTrack().awaits(ns(0.0))

@@ -52,6 +52,9 @@ _STEP_ASTRAY_M: Final = 0.06
 _STEP_ASTRAY_SHARE: Final = 0.15
 """A step whose length or height differs by more between picture and sensor holds a false marker."""
 _SHORTEST_STEP_M: Final = 0.12
+_LEANS_RAD_S, _LEANS_RAD = math.radians(10.0), math.radians(4.0)
+"""A sensor that is accelerated mistakes that for a tilt: how fast its own orientation comes to be wrong since it stood,
+and by how much at most (a BNO080 promises 3.5 degrees in motion)."""
 _SOLVE_EVERY: Final = 3
 """Sightings between two attempts to solve."""
 _MOVED_SIGMAS: Final = 6.0
@@ -90,11 +93,15 @@ class AlignmentLearner:
         self._equations = AlignmentEquations(self._sensor_m)
         self._alignment: Alignment | None = None
         self._unsolved = 0
+        self._stood_ns = 0
 
-    @property
-    def alignment(self) -> Alignment | None:
-        """What is known; None until the yaw is."""
-        if self._unsolved >= _SOLVE_EVERY:
+    def alignment(self, *, at_once: bool = False) -> Alignment | None:
+        """Return what is known; None until the yaw is.
+
+        Args:
+            at_once: the newest sightings have to be in it, though solving takes its time.
+        """
+        if self._unsolved >= (1 if at_once else _SOLVE_EVERY):
             self._alignment, self._unsolved = self._equations.solve() or self._alignment, 0
         return self._alignment
 
@@ -110,18 +117,22 @@ class AlignmentLearner:
                 self._steps.reset()
             self._samples.append((t_ns, R @ force, R))
             self._steps.imu(t_ns, force, R, stands=still)
+            if still:
+                self._stood_ns = t_ns
         while self._samples and self._samples[-1][0] - self._samples[0][0] > 4 * _STRETCH_NS:
             self._samples.popleft()
 
-    def marker(self, t_ns: int, position: FloatArray, sigma_m: float, rotation: FloatArray | None) -> None:
-        """Take a believed place (3,) and R_rig_foot (3, 3) of the marker."""
+    def marker(
+        self, t_ns: int, position: FloatArray, sigma_m: float, rotation: FloatArray | None, turn_sigma_rad: float
+    ) -> None:
+        """Take a believed place (3,) and R_rig_foot (3, 3) of the marker, each with its noise per axis."""
         first_ns = self._sightings[0].t_ns if self._sightings else t_ns
         if self._sightings and (t_ns <= self._sightings[-1].t_ns or t_ns - first_ns > 2 * _STRETCH_NS):
             self._sightings.clear()
             first_ns = t_ns
         self._sightings.append(_Sighting(t_ns, position, sigma_m))
         if rotation is not None:
-            self._learn_turning(t_ns, rotation)
+            self._learn_turning(t_ns, rotation, turn_sigma_rad)
         step = self._steps.marker(t_ns, position @ self._C)
         if step is not None:
             self._learn_step(step, sigma_m)
@@ -129,12 +140,14 @@ class AlignmentLearner:
             stretch, self._sightings = self._sightings, []
             self._learn_moving(stretch)
 
-    def _learn_turning(self, t_ns: int, rotation: FloatArray) -> None:
+    def _learn_turning(self, t_ns: int, rotation: FloatArray, sigma_rad: float) -> None:
         """Take in an orientation."""
         nearest = nearest_sample(self._samples, t_ns, itemgetter(0))
         if nearest is None:
             return
-        self._equations.add_orientation(t_ns, nearest[2], self._C.T @ rotation)
+        leans_rad = min(_LEANS_RAD_S * 1e-9 * max(t_ns - self._stood_ns, 0), _LEANS_RAD)
+        sigma_rad = math.hypot(sigma_rad, leans_rad)
+        self._equations.add_orientation(t_ns, nearest[2], self._C.T @ rotation, sigma_rad)
         self._unsolved += 1
 
     def _learn_step(self, step: Step, sigma_m: float) -> None:

@@ -4,8 +4,9 @@ Places give rows that are linear in (cos ψ, sin ψ, l, b), see `alignment`: one
 cos² + sin² = 1. Lever and bias are eliminated, all yaws are tried: no start value is needed, so no yaw is too wrong.
 
 Orientations count as well: with the mounting M = R_sensor_foot, A_k = R_level_foot = Rz(ψ)·R_world_sensor·M. For each
-yaw the best M is the rotation nearest to S(ψ) = Σ (Rz(ψ)·R_world_sensor)ᵀ·A_k, and what it leaves is 3·K − tr(Mᵀ·S),
-the sum of squared angles. It tells the yaw once the foot has been tilted; both costs are added.
+yaw the best M is the rotation nearest to S(ψ) = Σ w_k·(Rz(ψ)·R_world_sensor)ᵀ·A_k with w_k = 1/σ_k², and what it leaves
+is 3·K − tr(Mᵀ·S), K = Σ w_k: the sum of squared angles over their variances. It tells the yaw once the foot has been
+tilted; both costs are added.
 """
 
 from __future__ import annotations
@@ -35,8 +36,6 @@ _YAW_ENOUGH_RAD: Final = float(np.radians(25.0))
 """The filter refines the yaw; this is enough for it to start from."""
 _WORST_SURPRISE: Final = 16.0
 """Mean squared normalised residual above which the stretches do not agree with each other."""
-_TURN_RAD: Final = float(np.radians(2.0))
-"""Noise of the marker's orientation."""
 _TURN_ALIKE_S: Final = 0.1
 """Time in which successive pictures see a marker's orientation with much the same error: they count as one."""
 _CIRCLE: Final = np.linspace(-math.pi, math.pi, 240, endpoint=False)
@@ -111,10 +110,12 @@ class AlignmentEquations:
         self._energy = _MEMORY * self._energy + float(values @ values) / sigma**2
         self._rows = _MEMORY * self._rows + len(values)
 
-    def add_orientation(self, t_ns: int, R_world_sensor: FloatArray, R_level_foot: FloatArray) -> None:
-        """Put in how sensor and foot were turned at one moment, (3, 3) each."""
+    def add_orientation(
+        self, t_ns: int, R_world_sensor: FloatArray, R_level_foot: FloatArray, sigma_rad: float
+    ) -> None:
+        """Put in how sensor and foot were turned at one moment, (3, 3) each, and the marker's noise per axis."""
         since_s = 1e-9 * max(t_ns - self._turned_ns, 0)
-        kept, weight = math.exp(-since_s / _TURN_MEMORY_S), min(since_s / _TURN_ALIKE_S, 1.0)
+        kept, weight = math.exp(-since_s / _TURN_MEMORY_S), min(since_s / _TURN_ALIKE_S, 1.0) / sigma_rad**2
         self._turned_ns = max(t_ns, self._turned_ns)
         added = weight * np.einsum("ji,ajl,lm->aim", R_world_sensor, _TURNS, R_level_foot)
         self._turned = kept * self._turned + added
@@ -132,7 +133,7 @@ class AlignmentEquations:
         total = self._energy + float(costs[best]) - float(m[2:] @ covariance @ m[2:])
         if total > _WORST_SURPRISE * max(self._rows, 1.0):
             return None
-        costs += (3.0 * self._turns - _fits(self._summed(_CIRCLE))) / _TURN_RAD**2
+        costs += 3.0 * self._turns - _fits(self._summed(_CIRCLE))
         best = int(costs.argmin())
         # A parabola through the lowest cost and its neighbours; its curvature is twice the information.
         left, low, right = costs[best - 1], costs[best], costs[(best + 1) % len(costs)]

@@ -40,6 +40,8 @@ _FULL_ROUNDS: Final = 4
 """After so many the steps are halved: where points come in and go out again, the search would swing."""
 _SETTLED_M: Final = 1e-3
 _MIN_POINTS: Final = 40
+_LEAST_KNOWN: Final = 0.1
+"""Share of a blob; of less than that nothing is told by comparing it."""
 _KERNEL: Final = np.ones((3, 3), np.uint8)
 
 
@@ -66,10 +68,12 @@ class FootBlob:
 
     Attributes:
         place: (3,) of the marker as the blob tells it, metres, camera frame.
-        centroid: (3,) of the blob's points, moved to where that of the whole foot would be.
+        centroid: (3,) of those of the blob's points that are compared, moved to where that of the known foot would be.
         points: (N, 3) of the blob.
         weights: (N,) how much they count.
-        area: weighted sum of their squared depths, proportional to the surface seen.
+        compared: (N,) they are of the part of the foot that is known; all while its shape is not.
+        area: weighted sum of the squared depths of those that are compared, proportional to the surface seen.
+        whole_area: the same of all.
         in_sight: 0 to 1, share of the foot's surface before which nothing stands; 1 while its shape is not known.
         cut: 0 to 1, share of its points at the picture's edge: some of the foot is out of sight.
         settled: the search came to rest.
@@ -79,7 +83,9 @@ class FootBlob:
     centroid: FloatArray
     points: FloatArray
     weights: FloatArray
+    compared: Mask
     area: float
+    whole_area: float
     in_sight: float
     cut: float
     settled: bool
@@ -117,6 +123,7 @@ def find_blobs(
     members: dict[Side, Mask] = {}
     moved: dict[Side, float] = dict.fromkeys(seeds, 0.0)
     in_sight: dict[Side, float] = dict.fromkeys(seeds, 1.0)
+    unknown: dict[Side, Mask] = {}
     hidden_shift: dict[Side, FloatArray] = dict.fromkeys(seeds, np.zeros(3))
     searched = [side for side, seed in seeds.items() if not seed.fixed]
     for turn in range(_ROUNDS):
@@ -133,7 +140,10 @@ def find_blobs(
             members[side] = member
             if seed.shape is not None:
                 in_sight[side], hidden_shift[side] = part_in_sight(seed.shape, places[side], grid, camera)
-            place = np.average(points[member], axis=0, weights=weights[side][member])
+            if turn < _FULL_ROUNDS:
+                unknown[side] = _unknown(seed, places[side], points, member)
+            compared = _compared(member, unknown[side], weights[side])
+            place = np.average(points[compared], axis=0, weights=weights[side][compared])
             place += hidden_shift[side] + seed.offset
             if turn >= _FULL_ROUNDS:
                 place = 0.5 * (place + places[side])
@@ -145,23 +155,48 @@ def find_blobs(
     for side, seed in seeds.items():
         member = _member(distances, side, rows, columns, solid.shape, weights[side]) if seed.fixed else None
         if member is not None:
-            members[side] = member
+            members[side], unknown[side] = member, _unknown(seed, seed.place, points, member)
             if seed.shape is not None:
                 in_sight[side], hidden_shift[side] = part_in_sight(seed.shape, seed.place, grid, camera)
     blobs: dict[Side, FootBlob] = {}
     for side, member in members.items():
         inside, share = points[member], weights[side][member]
+        compared = _compared(member, unknown[side], weights[side])[member]
+        surface = share * inside[:, 2] ** 2
         blobs[side] = FootBlob(
             places[side],
-            np.average(inside, axis=0, weights=share) + hidden_shift[side],
+            np.average(inside[compared], axis=0, weights=share[compared]) + hidden_shift[side],
             inside,
             share,
-            float(share @ inside[:, 2] ** 2),
+            compared,
+            float(surface[compared].sum()),
+            float(surface.sum()),
             in_sight[side],
             _cut(grid, rows[member], columns[member], camera),
             moved[side] < 10.0 * _SETTLED_M,
         )
     return blobs
+
+
+def _unknown(seed: BlobSeed, place: FloatArray, points: FloatArray, member: Mask) -> Mask:
+    """Tell which members among points (N, 3) are of a part that was not in sight when the foot was learnt.
+
+    Args:
+        seed: the foot.
+        place: (3,) where it is taken to be.
+        points: all.
+        member: (N,) those of the foot.
+    """
+    unknown: Mask = np.zeros(len(points), dtype=np.bool_)
+    if seed.shape is not None:
+        unknown[member] = ~seed.shape.view.showed(points[member] - place)
+    return unknown
+
+
+def _compared(member: Mask, unknown: Mask, weights: FloatArray) -> Mask:
+    """Tell which points of a foot are of the part of it that is known; all of them where hardly any would be."""
+    compared: Mask = member & ~unknown
+    return compared if weights[compared].sum() >= _LEAST_KNOWN * weights[member].sum() else member
 
 
 def _distances(points: FloatArray, levels: FloatArray, place: FloatArray, up: FloatArray) -> FloatArray:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.camera import CameraModel
 from rhot.transforms import cross_matrix
 from rhot_feet.depth_blob import FootBlob
-from rhot_feet.depth_shape import FootShape, shape_of
+from rhot_feet.depth_points import PointGrid
+from rhot_feet.depth_shape import FootShape, ShapeView, shape_of
 from rhot_feet.expectation import GATE_SIGMAS, FootExpectation, innovation_distance
 
 FloatArray = NDArray[np.float64]
@@ -101,10 +103,10 @@ class LearntFoot:
         ratio = self.share(blob)
         wrong: dict[BlobRefusal, bool] = {
             "hidden": blob.in_sight < _LEAST_IN_SIGHT,
+            "other": any(other.excludes(blob.place, ratio) for other in others),
             "size": not _AREA_RATIO[0] <= ratio <= _AREA_RATIO[1],
             "cut": blob.cut > _MAX_CUT,
             "unsettled": not blob.settled,
-            "other": any(other.excludes(blob.place, ratio) for other in others),
         }
         reason = next((reason for reason, holds in wrong.items() if holds), None)
         if reason is not None:
@@ -120,17 +122,22 @@ class LearntFoot:
         level_variance = _LEVEL_SHARE**2 * float(up @ foot.covariance @ up)
         covariance: FloatArray = R @ np.diag(variance) @ R.T + level_variance * np.outer(up, up)
         if foot.orientation_covariance is not None:
-            arm = cross_matrix(blob.place - np.average(blob.points, axis=0, weights=blob.weights))
+            seen = blob.compared
+            arm = cross_matrix(blob.place - np.average(blob.points[seen], axis=0, weights=blob.weights[seen]))
             covariance += arm @ foot.orientation_covariance @ arm.T
         return covariance
 
 
-def learnt_from(foot: FootExpectation, blob: FootBlob, known: LearntFoot | None) -> LearntFoot | None:
+def learnt_from(
+    foot: FootExpectation, blob: FootBlob, grid: PointGrid, camera: CameraModel, known: LearntFoot | None
+) -> LearntFoot | None:
     """Return what is known of a foot after one more sighting of marker and blob; as before where it shows too little.
 
     Args:
         foot: as the marker shows it.
         blob: its blob in the same picture.
+        grid: the points of that picture.
+        camera: its lens.
         known: what was known before, in the same axes.
     """
     if blob.cut > _MAX_CUT or blob.in_sight < _LEAST_IN_SIGHT:
@@ -138,20 +145,25 @@ def learnt_from(foot: FootExpectation, blob: FootBlob, known: LearntFoot | None)
     R = axes(foot)
     offset = R.T @ (foot.place - blob.centroid)
     area = blob.area / blob.in_sight
-    shape = shape_of((blob.points - foot.place) @ R, blob.weights, blob.area)
+    view = ShapeView(grid, camera, foot.place, R)
+    shape = shape_of((blob.points - foot.place) @ R, blob.weights, blob.whole_area, view)
     if known is None:
         return LearntFoot(offset, np.full(3, _FIRST_SIGMA_M**2), area, 1, shape, foot.R_camera_foot is not None)
     share = max(1.0 / (known.count + 1), _FORGETTING)
     difference = offset - known.mean
-    return LearntFoot(
+    now = LearntFoot(
         known.mean + share * difference,
         (1.0 - share) * (known.variance + share * difference**2),
         known.area + share * (area - known.area),
         known.count + 1,
-        # The shape is what was seen most of.
-        shape if shape.area > _WHOLE_SHARE * known.shape.area else known.shape,
+        known.shape,
         known.in_foot,
     )
+    # The shape is what was seen most of. Another one has its centroid and its surface elsewhere.
+    if shape.area > _WHOLE_SHARE * known.shape.area:
+        moved = known.shape.mean - shape.mean
+        return replace(now, mean=now.mean + moved, area=now.area * shape.area / known.shape.area, shape=shape)
+    return now
 
 
 def axes(foot: FootExpectation) -> FloatArray:

@@ -176,7 +176,8 @@ class DepthTracker:
         up = self._up(up_camera)
         blobs = find_blobs(grid, seeds, floor, up, frame.camera)
         for side, foot in seen.items() if learns else ():
-            now = learnt_from(foot, blobs[side], learnt.get(side)) if side in blobs else None
+            blob = blobs.get(side)
+            now = None if blob is None else learnt_from(foot, blob, grid, frame.camera, learnt.get(side))
             if now is not None:
                 self._learnt[side] = now
         feet: dict[Side, FootDepth] = {}

@@ -41,7 +41,7 @@ _NO_RATE: Final = np.zeros(3)
 _FLOOR: Final = 0.001**2 * np.eye(3)
 """m²: no place out of a picture is better than a millimetre."""
 _ROTATION_FLOOR: Final = np.radians(1.0) ** 2 * np.eye(3)
-_DEPTH_ALIKE_S: Final = 0.01
+_DEPTH_ALIKE_S: Final = 0.05
 """Correlation time of the errors of places out of the depth image: a shoe shows the same side for a while."""
 _YAW_IN_MOTION_RAD: Final = math.radians(9.0)
 """A foot that swings in sight is better served without a sensor whose yaw is worse known than this."""
@@ -205,8 +205,11 @@ class FootFilter:
         if self._by_sensor is not None:
             return
         if observation.stage == "marker":
-            sigma = math.sqrt(float(np.trace(observation.covariance)) / 3.0)
-            self._learner.marker(observation.t_ns, observation.position, sigma, observation.rotation)
+            sigma_m, turn_sigma_rad = (
+                math.sqrt(float(np.trace(covariance)) / 3.0)
+                for covariance in (observation.covariance, observation.rotation_covariance)
+            )
+            self._learner.marker(observation.t_ns, observation.position, sigma_m, observation.rotation, turn_sigma_rad)
         self._take_up(observation)
 
     def _surprise(self, observation: Observation) -> tuple[float, float]:
@@ -253,11 +256,12 @@ class FootFilter:
 
     def _take_up(self, observation: Observation) -> None:
         """Let the sensor carry the foot as soon as its alignment is known."""
-        alignment = self._learner.alignment or self._returned(observation)
+        in_sight = observation.stage == "marker"
+        alignment = self._learner.alignment(at_once=not in_sight) or self._returned(observation)
         felt = self._samples.at(observation.t_ns)
         if alignment is None or felt is None or self._by_sight is None:
             return
-        if not felt.rest.still and alignment.yaw_sigma_rad > _YAW_IN_MOTION_RAD:
+        if in_sight and not felt.rest.still and alignment.yaw_sigma_rad > _YAW_IN_MOTION_RAD:
             return
         motion = self._kinematic.motion(self._by_sight.at(observation.t_ns), _NO_RATE)
         state = self._inertial.start(alignment, felt.R_world, motion, felt.rate, stands=felt.rest.still)

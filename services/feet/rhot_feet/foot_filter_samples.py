@@ -15,7 +15,7 @@ from rhot.turns import turn_cosine
 from rhot_feet.foot_filter_history import Felt
 from rhot_feet.inertial import LONGEST_STEP_S, nearest_sample
 from rhot_feet.strapdown import InertialStep
-from rhot_feet.zero_velocity import StillnessDetector, StillnessSettings
+from rhot_feet.zero_velocity import GRAVITY, StillnessDetector, StillnessSettings
 
 FloatArray = NDArray[np.float64]
 
@@ -24,6 +24,7 @@ _GAP_S: Final = 0.03
 _BRIDGED_NS: Final = 10_000_000
 _SAME_FORCE: Final = 0.5
 """m/s²"""
+_GRAVITY: Final = np.array([0.0, 0.0, GRAVITY])
 _SAME_TURN_COSINE: Final = math.cos(math.radians(1.5))
 
 
@@ -60,7 +61,7 @@ class SampleTrack:
             self._felt.clear()
             return None
         h = (t_ns - last[0]) * 1e-9
-        rest = self._detector.add(h, force, rate)
+        rest = self._detector.add(h, force, rate, R_world @ force - _GRAVITY)
         felt = Felt(t_ns, last[0], InertialStep(h, last[1], force, h * rate, h > _GAP_S), rate, rest, R_world)
         self._felt.append(felt)
         while t_ns - self._felt[0].t_ns > self._kept_ns:

@@ -127,6 +127,10 @@ class FootStage:
         """Take a pose of the head."""
         self._heads.add(pose)
 
+    def awaits_head(self, t_ns: int) -> bool:
+        """Tell whether a picture of a moment had better wait for the head's pose, which is still on its way."""
+        return self._heads.awaits(t_ns)
+
     def imu(self, side: Side, samples: ImuSamples) -> None:
         """Take inertial samples of a foot, later than those before."""
         if not len(samples):

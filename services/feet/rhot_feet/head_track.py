@@ -39,6 +39,10 @@ class HeadTrack:
         while self._times[-1] - self._times[0] > _KEPT_NS:
             del self._poses[self._times.pop(0)]
 
+    def awaits(self, t_ns: int) -> bool:
+        """Tell whether poses come, but none yet that is late enough for a moment."""
+        return bool(self._times) and _AHEAD_NS < t_ns - self._times[-1] < _KEPT_NS
+
     def at(self, t_ns: int) -> FloatArray | None:
         """Return T_rig_head (4, 4) at a moment; None where no pose is near enough."""
         times = self._times

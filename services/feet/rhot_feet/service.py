@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections.abc import Awaitable, Callable, Mapping
@@ -31,6 +32,10 @@ logger = logging.getLogger(__name__)
 
 HEAD_KEY: Final = "rhot/head"
 _RETRY_S: Final = 2.0
+_HEAD_LATE_S: Final = 0.15
+"""So long does a picture wait for the head's pose."""
+_HEADLESS_S: Final = 2.0
+"""After so long without one it is said that it is missing."""
 _PERIOD_S: Final = 0.01
 """Between two looks at the ankle sensors, and between two poses of a foot."""
 
@@ -73,6 +78,8 @@ class FeetService:
         self._grabber: DepthGrabber | None = None
         self._troubles: dict[str, str] = {}
         self._heads: EventSubscriber | None = None
+        self._head_came = asyncio.Event()
+        self._head_known_s = 0.0
         # A picture takes some milliseconds, in which samples must go on.
         self._looking = ThreadPoolExecutor(1, thread_name_prefix="look")
 
@@ -107,6 +114,7 @@ class FeetService:
             raise RuntimeError("run before attach")
         self._stage = FootStage(self._config)
         self._troubles.clear()
+        self._head_known_s = asyncio.get_running_loop().time()
         heads, sources = self._heads, self._plan_sensors(self._rig, self._config)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._hear_head(node, heads))
@@ -138,6 +146,28 @@ class FeetService:
         async for pose in node.receive(heads, HeadPose):
             node.status.tick("heads")
             self._stage.head(pose)
+            self._head_came.set()
+
+    async def _await_head(self, t_ns: int) -> None:
+        """Wait until the head's poses reach a moment, if they come at all."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_HEAD_LATE_S):
+                while self._stage.awaits_head(t_ns):
+                    self._head_came.clear()
+                    await self._head_came.wait()
+
+    def _knows_head(self, *, known: bool) -> None:
+        """Note whether a picture's head pose was known; say so when none is for long."""
+        now_s = asyncio.get_running_loop().time()
+        if known:
+            self._head_known_s = now_s
+            self._works(HEAD_KEY)
+        elif now_s - self._head_known_s > _HEADLESS_S and HEAD_KEY not in self._troubles:
+            self._troubles[HEAD_KEY] = (
+                f"{HEAD_KEY}: no measured pose of the head for the time of the pictures, so that they cannot be used; "
+                "is `rhot objects`, or what else publishes it, running?"
+            )
+            logger.warning("%s", self._troubles[HEAD_KEY])
 
     async def _watch(self, node: Node, start: Control) -> None:
         grabber = self._grabber = DepthGrabber(self._open_camera(self._rig, node.clock.now_ns), start.start_t_ns)
@@ -155,7 +185,9 @@ class FeetService:
         status.latency("frame_age", (node.clock.now_ns() - frame.t_ns) / 1e9)
         begun = time.perf_counter()
         try:
+            await self._await_head(frame.t_ns)
             view = stage.expect(frame)
+            self._knows_head(known=view is not None)
             if view is None:
                 return
             seen = await asyncio.get_running_loop().run_in_executor(self._looking, stage.look, view)

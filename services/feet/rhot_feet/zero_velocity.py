@@ -126,21 +126,31 @@ class StillnessDetector:
     def __init__(self, settings: StillnessSettings | None = None) -> None:
         self._settings = settings or StillnessSettings()
         self._window: deque[tuple[float, float, float, float, float, float, float]] = deque()
+        self._gained: deque[tuple[float, float, float]] = deque()
         self._mean = 0.0
         self._still_s = 0.0
 
     def reset(self) -> None:
         """Forget the samples: there was a gap."""
         self._window.clear()
+        self._gained.clear()
         self._mean = self._still_s = 0.0
 
-    def add(self, duration_s: float, specific_force: FloatArray, angular_rate: FloatArray) -> Rest:
+    def add(
+        self,
+        duration_s: float,
+        specific_force: FloatArray,
+        angular_rate: FloatArray,
+        acceleration: FloatArray | None = None,
+    ) -> Rest:
         """Take the next sample and say what it tells.
 
         Args:
             duration_s: since the sample before.
             specific_force: (3,) m/s².
             angular_rate: (3,) rad/s, mean since the sample before.
+            acceleration: (3,) m/s², level axes, of a sensor that knows up. SHOE takes a level acceleration that lasts
+                longer than its window for a tilt.
         """
         settings, window = self._settings, self._window
         fx, fy, fz = specific_force.tolist()
@@ -155,10 +165,21 @@ class StillnessDetector:
             self._still_s = 0.0
             return MOVES
         # Between both bounds the velocity is corrected, softly, though nobody would call that standing.
-        self._still_s = self._still_s + duration_s if statistic <= settings.lowest else 0.0
-        sigma = settings.speed_sigma * (1.0 + statistic / settings.scale)
+        accelerates = 0.0 if acceleration is None else self._accelerates(acceleration)
+        stands = statistic <= settings.lowest and accelerates == 0.0
+        self._still_s = self._still_s + duration_s if stands else 0.0
+        sigma = settings.speed_sigma * (1.0 + statistic / settings.scale) + _GAINS_S * accelerates
         even = self._still_s >= settings.bias_s and unevenness < _EVEN
         return Rest(self._still_s >= settings.hold_s, sigma, rate if even else None)
+
+    def _accelerates(self, acceleration: FloatArray) -> float:
+        """Return by how much the mean over the window is larger than a standing sensor's may be, m/s²."""
+        x, y, z = acceleration.tolist()
+        self._gained.append((x, y, z))
+        while len(self._gained) > len(self._window):
+            self._gained.popleft()
+        x, y, z = (sum(column) / len(self._gained) for column in zip(*self._gained, strict=True))
+        return max(0.0, math.sqrt(x * x + y * y + z * z) - _LEVEL_ERROR)
 
     def _statistic(self) -> tuple[float, FloatArray, float]:
         """Return SHOE over the window, the mean rate and how much the rates vary, rad/s.
@@ -175,6 +196,10 @@ class StillnessDetector:
         return statistic, np.array([wx, wy, wz]), math.sqrt(spread)
 
 
+_LEVEL_ERROR: Final = 0.5
+"""m/s²: a standing sensor's tilt and bias; on recorded walks it is less in 99 % of the samples."""
+_GAINS_S: Final = 0.15
+"""For about so long an acceleration has gone on when it is noticed."""
 MOVES: Final = Rest(still=False, speed_sigma=None, rate=None)
 _EVEN: Final = float(np.radians(2.0))
 """Rates that vary less than this, rad/s, come from a sensor that does not turn."""
