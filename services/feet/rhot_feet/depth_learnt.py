@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
 from rhot.transforms import cross_matrix
-from rhot_feet.depth_blob import FootBlob
 from rhot_feet.depth_points import PointGrid
+from rhot_feet.depth_search import FootBlob
 from rhot_feet.depth_shape import FootShape, ShapeView, shape_of
 from rhot_feet.expectation import GATE_SIGMAS, FootExpectation, innovation_distance
 

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
 from rhot.messages import Side
-from rhot_feet.depth_blob import RADIUS_M, BlobSeed, find_blobs
+from rhot_feet.depth_blob import find_blobs
 from rhot_feet.depth_floor import FloorPlane, find_floor
 from rhot_feet.depth_learnt import BlobRefusal, LearntFoot, Neighbour, axes, learnt_from
 from rhot_feet.depth_points import COARSE_PX, FINE_PX, PixelRays
+from rhot_feet.depth_search import RADIUS_M, BlobSeed
 from rhot_feet.expectation import OTHER_FOOT, FootExpectation, expected_region
 from rhot_feet.frames import DepthFrame
 from rhot_feet.region import Region
