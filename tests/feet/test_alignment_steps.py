@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from foot_walk import START_NS, C, Walk
+from foot_walk import C, Walk, ns
 from numpy.typing import NDArray
 
 from rhot.rotations import rotation_from_quaternion, rotation_z
@@ -13,10 +13,6 @@ from rhot_feet.alignment_steps import Step, StepWatcher
 WALK = Walk()
 TIMES = np.arange(-0.5, 0.9, 0.01)
 ACCELERATION, QUATERNIONS = WALK.imu(TIMES, 1, bias=0.05)
-
-
-def ns(t: float) -> int:
-    return START_NS + round(1e9 * t)
 
 
 def walk(*, missing: tuple[float, float] = (9.0, 9.0), seen_again: bool = True) -> Step | None:

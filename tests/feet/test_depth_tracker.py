@@ -117,6 +117,17 @@ def test_a_foot_half_hidden_by_a_knee_stays_where_it_is() -> None:
     assert 1e3 * float(np.linalg.norm(found.feet["left"].place - marker)) < 12.0
 
 
+def test_a_side_that_was_hidden_when_the_foot_was_learnt_does_not_pull_it() -> None:
+    """The knee stood before the toes all the time; now that they are seen, they are no part of what is compared."""
+    tracker, marker = DepthTracker(RANGE), place(0.0, 0.085, 0.7)
+    for seed in range(4):
+        tracker.feed(half_hidden(marker, seed), {}, {"left": expected(marker)}, UP)
+    whole = picture({"left": marker}, 9)
+    found = tracker.feed(whole, {"left": expected(marker + np.array([0.01, 0.0, 0.01]))}, {}, UP)
+    assert set(found.feet) == {"left"}, found.refused
+    assert 1e3 * float(np.linalg.norm(found.feet["left"].place - marker)) < 12.0
+
+
 def test_what_was_learnt_in_the_axes_of_the_foot_is_not_used_in_those_of_the_camera() -> None:
     tracker, marker = DepthTracker(RANGE), place(0.0, 0.085, 0.7)
     for seed in range(4):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rhot_feet.dead_reckoning import horizontal_error_m, reckon
 from rhot_feet.imu_sources.recorded import read_samples
-from rhot_feet.zero_velocity import StillnessDetector, amvd, ared, mbgtd, shoe
+from rhot_feet.zero_velocity import GRAVITY, StillnessDetector, amvd, ared, mbgtd, shoe
 
 FloatArray = NDArray[np.float64]
 
@@ -50,6 +50,20 @@ def test_live_detector_is_quick_and_sure(shaken: tuple[FloatArray, FloatArray, N
     sigmas = [rest.speed_sigma for rest in rests[900:]]
     assert max(sigma or 1.0 for sigma in sigmas) < 0.05
     assert rests[-1].rate is not None and np.linalg.norm(rests[-1].rate) < 0.02
+
+
+@pytest.mark.parametrize(("gain", "stands"), [(0.3, True), (2.0, False)])
+def test_a_foot_that_sets_off_smoothly_is_told_from_one_that_leans(gain: float, stands: bool) -> None:
+    """Both feel an even force; a sensor that knows up knows which of them is accelerated."""
+    detector, leaning = StillnessDetector(), StillnessDetector()
+    acceleration, rate = np.array([gain, 0.0, 0.0]), np.zeros(3)
+    force = np.array([gain, 0.0, GRAVITY])
+    for _ in range(30):
+        sets_off, leans = detector.add(0.01, force, rate, acceleration), leaning.add(0.01, force, rate, np.zeros(3))
+    assert leans.still
+    assert sets_off.still == stands
+    assert sets_off.speed_sigma is not None and leans.speed_sigma is not None
+    assert (sets_off.speed_sigma > 5.0 * leans.speed_sigma) != stands
 
 
 @pytest.mark.parametrize(

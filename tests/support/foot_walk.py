@@ -17,6 +17,11 @@ C = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 """From level axes (z up) to the rig frame (y up)."""
 
 
+def ns(t: float) -> int:
+    """Return a time of the walk on the rig clock."""
+    return START_NS + round(t * 1e9)
+
+
 @dataclass(frozen=True)
 class Walk:
     """Steps of `stride_m` in `swing_s` with stands of `stance_s` between, along −z of the rig, y up.
