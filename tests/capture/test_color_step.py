@@ -47,7 +47,7 @@ async def answering(router: BusConfig, image: Any) -> AsyncIterator[None]:
 
 
 async def until(condition: Callable[[], Any]) -> None:
-    async with asyncio.timeout(30.0):
+    async with asyncio.timeout(60):
         while not condition():
             await asyncio.sleep(0.02)
 

@@ -24,7 +24,7 @@ from rhot_feet.frames import DepthFrame
 from rhot_feet.imu_sources import ImuSamples
 from rhot_feet.service import FeetService
 
-LIMIT_S = 15.0
+LIMIT_S = 60.0
 
 
 @pytest.fixture(autouse=True)

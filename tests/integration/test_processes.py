@@ -12,6 +12,7 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
+from bus_watch import answers
 from rig_processes import Processes, hand_measured_after, next_message, start_rig
 
 from rhot.bus import Bus
@@ -31,7 +32,7 @@ async def run_rhot(*arguments: str) -> tuple[int, str, str]:
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-m", "rhot", *arguments, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
     )
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         output, errors = await process.communicate()
     assert process.returncode is not None
     return process.returncode, output.decode(), errors.decode()
@@ -121,10 +122,10 @@ async def test_every_key_can_be_looked_at(
     assert "services are alive" in output
 
     for selector in ("rhot/preview/left", "rhot/preview/left?overlay=markers", "rhot/preview/left?mask=thumb"):
-        (reply,) = await rig_bus.get(selector)
+        (reply,) = await answers(rig_bus, selector)
         assert reply.encoding == "image/jpeg", reply.error
         assert reply.payload[:2] == b"\xff\xd8"
-    (refused,) = await rig_bus.get("rhot/preview/left?mask=toe")
+    (refused,) = await answers(rig_bus, "rhot/preview/left?mask=toe")
     assert "thumb" in refused.error, "names the masks that there are"
 
     code, output, errors = await run_rhot("config", "capture/left", "exposure_s=5", "--rig", str(rig))
@@ -142,14 +143,14 @@ async def test_garbage_on_every_key_leaves_the_hand_alone(
 ) -> None:
     await all_up(processes, rig_bus)
     world = World.from_rig(load_rig(simulated_rig[0]))
-    reply = (await rig_bus.get("rhot/control"))[0]  # every service knows it
+    reply = (await answers(rig_bus, "rhot/control"))[0]  # every service knows it
     start_t_ns = msgpack.unpackb(reply.payload)["start_t_ns"]
-    good = {key: msgpack.unpackb((await rig_bus.get(key))[0].payload) for key in (*MESSAGES, "rhot/control")}
+    good = {key: msgpack.unpackb((await answers(rig_bus, key))[0].payload) for key in (*MESSAGES, "rhot/control")}
     statuses = await status_of_all(rig_bus)
     mailbox = rig_bus.events("rhot/hand/right")
     stop = asyncio.create_task(throw_garbage(rig_bus, good))
     poses = []
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(60):
         async for sample in mailbox:
             try:
                 pose = decode(sample.payload, HandPose)
@@ -188,7 +189,7 @@ MESSAGES = ("rhot/markers/left", "rhot/markers/right", "rhot/points", "rhot/hand
 
 async def status_of_all(bus: Bus) -> dict[str, ServiceStatus]:
     await asyncio.sleep(1.1)  # the status is published once a second
-    replies = await bus.get("rhot/status/**")
+    replies = await answers(bus, "rhot/status/**")
     return {reply.key.removeprefix("rhot/status/"): decode(reply.payload, ServiceStatus) for reply in replies}
 
 
@@ -243,13 +244,13 @@ async def test_a_camera_runs_without_colours_and_takes_them_over(processes: Proc
             return not message.markers
 
         await next_message(rig_bus, "rhot/markers/left", MarkerFrame, empty, UP_S)
-        (preview,) = await rig_bus.get("rhot/preview/left?format=png", timeout_s=5.0)
+        (preview,) = await answers(rig_bus, "rhot/preview/left?format=png")
         assert preview.payload.startswith(b"\x89PNG")
         path.write_text("{}")
         await asyncio.sleep(1.0)
     finally:
         aside.replace(path)
     await next_message(rig_bus, "rhot/markers/left", MarkerFrame, lambda message: not empty(message), BACK_S + 2.0)
-    (reply,) = await rig_bus.get("rhot/status/capture/left")
+    (reply,) = await answers(rig_bus, "rhot/status/capture/left")
     status = decode(reply.payload, ServiceStatus)
     assert "new colours refused" in status.last_error

@@ -180,6 +180,7 @@ def a_colour_is_set_by_a_click(browser: Browser, rig: StubRig, base: tuple[float
     before = rig.rig.colors_path.read_bytes()
     browser.click_text("try")
     wait_until(lambda: list(load_colors(rig.rig.colors_path).markers) == ["base"], "the tried colour")
+    text_shows(browser, "Save or undo")
     browser.click_text("undo")
     wait_until(lambda: rig.rig.colors_path.read_bytes() == before, "the former colours")
 

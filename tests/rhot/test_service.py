@@ -25,7 +25,7 @@ from rhot.service import ControlState, Node, StageService, configuration, runner
 from rhot.service.runner import serve
 from rhot.stage import Output
 
-LIMIT_S = 10.0
+LIMIT_S = 60.0
 
 
 @pytest.fixture(autouse=True)

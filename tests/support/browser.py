@@ -128,12 +128,12 @@ class Browser:
             self.command("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def click_text(self, text: str, tag: str = "button", timeout_s: float = 120.0) -> None:
-        """Click the visible element of a kind that bears exactly this text."""
+        """Click the visible element of a kind that bears exactly this text, as soon as it can be clicked."""
         x, y = self.wait_for(
             f"""(() => {{
                 const hit = [...document.querySelectorAll({json.dumps(tag)})].find(
                     e => e.textContent.trim() === {json.dumps(text)} && e.getClientRects().length);
-                if (!hit) return null;
+                if (!hit || hit.disabled) return null;
                 hit.scrollIntoView({{block: "center"}});
                 const box = hit.getBoundingClientRect();
                 return [box.x + box.width / 2, box.y + box.height / 2];
