@@ -183,9 +183,9 @@ class FeetService:
         status, stage = node.status, self._stage
         status.tick("frames")
         status.latency("frame_age", (node.clock.now_ns() - frame.t_ns) / 1e9)
+        await self._await_head(frame.t_ns)
         begun = time.perf_counter()
         try:
-            await self._await_head(frame.t_ns)
             view = stage.expect(frame)
             self._knows_head(known=view is not None)
             if view is None:

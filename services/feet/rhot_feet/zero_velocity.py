@@ -126,15 +126,16 @@ class StillnessDetector:
     def __init__(self, settings: StillnessSettings | None = None) -> None:
         self._settings = settings or StillnessSettings()
         self._window: deque[tuple[float, float, float, float, float, float, float]] = deque()
-        self._gained: deque[tuple[float, float, float]] = deque()
+        self._accelerations: deque[tuple[float, float, float]] = deque()
+        self._level_error = (0.0, 0.0, 0.0)
         self._mean = 0.0
-        self._still_s = 0.0
+        self._even_s = self._beyond_s = self._still_s = 0.0
 
     def reset(self) -> None:
         """Forget the samples: there was a gap."""
         self._window.clear()
-        self._gained.clear()
-        self._mean = self._still_s = 0.0
+        self._accelerations.clear()
+        self._mean = self._even_s = self._beyond_s = self._still_s = 0.0
 
     def add(
         self,
@@ -161,25 +162,33 @@ class StillnessDetector:
         statistic, rate, unevenness = self._statistic()
         self._mean += (statistic - self._mean) * min(duration_s / settings.memory_s, 1.0)
         threshold = min(max(settings.share * self._mean, settings.lowest), settings.highest)
+        self._even_s = self._even_s + duration_s if statistic <= settings.lowest else 0.0
+        accelerates = 0.0 if acceleration is None else self._accelerates(duration_s, acceleration)
         if len(window) < 3 or statistic > threshold:
             self._still_s = 0.0
             return MOVES
         # Between both bounds the velocity is corrected, softly, though nobody would call that standing.
-        accelerates = 0.0 if acceleration is None else self._accelerates(acceleration)
         stands = statistic <= settings.lowest and accelerates == 0.0
         self._still_s = self._still_s + duration_s if stands else 0.0
         sigma = settings.speed_sigma * (1.0 + statistic / settings.scale) + _GAINS_S * accelerates
         even = self._still_s >= settings.bias_s and unevenness < _EVEN
         return Rest(self._still_s >= settings.hold_s, sigma, rate if even else None)
 
-    def _accelerates(self, acceleration: FloatArray) -> float:
+    def _accelerates(self, duration_s: float, acceleration: FloatArray) -> float:
         """Return by how much the mean over the window is larger than a standing sensor's may be, m/s²."""
         x, y, z = acceleration.tolist()
-        self._gained.append((x, y, z))
-        while len(self._gained) > len(self._window):
-            self._gained.popleft()
-        x, y, z = (sum(column) / len(self._gained) for column in zip(*self._gained, strict=True))
-        return max(0.0, math.sqrt(x * x + y * y + z * z) - _LEVEL_ERROR)
+        rows = self._accelerations
+        rows.append((x, y, z))
+        while len(rows) > len(self._window):
+            rows.popleft()
+        mean = [sum(column) / len(rows) for column in zip(*rows, strict=True)]
+        beyond = max(0.0, math.dist(mean, self._level_error) - _LEVEL_ERROR)
+        self._beyond_s = self._beyond_s + duration_s if beyond > 0.0 and self._even_s > 0.0 else 0.0
+        if self._beyond_s > _ERROR_S or (beyond == 0.0 and self._even_s > _EVEN_S):
+            share = min(duration_s / _EVEN_S, 1.0)
+            x, y, z = (old + share * (new - old) for old, new in zip(self._level_error, mean, strict=True))
+            self._level_error = (x, y, z)
+        return beyond
 
     def _statistic(self) -> tuple[float, FloatArray, float]:
         """Return SHOE over the window, the mean rate and how much the rates vary, rad/s.
@@ -197,7 +206,12 @@ class StillnessDetector:
 
 
 _LEVEL_ERROR: Final = 0.5
-"""m/s²: a standing sensor's tilt and bias; on recorded walks it is less in 99 % of the samples."""
+"""m/s²: what tilt and bias of a standing sensor change by; on recorded walks both together are less in 99 % of the
+samples."""
+_EVEN_S: Final = 0.3
+"""How fast the error is learnt, and how long a foot has to be without any unevenness before."""
+_ERROR_S: Final = 1.0
+"""What lasts so long without any unevenness is no acceleration of a foot but a larger error of the sensor."""
 _GAINS_S: Final = 0.15
 """For about so long an acceleration has gone on when it is noticed."""
 MOVES: Final = Rest(still=False, speed_sigma=None, rate=None)
