@@ -125,8 +125,8 @@ class StillnessDetector:
 
     def __init__(self, settings: StillnessSettings | None = None) -> None:
         self._settings = settings or StillnessSettings()
-        self._window: deque[tuple[float, float, float, float, float, float, float]] = deque()
-        self._accelerations: deque[tuple[float, float, float]] = deque()
+        # Duration, specific force, angular rate, acceleration.
+        self._window: deque[tuple[float, float, float, float, float, float, float, float, float, float]] = deque()
         self._level_error = (0.0, 0.0, 0.0)
         self._mean = 0.0
         self._even_s = self._beyond_s = self._still_s = 0.0
@@ -134,7 +134,6 @@ class StillnessDetector:
     def reset(self) -> None:
         """Forget the samples: there was a gap."""
         self._window.clear()
-        self._accelerations.clear()
         self._mean = self._even_s = self._beyond_s = self._still_s = 0.0
 
     def add(
@@ -156,14 +155,15 @@ class StillnessDetector:
         settings, window = self._settings, self._window
         fx, fy, fz = specific_force.tolist()
         wx, wy, wz = angular_rate.tolist()
-        window.append((duration_s, fx, fy, fz, wx, wy, wz))
+        ax, ay, az = (0.0, 0.0, 0.0) if acceleration is None else acceleration.tolist()
+        window.append((duration_s, fx, fy, fz, wx, wy, wz, ax, ay, az))
         while len(window) > 3 and sum(row[0] for row in window) - window[0][0] >= settings.window_s - 1e-4:
             window.popleft()
-        statistic, rate, unevenness = self._statistic()
+        statistic, rate, unevenness, accelerated = self._statistic()
         self._mean += (statistic - self._mean) * min(duration_s / settings.memory_s, 1.0)
         threshold = min(max(settings.share * self._mean, settings.lowest), settings.highest)
         self._even_s = self._even_s + duration_s if statistic <= settings.lowest else 0.0
-        accelerates = 0.0 if acceleration is None else self._accelerates(duration_s, acceleration)
+        accelerates = self._accelerates(duration_s, accelerated)
         if len(window) < 3 or statistic > threshold:
             self._still_s = 0.0
             return MOVES
@@ -174,14 +174,8 @@ class StillnessDetector:
         even = self._still_s >= settings.bias_s and unevenness < _EVEN
         return Rest(self._still_s >= settings.hold_s, sigma, rate if even else None)
 
-    def _accelerates(self, duration_s: float, acceleration: FloatArray) -> float:
+    def _accelerates(self, duration_s: float, mean: tuple[float, float, float]) -> float:
         """Return by how much the mean over the window is larger than a standing sensor's may be, m/s²."""
-        x, y, z = acceleration.tolist()
-        rows = self._accelerations
-        rows.append((x, y, z))
-        while len(rows) > len(self._window):
-            rows.popleft()
-        mean = [sum(column) / len(rows) for column in zip(*rows, strict=True)]
         beyond = max(0.0, math.dist(mean, self._level_error) - _LEVEL_ERROR)
         self._beyond_s = self._beyond_s + duration_s if beyond > 0.0 and self._even_s > 0.0 else 0.0
         if self._beyond_s > _ERROR_S or (beyond == 0.0 and self._even_s > _EVEN_S):
@@ -190,19 +184,19 @@ class StillnessDetector:
             self._level_error = (x, y, z)
         return beyond
 
-    def _statistic(self) -> tuple[float, FloatArray, float]:
-        """Return SHOE over the window, the mean rate and how much the rates vary, rad/s.
+    def _statistic(self) -> tuple[float, FloatArray, float, tuple[float, float, float]]:
+        """Return SHOE over the window, the mean rate, how much the rates vary, rad/s, and the mean acceleration.
 
         In plain arithmetic, which for a handful of samples is several times faster than arrays.
         """
         rows, count = self._window, len(self._window)
-        _, fx, fy, fz, wx, wy, wz = (sum(column) / count for column in zip(*rows, strict=True))
+        _, fx, fy, fz, wx, wy, wz, ax, ay, az = (sum(column) / count for column in zip(*rows, strict=True))
         scale = GRAVITY / max(math.sqrt(fx * fx + fy * fy + fz * fz), 1e-9)
         gx, gy, gz = scale * fx, scale * fy, scale * fz
-        force = sum((x - gx) ** 2 + (y - gy) ** 2 + (z - gz) ** 2 for _, x, y, z, _, _, _ in rows) / count
-        spread = sum((x - wx) ** 2 + (y - wy) ** 2 + (z - wz) ** 2 for _, _, _, _, x, y, z in rows) / count
+        force = sum((x - gx) ** 2 + (y - gy) ** 2 + (z - gz) ** 2 for _, x, y, z, *_ in rows) / count
+        spread = sum((x - wx) ** 2 + (y - wy) ** 2 + (z - wz) ** 2 for _, _, _, _, x, y, z, *_ in rows) / count
         statistic = force / ACCELERATION_NOISE**2 + (wx * wx + wy * wy + wz * wz) / RATE_NOISE**2
-        return statistic, np.array([wx, wy, wz]), math.sqrt(spread)
+        return statistic, np.array([wx, wy, wz]), math.sqrt(spread), (ax, ay, az)
 
 
 _LEVEL_ERROR: Final = 0.5
