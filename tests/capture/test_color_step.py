@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from bus_watch import until
 
 from rhot.bus import Answer, Bus, Request
 from rhot.calibration_step import Room
@@ -44,12 +45,6 @@ async def answering(router: BusConfig, image: Any) -> AsyncIterator[None]:
 
         bus.queryable("rhot/preview/left", answer)
         yield
-
-
-async def until(condition: Callable[[], Any]) -> None:
-    async with asyncio.timeout(60):
-        while not condition():
-            await asyncio.sleep(0.02)
 
 
 async def test_clicks_become_colours_that_can_be_tried_saved_and_undone(

@@ -6,6 +6,7 @@ import asyncio
 
 import cv2
 import numpy as np
+from bus_watch import PATIENCE_S
 
 from rhot.bus import Bus
 from rhot.messages import decode
@@ -29,13 +30,13 @@ async def test_frames_are_sent_while_somebody_records(router: BusConfig) -> None
             stream.offer(frame(index), index)
         async with await Bus.open(router) as recorder:
             mailbox = subscribe_pictures(recorder)
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(PATIENCE_S):
                 while not stream._publisher.has_reader:
                     await asyncio.sleep(0.005)
             for index in range(3, 8):
                 stream.offer(frame(index), 10**18 + index)
             got = []
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(PATIENCE_S):
                 async for sample in mailbox:
                     got.append(decode(sample.payload, CameraPicture))
                     if len(got) == 5:
@@ -53,12 +54,12 @@ async def test_frames_that_nobody_can_take_are_counted(router: BusConfig) -> Non
     async with await Bus.open(router) as camera, await Bus.open(router) as recorder:
         stream = FrameStream("left", camera)
         subscribe_pictures(recorder)
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(PATIENCE_S):
             while not stream._publisher.has_reader:
                 await asyncio.sleep(0.005)
         noise = np.random.default_rng(0).integers(0, 255, (1080, 1920, 3), dtype=np.uint8)
         for index in range(20):
             stream.offer(Frame(noise, index, index, 0.004, 0.012), index)
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(PATIENCE_S):
             while stream.dropped < 20:
                 await asyncio.sleep(0.01)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from bus_watch import until
 
 from rhot.bus import Answer, Bus, Request
 from rhot.bus.query import json_answer
@@ -80,12 +80,6 @@ class StubCamera:
         elif request.parameters.get("do") == "undo":
             self.settings = self.settings.model_copy(update=self.kept.undo().model_dump())
         return json_answer(self.kept.state(self.settings).model_dump(mode="json"))
-
-
-async def until(condition: Callable[[], Any]) -> None:
-    async with asyncio.timeout(60.0):
-        while not condition():
-            await asyncio.sleep(0.02)
 
 
 async def test_what_the_sliders_set_is_saved_and_undone(router: BusConfig, write_rig: Callable[..., Path]) -> None:

@@ -12,7 +12,7 @@ import msgpack
 import numpy as np
 import pytest
 import zenoh
-from bus_watch import answers
+from bus_watch import PATIENCE_S, answers
 from rig_processes import Processes, hand_measured_after, next_message, start_rig
 
 from rhot.bus import Bus
@@ -32,7 +32,7 @@ async def run_rhot(*arguments: str) -> tuple[int, str, str]:
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-m", "rhot", *arguments, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
     )
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(PATIENCE_S):
         output, errors = await process.communicate()
     assert process.returncode is not None
     return process.returncode, output.decode(), errors.decode()
@@ -150,7 +150,7 @@ async def test_garbage_on_every_key_leaves_the_hand_alone(
     mailbox = rig_bus.events("rhot/hand/right")
     stop = asyncio.create_task(throw_garbage(rig_bus, good))
     poses = []
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(PATIENCE_S):
         async for sample in mailbox:
             try:
                 pose = decode(sample.payload, HandPose)

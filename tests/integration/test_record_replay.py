@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bus_watch import answers
+from bus_watch import PATIENCE_S, answers
 from hand_messages import hand_pose, marker_frame, object_pose, point_set
 from numpy.typing import NDArray
 from simulated_take import DELAY_NS, simulated_rig, write_take
@@ -73,7 +73,7 @@ LazyCommand('', 'rhot.cli.{command}:{command}')}}).main(sys.argv[1:])"
 async def said(process: asyncio.subprocess.Process, words: str) -> str:
     """Wait until a process says something on standard error; return the line."""
     assert process.stderr is not None
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(PATIENCE_S):
         while line := (await process.stderr.readline()).decode():
             if words in line:
                 return line
@@ -102,7 +102,7 @@ async def recording(router: BusConfig, file: Path, *options: str) -> AsyncIterat
 
 async def replay(router: BusConfig, file: Path, *options: str) -> str:
     process = await start("replay", str(file), "--connect", router.connect[0], *options)
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(PATIENCE_S):
         _, errors = await process.communicate()
     assert process.returncode == 0, errors.decode()
     return errors.decode()
@@ -221,7 +221,7 @@ async def test_a_disk_that_fills_up_ends_the_recording_with_one_message(router: 
     process = await start("record", "--out", str(file), "--connect", router.connect[0], file_limit=100_000)
     await said(process, "recording to")
     publishing = asyncio.create_task(publish_session(router, 3.0))
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(PATIENCE_S):
         _, errors = await process.communicate()
     assert process.returncode == 2
     assert errors.decode().count("rhot: error:") == 1
@@ -238,7 +238,7 @@ async def test_a_running_service_is_not_mixed_with(router: BusConfig, tmp_path: 
     async with await Bus.open(router) as rig:
         rig.alive("rhot/alive/ik/main")
         process = await start("replay", str(tmp_path / "a.mcap"), "--connect", router.connect[0])
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(PATIENCE_S):
             _, errors = await process.communicate()
         assert process.returncode == 1
         assert "ik/main is alive" in errors.decode()
@@ -266,7 +266,7 @@ async def test_steps_follow_the_enter_key_and_the_last_value_answers(router: Bus
         seen = []
         for _ in range(3):
             process.stdin.write(b"\n")
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(PATIENCE_S):
                 seen.append(await anext(stream))
             await asyncio.sleep(0.1)
             assert received.received == len(seen), "nothing moves without the key"
@@ -274,7 +274,7 @@ async def test_steps_follow_the_enter_key_and_the_last_value_answers(router: Bus
         assert last.payload == seen[-1].payload
         assert last.encoding == seen[-1].encoding
         process.stdin.write(b"q\n")
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(PATIENCE_S):
             await process.wait()
     assert all(before.payload != after.payload for before, after in pairwise(seen))
 
@@ -291,14 +291,14 @@ async def test_replayed_markers_move_living_services(router: BusConfig, tmp_path
         async with await Bus.open(router) as bus:
             for name in ("fusion", "ik"):
                 await supervisor.start(name, [name, *options])
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(PATIENCE_S):
                 while len((await fetch_status(bus, timeout_s=0.5))[1]) < 2:
                     await asyncio.sleep(0.05)
             markers, hands = bus.events("rhot/markers/*"), bus.events("rhot/hand/right")
             await replay(router, tmp_path / "session.mcap", "--only", "markers", "--now")
             _, statuses = await fetch_status(bus)
             assert {status.counts.get("invalid", 0) for status in statuses.values()} == {0}
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(PATIENCE_S):
                 while any(status.state == "running" for status in (await fetch_status(bus))[1].values()):
                     await asyncio.sleep(0.05)
             markers.close()

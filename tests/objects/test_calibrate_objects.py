@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bus_watch import PATIENCE_S
 from click.testing import CliRunner, Result
 
 from rhot.bus import Bus
@@ -306,7 +307,7 @@ async def test_live_places_register_the_space(rig_folder: Path, router: BusConfi
 
         moving = asyncio.create_task(move())
         try:
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(PATIENCE_S):
                 done = await asyncio.to_thread(run, rig_folder, *command)
         finally:
             moving.cancel()
@@ -336,7 +337,7 @@ async def test_the_page_takes_places_and_can_end(rig_folder: Path, router: BusCo
     step = ObjectStep(Room(rig_folder, router))
     values = {"object": "cup", "marker": "index"}
     started = asyncio.create_task(step.press("start", values))
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(PATIENCE_S):
         while not any("nothing on rhot/points yet" in remark.text for remark in step.view().remarks):
             await asyncio.sleep(0.02)
     assert step.view().enabled == {"solve"}

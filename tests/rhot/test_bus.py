@@ -8,7 +8,7 @@ import json
 import msgpack
 import pytest
 import zenoh
-from bus_watch import answers
+from bus_watch import PATIENCE_S, answers
 
 from rhot.bus import Answer, Bus, Request
 from rhot.errors import BusError, ConfigError
@@ -30,11 +30,11 @@ async def test_a_message_arrives_as_sent_and_numbered(router: BusConfig) -> None
     async with await Bus.open(router) as sender, await Bus.open(router) as receiver:
         mailbox = receiver.events("rhot/markers/*")
         publisher = sender.publisher("rhot/markers/left", MarkerFrame)
-        assert await publisher.wait_for_reader(60.0)
+        assert await publisher.wait_for_reader(PATIENCE_S)
         for t_ns in (10, 20, 30):
             publisher.put(frame(t_ns))
         received = []
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(PATIENCE_S):
             async for sample in mailbox:
                 assert sample.key == "rhot/markers/left"
                 assert sample.encoding == "application/msgpack;MarkerFrame"
@@ -49,11 +49,11 @@ async def test_a_slow_reader_gets_the_newest_of_each_key_and_the_loss_is_counted
         mailbox = receiver.latest("rhot/markers/*")
         publishers = {name: sender.publisher(f"rhot/markers/{name}", MarkerFrame) for name in ("left", "right")}
         for publisher in publishers.values():
-            assert await publisher.wait_for_reader(60.0)
+            assert await publisher.wait_for_reader(PATIENCE_S)
         for t_ns in range(50):
             for name, publisher in publishers.items():
                 publisher.put(frame(t_ns, name))
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(PATIENCE_S):
             while mailbox.received < 100:
                 await asyncio.sleep(0.001)
             newest = {}
@@ -114,7 +114,7 @@ async def test_liveliness_tells_those_already_there_and_who_leaves(router: BusCo
         service = await Bus.open(router)
         service.alive("rhot/alive/capture/left")
         mailbox = watcher.liveliness("rhot/alive/**")
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(PATIENCE_S):
             seen = []
             async for sample in mailbox:
                 seen.append((sample.key, sample.deleted))
@@ -145,9 +145,9 @@ async def test_a_router_that_comes_later_is_waited_for_and_one_that_returns_is_u
     async with await opening as sender, await Bus.open(client) as receiver:
         mailbox = receiver.latest("rhot/control")
         publisher = sender.publisher("rhot/control", Control, reliable=True)
-        assert await publisher.wait_for_reader(60.0)
+        assert await publisher.wait_for_reader(PATIENCE_S)
         await first.close()
-        async with await Bus.open(server), asyncio.timeout(60):
+        async with await Bus.open(server), asyncio.timeout(PATIENCE_S):
             reading = asyncio.create_task(mailbox.next())
             while not reading.done():
                 publisher.put(Control(t_ns=9, action="stop"))

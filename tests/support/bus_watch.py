@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
+from typing import Any
 
 from rhot.bus import Bus, Reply
 from rhot.cli.status import fetch_status
@@ -10,6 +12,13 @@ from rhot.rig import BusConfig
 
 PATIENCE_S = 60.0
 """How long anything may take on a busy machine: nothing here is about speed."""
+
+
+async def until(condition: Callable[[], Any]) -> None:
+    """Wait until a condition holds."""
+    async with asyncio.timeout(PATIENCE_S):
+        while not condition():
+            await asyncio.sleep(0.005)
 
 
 async def answers(asker: Bus, selector: str) -> list[Reply]:

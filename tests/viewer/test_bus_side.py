@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import Any
+from collections.abc import AsyncIterator, Awaitable
 
 import pytest
-from bus_watch import answers
+from bus_watch import PATIENCE_S, answers, until
 from stub_rig import StubRig
 
 from rhot.bus import Answer, Bus, Request
@@ -39,21 +38,11 @@ async def viewer_bus(router: BusConfig) -> AsyncIterator[Bus]:
         yield session
 
 
-PATIENCE_S = 60.0
-"""How long anything may take on a busy machine: nothing here is about speed."""
-
-
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who is there answers, however late; who is not there is known at once."""
     for module in (capture_settings, picture_feed):
         monkeypatch.setattr(module, "_TIMEOUT_S", PATIENCE_S)
-
-
-async def until(condition: Callable[[], Any]) -> None:
-    async with asyncio.timeout(PATIENCE_S):
-        while not condition():
-            await asyncio.sleep(0.005)
 
 
 class Running:
