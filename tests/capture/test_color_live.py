@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from bus_watch import settled
 from click.testing import CliRunner
 
 from rhot.bus import Answer, Bus, Reply, Request
@@ -22,7 +23,7 @@ def coded(image: Any, suffix: str) -> bytes:
     return bytes(cv2.imencode(suffix, image)[1])
 
 
-def previews(bus: Bus, images: dict[str, Any], asked: list[str]) -> None:
+async def previews(bus: Bus, images: dict[str, Any], asked: list[str]) -> None:
     """Answer for cameras as capture does, with PNG where it is asked for."""
 
     def answer(request: Request) -> Answer:
@@ -34,12 +35,13 @@ def previews(bus: Bus, images: dict[str, Any], asked: list[str]) -> None:
 
     for camera in images:
         bus.queryable(f"rhot/preview/{camera}", answer)
+    await settled(bus)
 
 
 async def test_pictures_come_over_the_bus_as_they_are(router: BusConfig, scene: Any, six_shapes: Any) -> None:
     images = {name: scene(six_shapes(seed), noise=2.0).image for seed, name in enumerate(("left", "right"))}
     async with await Bus.open(router) as bus:
-        previews(bus, images, [])
+        await previews(bus, images, [])
         pictures = await live_pictures(router, ["left", "right"])
         assert list(pictures) == ["left", "right"]
         for name, picture in pictures.items():
@@ -56,7 +58,7 @@ async def test_colours_are_learnt_live(
     connect = ("--rig", str(rig), "--connect", router.connect[0])
     asked: list[str] = []
     async with await Bus.open(router) as bus:
-        previews(bus, {name: each.image for name, each in drawn.items()}, asked)
+        await previews(bus, {name: each.image for name, each in drawn.items()}, asked)
         save = ["--live", "--save", str(tmp_path / "seen"), *connect]
         saved = await asyncio.to_thread(CliRunner().invoke, colors, save)
         assert saved.exit_code == 0, saved.exception

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from bus_watch import until
+from bus_watch import settled, until
 
 from rhot.bus import Answer, Bus, Request
 from rhot.calibration_step import Room
@@ -44,6 +44,7 @@ async def answering(router: BusConfig, image: Any) -> AsyncIterator[None]:
             return Answer(coded, "image/png")
 
         bus.queryable("rhot/preview/left", answer)
+        await settled(bus)
         yield
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from bus_watch import until
+from bus_watch import PATIENCE_S, until
 
 from rhot.bus import Answer, Bus, Request
 from rhot.bus.query import json_answer
@@ -18,6 +19,7 @@ from rhot.errors import ConfigError
 from rhot.rig import BusConfig
 from rhot.rig.colors import ColorsFile
 from rhot.rig.folder import load_config
+from rhot_capture import lock_step
 from rhot_capture.kept_optics import KeptOptics
 from rhot_capture.lock_step import CameraLook, LockStep, look_remarks, picture_light
 from rhot_capture.settings import CameraSettings
@@ -72,9 +74,17 @@ class StubCamera:
         jpeg = bytes(cv2.imencode(".jpg", picture)[1])
         bus.queryable(f"rhot/preview/{name}", lambda _: Answer(jpeg, "image/jpeg"))
         bus.queryable(f"rhot/config/capture/{name}", lambda _: json_answer(self.settings.model_dump(mode="json")))
-        bus.queryable(f"rhot/keep/capture/{name}", self._answer_keep)
+        bus.queryable(f"rhot/keep/capture/{name}", self._answer_keep, slow=True)
+        self.held: threading.Event | None = None
 
     def _answer_keep(self, request: Request) -> Answer:
+        state = self._kept(request)
+        held, self.held = self.held, None
+        if held is not None:
+            held.wait(PATIENCE_S)
+        return state
+
+    def _kept(self, request: Request) -> Answer:
         if request.parameters.get("do") == "save":
             self.kept.save(self.settings)
         elif request.parameters.get("do") == "undo":
@@ -107,6 +117,29 @@ async def test_what_the_sliders_set_is_saved_and_undone(router: BusConfig, write
         (rig / "rig.toml").write_text("not TOML")
         with pytest.raises(ConfigError, match=r"left: .*not TOML.*right: .*not TOML"):
             await step.press("undo", {})
+
+
+async def test_a_look_from_before_a_press_is_not_shown_after_it(
+    router: BusConfig, write_rig: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lock_step, "_ANSWER_S", PATIENCE_S)
+    rig = write_rig({"left": ""})
+    step = LockStep(Room(rig, router))
+    async with await Bus.open(router) as bus:
+        camera = StubCamera(bus, rig, "left")
+        camera.settings = camera.settings.model_copy(update={"gain": 6.5})
+        following = asyncio.create_task(step.follow())
+        await until(lambda: step.view().enabled == {"save"})
+        held = camera.held = threading.Event()
+        await until(lambda: camera.held is None)
+        await step.press("save", {})
+        assert step.view().enabled == {"undo"}
+        again = camera.held = threading.Event()
+        held.set()
+        await until(lambda: camera.held is None)
+        assert step.view().enabled == {"undo"}, "the button that was just pressed does not come back"
+        again.set()
+        following.cancel()
 
 
 async def test_another_step_does_not_let_the_cameras_look_gone(

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 
 import msgpack
 import pytest
 import zenoh
-from bus_watch import PATIENCE_S, answers
+from bus_watch import PATIENCE_S, answers, settled
 
 from rhot.bus import Answer, Bus, Request
 from rhot.errors import BusError, ConfigError
@@ -107,6 +108,24 @@ async def test_a_handler_that_fails_answers_with_its_reason(router: BusConfig) -
         (crashed,) = await answers(asker, "rhot/crash")
     assert refused.error == "no such mask: toe"
     assert "oops" in crashed.error
+
+
+async def test_who_is_there_but_silent_is_told_from_nobody(router: BusConfig) -> None:
+    released = threading.Event()
+
+    def answer(request: Request) -> Answer:
+        released.wait(PATIENCE_S)
+        return Answer(b"late", "text/plain")
+
+    async with await Bus.open(router) as server, await Bus.open(router) as asker:
+        server.queryable("rhot/preview/left", answer, slow=True)
+        await settled(server)
+        try:
+            (silent,) = await asker.get("rhot/preview/left", timeout_s=0.1)
+            assert silent.error == "no answer within 0.1 s"
+            assert await asker.get("rhot/preview/right", timeout_s=PATIENCE_S) == []
+        finally:
+            released.set()
 
 
 async def test_liveliness_tells_those_already_there_and_who_leaves(router: BusConfig) -> None:

@@ -93,7 +93,7 @@ async def running(service: StageService[MarkerFrame, FusionConfig], bus: BusConf
 
 async def status_of(bus: Bus, name: str) -> ServiceStatus | None:
     replies = await bus.get(f"rhot/status/{name}", timeout_s=1.0)
-    return decode(replies[0].payload, ServiceStatus) if replies else None
+    return decode(replies[0].payload, ServiceStatus) if replies and not replies[0].error else None
 
 
 async def wait_for_status(bus: Bus, name: str, wanted: Callable[[ServiceStatus], bool]) -> ServiceStatus:

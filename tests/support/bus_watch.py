@@ -21,6 +21,11 @@ async def until(condition: Callable[[], Any]) -> None:
             await asyncio.sleep(0.005)
 
 
+async def settled(bus: Bus) -> None:
+    """Wait until the router knows what a session has declared: it answers a question on the same link after that."""
+    await bus.who_is_alive("rhot/alive/nobody", timeout_s=PATIENCE_S)
+
+
 async def answers(asker: Bus, selector: str) -> list[Reply]:
     """Ask until somebody answers."""
     async with asyncio.timeout(PATIENCE_S):

@@ -160,7 +160,9 @@ class Bus:
         """Return the liveliness tokens that match, one reply each."""
 
         def ask() -> list[Reply]:
-            return [_as_reply(reply) for reply in self._session.liveliness().get(key_expr, timeout=timeout_s)]
+            return [
+                _as_reply(reply, timeout_s) for reply in self._session.liveliness().get(key_expr, timeout=timeout_s)
+            ]
 
         return await asyncio.to_thread(ask)
 
@@ -190,6 +192,8 @@ class Bus:
     async def get(self, selector: str, payload: bytes = b"", *, timeout_s: float = 2.0) -> list[Reply]:
         """Query everybody who answers a selector (`key?parameters`) and return all replies.
 
+        Who is there but does not answer in time is a reply with an error.
+
         Raises:
             BusError: the selector is not valid, or the session is closed.
         """
@@ -204,7 +208,7 @@ class Bus:
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
             )
-            return [_as_reply(reply) for reply in replies]
+            return [_as_reply(reply, timeout_s) for reply in replies]
         except zenoh.ZError as error:
             raise BusError(f"{selector}: {_reason(error)}") from error
 
@@ -296,10 +300,11 @@ def _reason(error: zenoh.ZError) -> str:
     return re.sub(r"( at \S+\.rs:\d+\.?|[\[\]])", "", str(error)).strip()
 
 
-def _as_reply(reply: zenoh.Reply) -> Reply:
+def _as_reply(reply: zenoh.Reply, timeout_s: float) -> Reply:
     if reply.ok is not None:
         sample = reply.ok
         return Reply(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
     error = reply.err
     text = error.payload.to_string() if error is not None else "no answer"
-    return Reply("", b"", "", error=text)
+    # Zenoh's own word for somebody who was asked and is silent.
+    return Reply("", b"", "", error=f"no answer within {timeout_s:g} s" if text == "Timeout" else text)

@@ -74,6 +74,7 @@ class LockStep:
         self._looks: dict[str, CameraLook] = {}
         self._complete: dict[str, CameraLook] = {}
         self._looking = False
+        self._presses = 0
         self._problem = ""
 
     def view(self) -> StepView:
@@ -110,7 +111,10 @@ class LockStep:
                 async with await Bus.open(self._room.bus, timeout_s=_CONNECT_S) as bus:
                     self._problem = ""
                     while True:
+                        presses = self._presses
                         looks = await asyncio.gather(*(_look(bus, name) for name in self._cameras))
+                        if presses != self._presses:
+                            continue  # what was seen before a button was pressed is not so any more
                         self._looks = dict(zip(self._cameras, looks, strict=True))
                         if not any(look.problem for look in looks):
                             self._complete = self._looks
@@ -134,7 +138,8 @@ class LockStep:
                 if look.unsaved if button == "save" else look.can_undo:
                     replies = await bus.get(f"rhot/keep/capture/{name}?do={button}", timeout_s=_KEEP_S)
                     refused += [f"{name}: {reply.error}" for reply in replies if reply.error]
-                    refused += [] if replies else [f"{name}: no answer within {_KEEP_S:.0f} s"]
+                    refused += [] if replies else [f"{name}: no capture service answers"]
+            self._presses += 1
             self._looks |= {name: await _look(bus, name) for name in there}
         if refused:
             raise ConfigError("; ".join(refused))

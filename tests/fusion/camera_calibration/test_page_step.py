@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from board_pictures import board_picture
 from board_views import BOARD, SimulatedViews, simulated_views
+from bus_watch import until
 
 from rhot.bus import Answer, Bus, Request
 from rhot.calibration_step import Room
@@ -22,12 +23,6 @@ from rhot_fusion.camera_calibration.page_step import CameraStep
 from rhot_fusion.camera_calibration.session import Session
 
 VALUES = {"board": "9x6", "square_mm": "25", "baseline_mm": ""}
-
-
-async def until(condition: Callable[[], Any]) -> None:
-    async with asyncio.timeout(120.0):
-        while not condition():
-            await asyncio.sleep(0.02)
 
 
 def taken(rig: Path) -> int:

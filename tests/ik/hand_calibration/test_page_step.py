@@ -5,15 +5,17 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from bus_watch import PATIENCE_S, until
 
 from rhot.bus import Bus
 from rhot.calibration_step import Room
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.messages import PointSet
 from rhot.rig import BusConfig, load_rig
-from rhot_ik.hand_calibration import page_step
+from rhot_ik.hand_calibration import page_step, streams
 from rhot_ik.hand_calibration.page_step import HandStep
 from rhot_ik.hand_calibration.prompts import LIVE_S, prompt_at
 
@@ -49,9 +51,7 @@ async def test_a_measurement_says_what_to_do_and_can_be_stopped(
 ) -> None:
     step = HandStep(Room(rig_folder, router))
     measuring = asyncio.create_task(step.press("measure", NOTHING))
-    async with asyncio.timeout(60.0):
-        while "point sets" not in step.view().state:
-            await asyncio.sleep(0.02)
+    await until(lambda: "point sets" in step.view().state)
     assert "get ready" in step.view().state
     assert step.view().enabled == {"stop"}
     await step.press("stop", NOTHING)
@@ -63,14 +63,17 @@ async def test_a_measurement_says_what_to_do_and_can_be_stopped(
 
 
 async def test_what_is_heard_is_measured(rig_folder: Path, router: BusConfig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Points that come become a refusal in words: a hand cannot be measured in half a second."""
-    monkeypatch.setattr(page_step, "LIVE_S", 0.5)
+    """Points that come become a refusal in words: a hand cannot be measured by one point set."""
+    passed_s = 0.0
+    monkeypatch.setattr(streams, "time", SimpleNamespace(monotonic=lambda: passed_s))
     step = HandStep(Room(rig_folder, router))
     async with await Bus.open(router) as bus:
         points = bus.publisher("rhot/points", PointSet)
         measuring = asyncio.create_task(step.press("measure", NOTHING))
-        await points.wait_for_reader(5.0)
+        assert await points.wait_for_reader(PATIENCE_S)
         points.put(PointSet(t_ns=1, frame="rig", points={}))
+        await until(lambda: "(1 point sets)" in step.view().state)
+        passed_s = LIVE_S
         with pytest.raises(CalibrationError):
             await measuring
     assert step.view().enabled == {"measure", "typed"}
