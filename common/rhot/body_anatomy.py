@@ -85,11 +85,6 @@ class BodyModel:
         )
 
     @property
-    def hips_from_head_m(self) -> FloatArray:
-        """(3,) the middle between the hips in the frame of the headset, standing upright and looking straight ahead."""
-        return np.array(self.neck_m) - [0.0, self.neck_height_m, 0.0]
-
-    @property
     def leg_m(self) -> float:
         """Hip to ankle of the straight leg."""
         return self.thigh_m + self.shank_m

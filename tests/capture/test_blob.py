@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhot_capture.blob import PADDING_PX, find_blobs, label_regions, pixel_area
+from rhot_capture.blob import PADDING_PX, find_blobs, pixel_area
 from rhot_capture.color_table import ImageArray
 
 
@@ -92,31 +92,3 @@ def test_solidity_tells_a_disc_from_a_crescent(labels: ImageArray) -> None:
 def test_a_frame_full_of_noise_gives_a_bounded_number_of_blobs() -> None:
     labels = (np.random.default_rng(1).random((480, 640)) < 0.3).astype(np.uint8)
     assert len(find_blobs(labels, 1, 12, 4000)) <= 6
-
-
-@given(st.integers(0, 10_000))
-@settings(deadline=None, max_examples=30)
-def test_regions_hold_every_pixel_of_their_label(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    labels = np.zeros((80, 100), np.uint8)
-    for _ in range(rng.integers(0, 8)):
-        cv2.circle(
-            labels, (int(rng.integers(100)), int(rng.integers(80))), int(rng.integers(12)), int(rng.integers(5)), -1
-        )
-    regions = label_regions(labels, 4)
-    for label in range(1, 5):
-        rows, columns = np.nonzero(labels == label)
-        if len(rows) == 0:
-            assert label not in regions or regions[label][2] > regions[label][0]
-            continue
-        left, top, right, bottom = regions[label]
-        assert left <= columns.min() and columns.max() < right
-        assert top <= rows.min() and rows.max() < bottom
-        inside = find_blobs(labels, label, 1, 1e9, regions[label])
-        assert [blob.area for blob in inside] == [blob.area for blob in find_blobs(labels, label, 1, 1e9)]
-
-
-def test_speckle_everywhere_is_searched_as_a_whole() -> None:
-    labels = np.zeros((80, 100), np.uint8)
-    labels[::4, ::4] = 2
-    assert label_regions(labels, 3) == dict.fromkeys((1, 2, 3), (0, 0, 100, 80))

@@ -6,22 +6,17 @@ the markers that two cameras see. What it answers is compared with the world at 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
-from rhot.evaluate.coverage import visible_to_two
-from rhot.hand import HandJoints, HandModel
-from rhot.messages import HandPose, Point, PointSet, Position, Side
-from rhot.sim.coverage import MarkerCoverage
+from rhot.hand import HandModel
+from rhot.messages import HandPose, Side
 from rhot.sim.world import World
 from rhot.skeleton import FINGERS, JOINTS
-from rhot.stage import Output
-from rhot.wire_vectors import wire_position
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -31,23 +26,6 @@ START_NS: Final = 1_700_000_000_000_000_000
 ANGLES: Final = ("mcp_flexion", "mcp_abduction", "pip_flexion", "dip_flexion")
 _MOST_HIDDEN: Final = 2
 _GAP_S: Final = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class PointNoise:
-    """Errors of generated points, standard deviations, metres.
-
-    Attributes:
-        sideways_m, depth_m: of a marker's centre, across and along the line of sight from the rig's origin.
-        corner_sideways_m, corner_depth_m: of a patch's corner about the patch's centre.
-        bridge_s: how long a marker that hides is still sent, predicted.
-    """
-
-    sideways_m: float = 0.0003
-    depth_m: float = 0.0012
-    corner_sideways_m: float = 0.0002
-    corner_depth_m: float = 0.0015
-    bridge_s: float = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,56 +73,6 @@ class HandFigures:
     step_mm: float
     step_off_mm: float
     beyond_limits_deg: float
-
-
-def simulated_points(
-    world: World, cameras: Mapping[str, CameraModel], times_s: FloatArray, noise: PointNoise, seed: int = 0
-) -> Iterator[PointSet]:
-    """Yield what a good fusion would publish of a world at times (N,), seconds, in rising order.
-
-    Args:
-        world: the truth.
-        cameras: the true cameras; a marker is measured when two of them see it.
-        times_s: seconds since the start of the world.
-        noise: errors of the points.
-        seed: of the noise.
-    """
-    rng = np.random.default_rng(seed)
-    coverages = {name: MarkerCoverage(camera, world) for name, camera in cameras.items()}
-    sample = world.sample(times_s)
-    last: dict[str, tuple[float, FloatArray, FloatArray]] = {}
-    for row, t_s in enumerate(times_s.tolist()):
-        visible = visible_to_two(coverages, t_s)
-        points: dict[str, Point] = {}
-        for name, centres in sample.markers.items():
-            if name in visible:
-                position = centres[row] + _noise(rng, centres[row], noise.sideways_m, noise.depth_m)
-                before = last.get(name)
-                velocity = np.zeros(3)
-                if before is not None and 0.0 < t_s - before[0] < 0.1:
-                    true_velocity = (centres[row] - centres[row - 1]) / (times_s[row] - times_s[row - 1])
-                    velocity = true_velocity
-                last[name] = (t_s, position, velocity)
-                corners = _corners(world, sample.joints[world.markers[name].hand], row, name, position, rng, noise)
-                sigma = float(np.sqrt(2.0 * noise.sideways_m**2 + noise.depth_m**2))
-                points[name] = Point(
-                    position=wire_position(position), sigma=sigma, views=2, state="measured", corners=corners
-                )
-            elif name in last and t_s - last[name][0] <= noise.bridge_s:
-                gone_s, position, velocity = t_s - last[name][0], last[name][1], last[name][2]
-                carried = position + velocity * 0.05 * (1.0 - np.exp(-gone_s / 0.05))
-                points[name] = Point(
-                    position=wire_position(carried), sigma=min(0.002 + 0.1 * gone_s, 1.0), views=0, state="predicted"
-                )
-        yield PointSet(t_ns=START_NS + round(t_s * 1e9), frame="rig", points=points)
-
-
-def run_hand(
-    feed: Callable[[PointSet], Sequence[Output]], world: World, side: Side, points: Iterable[PointSet]
-) -> HandRun:
-    """Give point sets to a stage's `feed` and keep its poses of one hand beside the truth."""
-    poses = [pose for sample in points for _, pose in feed(sample) if isinstance(pose, HandPose) and pose.side == side]
-    return against_truth(poses, world, side, START_NS)
 
 
 def against_truth(poses: Sequence[HandPose], world: World, side: Side, start_t_ns: int) -> HandRun:
@@ -195,37 +123,6 @@ def excess_steps_m(run: HandRun) -> tuple[FloatArray, FloatArray]:
     off: FloatArray = np.linalg.norm(steps - true_steps, axis=-1)
     longer[np.diff(run.t_s) > _GAP_S] = off[np.diff(run.t_s) > _GAP_S] = 0.0
     return longer, off
-
-
-def _noise(rng: np.random.Generator, at: FloatArray, sideways_m: float, depth_m: float) -> FloatArray:
-    """Return noise (3,), metres, of a point as seen from the origin."""
-    sight = at / np.sqrt(at @ at)
-    white = rng.normal(size=3)
-    along = float(white @ sight)
-    noise: FloatArray = sideways_m * (white - along * sight) + depth_m * along * sight
-    return noise
-
-
-def _corners(
-    world: World,
-    joints: HandJoints,
-    row: int,
-    name: str,
-    centre: FloatArray,
-    rng: np.random.Generator,
-    noise: PointNoise,
-) -> tuple[Position, Position, Position, Position] | None:
-    """Return the corners of a patch about its measured centre, with noise; none for a cap."""
-    marker = world.markers[name]
-    if marker.kind != "patch":
-        return None
-    now = HandJoints(joints.positions[row], joints.rotations[row])
-    corners = world.hands[marker.hand].patch_corners(now, marker, name)
-    noisy = np.array(
-        [corner + _noise(rng, corner, noise.corner_sideways_m, noise.corner_depth_m) for corner in corners]
-    )
-    a, b, c, d = (wire_position(corner) for corner in noisy - noisy.mean(axis=0) + centre)
-    return (a, b, c, d)
 
 
 def _mean(values: FloatArray) -> float:

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from rhot.rig.config import MarkerConfig
-
 Bgr = tuple[float, float, float]
 
 SKIN: Final[Bgr] = (132.0, 168.0, 205.0)
@@ -47,12 +45,6 @@ def paints_of(markers: Iterable[str]) -> dict[str, Bgr]:
     names = list(markers)
     spare = iter((*FURTHER_PAINTS, *(paint for name, paint in PAINTS.items() if name not in names)))
     return {name: PAINTS[name] if name in PAINTS else next(spare, FURTHER_PAINTS[0]) for name in names}
-
-
-def visible_colors(paint: Bgr, marker: MarkerConfig) -> list[Bgr]:
-    """Return the colours that a paint shows across a marker, from its rim to its ridge."""
-    shades = FLAT_SHADES if marker.kind == "patch" else PAINT_SHADES
-    return [shaded(paint, brightness) for _, brightness in shades]
 
 
 def shaded(color: Bgr, brightness: float) -> Bgr:

@@ -18,7 +18,6 @@ ContourArray = NDArray[np.int32]
 PADDING_PX: Final = 6
 """Room around a blob for its rim and a strip of what surrounds it."""
 _MAX_CANDIDATES: Final = 6
-_MANY_CONTOURS: Final = 100
 _MERGE_GAP_RATIO: Final = 0.3
 _MERGE_GAP_MIN_PX: Final = 2.0
 _MERGE_MIN_SHARE: Final = 0.05
@@ -114,36 +113,6 @@ class _Drawing(NamedTuple):
 
     filled: ImageArray
     has_holes: bool
-
-
-def label_regions(labels: ImageArray, count: int) -> dict[int, Region]:
-    """Return for each label that occurs a region that holds all its pixels.
-
-    Most of a frame is background, so one search for anything labelled, and then small windows, cost far less than one
-    search of the whole frame for every label.
-
-    Args:
-        labels: (H, W) uint8.
-        count: labels run from 1 to this.
-    """
-    height, width = labels.shape
-    contours, _ = cv2.findContours(labels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    if len(contours) > _MANY_CONTOURS:
-        return dict.fromkeys(range(1, count + 1), Region(0, 0, width, height))
-    regions: dict[int, Region] = {}
-    for contour in contours:
-        left, top, across, down = cv2.boundingRect(contour)
-        right, bottom = left + across, top + down
-        present = np.bincount(labels[top:bottom, left:right].ravel(), minlength=count + 1)
-        for label in np.flatnonzero(present[1 : count + 1]).tolist():
-            known = regions.get(label + 1, (left, top, right, bottom))
-            regions[label + 1] = Region(
-                min(known[0], left),
-                min(known[1], top),
-                max(known[2], right),
-                max(known[3], bottom),
-            )
-    return regions
 
 
 def find_blobs(

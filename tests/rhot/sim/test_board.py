@@ -14,7 +14,6 @@ from rhot.rig.config import SimConfig
 from rhot.rig.folder import RIG_FILE
 from rhot.rig.template import rig_template
 from rhot.sim.board import BOARD, FAR_M, HOLD_S, MAX_TILT_DEG, MOVE_S, NEAR_M, BoardMotion, ChessBoard
-from rhot.sim.board_views import write_board_recording
 from rhot.sim.folder import true_cameras
 from rhot.sim.motion import MotionSample
 from rhot.sim.renderer import Renderer
@@ -179,17 +178,3 @@ def test_a_rig_file_makes_the_world_of_a_board(board_rig: Path) -> None:
     assert not truth.hands
     motion = BoardMotion(3, tuple(true_cameras(rig).values()), ChessBoard())
     np.testing.assert_allclose(truth.objects[BOARD].position, motion.place(0)[:3, 3], atol=1e-12)
-
-
-def test_a_recording_shows_the_board_where_it_is_said_to_be(board_rig: Path, tmp_path: Path) -> None:
-    rig = load_rig(board_rig)
-    poses = write_board_recording(rig, tmp_path / "recording", 3, seed=5)
-    assert poses.shape == (3, 4, 4)
-    for place, (name, camera) in enumerate(true_cameras(rig).items()):
-        files = sorted((tmp_path / "recording" / name).iterdir())
-        assert [file.name for file in files] == ["000000.png", "000001.png", "000002.png"]
-        true = camera.project(ChessBoard().corners @ poses[place, :3, :3].T + poses[place, :3, 3])
-        image = cv2.imread(str(files[place]))
-        assert image is not None
-        error = found_corners(np.asarray(image, np.uint8), true) - true
-        assert np.sqrt((error**2).mean()) < 0.1
