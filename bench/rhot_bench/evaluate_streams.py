@@ -20,8 +20,8 @@ from rhot.recording import MarkerTrack, Recording, load_recording, marker_track_
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
+from rhot_bench.number_table import read_table
 from rhot_bench.output import json_option, show
-from rhot_bench.recorded_joints import read_table
 from rhot_fusion.stage import FusionStage
 
 _STEP_MM: Final = {"hand_recovered": 40.0, "hand_as_sent": 60.0}

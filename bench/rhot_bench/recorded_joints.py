@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from rhot.errors import ConfigError
 from rhot.hand import HandModel
 from rhot.rig import HandFile, IkConfig, MarkerConfig
 from rhot.skeleton import FINGERS
+from rhot_bench.number_table import read_table
 from rhot_ik.evidence import HandObservation
 from rhot_ik.hand_solver import HandSolver
 from rhot_ik.recorded_hands import palm_rotations, plain_hand
@@ -52,25 +52,6 @@ class Recorded:
     def part(self, rows: slice) -> Recorded:
         """Return some of the frames."""
         return Recorded(self.wrists[rows], self.chains[rows], self.across[rows], self.palms[rows])
-
-
-def read_table(path: Path) -> dict[str, FloatArray]:
-    """Return the columns of a CSV file of numbers.
-
-    Raises:
-        ConfigError: it cannot be read, or a cell is not a number.
-    """
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            head, *rows = list(csv.reader(file))
-        values = np.array(rows, dtype=np.float64)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}; is DATA the right folder?") from error
-    except (ValueError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: is not a table of numbers under one header: {error}") from error
-    if values.ndim != 2 or values.shape[1] != len(head) or not np.isfinite(values).all():
-        raise ConfigError(f"{path}: holds {values.shape} numbers under {len(head)} columns; rows must be whole, finite")
-    return dict(zip(head, values.T, strict=True))
 
 
 def read_joints(path: Path, wrist: Sequence[str], chains: Sequence[Sequence[str]], palm: str = "") -> Recorded:

@@ -23,8 +23,8 @@ from rhot.rig import Rig
 from rhot.sim.motion import MotionSample, StillMotion
 from rhot.sim.world import World
 from rhot_bench.cores import MILLI, Scene, capture_section
+from rhot_bench.number_table import read_table
 from rhot_bench.paint_samples import thesis_boxes
-from rhot_bench.recorded_joints import read_table
 from rhot_bench.simulated import Cameras, Capture, moments
 from rhot_bench.thesis_capture import ThesisDetector
 from rhot_bench.thesis_fusion import law_depth_m

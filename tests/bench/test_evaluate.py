@@ -14,6 +14,7 @@ from rhot.errors import ConfigError
 from rhot.hand import HandModel
 from rhot.rig import HandFile
 from rhot_bench.evaluate_hands import hands
+from rhot_bench.evaluate_steps import steps
 from rhot_bench.evaluate_streams import streams
 from rhot_bench.evaluate_thesis import thesis
 from rhot_bench.evaluate_tracking import tracking
@@ -141,3 +142,35 @@ def test_no_recording_is_an_error(invoke: Invoke, tmp_path: Path) -> None:
         invoke(streams, tmp_path)
     with pytest.raises(ConfigError, match=r"depth_table\.csv"):
         invoke(thesis, tmp_path)
+
+
+def test_steps_of_real_feet(invoke: Invoke, tmp_path: Path, shared_data: Path) -> None:
+    data = tmp_path / "data"
+    (data / "foot_imu").mkdir(parents=True)
+    name = "2017-11-22-11-28-39"
+    for form, seconds in (("raw200", 6.0), ("bno100", 6.0)):
+        header, *lines = (shared_data / "foot_imu" / f"{name}_{form}.csv").read_text().splitlines()
+        some = [line for line in lines if float(line.split(",")[0]) < seconds]
+        (data / "foot_imu" / f"{name}_{form}.csv").write_text("\n".join([header, *some]))
+    trials = data / "foot_imu" / "trials.json"
+    trials.write_text(json.dumps({name: {"author_ins_rmse_m": 0.0125, "motion_guess": "small steps"}}))
+    (data / "aruco").mkdir()
+    (data / "aruco" / "d435_qualisys").symlink_to(shared_data / "aruco" / "d435_qualisys")
+    (data / "realsense").symlink_to(shared_data / "realsense")
+    text = invoke(steps, data, "--quick", "--json", tmp_path / "s.json")
+    rows = rows_of(tmp_path / "s.json")
+    assert 0.1 < rows[f"{name}, mean"]["value"] < 20.0
+    assert "small steps; " in text
+    assert "aligned after" in text
+    assert rows["published: the best detector, tuned to each trial"]["value"] == pytest.approx(12.5)
+    assert 0.1 < rows["off on average, 1 trials"]["value"] < 30.0
+    assert rows["test0: the right one of two orientations"]["verdict"] == "met"
+    assert rows["ours: toes within 15 px"]["value"] > rows["the 2021 thesis's: toes within 15 px"]["value"]
+    trials.write_text('{"a": 1}')
+    with pytest.raises(ConfigError, match=r"trials\.json: tells no author_ins_rmse_m"):
+        invoke(steps, data)
+
+
+def test_steps_need_recordings(invoke: Invoke, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"holds none of foot_imu/\*_raw200\.csv"):
+        invoke(steps, tmp_path / "nowhere")

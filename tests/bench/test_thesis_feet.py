@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import csv
-from pathlib import Path
-
 import numpy as np
 from marker_scenes import (
     DICTIONARY,
@@ -19,8 +16,6 @@ from marker_scenes import (
 
 from rhot.aruco_dictionary import marker_dictionary
 from rhot_bench.thesis_feet import ThesisFeet
-from rhot_feet.frames import pinhole
-from rhot_feet.sources.recorded_frames import load_depth_recording
 
 CAMERA = depth_camera()
 
@@ -53,24 +48,3 @@ def test_a_hidden_marker_gives_the_blob_near_the_last_place() -> None:
     assert 1e3 * float(np.linalg.norm(foot.place - (0.1, 0.05, 0.99))) < 15.0
     nothing = np.zeros_like(depth)
     assert follow.feed(background(CAMERA), nothing, CAMERA) == {}
-
-
-def test_recorded_walk_on_which_the_thesiss_blob_loses_the_toes(shared_data: Path) -> None:
-    folder = shared_data / "realsense" / "feet_rgbd"
-    camera = pinhole(640, 480, np.array([[610.0, 0.0, 320.0], [0.0, 610.0, 240.0], [0.0, 0.0, 1.0]]), np.empty(0))
-    with (folder / "manual_toe_tips.csv").open() as stream:
-        marks = {int(row["frame"]): row for row in csv.DictReader(stream)}
-    follow, distances = thesis(), []
-    for side in ("left", "right"):
-        u, v, z = (float(marks[0][f"{side}_toe_{name}"]) for name in ("u", "v", "depth_mm"))
-        follow.start(side, (u, v), z)
-    for frame in load_depth_recording(folder, camera=camera, rate_hz=30.0).frames():
-        assert frame.depth_mm is not None
-        feet = follow.feed(frame.color, frame.depth_mm, camera)
-        if frame.index == 0 or frame.index not in marks:
-            continue
-        for side, foot in feet.items():
-            u, v = camera.project(foot.place[None])[0]
-            mark = marks[frame.index]
-            distances.append(np.hypot(u - float(mark[f"{side}_toe_u"]), v - float(mark[f"{side}_toe_v"])))
-    assert np.mean(np.array(distances) < 15.0) < 0.5

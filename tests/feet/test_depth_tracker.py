@@ -1,23 +1,18 @@
 from __future__ import annotations
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
 from marker_scenes import background, ball_depths, depth_camera, depth_image, plane_depths
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
 from rhot.messages import Side
 from rhot.rotations import rotation_x
 from rhot_feet.depth_floor import FloorPlane, find_floor
 from rhot_feet.depth_points import COARSE_PX, PixelRays
 from rhot_feet.depth_tracker import DepthTracker
 from rhot_feet.expectation import FootExpectation
-from rhot_feet.frames import DepthFrame, pinhole
+from rhot_feet.frames import DepthFrame
 from rhot_feet.region import Region
-from rhot_feet.sources.recorded_frames import load_depth_recording
 
 CAMERA = depth_camera()
 WHOLE = Region(0, 0, CAMERA.width, CAMERA.height)
@@ -200,42 +195,3 @@ def test_what_is_not_a_foot_is_refused() -> None:
     assert tracker.feed(picture(at), behind, {}, UP).refused == {"left": "hidden"}
     blind = DepthFrame(0, background(CAMERA), None, CAMERA, 0)
     assert not tracker.feed(blind, here, {}, UP).feet
-
-
-@pytest.mark.parametrize("focal_px", [460.0, 610.0])
-def test_recorded_walk_from_the_first_marks_alone(shared_data: Path, focal_px: float) -> None:
-    folder = shared_data / "realsense" / "feet_rgbd"
-    # The lens is unknown; a D435's colour camera at 640x480 has about 610 px.
-    K = np.array([[focal_px, 0.0, 320.0], [0.0, focal_px, 240.0], [0.0, 0.0, 1.0]])
-    camera = pinhole(640, 480, K, np.empty(0))
-    recording = load_depth_recording(folder, camera=camera, rate_hz=30.0)
-    with (folder / "manual_toe_tips.csv").open() as stream:
-        marks = {int(row["frame"]): row for row in csv.DictReader(stream)}
-    tracker = DepthTracker(RANGE)
-    sides: tuple[Side, Side] = ("left", "right")
-    places = {side: toe(marks[0], side, camera) for side in sides}
-    speeds = {side: np.zeros(3) for side in sides}
-    distances = []
-    for frame in recording.frames():
-        if frame.index == 0:
-            tracker.feed(frame, {}, {side: FootExpectation(places[side], 1e-4 * np.eye(3)) for side in sides})
-            continue
-        guess = {side: FootExpectation(places[side] + speeds[side], 0.04**2 * np.eye(3)) for side in sides}
-        found = tracker.feed(frame, guess, {}).feet
-        for side in sides:
-            now = found[side].place if side in found else places[side] + speeds[side]
-            speeds[side] = 0.5 * speeds[side] + 0.5 * (now - places[side])
-            places[side] = now
-            if frame.index in marks:
-                u, v = camera.project(now[None])[0]
-                mark = marks[frame.index]
-                distances.append(np.hypot(u - float(mark[f"{side}_toe_u"]), v - float(mark[f"{side}_toe_v"])))
-    assert len(distances) == 10
-    assert np.mean(np.array(distances) < 15.0) >= 0.9
-    assert float(np.median(distances)) < 6.0
-
-
-def toe(row: dict[str, str], side: Side, camera: CameraModel) -> Float:
-    u, v, z = (float(row[f"{side}_toe_{name}"]) for name in ("u", "v", "depth_mm"))
-    x, y = camera.undistort(np.array([[u, v]]))[0]
-    return np.array([x, y, 1.0]) * z * 1e-3

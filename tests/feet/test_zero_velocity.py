@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhot_feet.dead_reckoning import horizontal_error_m, reckon
+from rhot_bench.dead_reckoning import horizontal_error_m, reckon
+from rhot_bench.recorded_steps import read_places
+from rhot_bench.standard_detectors import amvd, ared, mbgtd, shoe
 from rhot_feet.imu_sources.recorded import read_samples
-from rhot_feet.zero_velocity import GRAVITY, Rest, StillnessDetector, amvd, ared, mbgtd, shoe
+from rhot_feet.zero_velocity import GRAVITY, Rest, StillnessDetector
 
 FloatArray = NDArray[np.float64]
-
-
-def truth(path: Path) -> FloatArray:
-    table = np.genfromtxt(path, delimiter=",", names=True)
-    return np.stack([table["px"], table["py"], table["pz"]], axis=1)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +93,7 @@ def test_dead_reckoning_on_real_trials(shared_data: Path, form: str, names: tupl
     ratios = []
     for name in names:
         path = folder / f"{name}_{form}.csv"
-        error_m = horizontal_error_m(reckon(read_samples(path)), truth(path))
+        error_m = horizontal_error_m(reckon(read_samples(path)), read_places(path))
         ratios.append(error_m / published[name])
     assert max(ratios) < 1.5
     assert np.mean(ratios) < 1.25
@@ -106,7 +103,7 @@ def test_no_fixed_threshold_serves_slow_and_fast_steps(shared_data: Path) -> Non
     """Why the threshold follows the gait: each standard detector loses one of two trials by more than ours does."""
     folder = shared_data / "foot_imu"
     paths = [folder / f"{name}_bno100.csv" for name in ("2017-11-22-11-28-39", "2017-11-27-11-11-24")]
-    trials = [(read_samples(path), truth(path)) for path in paths]
+    trials = [(read_samples(path), read_places(path)) for path in paths]
     ours = max(horizontal_error_m(reckon(samples), true) for samples, true in trials)
     for name, threshold in (("shoe", 3e4), ("ared", 3e4)):
         worst = 0.0

@@ -67,6 +67,7 @@ _EVALUATIONS: Final = {
     "hands": LazyCommand("Predict inner joints of recorded real hands.", extra="sim"),
     "streams": LazyCommand("Fuse recorded marker tracks: steps, delay, noise at rest.", extra="sim"),
     "feet": LazyCommand("Track the feet of a simulated person, beside the 2021 thesis's tracker.", extra="sim"),
+    "steps": LazyCommand("Follow feet on recordings of real sensors and cameras.", extra="sim"),
     "thesis": LazyCommand("The 2018 thesis's tables with ours beside them.", extra="sim"),
     "calibration": LazyCommand("Tell whether the cameras have moved since they were calibrated.", extra="fusion"),
 }
