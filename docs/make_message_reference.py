@@ -37,7 +37,7 @@ KEYS: Final = {
 
 _HEAD: Final = """# Messages
 
-<!-- Made by docs/make_message_reference.py from common/rhot/messages.py; do not edit. -->
+<!-- Made by docs/make_message_reference.py from common/rhot/messages; do not edit. -->
 
 Payloads are msgpack maps; the Zenoh encoding is `application/msgpack;<message>`. Units are metres, seconds, radians and
 pixels (u to the right, v down, pixel centres on integers, raw image). Quaternions are (x, y, z, w). Times are integer

@@ -1,0 +1,72 @@
+"""The wire schemas: what travels on which key, and its exact encoding.
+
+A payload is a msgpack map of one of the models of this package; the Zenoh encoding is `application/msgpack` with the
+model's name as suffix (`application/msgpack;MarkerFrame`). SI units throughout: metres, seconds, radians;
+pixels with u to the right and v down, pixel centres on integers, in the raw (distorted) image. Quaternions are
+(x, y, z, w) of unit norm. Times are integer nanoseconds since the Unix epoch on the rig clock.
+
+Unknown fields are ignored so that a newer sender may talk to an older reader; anything missing, wrong-typed,
+not finite or out of bounds makes the message invalid (`WireError`).
+"""
+
+from __future__ import annotations
+
+from rhot.messages.base import (
+    SCHEMA_VERSION,
+    Count,
+    Message,
+    Name,
+    PixelPoint,
+    Pose,
+    Position,
+    Quaternion,
+    Side,
+    State,
+    WireModel,
+)
+from rhot.messages.codec import MAX_PAYLOAD_BYTES, decode, encode, encoding_of, first_problem, unpack, with_seq
+from rhot.messages.feet import BodyJoint, BodyPose, FootPose, LegAngles
+from rhot.messages.hand import FingerAngles, HandPose, Joint
+from rhot.messages.markers import Marker, MarkerFrame, Point, PointSet
+from rhot.messages.objects import HeadPose, ObjectPose
+from rhot.messages.services import ClockReply, Control, ServiceStatus
+from rhot.messages.truth import TruePose, Truth
+
+__all__ = [
+    "MAX_PAYLOAD_BYTES",
+    "SCHEMA_VERSION",
+    "BodyJoint",
+    "BodyPose",
+    "ClockReply",
+    "Control",
+    "Count",
+    "FingerAngles",
+    "FootPose",
+    "HandPose",
+    "HeadPose",
+    "Joint",
+    "LegAngles",
+    "Marker",
+    "MarkerFrame",
+    "Message",
+    "Name",
+    "ObjectPose",
+    "PixelPoint",
+    "Point",
+    "PointSet",
+    "Pose",
+    "Position",
+    "Quaternion",
+    "ServiceStatus",
+    "Side",
+    "State",
+    "TruePose",
+    "Truth",
+    "WireModel",
+    "decode",
+    "encode",
+    "encoding_of",
+    "first_problem",
+    "unpack",
+    "with_seq",
+]

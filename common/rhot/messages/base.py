@@ -1,0 +1,75 @@
+"""What all messages have in common: kinds of values, strictness, time and number, a pose."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+SCHEMA_VERSION: Final = 1
+_QUATERNION_NORM_TOLERANCE: Final = 1e-3
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+"""A camera, marker, joint, object or service name: it can stand as one chunk of a key."""
+TimeNs = Annotated[int, Field(ge=0, lt=1 << 63)]
+Count = Annotated[int, Field(ge=0, lt=1 << 63)]
+Pixel = Annotated[float, Field(ge=-1e5, le=1e5)]
+Metres = Annotated[float, Field(ge=-1e3, le=1e3)]
+Seconds = Annotated[float, Field(ge=-1e6, le=1e6)]
+Unit = Annotated[float, Field(ge=0.0, le=1.0)]
+
+PixelPoint = tuple[Pixel, Pixel]
+Position = tuple[Metres, Metres, Metres]
+Quaternion = tuple[float, float, float, float]
+
+State = Literal["measured", "predicted"]
+"""`measured`: backed by an observation of this moment; `predicted`: bridged by a model."""
+Side = Literal["left", "right"]
+
+
+class WireModel(BaseModel):
+    """Base of messages and their parts: frozen, finite, strict about types, tolerant of unknown fields."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True, allow_inf_nan=False)
+
+
+class Message(WireModel):
+    """What every message carries.
+
+    Attributes:
+        t_ns: the moment the sample was true, rig clock.
+        seq: counts the publisher's messages on this key from 0, so that gaps can be counted.
+        schema_version: version of the model.
+    """
+
+    t_ns: TimeNs
+    seq: Count = 0
+    schema_version: Literal[1] = SCHEMA_VERSION
+
+
+def unit_quaternion(value: Quaternion) -> Quaternion:
+    """Return a quaternion as it is.
+
+    Raises:
+        ValueError: its norm is not 1.
+    """
+    x, y, z, w = value
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if abs(norm - 1.0) > _QUATERNION_NORM_TOLERANCE:
+        raise ValueError(f"quaternion (x, y, z, w) has norm {norm:.6g}, must be 1")
+    return value
+
+
+class Pose(WireModel):
+    """A place and an orientation.
+
+    Attributes:
+        position: metres.
+        orientation: unit quaternion x, y, z, w.
+    """
+
+    position: Position
+    orientation: Quaternion
+
+    _norm = field_validator("orientation")(unit_quaternion)

@@ -1,0 +1,91 @@
+"""What cameras see and where it is in space."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from rhot.messages.base import (
+    Count,
+    Message,
+    Name,
+    Pixel,
+    PixelPoint,
+    Position,
+    Seconds,
+    State,
+    TimeNs,
+    Unit,
+    WireModel,
+)
+
+
+class Marker(WireModel):
+    """One marker as one camera saw it.
+
+    Attributes:
+        u, v: sub-pixel centre, pixels, raw image.
+        area: visible area, square pixels.
+        score: 0 to 1, how surely this is the marker.
+        t_ns: mid-exposure of the marker's own row where it differs from the frame's `t_ns`.
+        corners: the four corners of a rectangular patch in cyclic order, pixels.
+        outline: closed outline, pixels.
+    """
+
+    u: Pixel
+    v: Pixel
+    area: Annotated[float, Field(ge=0.0, le=1e9)]
+    score: Unit
+    t_ns: TimeNs | None = None
+    corners: tuple[PixelPoint, PixelPoint, PixelPoint, PixelPoint] | None = None
+    outline: Annotated[tuple[PixelPoint, ...], Field(max_length=512)] | None = None
+
+
+class MarkerFrame(Message):
+    """All markers found in one frame of one camera; a marker that was not seen is absent.
+
+    Attributes:
+        camera: name of the camera as in `rig.toml`.
+        width, height: size of the image, pixels.
+        markers: marker name to its observation.
+        timing: seconds spent per stage of the capture service, such as `wait`, `classify`, `locate`.
+        frame: the source's own frame counter; a gap means frames lost before detection.
+    """
+
+    camera: Name
+    width: Annotated[int, Field(gt=0, le=65536)]
+    height: Annotated[int, Field(gt=0, le=65536)]
+    markers: Annotated[dict[Name, Marker], Field(max_length=256)]
+    timing: Annotated[dict[Name, Seconds], Field(max_length=32)] = {}
+    frame: Count = 0
+
+
+class Point(WireModel):
+    """One marker in space.
+
+    Attributes:
+        position: metres, in the frame that the PointSet names.
+        sigma: standard deviation of the position, metres (root of the sum of the three variances).
+        views: number of cameras behind it.
+        state: measured or predicted.
+        corners: corners of a rectangular patch, metres, cyclic order.
+    """
+
+    position: Position
+    sigma: Annotated[float, Field(ge=0.0, le=1e3)]
+    views: Annotated[int, Field(ge=0, le=255)]
+    state: State
+    corners: tuple[Position, Position, Position, Position] | None = None
+
+
+class PointSet(Message):
+    """All marker points at one moment, from fusion.
+
+    Attributes:
+        frame: frame of all positions, `rig`.
+        points: by marker name; a marker of which nothing is known is absent.
+    """
+
+    frame: Name
+    points: Annotated[dict[Name, Point], Field(max_length=256)]
