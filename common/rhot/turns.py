@@ -1,4 +1,4 @@
-"""Rotations, rotation vectors and inverses of size 3 in plain arithmetic: for single ones faster than array calls."""
+"""Rotations, inverses and distances of size 3 in plain arithmetic: for single ones faster than array calls."""
 
 from __future__ import annotations
 
@@ -78,6 +78,21 @@ def quaternion_from_turn(R: FloatArray) -> tuple[float, float, float, float]:
     return x * scale, y * scale, z * scale, w * scale
 
 
+def turn_from_quaternion(xyzw: FloatArray) -> FloatArray:
+    """Return the rotation (3, 3) of one quaternion (4,), x y z w, of any length but zero."""
+    x, y, z, w = xyzw.tolist()
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    xx, yy, zz, xy, xz, yz = s * x * x, s * y * y, s * z * z, s * x * y, s * x * z, s * y * z
+    wx, wy, wz = s * w * x, s * w * y, s * w * z
+    return np.array(
+        [
+            [1.0 - yy - zz, xy - wz, xz + wy],
+            [xy + wz, 1.0 - xx - zz, yz - wx],
+            [xz - wy, yz + wx, 1.0 - xx - yy],
+        ]
+    )
+
+
 def product_matrix(x: float, y: float, z: float, w: float) -> FloatArray:
     """Return the matrix (4, 4) that takes a quaternion r, x y z w, to the product q·r."""
     return np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])
@@ -91,6 +106,18 @@ def symmetric_inverse(M: FloatArray) -> FloatArray:
     A, B, C = A * scale, B * scale, C * scale
     E = (b * c - a * e) * scale
     return np.array([[A, B, C], [B, (a * f - c * c) * scale, E], [C, E, (a * d - b * b) * scale]])
+
+
+def squared_distance(vector: FloatArray, covariance: FloatArray) -> float:
+    """Return the squared Mahalanobis distance vᵀ·C⁻¹·v of a vector (3,) under a covariance (3, 3)."""
+    (a, b, c), (_, d, e), (_, _, f) = covariance.tolist()
+    x, y, z = vector.tolist()
+    # Cofactors, as in `symmetric_inverse`.
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
+    along = A * x * x + D * y * y + F * z * z + 2.0 * (B * x * y + C * x * z + E * y * z)
+    distance: float = along / (a * A + b * B + c * C)
+    return max(0.0, distance)
 
 
 def orthonormal(R: FloatArray) -> FloatArray:

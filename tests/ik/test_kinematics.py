@@ -9,7 +9,15 @@ from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
 from rhot.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
 from rhot.skeleton import FINGERS
-from rhot.turns import orthonormal, quaternion_from_turn, symmetric_inverse, turn_from_vector, vector_from_turn
+from rhot.turns import (
+    orthonormal,
+    quaternion_from_turn,
+    squared_distance,
+    symmetric_inverse,
+    turn_from_quaternion,
+    turn_from_vector,
+    vector_from_turn,
+)
 from rhot_ik.finger_geometry import FingerGeometry
 from rhot_ik.kinematics import HandKinematics
 
@@ -66,3 +74,7 @@ def test_turns_in_plain_arithmetic_equal_the_general_ones(size: float) -> None:
         assert np.allclose(orthonormal(R + 1e-7 * rng.normal(size=(3, 3))) @ R.T, np.eye(3), atol=1e-6)
         M = R @ np.diag([1e-6, 1e-4, 3e-6]) @ R.T
         assert np.allclose(symmetric_inverse(M) @ M, np.eye(3), atol=1e-9)
+        quaternion = 3.0 * rng.choice([-1.0, 1.0]) * np.array(quaternion_from_turn(R))
+        assert np.allclose(turn_from_quaternion(quaternion), R, atol=1e-12)
+        assert squared_distance(axis, M) == pytest.approx(float(axis @ np.linalg.solve(M, axis)), rel=1e-9)
+        assert squared_distance(np.zeros(3), M) == 0.0

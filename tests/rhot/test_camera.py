@@ -78,8 +78,9 @@ def test_pinhole_by_hand() -> None:
     )
 
 
-def test_point_behind_the_camera_has_no_pixel() -> None:
-    camera = model("brown", np.zeros(3), np.zeros(3))
+@pytest.mark.parametrize("distortion", ["none", "brown"])
+def test_point_behind_the_camera_has_no_pixel(distortion: str) -> None:
+    camera = model(distortion, np.zeros(3), np.zeros(3))
     uv = camera.project(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
     assert np.isnan(uv[:2]).all()
     assert np.isfinite(uv[2]).all()

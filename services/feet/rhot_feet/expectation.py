@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
 from rhot.messages import Side
+from rhot.turns import squared_distance
 from rhot_feet.region import Region
 
 FloatArray = NDArray[np.float64]
@@ -59,5 +61,4 @@ def innovation_distance(place: FloatArray, covariance: FloatArray, expected: Foo
         covariance: (3, 3) of the measured place.
         expected: what was predicted.
     """
-    innovation = place - expected.place
-    return float(np.sqrt(innovation @ np.linalg.solve(covariance + expected.covariance, innovation)))
+    return math.sqrt(squared_distance(place - expected.place, covariance + expected.covariance))

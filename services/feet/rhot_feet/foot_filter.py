@@ -19,8 +19,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.rotations import rotation_from_quaternion
-from rhot.turns import quaternion_from_turn
+from rhot.turns import quaternion_from_turn, turn_from_quaternion
 from rhot_feet.alignment import AlignmentLearner
 from rhot_feet.alignment_equations import Alignment
 from rhot_feet.foot_filter_history import History
@@ -95,7 +94,7 @@ class FootFilter:
 
     def imu(self, samples: ImuSamples) -> None:
         """Take samples of the sensor, not older than those before."""
-        rotations = rotation_from_quaternion(samples.orientation_xyzw) if len(samples) else ()
+        rotations = [turn_from_quaternion(orientation) for orientation in samples.orientation_xyzw]
         stands = []
         for t_ns, force, rate, R_world in zip(
             samples.t_ns.tolist(), samples.specific_force, samples.angular_rate, rotations, strict=True
@@ -123,7 +122,7 @@ class FootFilter:
             orientation_xyzw: (4,) foot to rig, if it was seen.
             orientation_covariance: (3, 3) rad², of its error as a rotation vector in the rig frame; 3° when left out.
         """
-        rotation = None if orientation_xyzw is None else rotation_from_quaternion(orientation_xyzw)
+        rotation = None if orientation_xyzw is None else turn_from_quaternion(orientation_xyzw)
         spread = np.radians(3.0) ** 2 * np.eye(3) if orientation_covariance is None else orientation_covariance
         return self._observe(
             Observation(t_ns, position, covariance + _FLOOR, rotation, spread + _ROTATION_FLOOR, "marker")

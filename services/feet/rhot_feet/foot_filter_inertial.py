@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.rotations import rotation_z
-from rhot.turns import rotation_between
+from rhot.turns import rotation_between, squared_distance
 from rhot_feet.alignment_equations import Alignment
 from rhot_feet.foot_filter_model import FootMotion, Observation
 from rhot_feet.strapdown import (
@@ -149,10 +149,10 @@ class InertialModel:
         """Return the squared normalised innovations of position and rotation."""
         H, residual, noise = self._linearised(state, observation)
         S = H @ state.P @ H.T + noise
-        position = float(residual[:3] @ np.linalg.solve(S[:3, :3], residual[:3]))
+        position = squared_distance(residual[:3], S[:3, :3])
         if observation.rotation is None:
             return position, 0.0
-        return position, float(residual[3:] @ np.linalg.solve(S[3:, 3:], residual[3:]))
+        return position, squared_distance(residual[3:], S[3:, 3:])
 
     def observe(self, state: InertialState, observation: Observation) -> InertialState:
         """Return the state after an observation of its moment."""
@@ -163,7 +163,7 @@ class InertialModel:
         noise = speed_sigma**2 * _UNIT
         if gate is not None:
             S = state.P[VELOCITY, VELOCITY] + noise
-            if float(state.velocity @ np.linalg.solve(S, state.velocity)) > gate:
+            if squared_distance(state.velocity, S) > gate:
                 return state
         return correct(state, _SPEED, -state.velocity, noise)
 

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.turns import orthonormal, rotation_between, turn_from_vector
+from rhot.turns import orthonormal, rotation_between, squared_distance, symmetric_inverse, turn_from_vector
 from rhot_feet.foot_filter_model import FootMotion, Observation
 from rhot_feet.strapdown import InertialStep
 from rhot_feet.zero_velocity import GRAVITY
@@ -151,18 +151,18 @@ class KinematicModel:
         """Return the squared normalised innovations of position and rotation."""
         residual = observation.position - state.motion[:3]
         S = state.P[:3, :3] + observation.covariance + room_m(state.unseen_s) ** 2 * _UNIT
-        position = float(residual @ np.linalg.solve(S, residual))
+        position = squared_distance(residual, S)
         if observation.rotation is None:
             return position, 0.0
         turned = rotation_between(state.R, observation.rotation)
         S = state.turning[0, 0] * _UNIT + observation.rotation_covariance
-        return position, float(turned @ np.linalg.solve(S, turned))
+        return position, squared_distance(turned, S)
 
     def observe(self, state: KinematicState, observation: Observation) -> KinematicState:
         """Return the state after an observation of its moment."""
         residual = observation.position - state.motion[:3]
         S = state.P[:3, :3] + observation.covariance
-        surprise = float(residual @ np.linalg.solve(S, residual)) / 3.0
+        surprise = squared_distance(residual, S) / 3.0
         motion, P = _correct(state.motion, state.P, _PLACE, residual, observation.covariance)
         R, rate, turning = state.R, state.rate, state.turning
         if observation.rotation is not None:
@@ -181,7 +181,7 @@ class KinematicModel:
         velocity = state.motion[3:6]
         if gate is not None:
             S = state.P[3:6, 3:6] + speed_sigma**2 * _UNIT
-            if float(velocity @ np.linalg.solve(S, velocity)) > gate:
+            if squared_distance(velocity, S) > gate:
                 return state
         noise = np.diag(np.repeat([speed_sigma**2, _ACCELERATION_AT_REST**2], 3))
         motion, P = _correct(state.motion, state.P, _REST, -state.motion[3:], noise)
@@ -218,6 +218,7 @@ def _correct(
     x: FloatArray, P: FloatArray, H: FloatArray, residual: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     PHt = P @ H.T
-    K = np.linalg.solve(H @ PHt + noise, PHt.T).T
+    S = H @ PHt + noise
+    K = PHt @ symmetric_inverse(S) if len(S) == 3 else np.linalg.solve(S, PHt.T).T
     A = np.eye(len(x)) - K @ H
     return x + K @ residual, A @ P @ A.T + K @ noise @ K.T

@@ -19,9 +19,8 @@ from rhot.aruco_dictionary import marker_dictionary
 from rhot.camera_mounting import camera_mounting
 from rhot.messages import FootPose, HeadPose, Side
 from rhot.rig.feet_config import FeetConfig
-from rhot.rotations import rotation_from_quaternion
 from rhot.stage import Output
-from rhot.turns import quaternion_from_turn
+from rhot.turns import quaternion_from_turn, turn_from_quaternion
 from rhot.wire_vectors import wire_position, wire_quaternion
 from rhot_feet.depth_tracker import DepthSightings, DepthTracker
 from rhot_feet.expectation import OTHER_FOOT, FootExpectation
@@ -241,7 +240,7 @@ class FootStage:
         turning = R @ state.orientation_covariance @ R.T
         if np.trace(turning) > _KNOWN_TURN_RAD**2:
             return FootExpectation(place, covariance)
-        return FootExpectation(place, covariance, R @ rotation_from_quaternion(state.orientation_xyzw), turning)
+        return FootExpectation(place, covariance, R @ turn_from_quaternion(state.orientation_xyzw), turning)
 
     def _is_carried(self, foot: _Foot) -> bool:
         return isinstance(foot.filter, FootFilter) and foot.filter.aligned

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.messages import HeadPose
-from rhot.rotations import rotation_from_quaternion
 from rhot.transforms import rigid
-from rhot.turns import turn_from_vector, vector_from_turn
+from rhot.turns import turn_from_quaternion, turn_from_vector, vector_from_turn
 
 FloatArray = NDArray[np.float64]
 
@@ -34,7 +33,7 @@ class HeadTrack:
         if pose.state != "measured" or pose.t_ns in self._poses:
             return
         insort(self._times, pose.t_ns)
-        rotation = rotation_from_quaternion(np.array(pose.orientation))
+        rotation = turn_from_quaternion(np.array(pose.orientation))
         self._poses[pose.t_ns] = rigid(rotation, np.array(pose.position))
         while self._times[-1] - self._times[0] > _KEPT_NS:
             del self._poses[self._times.pop(0)]

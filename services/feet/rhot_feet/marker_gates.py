@@ -5,13 +5,14 @@ A misread square moves a foot by metres; a marker that is not believed costs one
 
 from __future__ import annotations
 
+import math
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
-from rhot.turns import rotation_between
+from rhot.turns import rotation_between, squared_distance
 from rhot_feet.depth_floor import FloorPlane
 from rhot_feet.depth_plane import DepthPlane
 from rhot_feet.expectation import GATE_SIGMAS, FootExpectation, innovation_distance
@@ -94,7 +95,7 @@ def refuse_pose(
 
 def _is_turned(pose: MarkerPose, prior: OrientationPrior) -> bool:
     turn = rotation_between(prior.R_camera_marker, pose.R_camera_marker)
-    sigmas = float(np.sqrt(turn @ np.linalg.solve(pose.covariance[:3, :3] + prior.covariance, turn)))
+    sigmas = math.sqrt(squared_distance(turn, pose.covariance[:3, :3] + prior.covariance))
     return float(np.linalg.norm(turn)) > _MAX_TURN_RAD and sigmas > _TURN_SIGMAS
 
 

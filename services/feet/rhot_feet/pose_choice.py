@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.turns import rotation_between
+from rhot.turns import rotation_between, squared_distance
 from rhot_feet.marker_pose import MarkerPose
 
 FloatArray = NDArray[np.float64]
@@ -81,7 +81,7 @@ def _surprise(pose: MarkerPose, prior: OrientationPrior | None) -> float:
     if prior is None:
         return 0.0
     turn = rotation_between(prior.R_camera_marker, pose.R_camera_marker)
-    distance = float(turn @ np.linalg.solve(pose.covariance[:3, :3] + prior.covariance, turn))
+    distance = squared_distance(turn, pose.covariance[:3, :3] + prior.covariance)
     return min(distance, _MAX_SURPRISE)
 
 
