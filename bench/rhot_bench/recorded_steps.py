@@ -30,6 +30,8 @@ SIGMA_M: Final = 0.003
 PICTURE_S: Final = 1.0 / 60.0
 _ALIGNED_FOR_S: Final = 0.2
 """Swings count from so long after the sensor is aligned: the one in which it becomes so was hardly followed."""
+_SHORTEST_S: Final = 0.2
+"""What is shorter is no swing: a foot that rolls, or the label of the motion capture that wavers."""
 _COLUMNS: Final = ("t", "ax", "ay", "az", "gx", "gy", "gz", "px", "py", "pz", "zv")
 
 
@@ -107,11 +109,12 @@ def _vectors(table: dict[str, FloatArray], kind: str) -> FloatArray:
 def hide_swings(trial: StepTrial, seed: int = 1) -> HiddenSwings:
     """Follow a foot that is seen only while it stands; `seed` is that of the noise of what is shown."""
     foot, random = FootFilter(FootFilterSettings(up=(0.0, 0.0, 1.0))), np.random.default_rng(seed)
-    shown_s, aligned_s, ends_m = -1.0, np.inf, []
+    shown_s, stood_s, aligned_s, ends_m = -1.0, 0.0, np.inf, []
     for k, t_s in enumerate(trial.t_s.tolist()):
         t_ns = int(trial.samples.t_ns[k])
         foot.imu(trial.samples.rows(k, k + 1))
-        lands = k > 0 and trial.stands[k] and not trial.stands[k - 1]
+        lands = trial.stands[k] and t_s - stood_s >= _SHORTEST_S
+        stood_s = t_s if trial.stands[k] else stood_s
         if lands and t_s > aligned_s + _ALIGNED_FOR_S:
             state = foot.state(t_ns)
             place = np.full(3, np.nan) if state is None else state.position
