@@ -175,7 +175,7 @@ async def test_garbage_on_every_key_leaves_the_hand_alone(
     assert np.median(errors_m) < 0.004
     assert np.percentile(errors_m, 99) < 0.02, "no pose shows anything of the garbage"
     after = await status_of_all(rig_bus)
-    for name in ("capture/left", "fusion/main", "ik/main", "objects/main"):
+    for name in SERVICES:
         assert after[name].state == "running"
         assert after[name].uptime_s > statuses[name].uptime_s, "it is still the same process"
         assert after[name].counts["invalid"] > statuses[name].counts.get("invalid", 0), f"{name} counts what it refused"
@@ -187,10 +187,20 @@ async def test_garbage_on_every_key_leaves_the_hand_alone(
 MESSAGES = ("rhot/markers/left", "rhot/markers/right", "rhot/points", "rhot/hand/right", "rhot/object/cube")
 
 
+SERVICES = ("capture/left", "fusion/main", "ik/main", "objects/main")
+
+
 async def status_of_all(bus: Bus) -> dict[str, ServiceStatus]:
-    await asyncio.sleep(1.1)  # the status is published once a second
-    replies = await answers(bus, "rhot/status/**")
-    return {reply.key.removeprefix("rhot/status/"): decode(reply.payload, ServiceStatus) for reply in replies}
+    """How the services do from now on: the last value is up to a second old."""
+    asked_ns = time.time_ns()
+
+    async def fresh(name: str) -> ServiceStatus:
+        key = f"rhot/status/{name}"
+        status = await next_message(bus, key, ServiceStatus, lambda message: message.t_ns > asked_ns, PATIENCE_S)
+        assert isinstance(status, ServiceStatus)
+        return status
+
+    return dict(zip(SERVICES, await asyncio.gather(*map(fresh, SERVICES)), strict=True))
 
 
 async def throw_garbage(bus: Bus, good: dict[str, dict[str, object]]) -> None:
@@ -247,10 +257,12 @@ async def test_a_camera_runs_without_colours_and_takes_them_over(processes: Proc
         (preview,) = await answers(rig_bus, "rhot/preview/left?format=png")
         assert preview.payload.startswith(b"\x89PNG")
         path.write_text("{}")
-        await asyncio.sleep(1.0)
+
+        def refused(message: Message) -> bool:
+            assert isinstance(message, ServiceStatus)
+            return "new colours refused" in message.last_error
+
+        await next_message(rig_bus, "rhot/status/capture/left", ServiceStatus, refused, PATIENCE_S)
     finally:
         aside.replace(path)
-    await next_message(rig_bus, "rhot/markers/left", MarkerFrame, lambda message: not empty(message), BACK_S + 2.0)
-    (reply,) = await answers(rig_bus, "rhot/status/capture/left")
-    status = decode(reply.payload, ServiceStatus)
-    assert "new colours refused" in status.last_error
+    await next_message(rig_bus, "rhot/markers/left", MarkerFrame, lambda message: not empty(message), PATIENCE_S)

@@ -40,6 +40,8 @@ def undisturbed(report: dict[str, Any]) -> bool:
 
     Pictures that the simulator's own drawing delivers late, beyond their usual age, are not held against the tracker.
     """
+    if "latency_ms" not in report:
+        return False  # no hand at all
     picture = report["latency_ms"]["parts"]["age when the picture is there"]
     limits = (
         report["latency_ms"]["p99"] - (picture["p99"] - picture["p50"]) <= 30.0,
@@ -70,7 +72,9 @@ def test_tracks_within_its_figures(tmp_path: Path) -> None:
     for _ in range(3):
         if not undisturbed(report):
             report, printed = run_sim(tmp_path, *rate)
-    assert undisturbed(report), {name: report[name] for name in ("latency_ms", "dropped_late", "coverage", "rate_hz")}
+    assert undisturbed(report), {
+        name: report.get(name) for name in ("latency_ms", "dropped_late", "coverage", "rate_hz")
+    }
     assert report["coverage_samples"] > 500
     assert report["fingertip_error_mm"]["median"] <= 5.0
     assert all(finger["median"] <= 5.0 for finger in report["fingertip_error_mm"]["per_finger"].values())

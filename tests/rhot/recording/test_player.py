@@ -59,8 +59,8 @@ def test_after_a_stall_the_replay_goes_on_at_its_pace() -> None:
     figures = PlayFigures()
     samples = [sample(step * 20_000_000) for step in range(10)]
     play(samples, put, rate=1.0, stopping=threading.Event(), figures=figures)
-    assert figures.fell_behind == 1
-    assert (left[-1] - left[1]) / 1e6 == pytest.approx(160.0, abs=40.0), "not in a heap"
+    assert figures.fell_behind >= 1
+    assert (left[-1] - left[1]) / 1e6 > 120.0, "not in a heap: 160 ms and what the machine adds"
 
 
 def test_a_step_is_what_was_true_at_one_moment() -> None:
