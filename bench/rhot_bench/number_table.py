@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,3 +31,16 @@ def read_table(path: Path) -> dict[str, FloatArray]:
     if values.ndim != 2 or values.shape[1] != len(head) or not np.isfinite(values).all():
         raise ConfigError(f"{path}: holds {values.shape} numbers under {len(head)} columns; rows must be whole, finite")
     return dict(zip(head, values.T, strict=True))
+
+
+def read_columns(path: Path, names: Sequence[str]) -> dict[str, FloatArray]:
+    """Return the columns of a CSV file of numbers, with all of these among them.
+
+    Raises:
+        ConfigError: it cannot be read, a cell is not a number, or a column is missing.
+    """
+    table = read_table(path)
+    missing = [name for name in names if name not in table]
+    if missing:
+        raise ConfigError(f"{path}: holds no column {', '.join(missing)}; {','.join(names)} are needed")
+    return table

@@ -7,7 +7,6 @@ between them; so what counts is the end of each swing, where the foot is level a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -16,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
-from rhot_bench.number_table import read_table
+from rhot_bench.feet_heads import START_NS
+from rhot_bench.number_table import read_columns
 from rhot_feet.foot_filter import FootFilter
 from rhot_feet.foot_filter_model import FootFilterSettings
 from rhot_feet.imu_sources.samples import ImuSamples
@@ -24,7 +24,6 @@ from rhot_feet.inertial import RawReader
 
 FloatArray = NDArray[np.float64]
 
-START_NS: Final = 1_700_000_000_000_000_000
 SIGMA_M: Final = 0.003
 """Noise of the places that are shown, per axis."""
 PICTURE_S: Final = 1.0 / 60.0
@@ -75,7 +74,7 @@ def read_step_trial(file: Path, longest_s: float = np.inf) -> StepTrial:
     Raises:
         ConfigError: unreadable, or a column is missing; names the file.
     """
-    table = _columns(file, _COLUMNS)
+    table = read_columns(file, _COLUMNS)
     table = {name: column[table["t"] < longest_s] for name, column in table.items()}
     t_s = table["t"]
     if not len(t_s) or (np.diff(t_s) <= 0.0).any():
@@ -91,15 +90,7 @@ def read_places(file: Path) -> FloatArray:
     Raises:
         ConfigError: unreadable, or a column is missing; names the file.
     """
-    return _vectors(_columns(file, ("px", "py", "pz")), "p")
-
-
-def _columns(file: Path, names: Sequence[str]) -> dict[str, FloatArray]:
-    table = read_table(file)
-    missing = [name for name in names if name not in table]
-    if missing:
-        raise ConfigError(f"{file}: holds no column {', '.join(missing)}; {','.join(names)} are needed")
-    return table
+    return _vectors(read_columns(file, ("px", "py", "pz")), "p")
 
 
 def _vectors(table: dict[str, FloatArray], kind: str) -> FloatArray:

@@ -17,7 +17,8 @@ from rhot.aruco_dictionary import marker_dictionary
 from rhot.camera import CameraModel
 from rhot.errors import ConfigError
 from rhot.messages import Side
-from rhot_bench.number_table import read_table
+from rhot_bench.feet_runs import SIDES
+from rhot_bench.number_table import read_columns
 from rhot_bench.thesis_feet import ThesisFeet
 from rhot_feet.depth_tracker import DepthTracker
 from rhot_feet.expectation import FootExpectation
@@ -26,7 +27,6 @@ from rhot_feet.sources.recorded_frames import load_depth_recording
 
 FloatArray = NDArray[np.float64]
 
-SIDES: Final[tuple[Side, Side]] = ("left", "right")
 NEAR_PX: Final = 15.0
 FOCAL_PX: Final = 610.0
 _RATE_HZ: Final = 30.0
@@ -55,11 +55,8 @@ class ToeWalk:
         K = np.array([[focal_px, 0.0, 320.0], [0.0, focal_px, 240.0], [0.0, 0.0, 1.0]])
         self.camera = pinhole(640, 480, K, np.empty(0))
         self.recording = load_depth_recording(folder, camera=self.camera, rate_hz=_RATE_HZ)
-        table = read_table(folder / _MARKS)
         columns = {side: [f"{side}_toe_{name}" for name in ("u", "v", "depth_mm")] for side in SIDES}
-        missing = [name for names in (["frame"], *columns.values()) for name in names if name not in table]
-        if missing:
-            raise ConfigError(f"{folder / _MARKS}: holds no column {', '.join(missing)}")
+        table = read_columns(folder / _MARKS, ["frame", *columns["left"], *columns["right"]])
         places = {side: np.stack([table[name] for name in names], axis=1) for side, names in columns.items()}
         numbers = [int(number) for number in table["frame"]]
         self.marks = {number: {side: places[side][row] for side in SIDES} for row, number in enumerate(numbers)}

@@ -110,14 +110,7 @@ def symmetric_inverse(M: FloatArray) -> FloatArray:
 
 def squared_distance(vector: FloatArray, covariance: FloatArray) -> float:
     """Return the squared Mahalanobis distance vᵀ·C⁻¹·v of a vector (3,) under a covariance (3, 3)."""
-    (a, b, c), (_, d, e), (_, _, f) = covariance.tolist()
-    x, y, z = vector.tolist()
-    # Cofactors, as in `symmetric_inverse`.
-    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
-    D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
-    along = A * x * x + D * y * y + F * z * z + 2.0 * (B * x * y + C * x * z + E * y * z)
-    distance: float = along / (a * A + b * B + c * C)
-    return max(0.0, distance)
+    return max(0.0, float(vector @ symmetric_inverse(covariance) @ vector))
 
 
 def orthonormal(R: FloatArray) -> FloatArray:

@@ -265,4 +265,4 @@ async def test_a_camera_runs_without_colours_and_takes_them_over(processes: Proc
         await next_message(rig_bus, "rhot/status/capture/left", ServiceStatus, refused, PATIENCE_S)
     finally:
         aside.replace(path)
-    await next_message(rig_bus, "rhot/markers/left", MarkerFrame, lambda message: not empty(message), PATIENCE_S)
+    await next_message(rig_bus, "rhot/markers/left", MarkerFrame, lambda message: not empty(message), BACK_S + 2.0)

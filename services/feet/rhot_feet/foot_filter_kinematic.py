@@ -16,8 +16,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.turns import orthonormal, rotation_between, squared_distance, symmetric_inverse, turn_from_vector
+from rhot.turns import orthonormal, rotation_between, squared_distance, turn_from_vector
 from rhot_feet.foot_filter_model import FootMotion, Observation
+from rhot_feet.kalman import kalman_gain
 from rhot_feet.strapdown import InertialStep
 from rhot_feet.zero_velocity import GRAVITY
 
@@ -218,7 +219,6 @@ def _correct(
     x: FloatArray, P: FloatArray, H: FloatArray, residual: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     PHt = P @ H.T
-    S = H @ PHt + noise
-    K = PHt @ symmetric_inverse(S) if len(S) == 3 else np.linalg.solve(S, PHt.T).T
+    K = kalman_gain(PHt, H, noise)
     A = np.eye(len(x)) - K @ H
     return x + K @ residual, A @ P @ A.T + K @ noise @ K.T

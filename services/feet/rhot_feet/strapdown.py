@@ -23,7 +23,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.turns import orthonormal, symmetric_inverse, turn_from_vector
+from rhot.turns import orthonormal, turn_from_vector
+from rhot_feet.kalman import kalman_gain
 
 FloatArray = NDArray[np.float64]
 
@@ -199,8 +200,7 @@ def correct(state: InertialState, H: FloatArray, residual: FloatArray, noise: Fl
         noise: (m, m) covariance of the measurement.
     """
     PHt = state.P @ H.T
-    S = H @ PHt + noise
-    K = PHt @ symmetric_inverse(S) if len(S) == 3 else np.linalg.solve(S, PHt.T).T
+    K = kalman_gain(PHt, H, noise)
     P = state.P - K @ PHt.T
     return inject(state, K @ residual, 0.5 * (P + P.T))
 

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from rhot.recording import player
 from rhot.recording.mcap_reader import RecordedSample
 from rhot.recording.player import PlayFigures, conflicts, moments, play
 
@@ -48,19 +49,34 @@ def test_a_replay_stops_within_a_wait() -> None:
     assert figures.sent < 2
 
 
-def test_after_a_stall_the_replay_goes_on_at_its_pace() -> None:
+class Clock(threading.Event):
+    """A clock that stands until somebody waits; a stop that nobody asks for."""
+
+    now_ns = 0
+
+    def monotonic_ns(self) -> int:
+        return self.now_ns
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.now_ns += round(1e9 * (timeout or 0.0))
+        return False
+
+
+def test_after_a_stall_the_replay_goes_on_at_its_pace(monkeypatch: pytest.MonkeyPatch) -> None:
     left: list[int] = []
+    clock = Clock()
+    monkeypatch.setattr(player, "time", clock)
 
     def put(_: RecordedSample) -> None:
-        left.append(time.monotonic_ns())
+        left.append(clock.now_ns)
         if len(left) == 1:
-            time.sleep(0.7)
+            clock.now_ns += 700_000_000
 
     figures = PlayFigures()
     samples = [sample(step * 20_000_000) for step in range(10)]
-    play(samples, put, rate=1.0, stopping=threading.Event(), figures=figures)
-    assert figures.fell_behind >= 1
-    assert (left[-1] - left[1]) / 1e6 > 120.0, "not in a heap: 160 ms and what the machine adds"
+    play(samples, put, rate=1.0, stopping=clock, figures=figures)
+    assert figures.fell_behind == 1
+    assert (left[-1] - left[1]) / 1e6 == pytest.approx(160.0, abs=0.1), "not in a heap"
 
 
 def test_a_step_is_what_was_true_at_one_moment() -> None:
