@@ -12,13 +12,17 @@ from rhot.messages.base import (
     Name,
     Pixel,
     PixelPoint,
+    PointState,
     Position,
     Seconds,
-    State,
     TimeNs,
     Unit,
     WireModel,
 )
+
+
+SquareMetres = Annotated[float, Field(ge=-1e6, le=1e6)]
+Covariance = tuple[SquareMetres, SquareMetres, SquareMetres, SquareMetres, SquareMetres, SquareMetres]
 
 
 class Marker(WireModel):
@@ -66,16 +70,19 @@ class Point(WireModel):
 
     Attributes:
         position: metres, in the frame that the PointSet names.
+        covariance: xx, xy, xz, yy, yz, zz of the position's error, square metres; absent where the method tells none.
         sigma: standard deviation of the position, metres (root of the sum of the three variances).
         views: number of cameras behind it.
-        state: measured or predicted.
+        state: `measured` (two views or more at this moment), `one_view` (on a ray: long along it, sharp across) or
+            `predicted`.
         corners: corners of a rectangular patch, metres, cyclic order.
     """
 
     position: Position
     sigma: Annotated[float, Field(ge=0.0, le=1e3)]
     views: Annotated[int, Field(ge=0, le=255)]
-    state: State
+    state: PointState
+    covariance: Covariance | None = None
     corners: tuple[Position, Position, Position, Position] | None = None
 
 

@@ -42,6 +42,7 @@ class Rig:
             place from `rig.toml`, no distortion).
         hand: `hand.json`, or the default scaled by `[hand] length_m`.
         registration: `registration.json`, or identity.
+        quality: what `cameras.json` says of itself; see `rhot.rig.quality`.
     """
 
     path: Path
@@ -50,6 +51,7 @@ class Rig:
     calibrated: bool
     hand: HandFile
     registration: RegistrationFile
+    quality: Any = None
 
     @property
     def colors_path(self) -> Path:
@@ -71,14 +73,13 @@ def load_rig(path: Path) -> Rig:
     config = load_config(path)
     cameras_path = path / CAMERAS_FILE
     calibrated = cameras_path.exists()
-    cameras = (
-        _calibrated_cameras(cameras_path, config)
-        if calibrated
-        else {name: nominal_camera(camera) for name, camera in config.cameras.items()}
-    )
+    if calibrated:
+        cameras, quality = _calibrated_cameras(cameras_path, config)
+    else:
+        cameras, quality = {name: nominal_camera(camera) for name, camera in config.cameras.items()}, None
     hand = _optional(path / HAND_FILE, HandFile) or HandFile(length_m=config.hand.length_m)
     registration = _optional(path / REGISTRATION_FILE, RegistrationFile) or RegistrationFile()
-    return Rig(path, config, cameras, calibrated, hand, registration)
+    return Rig(path, config, cameras, calibrated, hand, registration, quality)
 
 
 def latest_rig(rig: Rig) -> Rig:
@@ -126,8 +127,10 @@ def nominal_camera(camera: CameraConfig) -> CameraCalibration:
     return CameraCalibration(width=camera.width, height=camera.height, K=K, T_rig_camera=T)
 
 
-def _calibrated_cameras(file: Path, config: RigConfig) -> dict[str, CameraCalibration]:
-    calibrated = read_json_model(file, CamerasFile).cameras
+def _calibrated_cameras(file: Path, config: RigConfig) -> tuple[dict[str, CameraCalibration], Any]:
+    """Return the cameras of `rig.toml` as `cameras.json` holds them, and what it says of its own quality."""
+    content = read_json_model(file, CamerasFile)
+    calibrated = content.cameras
     missing = [name for name in config.cameras if name not in calibrated]
     if missing:
         raise CalibrationError(
@@ -141,7 +144,7 @@ def _calibrated_cameras(file: Path, config: RigConfig) -> dict[str, CameraCalibr
                 f"{file}: camera {name} was calibrated at {found.width}x{found.height}, rig.toml runs it at "
                 f"{camera.width}x{camera.height}; use one size for both"
             )
-    return {name: calibrated[name] for name in config.cameras}
+    return {name: calibrated[name] for name in config.cameras}, content.quality
 
 
 def _optional(file: Path, model: type[_F]) -> _F | None:

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.messages import HandPose
+from rhot.messages import HandPose, PointState
 from rhot.rig import FusionConfig
 from rhot_fusion.epipolar import EpipolarModel
 
@@ -50,7 +50,8 @@ class Outcome:
         views: (M,) cameras behind it.
         measured: (M,) backed by views of this moment that agree.
         seen: (C, M) which cameras see the marker at this moment.
-        shape_sigma_m: (M,) what of `sigma_m` is for the markers' shapes and what hides them; none where nobody asks.
+        covariance: (M, 3, 3) of the position, square metres; none where the method tells none.
+        state: (M,) of each marker; none where `measured` tells all.
     """
 
     t_s: float
@@ -59,7 +60,8 @@ class Outcome:
     views: list[int]
     measured: list[bool]
     seen: list[list[bool]]
-    shape_sigma_m: list[float] | None = None
+    covariance: FloatArray | None = None
+    state: list[PointState] | None = None
 
 
 class Tracker(Protocol):

@@ -13,16 +13,14 @@ import numpy as np
 from rhot.camera import CameraModel
 from rhot.errors import ConfigError
 from rhot.explain import Explanation
-from rhot.messages import HandPose, MarkerFrame, Point, PointSet, State
+from rhot.messages import HandPose, MarkerFrame, Point, PointSet, PointState
 from rhot.rig import FusionConfig, Rig
 from rhot.stage import Output
 from rhot_fusion.corners import PatchCorners
-from rhot_fusion.explain import tracker_tables
-from rhot_fusion.filter_tracker import FilterTracker
+from rhot_fusion.filter.tracker import FilterTracker
 from rhot_fusion.guard import StreamGuard
 from rhot_fusion.paired_tracker import PairedTracker
 from rhot_fusion.sightings import Outcome, Sightings, Tracker
-from rhot_fusion.smoothed_points import PublishedSet, smoothed_points
 
 POINTS_KEY = "rhot/points"
 RIG_FRAME = "rig"
@@ -59,7 +57,6 @@ class FusionStage:
         self._periods_s = [1.0 / camera.rate_hz for camera in rig.config.cameras.values()]
         self._rig = rig
         self._record = record
-        self._published: list[PublishedSet] = []
         self._smoothed: list[PointSet] = []
         self._tracker = self._make_tracker(self._config)
         self._corners = PatchCorners(rig.config.markers, self._models)
@@ -85,9 +82,6 @@ class FusionStage:
 
     def smoothed(self) -> list[PointSet]:
         """Return all sets published so far as later observations show them; empty unless recorded by `filter`."""
-        if isinstance(self._tracker, FilterTracker):
-            self._smoothed += smoothed_points(self._published, self._tracker.smoothed(), self._markers)
-            self._published.clear()
         return self._smoothed
 
     @property
@@ -141,13 +135,11 @@ class FusionStage:
         self.counts["published"] += 1
         t_ns = base_ns + round(outcome.t_s * 1e9)
         points = PointSet(t_ns=t_ns, seq=seq, frame=RIG_FRAME, points=self._points(outcome))
-        if self._record and outcome.shape_sigma_m is not None:
-            self._published.append(PublishedSet(points, outcome.t_s, outcome.shape_sigma_m))
         return [(POINTS_KEY, points)]
 
     def explain(self) -> list[Explanation]:
         """Return what is known of the markers after the newest frame, and why; see `rhot.explain`."""
-        return tracker_tables(self._tracker, list(self._camera_index), self._markers, self.counts, self._newest_s)
+        return []
 
     def _begin(self, t_ns: int) -> int:
         """Start a stream at a time; seconds in here count from it, so that they fit a float64 to the nanosecond."""
@@ -207,9 +199,10 @@ class FusionStage:
         return replace(seen, index=index, times_s=times, xy=xy, area_px=area)
 
     def _make_tracker(self, config: FusionConfig) -> Tracker:
-        rig = self._rig
-        parts = (self._models, rig.config.markers, rig.hand, self._periods_s, config, self.counts)
-        return FilterTracker(*parts, record=self._record) if config.method == "filter" else PairedTracker(*parts)
+        if config.method == "filter":
+            return FilterTracker(self._rig, self._models, config, self.counts, record=self._record)
+        parts = (self._models, self._rig.config.markers, self._rig.hand, self._periods_s, config, self.counts)
+        return PairedTracker(*parts)
 
     def _points(self, outcome: Outcome) -> dict[str, Point]:
         points: dict[str, Point] = {}
@@ -222,6 +215,14 @@ class FusionStage:
             if measured and name in self._corners.names:
                 cameras = [camera for camera, seen in enumerate(outcome.seen) if seen[index]]
                 corners = self._corners.solve(name, cameras, (x, y, z), outcome.t_s)
-            state: State = "measured" if measured else "predicted"
-            points[name] = Point(position=(x, y, z), sigma=sigma, views=views, state=state, corners=corners)
+            state: PointState = "measured" if measured else "predicted"
+            if outcome.state is not None:
+                state = outcome.state[index]
+            covariance = None
+            if outcome.covariance is not None:
+                xx, xy, xz, _, yy, yz, _, _, zz = outcome.covariance[index].ravel().tolist()
+                covariance = (xx, xy, xz, yy, yz, zz)
+            points[name] = Point(
+                position=(x, y, z), sigma=sigma, views=views, state=state, covariance=covariance, corners=corners
+            )
         return points

@@ -1,0 +1,1 @@
+"""The `filter` method of fusion: one Kalman filter over all markers of a hand."""

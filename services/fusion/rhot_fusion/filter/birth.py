@@ -1,0 +1,123 @@
+"""Beginning a marker: from two views of different cameras and times, or from one on a ray.
+
+The state (p, v) behind views (x_k, y_k) at times t_k, with a prior of the velocity, by Gauss–Newton on the reprojection
+error; its covariance is the inverse of the information (Hartley and Zisserman, "Multiple View Geometry", 2nd ed.,
+section 5.2.3). Two views have four numbers for three of a place: what is left over tells whether they belong together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.camera import CameraModel
+
+FloatArray = NDArray[np.float64]
+
+_STEPS = 3
+_NEAREST_M = 0.05
+_PARALLEL = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One camera's view of a marker.
+
+    Attributes:
+        camera: that saw it.
+        t_s: when.
+        xy: (2,) normalised image coordinates.
+        variance: of a coordinate.
+    """
+
+    camera: CameraModel
+    t_s: float
+    xy: FloatArray
+    variance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Birth:
+    """A marker's first state.
+
+    Attributes:
+        mean: (6,) place and velocity.
+        covariance: (6, 6).
+        misfit: squared residuals in variances, the prior's included; chi-square of as many degrees as there are numbers
+            in the views beyond three.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    misfit: float
+
+
+def from_views(views: Sequence[View], t_s: float, velocity: FloatArray, speed_sigma: float) -> Birth | None:
+    """Return the state at a moment behind two views or more; None where they meet nowhere before the cameras.
+
+    Args:
+        views: of two cameras or more.
+        t_s: the moment.
+        velocity: (3,) expected, metres per second.
+        speed_sigma: standard deviation of each of its components.
+    """
+    start = _linear(views, t_s, velocity)
+    if start is None:
+        return None
+    mean = np.concatenate([start, velocity])
+    prior = np.zeros((6, 6))
+    prior[3:, 3:] = np.eye(3) / speed_sigma**2
+    information, misfit = prior, 0.0
+    for _ in range(_STEPS):
+        information = prior.copy()
+        gradient = prior @ (np.concatenate([start, velocity]) - mean)
+        misfit = float((mean[3:] - velocity) @ (mean[3:] - velocity)) / speed_sigma**2
+        for view in views:
+            dt, R = view.t_s - t_s, view.camera.R_camera_rig
+            local = R @ (mean[:3] + dt * mean[3:]) + view.camera.t_camera_rig
+            if local[2] < _NEAREST_M:
+                return None
+            xy = local[:2] / local[2]
+            J = (R[:2] - xy[:, None] * R[2]) / local[2]
+            H = np.concatenate([J, dt * J], axis=1)
+            residual = view.xy - xy
+            information += H.T @ H / view.variance
+            gradient += H.T @ residual / view.variance
+            misfit += float(residual @ residual) / view.variance
+        try:
+            mean = mean + np.linalg.solve(information, gradient)
+        except np.linalg.LinAlgError:
+            return None
+    covariance = np.linalg.inv(information)
+    return Birth(mean, 0.5 * (covariance + covariance.T), misfit) if np.isfinite(mean).all() else None
+
+
+def on_ray(view: View, at: FloatArray, velocity: FloatArray, along_m: float, speed_sigma: float) -> Birth:
+    """Return the state of a marker seen once, on its ray as far away as a point (3,), and open in depth."""
+    R, camera = view.camera.R_camera_rig, view.camera
+    depth = max(float((R @ at + camera.t_camera_rig)[2]), _NEAREST_M)
+    ray = np.append(view.xy, 1.0) @ R
+    mean = np.concatenate([camera.center + depth * ray, velocity])
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = along_m**2 * np.outer(ray, ray) + view.variance * depth**2 * np.eye(3)
+    covariance[3:, 3:] = speed_sigma**2 * np.eye(3)
+    return Birth(mean, covariance, 0.0)
+
+
+def _linear(views: Sequence[View], t_s: float, velocity: FloatArray) -> FloatArray | None:
+    """Return the point (3,) of least squares of (r₁ − x r₃)·X = x t₃ − t₁ and its twins in y."""
+    rows, right = [], []
+    for view in views:
+        R, t = view.camera.R_camera_rig, view.camera.t_camera_rig
+        A = R[:2] - view.xy[:, None] * R[2]
+        rows.append(A)
+        right.append(view.xy * t[2] - t[:2] - A @ velocity * (view.t_s - t_s))
+    A, b = np.concatenate(rows), np.concatenate(right)
+    normal = A.T @ A
+    if np.linalg.det(normal) < _PARALLEL:
+        return None
+    point: FloatArray = np.linalg.solve(normal, A.T @ b)
+    return point

@@ -1,0 +1,102 @@
+"""What the filter assumes of hands, cameras and paint: every figure with its unit and where it comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True, slots=True)
+class MotionSettings:
+    """How the markers of one hand move; see `motion`.
+
+    The shares were chosen by the errors on 36 recordings of daily actions (FPHA, three people) through 20 random rigs at
+    15, 30 and 60 fps, and are flat there: half or twice of each changes the median by less than 5 %.
+
+    Attributes:
+        common: share of the acceleration that all markers of a hand have in common, root of a power.
+        turning: the same of acceleration by turning, per metre from the middle of the markers.
+        own: the same of each marker's own.
+        longest_arm_m: no marker turns about the middle of its hand on a longer arm, metres; half a hand.
+        scales: what the shares are multiplied by: roots of the power spectral density of an acceleration, m/s^1.5, from
+            a hand at rest to 40 m/s² within one frame; the filter weighs them by what it sees.
+        shares: how often each scale occurs, before anything is seen.
+        switch_s: time constant within which a scale gives way to those shares, seconds.
+    """
+
+    common: float = 1.0
+    turning: float = 8.0
+    own: float = 1.0
+    longest_arm_m: float = 0.1
+    scales: tuple[float, ...] = (0.01, 0.1, 0.5, 1.6, 5.0, 16.0)
+    shares: tuple[float, ...] = (0.1, 0.2, 0.3, 0.25, 0.13, 0.02)
+    switch_s: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseSettings:
+    """How far pixels are trusted; see `noise`.
+
+    Attributes:
+        first_px: standard deviation of a coordinate before anything is learnt, pixels; centroids of painted tips in
+            photo-real pictures err by 0.2 to 0.3 px.
+        least_px, most_px: bounds of what is learnt, pixels.
+        first_weight: observations that the first value counts for.
+        memory: observations after which what was learnt has faded to 37 %; about 20 s of a hand before one camera.
+        calibration_px: systematic error between cameras where `cameras.json` states none, pixels.
+        uncalibrated_px: the noise of a rig without `cameras.json`, pixels, until it has calibrated itself.
+        uncalibrated_s: standard deviation of the time stamps of such a rig, seconds: it stamps arrivals.
+    """
+
+    first_px: float = 0.3
+    least_px: float = 0.05
+    most_px: float = 2.0
+    first_weight: float = 50.0
+    memory: float = 5000.0
+    calibration_px: float = 0.2
+    uncalibrated_px: float = 3.0
+    uncalibrated_s: float = 0.006
+
+
+@dataclass(frozen=True, slots=True)
+class TrackSettings:
+    """When a marker is believed; see `tracks`.
+
+    Attributes:
+        gate: squared Mahalanobis distance of an observation (2 degrees of freedom) beyond which it is refused; chance
+            passes it once in 270,000.
+        birth_gate: the same of the two views of a marker that is not known (1 degree of freedom): 4 sigma.
+        pair_s: two views further apart in time begin no marker, seconds; cameras of 8 fps out of step are 63 ms apart.
+        speed_sigma: of a marker that was just found, about its hand's or 0, m/s: 95 % of daily actions are below 1.
+        confirmations: views that must agree with the two that began a marker, before it is published.
+        relocations: pairs of views in a row that agree on another place before a marker is moved there.
+        occupied_m: no marker begins nearer to another one, metres.
+        fresh_periods, fresh_s: a camera counts among a marker's views as long as its last one is no older than the
+            longer of these.
+        ray_sigma_m: how far a marker that only one camera has seen may be from its hand in depth, metres.
+        replay_s: frames that come later than this after a newer one are used for nothing, seconds.
+    """
+
+    gate: float = 25.0
+    birth_gate: float = 16.0
+    pair_s: float = 0.15
+    speed_sigma: float = 0.5
+    confirmations: int = 1
+    relocations: int = 3
+    occupied_m: float = 0.010
+    fresh_periods: float = 1.5
+    fresh_s: float = 0.04
+    ray_sigma_m: float = 0.06
+    replay_s: float = 0.06
+
+
+@dataclass(frozen=True, slots=True)
+class FilterSettings:
+    """All of them."""
+
+    motion: MotionSettings = MotionSettings()
+    noise: NoiseSettings = NoiseSettings()
+    track: TrackSettings = TrackSettings()
+
+
+DEFAULT: Final = FilterSettings()

@@ -1,0 +1,81 @@
+"""Which markers are believed, and since when: the one place where that changes.
+
+A marker is `absent` until two cameras' views agree on a place, or one camera keeps seeing it while its hand is known; then
+it is `tentative` until further views agree, and `believed` until nothing has shown it for a while.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from rhot.messages import PointState
+from rhot_fusion.filter.settings import TrackSettings
+from rhot_fusion.sightings import BoolArray, FloatArray
+
+
+class Belief(IntEnum):
+    """How far a marker is believed."""
+
+    ABSENT = 0
+    TENTATIVE = 1
+    BELIEVED = 2
+
+
+@dataclass(slots=True)
+class Track:
+    """One marker.
+
+    Attributes:
+        belief: how far it is believed.
+        agreed: views that agreed since it began.
+        elsewhere: how many pairs of views in a row agreed on another place.
+        alone: views in a row of a marker that is absent, by one camera.
+        accepted_s: per camera, time of the last view that was accepted, seconds; −∞ = none.
+        seen_s: of the newest of them.
+    """
+
+    cameras: int
+    belief: Belief = Belief.ABSENT
+    agreed: int = 0
+    elsewhere: int = 0
+    alone: int = 0
+    accepted_s: list[float] = field(default_factory=list)
+    seen_s: float = -np.inf
+
+    def begin(self, t_s: float, cameras: list[int]) -> None:
+        """Begin it by views of cameras."""
+        self.belief = Belief.TENTATIVE
+        self.agreed = self.elsewhere = self.alone = 0
+        self.accepted_s = [t_s if camera in cameras else -np.inf for camera in range(self.cameras)]
+        self.seen_s = t_s
+
+    def accept(self, camera: int, t_s: float, settings: TrackSettings) -> None:
+        """Take a view that agrees."""
+        self.agreed += 1
+        self.elsewhere = 0
+        self.accepted_s[camera] = t_s
+        self.seen_s = max(self.seen_s, t_s)
+        if self.agreed >= settings.confirmations:
+            self.belief = Belief.BELIEVED
+
+    def end(self) -> None:
+        """Forget it."""
+        self.belief = Belief.ABSENT
+        self.agreed = self.elsewhere = self.alone = 0
+        self.accepted_s = [-np.inf] * self.cameras
+        self.seen_s = -np.inf
+
+    def views(self, t_s: float, fresh_s: list[float]) -> list[bool]:
+        """Tell which cameras (C,) show it at a moment; `fresh_s` is how long a view of each lasts."""
+        return [t_s - last <= lasts for last, lasts in zip(self.accepted_s, fresh_s, strict=True)]
+
+
+def state_of(views: int) -> PointState:
+    """Return a point's state by how many cameras show it."""
+    return "measured" if views >= 2 else "one_view" if views == 1 else "predicted"
+
+
+__all__ = ["Belief", "BoolArray", "FloatArray", "Track", "state_of"]
