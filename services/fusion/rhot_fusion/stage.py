@@ -13,10 +13,11 @@ import numpy as np
 from rhot.camera import CameraModel
 from rhot.errors import ConfigError
 from rhot.explain import Explanation
-from rhot.messages import HandPose, MarkerFrame, Point, PointSet, PointState
+from rhot.messages import HandPose, MarkerFrame, Point, PointSet, PointState, Position
 from rhot.rig import FusionConfig, Rig
 from rhot.stage import Output
-from rhot_fusion.corners import PatchCorners
+from rhot.wire_vectors import wire_position
+from rhot_fusion.corners import Corners, PatchCorners
 from rhot_fusion.filter.tracker import FilterTracker
 from rhot_fusion.guard import StreamGuard
 from rhot_fusion.paired_tracker import PairedTracker
@@ -57,6 +58,7 @@ class FusionStage:
         self._periods_s = [1.0 / camera.rate_hz for camera in rig.config.cameras.values()]
         self._rig = rig
         self._record = record
+        self._published: list[PointSet] = []
         self._smoothed: list[PointSet] = []
         self._tracker = self._make_tracker(self._config)
         self._corners = PatchCorners(rig.config.markers, self._models)
@@ -82,6 +84,14 @@ class FusionStage:
 
     def smoothed(self) -> list[PointSet]:
         """Return all sets published so far as later observations show them; empty unless recorded by `filter`."""
+        if isinstance(self._tracker, FilterTracker) and self._base_ns is not None:
+            live = {points.t_ns: points for points in self._published}
+            for outcome in self._tracker.smoothed():
+                t_ns = self._base_ns + round(outcome.t_s * 1e9)
+                points = self._points(outcome, live.get(t_ns))
+                seq = len(self._smoothed)
+                self._smoothed.append(PointSet(t_ns=t_ns, seq=seq, frame=RIG_FRAME, points=points))
+            self._published.clear()
         return self._smoothed
 
     @property
@@ -135,6 +145,8 @@ class FusionStage:
         self.counts["published"] += 1
         t_ns = base_ns + round(outcome.t_s * 1e9)
         points = PointSet(t_ns=t_ns, seq=seq, frame=RIG_FRAME, points=self._points(outcome))
+        if self._record:
+            self._published.append(points)
         return [(POINTS_KEY, points)]
 
     def explain(self) -> list[Explanation]:
@@ -204,7 +216,7 @@ class FusionStage:
         parts = (self._models, self._rig.config.markers, self._rig.hand, self._periods_s, config, self.counts)
         return PairedTracker(*parts)
 
-    def _points(self, outcome: Outcome) -> dict[str, Point]:
+    def _points(self, outcome: Outcome, live: PointSet | None = None) -> dict[str, Point]:
         points: dict[str, Point] = {}
         for index, (name, (x, y, z), sigma, views, measured) in enumerate(
             zip(self._markers, outcome.position, outcome.sigma_m, outcome.views, outcome.measured, strict=True)
@@ -212,7 +224,9 @@ class FusionStage:
             if math.isnan(x):
                 continue
             corners = None
-            if measured and name in self._corners.names:
+            if live is not None:
+                corners = _moved_corners(live.points.get(name), (x, y, z))
+            elif measured and name in self._corners.names:
                 cameras = [camera for camera, seen in enumerate(outcome.seen) if seen[index]]
                 corners = self._corners.solve(name, cameras, (x, y, z), outcome.t_s)
             state: PointState = "measured" if measured else "predicted"
@@ -226,3 +240,12 @@ class FusionStage:
                 position=(x, y, z), sigma=sigma, views=views, state=state, covariance=covariance, corners=corners
             )
         return points
+
+
+def _moved_corners(point: Point | None, position: Position) -> Corners | None:
+    """Return the corners of a point, moved along with it to another position."""
+    if point is None or point.corners is None:
+        return None
+    step = np.array(position) - point.position
+    a, b, c, d = (wire_position(np.array(corner) + step) for corner in point.corners)
+    return a, b, c, d

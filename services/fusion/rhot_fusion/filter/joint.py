@@ -7,7 +7,7 @@ place, so that what `save` returns stays as it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
 
+HUBER = 9.0
 _NEAREST_M = 0.05
 """A marker on or behind the image plane has no useful derivative; its innovation refuses it."""
 _REACH = 0.02
@@ -36,6 +37,7 @@ class Views:
         delta_s: (N,) time of each after the frame's.
         xy: (N, 2) normalised image coordinates.
         variance: (N, 2, 2) of them.
+        slack: (N,) standard deviation beyond that which the gate allows for, normalised units.
     """
 
     camera: CameraModel
@@ -43,6 +45,7 @@ class Views:
     delta_s: FloatArray
     xy: FloatArray
     variance: FloatArray
+    slack: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +76,14 @@ class Innovation:
         S: (N, 2, 2) its covariance.
         nis: (N,) its squared Mahalanobis distance.
         accepted: (N,) whether it passed the gate.
+        evidence: (K,) logarithm of the likelihood of each scale, but for a constant.
     """
 
     y: FloatArray
     S: FloatArray
     nis: FloatArray
     accepted: BoolArray
+    evidence: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +91,12 @@ class Step:
     """What a frame did, for smoothing.
 
     Attributes:
+        dt_s: time since the step before.
         before: the state before its observations, with the noise of the way there.
         after: the state after them.
     """
 
+    dt_s: float
     before: State
     after: State
 
@@ -155,14 +162,23 @@ class JointFilter:
         state, dt = self._moved(t_s)
         return self._noisy(state, dt, self._scale2(state.weight))
 
-    def step(self, t_s: float, views: Views) -> tuple[Innovation, Step]:
-        """Move on to a moment that is not before the filter's and take a frame's views of markers that are alive."""
+    def step(self, t_s: float, views: Views, scale2: float | None = None) -> tuple[Innovation, Step]:
+        """Move on to a moment that is not before the filter's and take a frame's views of markers that are alive.
+
+        Args:
+            t_s: the moment.
+            views: that are taken if they pass the gate.
+            scale2: square of the scale of accelerations; weighed by the views when not given.
+        """
         state, dt = self._moved(t_s)
         H, y = _observation(state, views, self._count)
         innovation, state = self._judge(state, dt, views, H, y)
-        before = self._noisy(state, dt, self._scale2(state.weight))
+        before = self._noisy(state, dt, self._scale2(state.weight) if scale2 is None else scale2)
+        # What lies far off counts less: Huber's loss.
+        variance = views.variance * np.maximum(1.0, innovation.nis / HUBER)[:, None, None]
+        views = replace(views, variance=variance)
         self.state = self._updated(before, views, H, y, innovation.accepted)
-        return innovation, Step(before, self.state)
+        return innovation, Step(dt, before, self.state)
 
     def _scale2(self, weight: FloatArray) -> float:
         return float(weight @ self._scales2)
@@ -216,7 +232,7 @@ class JointFilter:
         """Weigh the scales by a frame's views, each marker by itself, and gate the views."""
         index, count = views.index, len(views.index)
         if not count:
-            return Innovation(y, np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, dtype=bool)), state
+            return Innovation(y, np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, dtype=bool), np.zeros_like(state.weight)), state
         own = state.covariance.reshape(2, self._count, 3, 2, self._count, 3)[:, index, :, :, index].reshape(count, 6, 6)
         S = H @ own @ H.swapaxes(1, 2) + views.variance
         C = self._acceleration(state).reshape(self._count, 3, self._count, 3)[index, :, index]
@@ -230,14 +246,17 @@ class JointFilter:
         y0, y1 = y[:, 0], y[:, 1]
         nis = (c * (y0 * y0) - 2.0 * b * (y0 * y1) + a * (y1 * y1)) / det
         # What no gate would pass tells of an outlier, not of a scale.
-        evidence = (np.minimum(nis, self._gate) + np.log(det)).sum(axis=1)
-        weight = state.weight * np.exp(-0.5 * (evidence - evidence.min()))
+        evidence = -0.5 * (np.minimum(nis, self._gate) + np.log(det)).sum(axis=1)
+        weight = state.weight * np.exp(evidence - evidence.max())
         weight /= weight.sum()
         S += self._scale2(weight) * Q
         a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
         distance2 = (c * (y0 * y0) - 2.0 * b * (y0 * y1) + a * (y1 * y1)) / (a * c - b * b)
-        accepted = distance2 <= self._gate
-        return Innovation(y, S, distance2, accepted), State(
+        slack2 = views.slack * views.slack
+        a, c = a + slack2, c + slack2
+        loose2 = (c * (y0 * y0) - 2.0 * b * (y0 * y1) + a * (y1 * y1)) / (a * c - b * b)
+        accepted = loose2 <= self._gate
+        return Innovation(y, S, distance2, accepted, evidence), State(
             state.t_s, state.mean, state.covariance, weight, state.alive
         )
 

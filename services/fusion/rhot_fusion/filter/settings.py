@@ -66,7 +66,8 @@ class TrackSettings:
         gate: squared Mahalanobis distance of an observation (2 degrees of freedom) beyond which it is refused; chance
             passes it once in 270,000.
         birth_gate: the same of the two views of a marker that is not known (1 degree of freedom): 4 sigma.
-        pair_s: two views further apart in time begin no marker, seconds; cameras of 8 fps out of step are 63 ms apart.
+        pair_s, pair_periods: two views further apart in time, or in frame periods, begin no marker; cameras out of step
+            are half a period apart, and a frame may be lost.
         speed_sigma: of a marker that was just found, about its hand's or 0, m/s: 95 % of daily actions are below 1.
         confirmations: views that must agree with the two that began a marker, before it is published.
         relocations: pairs of views in a row that agree on another place before a marker is moved there.
@@ -80,6 +81,7 @@ class TrackSettings:
     gate: float = 25.0
     birth_gate: float = 16.0
     pair_s: float = 0.15
+    pair_periods: float = 1.6
     speed_sigma: float = 0.5
     confirmations: int = 1
     relocations: int = 3
@@ -91,12 +93,39 @@ class TrackSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class PaintSettings:
+    """What is seen of a painted marker; see `paint`.
+
+    Attributes:
+        compare_s: areas further apart in time are not compared, seconds.
+        settle_s: time constant of the widths that are compared, seconds.
+        uneven: views of a whole marker differ by this share of its area, by the cameras' places.
+        rim_px: and by this much of its rim, pixels: half a pixel of its radius.
+        shift: of the middle, as a share of the width that is hidden: a strip moves it by half of itself.
+        doubt: standard deviation of that, which stays the same for many frames, in the same unit.
+        wander: how far the middle of the paint that is seen is from the marker's, standard deviation as a share of the
+            width, beyond what stays the same.
+    """
+
+    compare_s: float = 0.1
+    settle_s: float = 0.03
+    uneven: float = 0.05
+    rim_px: float = 1.0
+    shift: float = 0.5
+    doubt: float = 0.5
+    wander: float = 0.0
+    slack_px: float = 0.5
+    slack: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
 class FilterSettings:
     """All of them."""
 
     motion: MotionSettings = MotionSettings()
     noise: NoiseSettings = NoiseSettings()
     track: TrackSettings = TrackSettings()
+    paint: PaintSettings = PaintSettings()
 
 
 DEFAULT: Final = FilterSettings()

@@ -18,7 +18,9 @@ from rhot_fusion.epipolar import EpipolarModel
 from rhot_fusion.filter.agreement import CameraAgreement
 from rhot_fusion.filter.birth import Birth, View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter, State, Views
+from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.noise import CameraNoise, stated_px
+from rhot_fusion.filter.paint import HiddenPaint
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
 from rhot_fusion.filter.tracks import Belief, Track, state_of
 from rhot_fusion.schedule import Schedule
@@ -41,6 +43,7 @@ class _Hand:
 
     index: IndexArray
     filter: JointFilter
+    record: list[Frame]
 
 
 class FilterTracker:
@@ -59,9 +62,11 @@ class FilterTracker:
         self._count = len(markers)
         sides = np.array([marker.hand for marker in markers.values()])
         self._hands = [
-            _Hand(np.flatnonzero(sides == side), JointFilter(int((sides == side).sum()), settings.motion, settings.track.gate))
+            _Hand(np.flatnonzero(sides == side), JointFilter(int((sides == side).sum()), settings.motion, settings.track.gate), [])
             for side in np.unique(sides)
         ]
+        self._record = record
+        self._paint = HiddenPaint(cameras, self._count, settings.paint)
         self._hand_of = {int(m): (hand, k) for hand in self._hands for k, m in enumerate(hand.index)}
         self._coherence = HandCoherence(markers, rig.hand.length_m)
         self.noise = CameraNoise(cameras, settings.noise, stated_px(names, rig.quality, settings.noise), rig.calibrated)
@@ -104,6 +109,7 @@ class FilterTracker:
         self._history.clear()
         self._schedule.clear()
         self.agreement.clear()
+        self._paint.clear()
 
     def advance(self, sightings: Sightings) -> Outcome | None:
         """Take one frame; return the markers at its moment, or None when another frame of the same moment is due."""
@@ -138,6 +144,8 @@ class FilterTracker:
         variance = self.noise.variance(sightings.camera)
         for hand in self._hands:
             here = np.flatnonzero(np.isin(sightings.index, hand.index)) if len(self._hands) > 1 else _all(sightings)
+            if self._record and not again:
+                self._note_frame(hand, sightings, here)
             self._update(hand, sightings, here, variance, again)
         if again:
             return
@@ -158,16 +166,26 @@ class FilterTracker:
         t_s = max(sightings.t_s, state.t_s)
         if not len(here):
             return
-        variances = np.zeros((len(here), 2, 2))
-        variances[:, 0, 0] = variances[:, 1, 1] = variance
         camera = self._cameras[sightings.camera]
+        depth = np.maximum(hand.filter.place[local] @ camera.R_camera_rig[2] + camera.t_camera_rig[2], 0.1)
+        shift, doubt = self._paint.correct(
+            sightings.camera, sightings.index[here], sightings.t_s, sightings.area_px[here], depth
+        )
+        slack = self._paint.slack(sightings.camera, sightings.area_px[here])
+        variances = np.zeros((len(here), 2, 2))
+        variances[:, 0, 0] = variances[:, 1, 1] = variance + doubt * doubt
         if self._time_variance:
             pace = hand.filter.velocity[local] @ camera.R_camera_rig[:2].T / max(state.mean[0, 2], 0.1)
             variances += self._time_variance * pace[:, :, None] * pace[:, None, :]
-        views = Views(camera, local, sightings.times_s[here] - t_s, sightings.xy[here], variances)
+        views = Views(camera, local, sightings.times_s[here] - t_s, sightings.xy[here] + shift, variances, slack)
         innovation, _ = hand.filter.step(t_s, views)
         if again:
             return
+        if self._record:
+            record = hand.record[-1]
+            record.taken[known] = innovation.accepted
+            record.views.xy[known] = views.xy
+            record.views.variance[known] = (doubt * doubt)[:, None, None] * np.eye(2)
         self.noise.learn(sightings.camera, innovation)
         self._counts["refused"] += len(here) - int(np.count_nonzero(innovation.accepted))
         for marker, accepted in zip(hand.index[local].tolist(), innovation.accepted.tolist(), strict=True):
@@ -180,7 +198,62 @@ class FilterTracker:
         hand, k = self._hand_of[marker]
         if hand.filter.state.alive[k]:
             hand.filter.end(k)
+            self._note(hand, Event(hand.filter.state.t_s, k, None))
         self.tracks[marker].end()
+
+    def _note(self, hand: _Hand, event: Event) -> None:
+        if self._record and hand.record:
+            hand.record[-1].events.append(event)
+
+    def _note_frame(self, hand: _Hand, sightings: Sightings, here: IndexArray) -> None:
+        views = Views(
+            self._cameras[sightings.camera],
+            np.searchsorted(hand.index, sightings.index[here]),
+            sightings.times_s[here] - sightings.t_s,
+            sightings.xy[here],
+            np.zeros((len(here), 2, 2)),
+            np.zeros(len(here)),
+        )
+        hand.record.append(Frame(sightings.t_s, sightings.camera, views, np.zeros(len(here), dtype=bool), []))
+
+    def smoothed(self) -> list[Outcome]:
+        """Return the markers at the moments of all frames since the last `clear`, as the whole recording shows them."""
+        every: list[list[Node]] = []
+        for hand in self._hands:
+            frames = sorted(hand.record, key=lambda frame: frame.t_s)
+            for frame in frames:
+                own = frame.views.variance + self.noise.variance(frame.camera) * np.eye(2)
+                frame.views = replace(frame.views, variance=own)
+            every.append(smooth(frames, len(hand.index), self._settings))
+        return self._outcomes(every)
+
+    def _outcomes(self, every: list[list[Node]]) -> list[Outcome]:
+        fresh_s = self._fresh_s()
+        outcomes = []
+        for place, node in enumerate(every[0]):
+            position = np.full((self._count, 3), np.nan)
+            covariance = np.zeros((self._count, 3, 3))
+            seen = np.zeros((len(self._cameras), self._count), dtype=bool)
+            for hand, nodes in zip(self._hands, every, strict=True):
+                position[hand.index] = nodes[place].place
+                covariance[hand.index] = nodes[place].covariance[:, :3, :3]
+                for step in (1, -1):
+                    other = place
+                    while 0 <= other < len(nodes) and abs(nodes[other].t_s - node.t_s) <= max(fresh_s):
+                        near = nodes[other]
+                        if abs(near.t_s - node.t_s) <= fresh_s[near.camera]:
+                            seen[near.camera, hand.index] |= near.shown
+                        other += step
+            outcomes.append(_outcome(node.t_s, position, covariance, seen))
+        return outcomes
+
+    def _fresh_s(self) -> list[float]:
+        """Return how long a view of each camera (C,) counts, seconds."""
+        settings = self._settings.track
+        return [
+            max(settings.fresh_periods * self._schedule.period_s(camera), settings.fresh_s)
+            for camera in range(len(self._cameras))
+        ]
 
     def _seek(self, marker: int, camera: int, t_s: float) -> None:
         """Look whether a view that moved no marker and another camera's newest one agree on a place."""
@@ -190,27 +263,30 @@ class FilterTracker:
         velocity = hand.filter.velocity[hand.filter.state.alive].mean(axis=0) if len(place) else np.zeros(3)
         moment_s = max(t_s, hand.filter.state.t_s) if len(place) else t_s
         newest = self._newest[marker]
-        recent = [v for v in newest.values() if abs(t_s - v.t_s) <= settings.pair_s]
+        reach_s = min(settings.pair_s, settings.pair_periods * self._schedule.longest_period_s)
+        near = {camera: view for camera, view in newest.items() if abs(t_s - view.t_s) <= reach_s}
+        recent = list(near.values())
         birth = self._together(marker, recent, moment_s, velocity)
         if birth is None:
             if track.belief is Belief.ABSENT and len(recent) == 1 and len(place) >= _FEWEST:
                 track.alone += 1
                 if track.alone >= _RAY_VIEWS:
                     ray = on_ray(newest[camera], place.mean(axis=0), velocity, settings.ray_sigma_m, settings.speed_sigma)
-                    self._begin(marker, ray, moment_s, [camera])
+                    self._begin(marker, ray, moment_s, [camera], t_s)
             return
         if track.belief is Belief.BELIEVED:
             track.elsewhere += 1
             if track.elsewhere < settings.relocations:
                 return
-        self._begin(marker, birth, moment_s, [c for c, v in newest.items() if abs(t_s - v.t_s) <= settings.pair_s])
+        self._begin(marker, birth, moment_s, list(near), min(v.t_s for v in recent))
 
-    def _begin(self, marker: int, birth: Birth, t_s: float, cameras: list[int]) -> None:
+    def _begin(self, marker: int, birth: Birth, t_s: float, cameras: list[int], first_s: float) -> None:
         hand, k = self._hand_of[marker]
         state = hand.filter.state
         if t_s > state.t_s and state.alive.any():
             hand.filter.state = hand.filter.predicted(t_s)
         hand.filter.begin(k, birth.mean, birth.covariance, t_s)
+        self._note(hand, Event(t_s, k, birth, first_s))
         self.tracks[marker].begin(t_s, cameras)
         self._history.clear()
 
@@ -256,11 +332,7 @@ class FilterTracker:
     def outcome(self, t_s: float) -> Outcome:
         """Return the markers at a moment that is not before the filter's."""
         self._forget(t_s)
-        settings = self._settings.track
-        fresh_s = [
-            max(settings.fresh_periods * self._schedule.period_s(camera), settings.fresh_s)
-            for camera in range(len(self._cameras))
-        ]
+        fresh_s = self._fresh_s()
         then_s = t_s + self._config.predict_s
         position = np.full((self._count, 3), np.nan)
         covariance = np.zeros((self._count, 3, 3))
@@ -273,14 +345,26 @@ class FilterTracker:
                 if self.tracks[marker].belief is Belief.BELIEVED:
                     position[marker], covariance[marker] = place[k], own[k, :, k]
                     seen[:, marker] = self.tracks[marker].views(t_s, fresh_s)
-        views = seen.sum(axis=0)
-        measured = (views >= 2) & np.isfinite(position[:, 0])
-        self._counts["measured"] += int(measured.sum())
-        sigma = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0.0))
-        return Outcome(
-            then_s, position.tolist(), sigma.tolist(), views.tolist(), measured.tolist(), seen.tolist(),
-            covariance=covariance, state=[state_of(count) for count in views.tolist()],
-        )
+        outcome = _outcome(then_s, position, covariance, seen)
+        self._counts["measured"] += sum(outcome.measured)
+        return outcome
+
+
+def _outcome(t_s: float, position: FloatArray, covariance: FloatArray, seen: BoolArray) -> Outcome:
+    """Return markers at positions (M, 3), NaN = absent, with covariances (M, 3, 3), seen by cameras (C, M)."""
+    views = seen.sum(axis=0)
+    measured = (views >= 2) & np.isfinite(position[:, 0])
+    sigma = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0.0))
+    return Outcome(
+        t_s,
+        position.tolist(),
+        sigma.tolist(),
+        views.tolist(),
+        measured.tolist(),
+        seen.tolist(),
+        covariance,
+        [state_of(count) for count in views.tolist()],
+    )
 
 
 def _all(sightings: Sightings) -> IndexArray:

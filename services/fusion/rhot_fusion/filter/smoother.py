@@ -1,0 +1,229 @@
+"""Looking back: the path of each marker as a whole recording shows it.
+
+The views that the live filter took are taken again, now by a filter that knows how noisy the cameras proved to be and, by
+the forward-backward algorithm over the scales of `motion` (L. R. Rabiner, "A tutorial on hidden Markov models", 1989,
+section III), what the hand was going to do. Its states are then smoothed (Rauch, Tung and Striebel, "Maximum likelihood
+estimates of linear dynamic systems", AIAA Journal 3(8), 1965):
+
+    G = P F' P⁻¹(next, before),    x ← x + G (x(next) − x(next, before)),    P ← P + G (P(next) − P(next, before)) G'.
+
+Views that lie far from the smoothed path count less, and all is done once more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rhot_fusion.filter.birth import Birth
+from rhot_fusion.filter.joint import BoolArray, FloatArray, JointFilter, State, Step, Views
+from rhot_fusion.filter.settings import FilterSettings
+
+_JITTER: float = 1e-13
+"""Keeps covariances of markers that were just found invertible, m² and m²/s²."""
+_DOUBT = 4.0
+"""Squared Mahalanobis distance of a view from the smoothed path beyond which its variance grows in proportion."""
+_PASSES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A marker that begins or ends.
+
+    Attributes:
+        t_s: when.
+        marker: of the hand.
+        birth: its first state; none when it ends.
+        first_s: time of the first view behind the birth.
+    """
+
+    t_s: float
+    marker: int
+    birth: Birth | None
+    first_s: float = np.inf
+
+
+@dataclass(slots=True)
+class Frame:
+    """One frame's views of a hand's markers.
+
+    Attributes:
+        t_s: its moment.
+        camera: index of the camera.
+        views: of markers, whether alive or not.
+        taken: (N,) which of them moved their markers live.
+        events: that followed it.
+    """
+
+    t_s: float
+    camera: int
+    views: Views
+    taken: BoolArray
+    events: list[Event]
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """The smoothed markers (M) of a hand at one frame.
+
+    Attributes:
+        t_s: its moment.
+        place: (M, 3) metres; NaN = not known.
+        velocity: (M, 3) metres per second.
+        covariance: (M, 6, 6).
+        shown: (M,) whether the frame showed each where it is.
+        camera: index of the camera that took it.
+    """
+
+    t_s: float
+    place: FloatArray
+    velocity: FloatArray
+    covariance: FloatArray
+    shown: BoolArray
+    camera: int
+
+
+def smooth(frames: Sequence[Frame], count: int, settings: FilterSettings) -> list[Node]:
+    """Return the nodes of a hand of `count` markers at each of the frames, in order of time."""
+    variance = [frame.views.variance for frame in frames]
+    scale2: list[float | None] = [None] * len(frames)
+    nodes: list[Node] = []
+    for last in range(_PASSES + 1):
+        steps, evidence = _forward(frames, count, settings, variance, scale2)
+        if last == 0:
+            scale2 = _scales(evidence, [step.dt_s for step in steps], settings)
+            continue
+        states = _backward(steps, count)
+        if last < _PASSES:
+            variance = [
+                own * np.maximum(1.0, _distance2(frame.views, state) / _DOUBT)[:, None, None]
+                for frame, state, own in zip(frames, states, variance, strict=True)
+            ]
+        else:
+            nodes = [_node(frame, state, settings) for frame, state in zip(frames, states, strict=True)]
+    _extend(frames, nodes)
+    return nodes
+
+
+def _forward(
+    frames: Sequence[Frame], count: int, settings: FilterSettings, variance: list[FloatArray], scale2: list[float | None]
+) -> tuple[list[Step], list[FloatArray]]:
+    # What the live filter refused stays out; among the rest there is no gate, but doubt.
+    hand = JointFilter(count, settings.motion, np.inf)
+    steps, evidence = [], []
+    for frame, own, scale in zip(frames, variance, scale2, strict=True):
+        alive = hand.state.alive[frame.views.index] & frame.taken
+        views = replace(frame.views, variance=own)
+        if not alive.all():
+            views = _chosen(views, alive)
+        innovation, step = hand.step(frame.t_s, views, scale)
+        for event in frame.events:
+            if event.birth is None:
+                hand.end(event.marker)
+            else:
+                hand.begin(event.marker, event.birth.mean, event.birth.covariance, frame.t_s)
+        steps.append(Step(step.dt_s, step.before, hand.state))
+        evidence.append(innovation.evidence)
+    return steps, evidence
+
+
+def _chosen(views: Views, chosen: BoolArray) -> Views:
+    return Views(
+        views.camera,
+        views.index[chosen],
+        views.delta_s[chosen],
+        views.xy[chosen],
+        views.variance[chosen],
+        views.slack[chosen],
+    )
+
+
+def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSettings) -> list[float | None]:
+    """Return the squared scale of each step by all frames together."""
+    shares, scales2 = np.array(settings.motion.shares), np.square(settings.motion.scales)
+    likelihood = [np.exp(one - one.max()) for one in evidence]
+    stay = np.exp(-np.array(dt_s) / settings.motion.switch_s)
+    ahead, weight = [], shares
+    for keep, one in zip(stay, likelihood, strict=True):
+        weight = (keep * weight + (1.0 - keep) * shares) * one
+        weight = weight / weight.sum()
+        ahead.append(weight)
+    behind, result = np.ones(len(shares)), []
+    for place in range(len(evidence) - 1, -1, -1):
+        both = ahead[place] * behind
+        result.append(float(both @ scales2 / both.sum()))
+        seen = likelihood[place] * behind
+        behind = stay[place] * seen + (1.0 - stay[place]) * float(shares @ seen)
+        behind = behind / behind.max()
+    return list(reversed(result))
+
+
+def _backward(steps: list[Step], count: int) -> list[State]:
+    """Return the smoothed states of the steps."""
+    half = 3 * count
+    states = [step.after for step in steps]
+    for place in range(len(steps) - 2, -1, -1):
+        own, following = steps[place].after, steps[place + 1]
+        later = states[place + 1]
+        both = own.alive & following.before.alive & later.alive
+        if not both.any():
+            continue
+        rows = np.flatnonzero(np.tile(np.repeat(both, 3), 2))
+        P = own.covariance
+        moved = P.copy()
+        moved[:, :half] += following.dt_s * P[:, half:]
+        before = following.before.covariance[np.ix_(rows, rows)]
+        before[np.diag_indices(len(rows))] += _JITTER
+        every = np.flatnonzero(np.tile(np.repeat(own.alive, 3), 2))
+        gain = np.linalg.solve(before, moved[np.ix_(every, rows)].T).T
+        step = (later.mean - following.before.mean).ravel()[rows]
+        change = later.covariance[np.ix_(rows, rows)] - before
+        x, S = own.mean.ravel().copy(), P.copy()
+        x[every] += gain @ step
+        S[np.ix_(every, every)] += gain @ change @ gain.T
+        states[place] = State(own.t_s, x.reshape(2, -1), S, own.weight, own.alive)
+    return states
+
+
+def _distance2(views: Views, state: State) -> FloatArray:
+    """Return the squared Mahalanobis distance (N,) of views from a smoothed path; 0 where there is none."""
+    count = len(state.alive)
+    mean = state.mean.reshape(2, count, 3)[:, views.index]
+    R = views.camera.R_camera_rig
+    local = (mean[0] + views.delta_s[:, None] * mean[1]) @ R.T + views.camera.t_camera_rig
+    residual = views.xy - local[:, :2] / np.maximum(local[:, 2:], 0.05)
+    distance2 = np.einsum("ni,nij,nj->n", residual, np.linalg.inv(views.variance), residual)
+    return np.where(state.alive[views.index], distance2, 0.0)
+
+
+def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
+    count = len(state.alive)
+    place, velocity = state.mean.reshape(2, count, 3).copy()
+    place[~state.alive] = np.nan
+    diagonal = np.arange(count)
+    P = state.covariance.reshape(2, count, 3, 2, count, 3)[:, diagonal, :, :, diagonal].reshape(count, 6, 6)
+    shown = np.zeros(count, dtype=bool)
+    views = frame.views
+    shown[views.index] = state.alive[views.index] & (_distance2(views, state) <= settings.track.gate)
+    return Node(state.t_s, place, velocity, P, shown, frame.camera)
+
+
+def _extend(frames: Sequence[Frame], nodes: list[Node]) -> None:
+    """Carry markers back from where they began to the first view that began them."""
+    for place, frame in enumerate(frames):
+        for event in frame.events:
+            if event.birth is None:
+                continue
+            marker, first = event.marker, nodes[place]
+            for before in range(place - 1, -1, -1):
+                node = nodes[before]
+                if node.t_s < event.first_s - 1e-9 or np.isfinite(node.place[marker, 0]):
+                    break
+                dt = node.t_s - first.t_s
+                F = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(3))
+                node.place[marker] = first.place[marker] + dt * first.velocity[marker]
+                node.velocity[marker] = first.velocity[marker]
+                node.covariance[marker] = F @ first.covariance[marker] @ F.T
+                node.shown[marker] = bool((frames[before].views.index == marker).any())
