@@ -148,15 +148,15 @@ def make_tracks(
         family: bounds to draw from.
     """
     rng = np.random.default_rng([12, seed])
-    streams = rng.spawn(4)
-    draw = draw_rig(streams[0], family or Family(), rate_hz, noise_px)
-    motion, hand_name, grasps = _draw_clip(streams[1], data, seconds, draw)
-    flesh, surfaces, hand_file, patch_m = _draw_hand(streams[2], motion, grasps)
+    streams = rng.spawn(3)
+    draw = draw_rig(seed, family or Family(), rate_hz, noise_px)
+    motion, hand_name, grasps = _draw_clip(streams[0], data, seconds, draw)
+    flesh, surfaces, hand_file, patch_m = _draw_hand(streams[1], motion, grasps)
     rig = write_rig(draw, folder, hand_file, patch_m)
     gate_px = [rig.config.markers[name].min_area_px for name in MARKERS]
     parts = [
         _camera_frames(rng_camera, number, name, draw, motion, surfaces, flesh, gate_px, markers)
-        for number, (name, rng_camera) in enumerate(zip(draw.true, streams[3].spawn(len(draw.true)), strict=True))
+        for number, (name, rng_camera) in enumerate(zip(draw.true, streams[2].spawn(len(draw.true)), strict=True))
     ]
     frames = sorted((frame for part in parts for frame in part[0]), key=lambda frame: frame.t_ns)
     truth = Truth(motion, surfaces, *(tuple(part[k] for part in parts) for k in (1, 2, 3)))
@@ -317,7 +317,7 @@ def _camera_frames(
 def _row_times(
     camera: CameraModel, first_s: FloatArray, draw: RigDraw, motion: HandMotion, surface: Surface, marker: int
 ) -> FloatArray:
-    """Return mid-exposure (F,) of the row in which a marker lies, seconds: t = first + read-out·v/(H−1) + exposure/2."""
+    """Return mid-exposure (F,) of a marker's own row, seconds: t = first + read-out·v/(H−1) + exposure/2."""
     t_s = first_s + 0.5 * (draw.exposure_s + draw.readout_s)
     # A marker moves by less than a row within the last correction after two rounds.
     for _ in range(2 if draw.readout_s > 0.0 else 0):

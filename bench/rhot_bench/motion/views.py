@@ -83,6 +83,8 @@ def triangulated(xy: FloatArray, P: FloatArray) -> FloatArray:
     seen = np.isfinite(xy[..., 0])
     enough = seen.sum(axis=1) >= 2
     found = np.full((len(xy), 3), np.nan)
+    if not enough.any():
+        return found
     rows = P[None, :, :2] - np.where(seen[..., None], xy, 0.0)[..., None] * P[None, :, 2:]
     rows = (rows * seen[..., None, None])[enough]
     depth = np.ones((len(rows), len(P)))
