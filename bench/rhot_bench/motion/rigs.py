@@ -1,8 +1,9 @@
 """The family of random rigs: cameras as somebody might have set them up, and as a calibration would have found them.
 
-The cameras are calibrated by the very code of `rhot calibrate cameras`, on noisy corners of a chessboard that is held
-where the hand will be. So `cameras.json` is wrong by as much as its own figures state, and its errors hide one another
-as those of a real calibration do.
+The cameras are calibrated by the very adjustment of `rhot calibrate cameras`, on noisy corners of a chessboard that is
+held where the hand will be; it starts at the truth, which spares the search and ends in the same minimum. So
+`cameras.json` is wrong by as much as its own figures state, and its errors hide one another as those of a real
+calibration do.
 """
 
 from __future__ import annotations
@@ -16,15 +17,18 @@ from typing import Final
 import numpy as np
 
 from rhot.camera import CameraModel
-from rhot.rig import CameraConfig, CamerasFile, HandFile, Rig, load_rig, write_json_model
-from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, RIG_FILE, nominal_camera, write_text_atomic
+from rhot.rig import CamerasFile, HandFile, Rig, load_rig, write_json_model
+from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
 from rhot.rig.toml_edit import change_rig_file
 from rhot.rotations import rotation_from_vector, rotation_z
-from rhot.transforms import rigid
+from rhot.transforms import inverse, rigid
 from rhot_bench.motion.recordings import FloatArray
-from rhot_fusion.camera_calibration.calibration import calibrate, cameras_file
-from rhot_fusion.camera_calibration.verdict import Expected
+from rhot_fusion.camera_calibration.adjustment import adjust_views
+from rhot_fusion.camera_calibration.calibration import Calibrated, cameras_file, models_of
+from rhot_fusion.camera_calibration.figures import camera_figures, expected_errors, pair_figures
+from rhot_fusion.camera_calibration.lens import lens_of
+from rhot_fusion.camera_calibration.solve import Solution
 from rhot_fusion.camera_calibration.views import Board, BoardView, ViewSet
 
 CAMERA_NAMES: Final = ("left", "right", "third", "fourth")
@@ -195,34 +199,48 @@ def _calibrated(
 ) -> CamerasFile:
     """Return what `rhot calibrate cameras` would write."""
     corner_px = _log_uniform(rng, family.corner_px)
-    views = {}
-    for number, corners in enumerate(_board_views(rng, true, target, int(rng.integers(*family.boards)))):
+    poses = _board_poses(rng, true, target, int(rng.integers(*family.boards)))
+    views, place_of = {}, {}
+    for number, T in enumerate(poses):
         for name, camera in true.items():
-            pixels = camera.project(corners)
+            pixels = camera.project(_BOARD.points @ T[:3, :3].T + T[:3, 3])
             if camera.contains(pixels).all():
                 noisy = pixels + rng.normal(0.0, corner_px, pixels.shape)
                 views[name, number] = BoardView(np.arange(len(pixels)), noisy)
+                place_of[name, number] = (number, "")
+    adjusted = adjust_views(
+        _BOARD,
+        views,
+        place_of,
+        {name: lens_of(camera.K, camera.distortion) for name, camera in true.items()},
+        {name: inverse(camera.T_rig_camera) for name, camera in true.items()},
+        {(number, ""): T for number, T in enumerate(poses)},
+        dict.fromkeys(true, WIDTH),
+        sigma_px=corner_px,
+    )
     labels = {key: f"{key[0]}/{key[1]:06d}.png" for key in views}
     seen = ViewSet(_BOARD, dict.fromkeys(true, (WIDTH, HEIGHT)), views, labels)
-    nominal = {name: nominal_camera(CameraConfig(width=WIDTH, height=HEIGHT)) for name in true}
-    centres = {name: camera.center for name, camera in true.items()}
-    return cameras_file(calibrate(seen, nominal, Expected(centres, {})), seen)
+    models = models_of(adjusted, seen)
+    solution = Solution(views, place_of, adjusted, {}, (), {}, adjusted.total_rms_px(), {})
+    pairs, errors = pair_figures(adjusted, models), expected_errors(adjusted, models)
+    return cameras_file(Calibrated(solution, models, camera_figures(adjusted), pairs, {}, errors, {}, ()), seen)
 
 
-def _board_views(
+def _board_poses(
     rng: np.random.Generator, true: Mapping[str, CameraModel], target: FloatArray, count: int
 ) -> list[FloatArray]:
-    """Return the corners (54, 3) of a chessboard held at many places that all cameras see whole, metres."""
-    points = _BOARD.points - _BOARD.points.mean(axis=0)
-    views: list[FloatArray] = []
+    """Return poses (4, 4) of a chessboard, T_rig_board, held at many places that all cameras see whole."""
+    middle = _BOARD.points.mean(axis=0)
+    poses: list[FloatArray] = []
     for attempt in range(200 * count):
-        if len(views) == count:
+        if len(poses) == count:
             break
         spread = np.array([0.30, 0.22, 0.25]) * target[2]
-        place = target + rng.uniform(-spread, spread)
-        corners = points @ rotation_from_vector(rng.uniform(-0.6, 0.6, 3)).T + place
+        R = rotation_from_vector(rng.uniform(-0.6, 0.6, 3))
+        T = rigid(R, target + rng.uniform(-spread, spread) - R @ middle)
+        corners = _BOARD.points @ R.T + T[:3, 3]
         # Where the views of all cameras hardly overlap, boards that some see whole must do.
         needed = len(true) if attempt < 100 * count else 2
         if sum(bool(camera.contains(camera.project(corners)).all()) for camera in true.values()) >= needed:
-            views.append(corners)
-    return views
+            poses.append(T)
+    return poses
