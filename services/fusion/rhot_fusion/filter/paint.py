@@ -1,5 +1,18 @@
 """From the middle of the paint that a camera sees to the middle of the marker.
 
+A fingertip is round, so a camera sees the paint on the side that faces it. Of a finger along d, with c = d·u for the
+direction u to the camera, the middle of that side lies off the finger's axis, and in the picture that is
+
+    −(π/4) ρ r c        further along the finger,
+
+r its radius, ρ ≈ 0.85 the share of the paint that is on its shaft rather than on its round end. The direction of a finger
+in the picture is that from the patch on the back of the hand to the tip; how far it bends away from the camera is told by
+its visible area, which is
+
+    A(c) / A(0) = (2 λ √(1 − c²) + (π/2) (1 + c)) / (2 λ + π/2)        for c ≤ 0,
+
+λ r being the length of the painted shaft, beside the largest area that it has shown.
+
 What hides part of a marker is nearer than it, so it hides more of it in the camera on its own side: of two cameras the
 one that sees less paint sees the middle of that too far towards the other camera, by half of the strip that is hidden.
 With the share h that is hidden in one view and not in the fullest one, and w the marker's width, that is ½ h w.
@@ -19,11 +32,24 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 
-class HiddenPaint:
-    """What C cameras see of the paint of M markers."""
+class Paint:
+    """What C cameras see of the paint of M markers.
 
-    def __init__(self, cameras: Sequence[CameraModel], markers: int, settings: PaintSettings) -> None:
+    Attributes:
+        bend: (M,) c of each fingertip by its area, −1 to 0.
+    """
+
+    def __init__(self, cameras: Sequence[CameraModel], radius_m: FloatArray, settings: PaintSettings) -> None:
+        """Begin with the radii (M,) of fingertips, metres; 0 for a marker that is none."""
         self._settings = settings
+        self._radius_m = radius_m
+        markers = len(radius_m)
+        self._cosine: FloatArray = np.linspace(-1.0, 0.0, 64)
+        shaft = 2.0 * settings.shaft
+        end = 0.5 * np.pi
+        self._share: FloatArray = (shaft * np.sqrt(1.0 - self._cosine**2) + end * (1.0 + self._cosine)) / (shaft + end)
+        self._largest: FloatArray = np.zeros(markers)
+        self.bend: FloatArray = np.full(markers, settings.first_bend)
         self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
         centers = np.stack([camera.center for camera in cameras])
         # In each camera's picture, the direction away from the other cameras.
@@ -35,6 +61,27 @@ class HiddenPaint:
     def clear(self) -> None:
         """Forget all areas."""
         self._seen_s[:] = -np.inf
+        self._largest[:] = 0.0
+        self.bend[:] = self._settings.first_bend
+
+    def along(
+        self, camera: CameraModel, index: IndexArray, tip: FloatArray, base: FloatArray
+    ) -> FloatArray:
+        """Return what to add to a camera's views (N, 2) of fingertips for the side that it sees, normalised units.
+
+        Args:
+            camera: that sees them.
+            index: (N,) markers.
+            tip: (N, 3) where they are, metres, rig frame.
+            base: (3,) the patch on the back of their hand.
+        """
+        local = tip @ camera.R_camera_rig.T + camera.t_camera_rig
+        depth = np.maximum(local[:, 2:], 0.05)
+        finger = (tip - base) @ camera.R_camera_rig.T
+        across = finger[:, :2] - local[:, :2] / depth * finger[:, 2:]
+        across /= np.maximum(np.sqrt((across * across).sum(axis=1)), 1e-6)[:, None]
+        offset = self._settings.side * self._radius_m[index] * self.bend[index]
+        return across * (offset[:, None] / depth)
 
     def correct(
         self, camera: int, index: IndexArray, t_s: float, area_px: FloatArray, depth_m: FloatArray
@@ -62,6 +109,12 @@ class HiddenPaint:
         self._seen_s[camera, index] = t_s
         recent = self._seen_s[:, index] >= t_s - settings.compare_s
         full = np.where(recent, self._width[:, index], 0.0).max(axis=0)
+        # The first area is that of a finger bent as usual, the largest one that of a finger across the view.
+        first = np.sqrt(np.interp(settings.first_bend, self._cosine, self._share))
+        self._largest[index] = np.maximum(self._largest[index], np.where(self._largest[index] > 0.0, full, full / first))
+        share = np.square(full / np.maximum(self._largest[index], 1e-9))
+        known = area_px > 0.0
+        self.bend[index[known]] = np.interp(share, self._share, self._cosine)[known]
         share = np.square(self._width[camera, index] / np.maximum(full, 1e-9))
         uneven = settings.uneven + settings.rim_px / np.sqrt(np.maximum(area_px, 1.0))
         hidden = np.where(area_px > 0.0, np.clip(1.0 - share - uneven, 0.0, 1.0), 0.0)

@@ -114,6 +114,9 @@ class PaintSettings:
     shift: float = 0.5
     doubt: float = 0.5
     wander: float = 0.0
+    side: float = 0.66
+    shaft: float = 1.8
+    first_bend: float = -0.45
     slack_px: float = 0.5
     slack: float = 0.05
 

@@ -10,9 +10,11 @@ from itertools import combinations
 import numpy as np
 
 from rhot.camera import CameraModel
+from rhot.hand import HandModel
 from rhot.messages import HandPose
 from rhot.rig import FusionConfig, Rig
 from rhot.rig.quality import pair_epipolar_p95_px
+from rhot.skeleton import JOINTS
 from rhot_fusion.coherence import HandCoherence
 from rhot_fusion.epipolar import EpipolarModel
 from rhot_fusion.filter.agreement import CameraAgreement
@@ -20,7 +22,7 @@ from rhot_fusion.filter.birth import Birth, View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter, State, Views
 from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.noise import CameraNoise, stated_px
-from rhot_fusion.filter.paint import HiddenPaint
+from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
 from rhot_fusion.filter.tracks import Belief, Track, state_of
 from rhot_fusion.schedule import Schedule
@@ -66,7 +68,8 @@ class FilterTracker:
             for side in np.unique(sides)
         ]
         self._record = record
-        self._paint = HiddenPaint(cameras, self._count, settings.paint)
+        self._paint = Paint(cameras, _radii(rig), settings.paint)
+        self._base = _bases(rig)
         self._hand_of = {int(m): (hand, k) for hand in self._hands for k, m in enumerate(hand.index)}
         self._coherence = HandCoherence(markers, rig.hand.length_m)
         self.noise = CameraNoise(cameras, settings.noise, stated_px(names, rig.quality, settings.noise), rig.calibrated)
@@ -171,6 +174,9 @@ class FilterTracker:
         shift, doubt = self._paint.correct(
             sightings.camera, sightings.index[here], sightings.t_s, sightings.area_px[here], depth
         )
+        base = self._base.get(int(hand.index[0]), -1)
+        if base >= 0 and hand.filter.state.alive[k_base := int(np.searchsorted(hand.index, base))]:
+            shift += self._paint.along(camera, sightings.index[here], hand.filter.place[local], hand.filter.place[k_base])
         slack = self._paint.slack(sightings.camera, sightings.area_px[here])
         variances = np.zeros((len(here), 2, 2))
         variances[:, 0, 0] = variances[:, 1, 1] = variance + doubt * doubt
@@ -369,3 +375,19 @@ def _outcome(t_s: float, position: FloatArray, covariance: FloatArray, seen: Boo
 
 def _all(sightings: Sightings) -> IndexArray:
     return np.arange(len(sightings.index))
+
+
+def _radii(rig: Rig) -> FloatArray:
+    """Return the radii (M,) of the painted fingertips, metres; 0 for markers of another kind."""
+    radii = []
+    for marker in rig.config.markers.values():
+        tip = marker.kind == "cap" and marker.joint.endswith("_tip")
+        radii.append(float(HandModel.from_file(rig.hand, marker.hand).radii[JOINTS.index(marker.joint)]) if tip else 0.0)
+    return np.array(radii)
+
+
+def _bases(rig: Rig) -> dict[int, int]:
+    """Return, by the first marker of each hand, the marker that is a patch on its back."""
+    markers = list(rig.config.markers.values())
+    sides = [marker.hand for marker in markers]
+    return {sides.index(marker.hand): k for k, marker in enumerate(markers) if marker.kind == "patch"}
