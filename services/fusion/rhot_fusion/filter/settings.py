@@ -83,7 +83,7 @@ class TrackSettings:
     pair_s: float = 0.15
     pair_periods: float = 1.6
     speed_sigma: float = 0.5
-    confirmations: int = 1
+    confirmations: int = 0
     relocations: int = 3
     occupied_m: float = 0.010
     fresh_periods: float = 1.5
@@ -100,7 +100,7 @@ class PaintSettings:
         compare_s: areas further apart in time are not compared, seconds.
         settle_s: time constant of the widths that are compared, seconds.
         uneven: views of a whole marker differ by this share of its area, by the cameras' places.
-        rim_px: and by this much of its rim, pixels: half a pixel of its radius.
+        rim_px: and by this much of its rim, pixels: a quarter of a pixel of its radius.
         shift: of the middle, as a share of the width that is hidden: a strip moves it by half of itself.
         doubt: standard deviation of that, which stays the same for many frames, in the same unit.
         wander: how far the middle of the paint that is seen is from the marker's, standard deviation as a share of the
@@ -110,9 +110,9 @@ class PaintSettings:
     compare_s: float = 0.1
     settle_s: float = 0.03
     uneven: float = 0.05
-    rim_px: float = 1.0
+    rim_px: float = 0.5
     shift: float = 0.5
-    doubt: float = 0.5
+    doubt: float = 0.25
     wander: float = 0.0
     side: float = 0.66
     shaft: float = 1.8

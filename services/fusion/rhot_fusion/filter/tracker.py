@@ -30,6 +30,8 @@ from rhot_fusion.sightings import BoolArray, FloatArray, IndexArray, Outcome, Si
 
 _RAY_VIEWS = 3
 """Views in a row of one camera that put a marker on its ray."""
+_BRIDGED = 1.6
+"""Looked back at, a camera shows a marker if it did so this many periods before and after."""
 _FEWEST = 3
 """Markers of a hand that tell where it is."""
 
@@ -234,8 +236,8 @@ class FilterTracker:
         return self._outcomes(every)
 
     def _outcomes(self, every: list[list[Node]]) -> list[Outcome]:
-        fresh_s = self._fresh_s()
         outcomes = []
+        around = [self._around(camera, every[0]) for camera in range(len(self._cameras))]
         for place, node in enumerate(every[0]):
             position = np.full((self._count, 3), np.nan)
             covariance = np.zeros((self._count, 3, 3))
@@ -243,15 +245,30 @@ class FilterTracker:
             for hand, nodes in zip(self._hands, every, strict=True):
                 position[hand.index] = nodes[place].place
                 covariance[hand.index] = nodes[place].covariance[:, :3, :3]
-                for step in (1, -1):
-                    other = place
-                    while 0 <= other < len(nodes) and abs(nodes[other].t_s - node.t_s) <= max(fresh_s):
-                        near = nodes[other]
-                        if abs(near.t_s - node.t_s) <= fresh_s[near.camera]:
-                            seen[near.camera, hand.index] |= near.shown
-                        other += step
+                for camera, sides in enumerate(around):
+                    before, after = ([nodes[k].shown for k in side] for side in sides[place])
+                    near = [nodes[k].shown for side in sides[place] for k in side if self._is_near(camera, nodes[k], node)]
+                    if near:
+                        seen[camera, hand.index] = np.any(near, axis=0)
+                    if before and after:
+                        seen[camera, hand.index] |= np.any(before, axis=0) & np.any(after, axis=0)
             outcomes.append(_outcome(node.t_s, position, covariance, seen))
         return outcomes
+
+    def _is_near(self, camera: int, one: Node, other: Node) -> bool:
+        return abs(one.t_s - other.t_s) <= 0.75 * self._schedule.period_s(camera)
+
+    def _around(self, camera: int, nodes: list[Node]) -> list[tuple[list[int], list[int]]]:
+        """Return for each node those of a camera just before and just after it: a frame may be lost between them."""
+        own = np.array([place for place, node in enumerate(nodes) if node.camera == camera], dtype=np.intp)
+        times = np.array([nodes[place].t_s for place in own])
+        reach_s = _BRIDGED * self._schedule.period_s(camera)
+        sides = []
+        for node in nodes:
+            first, middle = np.searchsorted(times, [node.t_s - reach_s, node.t_s])
+            end, last = np.searchsorted(times, [node.t_s, node.t_s + reach_s], side="right")
+            sides.append((own[first:end].tolist(), own[middle:last].tolist()))
+        return sides
 
     def _fresh_s(self) -> list[float]:
         """Return how long a view of each camera (C,) counts, seconds."""
@@ -293,7 +310,7 @@ class FilterTracker:
             hand.filter.state = hand.filter.predicted(t_s)
         hand.filter.begin(k, birth.mean, birth.covariance, t_s)
         self._note(hand, Event(t_s, k, birth, first_s))
-        self.tracks[marker].begin(t_s, cameras)
+        self.tracks[marker].begin(t_s, cameras, self._settings.track)
         self._history.clear()
 
     def _together(self, marker: int, views: list[View], t_s: float, velocity: FloatArray) -> Birth | None:
@@ -338,7 +355,9 @@ class FilterTracker:
     def outcome(self, t_s: float) -> Outcome:
         """Return the markers at a moment that is not before the filter's."""
         self._forget(t_s)
-        fresh_s = self._fresh_s()
+        fresh = [
+            t_s - seen_s <= lasts for seen_s, lasts in zip(self._schedule.newest_s, self._fresh_s(), strict=True)
+        ]
         then_s = t_s + self._config.predict_s
         position = np.full((self._count, 3), np.nan)
         covariance = np.zeros((self._count, 3, 3))
@@ -350,7 +369,7 @@ class FilterTracker:
             for k, marker in enumerate(hand.index.tolist()):
                 if self.tracks[marker].belief is Belief.BELIEVED:
                     position[marker], covariance[marker] = place[k], own[k, :, k]
-                    seen[:, marker] = self.tracks[marker].views(t_s, fresh_s)
+                    seen[:, marker] = self.tracks[marker].views(self._schedule.newest_s, fresh)
         outcome = _outcome(then_s, position, covariance, seen)
         self._counts["measured"] += sum(outcome.measured)
         return outcome

@@ -13,7 +13,6 @@ import numpy as np
 
 from rhot.messages import PointState
 from rhot_fusion.filter.settings import TrackSettings
-from rhot_fusion.sightings import BoolArray, FloatArray
 
 
 class Belief(IntEnum):
@@ -45,9 +44,9 @@ class Track:
     accepted_s: list[float] = field(default_factory=list)
     seen_s: float = -np.inf
 
-    def begin(self, t_s: float, cameras: list[int]) -> None:
+    def begin(self, t_s: float, cameras: list[int], settings: TrackSettings) -> None:
         """Begin it by views of cameras."""
-        self.belief = Belief.TENTATIVE
+        self.belief = Belief.BELIEVED if settings.confirmations == 0 else Belief.TENTATIVE
         self.agreed = self.elsewhere = self.alone = 0
         self.accepted_s = [t_s if camera in cameras else -np.inf for camera in range(self.cameras)]
         self.seen_s = t_s
@@ -68,14 +67,14 @@ class Track:
         self.accepted_s = [-np.inf] * self.cameras
         self.seen_s = -np.inf
 
-    def views(self, t_s: float, fresh_s: list[float]) -> list[bool]:
-        """Tell which cameras (C,) show it at a moment; `fresh_s` is how long a view of each lasts."""
-        return [t_s - last <= lasts for last, lasts in zip(self.accepted_s, fresh_s, strict=True)]
+    def views(self, frame_s: list[float], fresh: list[bool]) -> list[bool]:
+        """Tell which cameras (C,) show it: those whose newest frame, of time `frame_s`, did and is `fresh`."""
+        return [
+            last >= newest and now for last, newest, now in zip(self.accepted_s, frame_s, fresh, strict=True)
+        ]
 
 
 def state_of(views: int) -> PointState:
     """Return a point's state by how many cameras show it."""
     return "measured" if views >= 2 else "one_view" if views == 1 else "predicted"
 
-
-__all__ = ["Belief", "BoolArray", "FloatArray", "Track", "state_of"]
