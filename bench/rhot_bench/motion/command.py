@@ -38,7 +38,7 @@ _NAMES: Final = {"60": STRATA[0], "30": STRATA[1], "15": STRATA[2], "family": ST
     type=click.FloatRange(min=1.0),
     default=2.5,
     show_default=True,
-    help="Length of each clip; 6 for a report.",
+    help="Of each clip; 6 for a report.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Rigs to run at the same time.")
 @click.option(

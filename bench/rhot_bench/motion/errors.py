@@ -39,8 +39,8 @@ class PointErrors:
             the line of sight, fitted to what is measured in two views as `score.py` of the rendered pictures does.
         sigma_m: (N,) root of the sum of the stated variances; NaN = none stated.
         nees: (N,) normalised estimation error squared, three degrees of freedom; NaN = no covariance.
-        views: (N,) cameras that see the marker then.
-        hidden_s: (N,) since a camera last saw it; 0 while one does.
+        views: (N,) cameras that see the marker well then, a quarter of its facing paint or more.
+        hidden_s: (N,) since a camera last saw any of it; 0 while one does, NaN before it was first seen.
         measured: (N,) told as measured.
         swapped: (N,) nearer to another marker.
     """
@@ -67,8 +67,8 @@ class HandErrors:
         age_s: (N,) since the first frame.
         joints_m: (N,) mean distance of the 26 joints.
         tips_m: (N, 5) distance of the tip joints.
-        views: (N, 5) cameras that see each tip then.
-        hidden_s: (N, 5) since a camera last saw it; NaN before it was first seen.
+        views: (N, 5) cameras that see each tip well then.
+        hidden_s: (N, 5) since a camera last saw any of it; 0 while one does, NaN before it was first seen.
         step_m: (N, 5) step from the pose before, beyond the true one, in the 0.1 s after a tip re-appeared; else NaN.
         grasps: (N,) whether an object is held.
     """
@@ -103,9 +103,9 @@ def point_errors(tracks: Tracks, estimates: Estimates) -> PointErrors:
     row = np.arange(len(place))
     true = truth.markers(times)[place]
     off = estimates.position - true[row, estimates.marker]
-    error = np.linalg.norm(off, axis=1)
+    error: FloatArray = np.linalg.norm(off, axis=1)
     views = truth.views(times)[place, estimates.marker]
-    hidden = np.where(views > 0, 0.0, truth.hidden_s(times)[place, estimates.marker])
+    hidden = truth.hidden_s(times)[place, estimates.marker]
     measured = estimates.state == MEASURED
     offset = np.full(len(row), np.nan)
     axes = truth.bone_axes(times)[place]
@@ -121,7 +121,7 @@ def point_errors(tracks: Tracks, estimates: Estimates) -> PointErrors:
     return PointErrors(
         np.full(len(row), tracks.seed),
         estimates.marker,
-        (estimates.t_ns - start_ns) * 1e-9,
+        _seconds(estimates.t_ns - start_ns),
         error,
         offset,
         np.sqrt(np.trace(estimates.covariance, axis1=1, axis2=2)),
@@ -141,16 +141,16 @@ def hand_errors(tracks: Tracks, poses: Iterable[HandPose]) -> HandErrors:
     t_ns = np.array([pose.t_ns for pose in used], dtype=np.int64)
     found = np.array([[pose.joints[joint].position for joint in JOINTS] for pose in used]).reshape(-1, len(JOINTS), 3)
     true = truth.joints(t_ns) if len(t_ns) else np.empty((0, len(JOINTS), 3))
-    apart = np.linalg.norm(found - true, axis=2)
+    apart: FloatArray = np.linalg.norm(found - true, axis=2)
     views, hidden = truth.views(t_ns)[:, :5], truth.hidden_s(t_ns)[:, :5]
     return HandErrors(
         np.full(len(t_ns), tracks.seed),
-        (t_ns - start_ns) * 1e-9,
+        _seconds(t_ns - start_ns),
         apart.mean(axis=1),
         apart[:, _TIPS],
         views,
-        np.where(views > 0, 0.0, hidden),
-        _steps(t_ns, found[:, _TIPS], true[:, _TIPS], views),
+        hidden,
+        _steps(t_ns, found[:, _TIPS], true[:, _TIPS], hidden),
         np.full(len(t_ns), tracks.grasps),
     )
 
@@ -175,9 +175,13 @@ def coverage(tracks: Tracks, estimates: Estimates) -> float:
     return found / told if told else float("nan")
 
 
+def _seconds(ns: IntArray) -> FloatArray:
+    return np.asarray(ns, dtype=np.float64) * 1e-9
+
+
 def _without_offset(off: FloatArray, columns: FloatArray, fitted: NDArray[np.bool_]) -> FloatArray:
     """Return what is left (N,) of errors (N, 3) after one constant along each of two directions (N, 3, 2)."""
-    left = np.linalg.norm(off, axis=1)
+    left: FloatArray = np.linalg.norm(off, axis=1)
     if fitted.sum() < _FEW:
         return left
     kept = fitted.copy()
@@ -190,7 +194,7 @@ def _without_offset(off: FloatArray, columns: FloatArray, fitted: NDArray[np.boo
 
 def _nees(off: FloatArray, covariance: FloatArray) -> FloatArray:
     nees = np.full(len(off), np.nan)
-    stated = np.isfinite(covariance).all(axis=(1, 2))
+    stated = np.isfinite(covariance.reshape(-1, 9)).sum(axis=1) == 9
     # A matrix that cannot be inverted is stated with infinite confidence: its error counts as infinite, not as absent.
     stated_well = stated & (np.linalg.det(np.where(stated[:, None, None], covariance, np.eye(3))) > 0.0)
     nees[stated] = np.inf
@@ -199,7 +203,7 @@ def _nees(off: FloatArray, covariance: FloatArray) -> FloatArray:
     return nees
 
 
-def _steps(t_ns: IntArray, found: FloatArray, true: FloatArray, views: IntArray) -> FloatArray:
+def _steps(t_ns: IntArray, found: FloatArray, true: FloatArray, hidden_s: FloatArray) -> FloatArray:
     """Return steps (N, 5) beyond the true ones, metres, while a tip has just come back; else NaN."""
     steps = np.full(found.shape[:2], np.nan)
     if len(t_ns) < 2:
@@ -207,7 +211,7 @@ def _steps(t_ns: IntArray, found: FloatArray, true: FloatArray, views: IntArray)
     near = np.diff(t_ns) <= _NEXT_S * 1e9
     beyond = np.linalg.norm(np.diff(found, axis=0), axis=2) - np.linalg.norm(np.diff(true, axis=0), axis=2)
     for tip in range(found.shape[1]):
-        back = np.flatnonzero((views[1:, tip] > 0) & (views[:-1, tip] == 0)) + 1
+        back = np.flatnonzero((hidden_s[1:, tip] == 0.0) & (hidden_s[:-1, tip] > 0.0)) + 1
         for begin in back:
             recent = np.flatnonzero((t_ns[1:] >= t_ns[begin]) & (t_ns[1:] <= t_ns[begin] + _BACK_S * 1e9) & near)
             steps[recent + 1, tip] = np.maximum(beyond[recent, tip], 0.0)

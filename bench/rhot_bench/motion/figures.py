@@ -87,9 +87,8 @@ def _live_rows(
 def _smooth_rows(points: dict[str, PointErrors], cover: dict[str, float], targets: Targets) -> tuple[Row, ...]:
     smooth, spline = points["smooth"], points["spline"]
     mine, other = _two_views(smooth), _two_views(spline)
-    limits = [
-        targets.spline_share * value for value in (_at(spline.error_offset_m[other], share) for share in (50, 95))
-    ]
+    reached = [_at(spline.error_offset_m[other], share) for share in (50, 95)]
+    limits = [round(targets.spline_share * value, 2) for value in reached]
     rows = _spread("tips in two views", smooth, mine, limits, ("spline", spline, other))
     rows += _worst(smooth, mine, ("spline", spline, other))
     rows += _raw(smooth, mine, ("spline", spline, other))
@@ -103,14 +102,14 @@ def _hand_rows(hands: dict[str, HandErrors], targets: Targets) -> tuple[Row, ...
     rows: list[Row] = []
     for method, hand in hands.items():
         grasp = np.repeat(hand.grasps[:, None], 5, axis=1)
-        hidden = hand.views == 0
+        hidden = hand.hidden_s > 0.0
         known = np.isfinite(hand.hidden_s)
         classes = (
             ("in two views", hand.views >= 2, (None, None)),
             ("in one view", hand.views == 1, targets.one_view),
-            ("hidden up to 0.5 s", hidden & known & (hand.hidden_s <= 0.5), targets.hidden_short),
-            ("hidden longer, in a grasp", hidden & known & (hand.hidden_s > 0.5) & grasp, targets.hidden_long_grasp),
-            ("hidden longer, free hand", hidden & known & (hand.hidden_s > 0.5) & ~grasp, (None, None)),
+            ("hidden up to 0.5 s", hidden & (hand.hidden_s <= 0.5), targets.hidden_short),
+            ("hidden longer, in a grasp", hidden & (hand.hidden_s > 0.5) & grasp, targets.hidden_long_grasp),
+            ("hidden longer, free hand", hidden & (hand.hidden_s > 0.5) & ~grasp, (None, None)),
             ("never seen yet", ~known, (None, None)),
         )
         for name, chosen, limits in classes:
@@ -120,7 +119,7 @@ def _hand_rows(hands: dict[str, HandErrors], targets: Targets) -> tuple[Row, ...
                 Row(f"{method}, tips {name}, {label}", _at(errors, share, 1.0), "mm", most=limit, note=note)
                 for (label, share), limit in zip((("median", 50), ("p95", 95)), limits, strict=True)
             ]
-        lost = hidden.sum(axis=1)
+        lost = (hidden | ~known).sum(axis=1)
         joints = hand.joints_m * _MM
         seen, held = (hand.views >= 2).all(axis=1), hand.grasps & (lost >= 2)
         rows += [
