@@ -101,14 +101,15 @@ class MarkerConfig(FileModel):
     Attributes:
         hand: side of the hand that wears it.
         joint: OpenXR joint that it marks (`index_tip`, …; `wrist` or `palm` for the patch on the back).
-        kind: a painted fingertip (`cap`) or a flat rectangle (`patch`).
+        kind: a painted fingertip (`cap`), a flat rectangle (`patch`), or a ball or dot whose middle is what a camera
+            sees (`ball`).
         size_m: of a patch, its extent across the hand and along it, metres.
         min_area_px, max_area_px: size gate, square pixels.
     """
 
     hand: Side = "right"
     joint: str
-    kind: Literal["cap", "patch"] = "cap"
+    kind: Literal["cap", "patch", "ball"] = "cap"
     size_m: tuple[Positive, Positive] | None = None
     min_area_px: Positive = 12.0
     max_area_px: Positive = 40_000.0

@@ -7,6 +7,7 @@ place, so that what `save` returns stays as it is.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -187,11 +188,8 @@ class JointFilter:
         """Return the state at a moment without the noise of the way, and how long that is."""
         old, settings = self.state, self._settings
         dt = max(t_s - old.t_s, 0.0) if np.isfinite(old.t_s) else 0.0
-        half = 3 * self._count
-        x, P = old.mean.copy(), old.covariance.copy()
-        x[0] += dt * x[1]
-        P[:half] += dt * P[half:]
-        P[:, :half] += dt * P[:, half:]
+        x = carried(old.mean.reshape(-1, 1), dt, old.alive, settings).reshape(2, -1)
+        P = carried(carried(old.covariance, dt, old.alive, settings).T, dt, old.alive, settings)
         stay = np.exp(-dt / settings.switch_s)
         weight = stay * old.weight + (1.0 - stay) * self._shares
         return State(max(t_s, old.t_s), x, P, weight, old.alive), dt
@@ -285,6 +283,23 @@ class JointFilter:
         W = whitened[:, :-1]
         mean = state.mean + (whitened[:, -1] @ W).reshape(2, -1)
         return State(state.t_s, mean, P - W.T @ W, state.weight, state.alive)
+
+
+def carried(X: FloatArray, dt: float, alive: BoolArray, settings: MotionSettings) -> FloatArray:
+    """Return F X for the transition F of a state (6 M, ...) over a time, seconds: velocities join that of the hand."""
+    X = X.copy()
+    half, count = len(X) // 2, len(alive)
+    X[:half] += dt * X[half:]
+    there = np.flatnonzero(alive)
+    if dt > 0.0 and len(there) > 1:
+        share = -math.expm1(-dt / settings.joining_s)
+        velocity = X[half:].reshape(count, 3, -1)
+        if len(there) == count:
+            velocity += share * (velocity.mean(axis=0) - velocity)
+        else:
+            own = velocity[there]
+            velocity[there] = own + share * (own.mean(axis=0) - own)
+    return X
 
 
 def _without(P: FloatArray, marker: int) -> FloatArray:

@@ -21,6 +21,8 @@ class MotionSettings:
         scales: what the shares are multiplied by: roots of the power spectral density of an acceleration, m/s^1.5, from
             a hand at rest to 40 m/s² within one frame; the filter weighs them by what it sees.
         shares: how often each scale occurs, before anything is seen.
+        joining_s: time constant within which a marker's velocity becomes that of its hand, seconds; a finger bends and
+            comes to rest in 0.2 to 0.4 s.
         switch_s: time constant within which a scale gives way to those shares, seconds.
     """
 
@@ -31,6 +33,7 @@ class MotionSettings:
     scales: tuple[float, ...] = (0.01, 0.1, 0.5, 1.6, 5.0, 16.0)
     shares: tuple[float, ...] = (0.1, 0.2, 0.3, 0.25, 0.13, 0.02)
     switch_s: float = 0.05
+    joining_s: float = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +78,9 @@ class TrackSettings:
         fresh_periods, fresh_s: a camera counts among a marker's views as long as its last one is no older than the
             longer of these.
         ray_sigma_m: how far a marker that only one camera has seen may be from its hand in depth, metres.
+        loose_m: a marker whose place is less certain (standard deviation) is found anew by two views, metres: beyond it
+            a depth is no longer linear in the pixels.
+        lost_periods: one that nothing has shown for so many frame periods is not moved by a single view.
         replay_s: frames that come later than this after a newer one are used for nothing, seconds.
     """
 
@@ -89,6 +95,8 @@ class TrackSettings:
     fresh_periods: float = 1.5
     fresh_s: float = 0.04
     ray_sigma_m: float = 0.06
+    loose_m: float = 0.03
+    lost_periods: float = 2.5
     replay_s: float = 0.06
 
 
@@ -122,6 +130,24 @@ class PaintSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class SystematicSettings:
+    """What is added to covariances for errors that no frame tells of; see `systematic`.
+
+    Attributes:
+        doubt: what the stated error of a calibration is multiplied by: it is stated for the middle of the picture, and
+            three times as much near the rim (simulated calibrations of 30 rigs, `rhot evaluate motion`).
+        across: share of the calibration's squared error along each axis across the view; the rest is depth. A baseline
+            of an eighth of the distance makes depth eight times worse than sideways; more is left for the lens.
+        shape: what the middle of a fingertip may be off for its paint and the side that is seen, each axis, as a share of
+            its radius: 2 mm of 6.5.
+    """
+
+    doubt: float = 1.6
+    across: float = 0.15
+    shape: float = 0.3
+
+
+@dataclass(frozen=True, slots=True)
 class FilterSettings:
     """All of them."""
 
@@ -129,6 +155,7 @@ class FilterSettings:
     noise: NoiseSettings = NoiseSettings()
     track: TrackSettings = TrackSettings()
     paint: PaintSettings = PaintSettings()
+    systematic: SystematicSettings = SystematicSettings()
 
 
 DEFAULT: Final = FilterSettings()

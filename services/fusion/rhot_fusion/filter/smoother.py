@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rhot_fusion.filter.birth import Birth
-from rhot_fusion.filter.joint import BoolArray, FloatArray, JointFilter, State, Step, Views
-from rhot_fusion.filter.settings import FilterSettings
+from rhot_fusion.filter.joint import BoolArray, FloatArray, JointFilter, State, Step, Views, carried
+from rhot_fusion.filter.settings import FilterSettings, MotionSettings
 
 _JITTER: float = 1e-13
 """Keeps covariances of markers that were just found invertible, m² and m²/s²."""
@@ -95,7 +95,7 @@ def smooth(frames: Sequence[Frame], count: int, settings: FilterSettings) -> lis
         if last == 0:
             scale2 = _scales(evidence, [step.dt_s for step in steps], settings)
             continue
-        states = _backward(steps, count)
+        states = _backward(steps, settings.motion)
         if last < _PASSES:
             variance = [
                 own * np.maximum(1.0, _distance2(frame.views, state) / _DOUBT)[:, None, None]
@@ -160,9 +160,8 @@ def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSetti
     return list(reversed(result))
 
 
-def _backward(steps: list[Step], count: int) -> list[State]:
+def _backward(steps: list[Step], settings: MotionSettings) -> list[State]:
     """Return the smoothed states of the steps."""
-    half = 3 * count
     states = [step.after for step in steps]
     for place in range(len(steps) - 2, -1, -1):
         own, following = steps[place].after, steps[place + 1]
@@ -172,8 +171,7 @@ def _backward(steps: list[Step], count: int) -> list[State]:
             continue
         rows = np.flatnonzero(np.tile(np.repeat(both, 3), 2))
         P = own.covariance
-        moved = P.copy()
-        moved[:, :half] += following.dt_s * P[:, half:]
+        moved = carried(P, following.dt_s, own.alive, settings).T
         before = following.before.covariance[np.ix_(rows, rows)]
         before[np.diag_indices(len(rows))] += _JITTER
         every = np.flatnonzero(np.tile(np.repeat(own.alive, 3), 2))

@@ -24,6 +24,7 @@ from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
+from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import Belief, Track, state_of
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.sightings import BoolArray, FloatArray, IndexArray, Outcome, Sightings
@@ -70,8 +71,6 @@ class FilterTracker:
             for side in np.unique(sides)
         ]
         self._record = record
-        self._paint = Paint(cameras, _radii(rig), settings.paint)
-        self._base = _bases(rig)
         self._hand_of = {int(m): (hand, k) for hand in self._hands for k, m in enumerate(hand.index)}
         self._coherence = HandCoherence(markers, rig.hand.length_m)
         self.noise = CameraNoise(cameras, settings.noise, stated_px(names, rig.quality, settings.noise), rig.calibrated)
@@ -79,6 +78,11 @@ class FilterTracker:
         self.agreement = CameraAgreement(
             cameras, self._count, config.epipolar_limit_px, rig.calibrated, max(stated, default=0.0)
         )
+        self._paint = Paint(cameras, _radii(rig), settings.paint)
+        self._systematic = Systematic(
+            cameras, rig.quality, float(self.noise.calibration_px.max()), _radii(rig), settings.systematic
+        )
+        self._base = _bases(rig)
         self._time_variance = 0.0 if rig.calibrated else settings.noise.uncalibrated_s**2
         self._schedule = Schedule([1.0 / camera.rate_hz for camera in rig.config.cameras.values()])
         self.tracks = [Track(len(cameras)) for _ in markers]
@@ -147,21 +151,63 @@ class FilterTracker:
         """Let a frame move the markers."""
         self._history.append((sightings, [hand.filter.state for hand in self._hands]))
         variance = self.noise.variance(sightings.camera)
+        placed = np.zeros(self._count, dtype=bool)
+        if not again:
+            for row, marker in enumerate(sightings.index.tolist()):
+                self._newest[marker][sightings.camera] = View(
+                    self._cameras[sightings.camera], float(sightings.times_s[row]), sightings.xy[row], variance
+                )
         for hand in self._hands:
             here = np.flatnonzero(np.isin(sightings.index, hand.index)) if len(self._hands) > 1 else _all(sightings)
-            if self._record and not again:
-                self._note_frame(hand, sightings, here)
-            self._update(hand, sightings, here, variance, again)
+            if not again:
+                if self._record:
+                    self._note_frame(hand, sightings, here)
+                for marker in self._loose(hand, sightings.index[here]):
+                    if not self._is_recent(self.tracks[marker].accepted_s[sightings.camera], sightings.t_s):
+                        placed[marker] = self._place_anew(marker, sightings.t_s)
+            free = np.array([placed[m] or self._is_lost(hand, m, sightings.t_s) for m in sightings.index[here].tolist()])
+            self._update(hand, sightings, here[~free] if len(here) else here, variance, again)
         if again:
             return
-        for row, marker in enumerate(sightings.index.tolist()):
-            self._newest[marker][sightings.camera] = View(
-                self._cameras[sightings.camera], float(sightings.times_s[row]), sightings.xy[row], variance
-            )
-        for row, marker in enumerate(sightings.index.tolist()):
+        for marker in sightings.index.tolist():
             track = self.tracks[marker]
-            if track.belief is Belief.ABSENT or track.accepted_s[sightings.camera] != sightings.t_s:
+            if not placed[marker] and (
+                track.belief is Belief.ABSENT or track.accepted_s[sightings.camera] != sightings.t_s
+            ):
                 self._seek(marker, sightings.camera, sightings.t_s)
+
+    def _loose(self, hand: _Hand, index: IndexArray) -> list[int]:
+        """Return those of markers (N,) that are known, but not well enough for a filter."""
+        count = len(hand.index)
+        variances = hand.filter.state.covariance.reshape(2 * count, 3, 2 * count, 3)
+        limit = self._settings.track.loose_m**2
+        return [
+            marker
+            for marker in index.tolist()
+            if float(np.trace(variances[k := self._hand_of[marker][1], :, k])) > limit
+        ]
+
+    def _is_lost(self, hand: _Hand, marker: int, t_s: float) -> bool:
+        """Tell whether nothing has shown a marker for so long that one view says nothing of its place."""
+        return not self._is_recent(self.tracks[marker].seen_s, t_s) and bool(self._loose(hand, np.array([marker])))
+
+    def _is_recent(self, then_s: float, t_s: float) -> bool:
+        return t_s - then_s <= self._settings.track.lost_periods * self._schedule.longest_period_s
+
+    def _place_anew(self, marker: int, t_s: float) -> bool:
+        """Put a marker where two cameras' newest views agree; tell whether they do."""
+        hand, k = self._hand_of[marker]
+        near = self._near(marker, t_s)
+        birth = self._together(marker, list(near.values()), t_s, hand.filter.velocity[k])
+        if birth is not None:
+            self._begin(marker, birth, t_s, list(near), min(view.t_s for view in near.values()))
+        return birth is not None
+
+    def _near(self, marker: int, t_s: float) -> dict[int, View]:
+        """Return, by camera, the newest views of a marker that were taken about a moment."""
+        settings = self._settings.track
+        reach_s = min(settings.pair_s, settings.pair_periods * self._schedule.longest_period_s)
+        return {camera: view for camera, view in self._newest[marker].items() if abs(t_s - view.t_s) <= reach_s}
 
     def _update(self, hand: _Hand, sightings: Sightings, here: IndexArray, variance: float, again: bool) -> None:
         local = np.searchsorted(hand.index, sightings.index[here])
@@ -191,9 +237,10 @@ class FilterTracker:
             return
         if self._record:
             record = hand.record[-1]
-            record.taken[known] = innovation.accepted
-            record.views.xy[known] = views.xy
-            record.views.variance[known] = (doubt * doubt)[:, None, None] * np.eye(2)
+            rows = np.searchsorted(record.views.index, local)
+            record.taken[rows] = innovation.accepted
+            record.views.xy[rows] = views.xy
+            record.views.variance[rows] = (doubt * doubt)[:, None, None] * np.eye(2)
         self.noise.learn(sightings.camera, innovation)
         self._counts["refused"] += len(here) - int(np.count_nonzero(innovation.accepted))
         for marker, accepted in zip(hand.index[local].tolist(), innovation.accepted.tolist(), strict=True):
@@ -252,7 +299,7 @@ class FilterTracker:
                         seen[camera, hand.index] = np.any(near, axis=0)
                     if before and after:
                         seen[camera, hand.index] |= np.any(before, axis=0) & np.any(after, axis=0)
-            outcomes.append(_outcome(node.t_s, position, covariance, seen))
+            outcomes.append(_outcome(node.t_s, position, covariance, seen, self._systematic))
         return outcomes
 
     def _is_near(self, camera: int, one: Node, other: Node) -> bool:
@@ -285,16 +332,14 @@ class FilterTracker:
         place = hand.filter.place[hand.filter.state.alive]
         velocity = hand.filter.velocity[hand.filter.state.alive].mean(axis=0) if len(place) else np.zeros(3)
         moment_s = max(t_s, hand.filter.state.t_s) if len(place) else t_s
-        newest = self._newest[marker]
-        reach_s = min(settings.pair_s, settings.pair_periods * self._schedule.longest_period_s)
-        near = {camera: view for camera, view in newest.items() if abs(t_s - view.t_s) <= reach_s}
+        near = self._near(marker, t_s)
         recent = list(near.values())
         birth = self._together(marker, recent, moment_s, velocity)
         if birth is None:
             if track.belief is Belief.ABSENT and len(recent) == 1 and len(place) >= _FEWEST:
                 track.alone += 1
                 if track.alone >= _RAY_VIEWS:
-                    ray = on_ray(newest[camera], place.mean(axis=0), velocity, settings.ray_sigma_m, settings.speed_sigma)
+                    ray = on_ray(near[camera], place.mean(axis=0), velocity, settings.ray_sigma_m, settings.speed_sigma)
                     self._begin(marker, ray, moment_s, [camera], t_s)
             return
         if track.belief is Belief.BELIEVED:
@@ -370,13 +415,16 @@ class FilterTracker:
                 if self.tracks[marker].belief is Belief.BELIEVED:
                     position[marker], covariance[marker] = place[k], own[k, :, k]
                     seen[:, marker] = self.tracks[marker].views(self._schedule.newest_s, fresh)
-        outcome = _outcome(then_s, position, covariance, seen)
+        outcome = _outcome(then_s, position, covariance, seen, self._systematic)
         self._counts["measured"] += sum(outcome.measured)
         return outcome
 
 
-def _outcome(t_s: float, position: FloatArray, covariance: FloatArray, seen: BoolArray) -> Outcome:
+def _outcome(
+    t_s: float, position: FloatArray, covariance: FloatArray, seen: BoolArray, systematic: Systematic
+) -> Outcome:
     """Return markers at positions (M, 3), NaN = absent, with covariances (M, 3, 3), seen by cameras (C, M)."""
+    covariance = covariance + systematic.covariance(position)
     views = seen.sum(axis=0)
     measured = (views >= 2) & np.isfinite(position[:, 0])
     sigma = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0.0))

@@ -1,0 +1,75 @@
+"""What stays wrong however many frames are averaged: the calibration's own error, and the shape of paint.
+
+`cameras.json` states how far points are off at some distances, which is depth above all. It and the paint's share are added
+to what the filter knows, so that the covariance on the wire holds all of a point's error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.camera import CameraModel
+from rhot_fusion.filter.settings import SystematicSettings
+
+FloatArray = NDArray[np.float64]
+
+
+class Systematic:
+    """The systematic errors of markers before cameras."""
+
+    def __init__(
+        self,
+        cameras: Sequence[CameraModel],
+        quality: Any,
+        calibration_px: float,
+        radius_m: FloatArray,
+        settings: SystematicSettings,
+    ) -> None:
+        """Build from what `cameras.json` says of its quality.
+
+        Args:
+            cameras: of the rig.
+            quality: of `cameras.json`; where it states no errors in space, they follow from those in pixels.
+            calibration_px: systematic error of a view.
+            radius_m: (M,) of painted fingertips; 0 for other markers.
+            settings: the shares.
+        """
+        self._settings = settings
+        centers = np.stack([camera.center for camera in cameras])
+        self._middle: FloatArray = centers.mean(axis=0)
+        stated = quality.get("expected_error_mm") if isinstance(quality, dict) else None
+        known = sorted(_stated(stated)) if isinstance(stated, dict) else []
+        if not known:
+            baseline = max(float(np.ptp(centers, axis=0).max()), 1e-3)
+            focal_px = float(np.mean([camera.K[0, 0] for camera in cameras]))
+            distances = np.linspace(0.2, 2.0, 10)
+            known = [(z, 2.0**0.5 * calibration_px * z * z / (baseline * focal_px)) for z in distances.tolist()]
+        self._distance_m, self._error_m = np.array(known).T
+        self._shape2: FloatArray = np.square(settings.shape * radius_m)
+
+    def covariance(self, position: FloatArray) -> FloatArray:
+        """Return the covariances (M, 3, 3) of the errors of markers at positions (M, 3), metres; NaN passes."""
+        ray = position - self._middle
+        distance = np.sqrt((ray * ray).sum(axis=1))
+        unit = ray / np.maximum(distance, 1e-6)[:, None]
+        error2 = np.square(self._settings.doubt * np.interp(distance, self._distance_m, self._error_m))
+        across = self._settings.across
+        depth = (1.0 - 3.0 * across) * error2
+        covariance: FloatArray = depth[:, None, None] * unit[:, :, None] * unit[:, None]
+        covariance += (across * error2 + self._shape2)[:, None, None] * np.eye(3)
+        return covariance
+
+
+def _stated(stated: dict[str, Any]) -> list[tuple[float, float]]:
+    """Return distances and errors, metres, of a record such as `{"75 cm": {"calibration": 1.1}}`."""
+    known = []
+    for distance, figures in stated.items():
+        number, _, unit = str(distance).partition(" ")
+        error = figures.get("calibration") if isinstance(figures, dict) else None
+        if unit == "cm" and number.isdigit() and isinstance(error, int | float):
+            known.append((0.01 * int(number), 1e-3 * float(error)))
+    return known
