@@ -13,7 +13,7 @@ import click
 from rich.console import Console
 
 from rhot.cli.options import rig_option
-from rhot.cli.process import core, marker_frames, track_with
+from rhot.cli.process import core, marker_frames, rig_timing, track_with
 from rhot.errors import ConfigError
 from rhot.explain import Explaining, Explanation, PictureExplanation
 from rhot.explain.findings import in_short, said_then
@@ -87,7 +87,7 @@ def explain(
         work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-explain-")))
         if recording_path.is_dir():
             rig = load_rig(rig_path)
-            moment = moment_of_folder(load_recording(recording_path), lambda part: marker_frames(rig, part), at, lead_s)
+            moment = moment_of_folder(load_recording(recording_path, rig_timing(rig)), lambda part: marker_frames(rig, part), at, lead_s)
         else:
             messages = open_mcap(recording_path)
             rig = load_rig(rig_path if given else unpack_rig(messages.attachments, work, recording_path))

@@ -20,7 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rhot.cli.options import rig_option
 from rhot.errors import ConfigError
 from rhot.messages import MarkerFrame, Message, PointSet
-from rhot.recording import Recording, load_recording, marker_track_frames
+from rhot.recording import Recording, TrackTiming, load_recording, marker_track_frames
 from rhot.rig import Rig, load_rig
 
 
@@ -81,6 +81,14 @@ def track_smoothly(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[st
     for points in fusion.smoothed():
         yield "rhot/points", points
         yield from ik.feed(points)
+
+
+def rig_timing(rig: Rig) -> dict[str, TrackTiming]:
+    """Return read-out and exposure of each camera as `rig.toml` states them, for recordings that do not."""
+    return {
+        name: TrackTiming(exposure_s=camera.exposure_s, readout_s=camera.readout_s)
+        for name, camera in rig.config.cameras.items()
+    }
 
 
 def marker_frames(rig: Rig, recording: Recording) -> Iterator[MarkerFrame]:
@@ -148,7 +156,7 @@ def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth:
     or better with --smooth.
     """
     rig = load_rig(rig_path)
-    recording = load_recording(recording_path)
+    recording = load_recording(recording_path, rig_timing(rig))
     counts: Counter[str] = Counter()
     columns = (
         TextColumn("{task.description}"),

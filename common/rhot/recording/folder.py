@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -33,12 +34,17 @@ _CAMERA_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _NO_TIMES = frozen_array([])
 
 
-def load_recording(path: Path) -> Recording:
+def load_recording(path: Path, timing: Mapping[str, TrackTiming] | None = None) -> Recording:
     """Load and validate a recording folder.
 
     Each camera is either a folder of numbered pictures or of `markers.csv`, or a video beside it; pictures and videos
     have their times in `<camera>/timestamps.csv` or `<camera>.csv`. Pictures and videos without such a table load
     too, as still sets for calibration; `Recording.require_times` refuses them.
+
+    Args:
+        path: the folder.
+        timing: by camera, what holds for those of which `recording.toml` states nothing, such as the rig's own; absent
+            = 0.
 
     Raises:
         ConfigError: missing, empty, ambiguous or wrong; names file and line.
@@ -70,7 +76,8 @@ def load_recording(path: Path) -> Recording:
             f"{path / RECORDING_FILE}: cameras.{unknown[0]} is not in this recording, which holds {', '.join(origins)}"
         )
     cameras = {
-        name: load_camera(origin, name, settings.cameras.get(name, TrackTiming())) for name, origin in origins.items()
+        name: load_camera(origin, name, settings.cameras.get(name) or (timing or {}).get(name))
+        for name, origin in origins.items()
     }
     return Recording(path, cameras, settings.notes)
 

@@ -47,7 +47,7 @@ class NoiseSettings:
         first_weight: observations that the first value counts for.
         memory: observations after which what was learnt has faded to 37 %; about 20 s of a hand before one camera.
         calibration_px: systematic error between cameras where `cameras.json` states none, pixels.
-        uncalibrated_px: the noise of a rig without `cameras.json`, pixels, until it has calibrated itself.
+        uncalibrated_px: the noise of a rig without `cameras.json`, pixels, beside what its time stamps err by.
         uncalibrated_s: standard deviation of the time stamps of such a rig, seconds: it stamps arrivals.
     """
 
@@ -57,7 +57,7 @@ class NoiseSettings:
     first_weight: float = 50.0
     memory: float = 5000.0
     calibration_px: float = 0.2
-    uncalibrated_px: float = 3.0
+    uncalibrated_px: float = 1.0
     uncalibrated_s: float = 0.006
 
 
@@ -73,11 +73,14 @@ class TrackSettings:
             are half a period apart, and a frame may be lost.
         speed_sigma: of a marker that was just found, about its hand's or 0, m/s: 95 % of daily actions are below 1.
         confirmations: views that must agree with the two that began a marker, before it is published.
+        uncalibrated_confirmations: the same before cameras that are not calibrated, where two views seldom contradict.
         relocations: pairs of views in a row that agree on another place before a marker is moved there.
         occupied_m: no marker begins nearer to another one, metres.
         fresh_periods, fresh_s: a camera counts among a marker's views as long as its last one is no older than the
             longer of these.
         ray_sigma_m: how far a marker that only one camera has seen may be from its hand in depth, metres.
+        ray_views: views in a row of one camera that put a marker on its ray.
+        fewest: markers of a hand that tell where it is.
         loose_m: a marker whose place is less certain (standard deviation) is found anew by two views, metres: beyond it
             a depth is no longer linear in the pixels.
         lost_periods: one that nothing has shown for so many frame periods is not moved by a single view.
@@ -90,11 +93,14 @@ class TrackSettings:
     pair_periods: float = 1.6
     speed_sigma: float = 0.5
     confirmations: int = 0
+    uncalibrated_confirmations: int = 4
     relocations: int = 3
     occupied_m: float = 0.010
     fresh_periods: float = 1.5
     fresh_s: float = 0.04
     ray_sigma_m: float = 0.06
+    ray_views: int = 3
+    fewest: int = 3
     loose_m: float = 0.03
     lost_periods: float = 2.5
     replay_s: float = 0.06

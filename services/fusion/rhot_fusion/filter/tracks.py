@@ -28,11 +28,12 @@ class Track:
     """One marker.
 
     Attributes:
+        cameras: how many there are.
         belief: how far it is believed.
         agreed: views that agreed since it began.
         elsewhere: how many pairs of views in a row agreed on another place.
         alone: views in a row of a marker that is absent, by one camera.
-        accepted_s: per camera, time of the last view that was accepted, seconds; −∞ = none.
+        accepted_s: per camera, time of the last frame whose view was accepted, seconds; −∞ = none.
         seen_s: of the newest of them.
     """
 
@@ -44,12 +45,22 @@ class Track:
     accepted_s: list[float] = field(default_factory=list)
     seen_s: float = -np.inf
 
-    def begin(self, t_s: float, cameras: list[int], settings: TrackSettings) -> None:
-        """Begin it by views of cameras."""
+    def begin(self, t_s: float, frames_s: dict[int, float], settings: TrackSettings) -> None:
+        """Begin it by views of cameras in frames of these times."""
         self.belief = Belief.BELIEVED if settings.confirmations == 0 else Belief.TENTATIVE
         self.agreed = self.elsewhere = self.alone = 0
-        self.accepted_s = [t_s if camera in cameras else -np.inf for camera in range(self.cameras)]
+        self.accepted_s = [frames_s.get(camera, -np.inf) for camera in range(self.cameras)]
         self.seen_s = t_s
+
+    def look_elsewhere(self, settings: TrackSettings) -> bool:
+        """Take two views that agree on a place where it is not known to be; tell whether it is to begin there."""
+        self.elsewhere += 1
+        return self.belief is Belief.ABSENT or self.elsewhere >= settings.relocations
+
+    def see_alone(self, settings: TrackSettings) -> bool:
+        """Take a view of one camera that nothing agrees with; tell whether it is to begin on its ray."""
+        self.alone += 1
+        return self.belief is Belief.ABSENT and self.alone >= settings.ray_views
 
     def accept(self, camera: int, t_s: float, settings: TrackSettings) -> None:
         """Take a view that agrees."""
@@ -60,11 +71,11 @@ class Track:
         if self.agreed >= settings.confirmations:
             self.belief = Belief.BELIEVED
 
-    def end(self) -> None:
-        """Forget it."""
+    def end(self, cameras: int) -> None:
+        """Forget it, before so many cameras."""
         self.belief = Belief.ABSENT
         self.agreed = self.elsewhere = self.alone = 0
-        self.accepted_s = [-np.inf] * self.cameras
+        self.accepted_s = [-np.inf] * cameras
         self.seen_s = -np.inf
 
     def views(self, frame_s: list[float], fresh: list[bool]) -> list[bool]:

@@ -1,0 +1,84 @@
+"""Finding markers that are not known, or that are elsewhere: places on which the newest views of two cameras agree."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from rhot.rig import FusionConfig
+from rhot_fusion.coherence import HandCoherence
+from rhot_fusion.filter.birth import Birth, View, from_views
+from rhot_fusion.filter.settings import TrackSettings
+from rhot_fusion.schedule import Schedule
+from rhot_fusion.sightings import BoolArray, FloatArray
+
+
+class Candidates:
+    """The newest views of M markers.
+
+    Attributes:
+        config: volume; it may be replaced.
+    """
+
+    def __init__(
+        self,
+        markers: int,
+        coherence: HandCoherence,
+        schedule: Schedule,
+        config: FusionConfig,
+        settings: TrackSettings,
+        counts: Counter[str],
+    ) -> None:
+        """Begin without views; of counts it takes `behind_cameras` and `gated`."""
+        self.config = config
+        self._coherence, self._schedule, self._settings, self._counts = coherence, schedule, settings, counts
+        self._newest: list[dict[int, View]] = [{} for _ in range(markers)]
+
+    def clear(self) -> None:
+        """Forget all views."""
+        for newest in self._newest:
+            newest.clear()
+
+    def add(self, marker: int, camera: int, view: View) -> None:
+        """Take a camera's newest view of a marker."""
+        self._newest[marker][camera] = view
+
+    def near(self, marker: int, t_s: float) -> dict[int, View]:
+        """Return, by camera, the newest views of a marker that were taken about a moment."""
+        settings = self._settings
+        reach_s = min(settings.pair_s, settings.pair_periods * self._schedule.longest_period_s)
+        return {camera: view for camera, view in self._newest[marker].items() if abs(t_s - view.t_s) <= reach_s}
+
+    def together(
+        self, marker: int, views: list[View], t_s: float, velocity: FloatArray, known: FloatArray, alive: BoolArray
+    ) -> Birth | None:
+        """Return what views of different cameras say of a marker, if they agree and it can be there.
+
+        Args:
+            marker: of which.
+            views: one a camera.
+            t_s: the moment of the answer.
+            velocity: (3,) expected, metres per second.
+            known: (M, 3) where markers are, metres.
+            alive: (M,) which of them are known.
+        """
+        if len(views) < 2:
+            return None
+        settings = self._settings
+        birth = from_views(views, t_s, velocity, settings.speed_sigma)
+        if birth is None:
+            self._counts["behind_cameras"] += 1
+            return None
+        low, high = self.config.volume_m
+        place = birth.mean[:3]
+        others = alive.copy()
+        others[marker] = False
+        believable = (
+            birth.misfit <= settings.birth_gate + 2.0 * (len(views) - 2)
+            and bool(((place >= low) & (place <= high)).all())
+            and bool(self._coherence.near(np.array([marker]), place[None], known, others)[0])
+            and not (np.linalg.norm(known[others] - place, axis=1) < settings.occupied_m).any()
+        )
+        self._counts["gated"] += not believable
+        return birth if believable else None

@@ -1,0 +1,126 @@
+"""What a recording held, kept for looking back at it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rhot.camera import CameraModel
+from rhot_fusion.filter.joint import Innovation, Views
+from rhot_fusion.filter.outcomes import outcome_of
+from rhot_fusion.filter.settings import FilterSettings
+from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
+from rhot_fusion.filter.systematic import Systematic
+from rhot_fusion.sightings import FloatArray, IndexArray, Outcome, Sightings
+
+_BRIDGED = 1.6
+"""A camera shows a marker, looked back at, if it did so within this many periods before and after: one frame lost."""
+_NEAR = 0.75
+"""Or within this many of them before or after."""
+
+
+class HandRecord:
+    """Frames of one hand's markers, in order of arrival.
+
+    Attributes:
+        index: (H,) the hand's markers among all.
+    """
+
+    def __init__(self, index: IndexArray, cameras: Sequence[CameraModel]) -> None:
+        self.index = index
+        self._cameras = cameras
+        self._frames: list[Frame] = []
+
+    def clear(self) -> None:
+        """Forget all frames."""
+        self._frames.clear()
+
+    def add(self, sightings: Sightings, here: IndexArray) -> None:
+        """Take a frame, of which the views `here` (N,) are of this hand."""
+        count = len(here)
+        views = Views(
+            self._cameras[sightings.camera],
+            np.searchsorted(self.index, sightings.index[here]),
+            sightings.times_s[here] - sightings.t_s,
+            sightings.xy[here].copy(),
+            np.zeros((count, 2, 2)),
+            np.zeros(count),
+        )
+        self._frames.append(Frame(sightings.t_s, sightings.camera, views, np.zeros(count, dtype=bool), []))
+
+    def took(self, views: Views, innovation: Innovation, doubt: FloatArray) -> None:
+        """Note what became of the newest frame's views; `doubt` (N,) is their noise beyond the camera's."""
+        frame = self._frames[-1]
+        rows = np.searchsorted(frame.views.index, views.index)
+        frame.taken[rows] = innovation.accepted
+        frame.views.xy[rows] = views.xy
+        frame.views.variance[rows] = (doubt * doubt)[:, None, None] * np.eye(2)
+
+    def note(self, event: Event) -> None:
+        """Note that a marker began or ended after the newest frame."""
+        if self._frames:
+            self._frames[-1].events.append(event)
+
+    def smoothed(self, variance_of: Callable[[int], float], settings: FilterSettings) -> list[Node]:
+        """Return the smoothed nodes at all frames, in order of time, with the noise of each camera's views."""
+        frames = sorted(self._frames, key=lambda frame: frame.t_s)
+        for frame in frames:
+            own = frame.views.variance + variance_of(frame.camera) * np.eye(2)
+            frame.views = replace(frame.views, variance=own)
+        self._frames = []
+        return smooth(frames, len(self.index), settings)
+
+
+def outcomes(
+    every: Sequence[tuple[IndexArray, list[Node]]], markers: int, periods_s: Sequence[float], systematic: Systematic
+) -> list[Outcome]:
+    """Return the markers at all frames' moments.
+
+    Args:
+        every: of each hand the markers (H,) and its nodes, of all frames alike.
+        markers: how many there are.
+        periods_s: frame period of each camera.
+        systematic: errors that no frame tells of.
+    """
+    first = every[0][1]
+    around = [_around(camera, first, period_s) for camera, period_s in enumerate(periods_s)]
+    found = []
+    for place, node in enumerate(first):
+        position = np.full((markers, 3), np.nan)
+        covariance = np.zeros((markers, 3, 3))
+        seen = np.zeros((len(periods_s), markers), dtype=bool)
+        for index, nodes in every:
+            position[index] = nodes[place].place
+            covariance[index] = nodes[place].covariance[:, :3, :3]
+            for camera, sides in enumerate(around):
+                seen[camera, index] = _shown(nodes, place, sides[place], _NEAR * periods_s[camera])
+        found.append(outcome_of(node.t_s, position, covariance, seen, systematic))
+    return found
+
+
+def _shown(nodes: list[Node], place: int, sides: tuple[list[int], list[int]], near_s: float) -> FloatArray:
+    """Tell which markers (H,) a camera shows at a node, by its frames before and after it."""
+    t_s = nodes[place].t_s
+    shown = np.zeros(len(nodes[place].shown), dtype=bool)
+    before, after = ([nodes[k].shown for k in side] for side in sides)
+    for k in (*sides[0], *sides[1]):
+        if abs(nodes[k].t_s - t_s) <= near_s:
+            shown |= nodes[k].shown
+    if before and after:
+        shown |= np.any(before, axis=0) & np.any(after, axis=0)
+    return shown
+
+
+def _around(camera: int, nodes: list[Node], period_s: float) -> list[tuple[list[int], list[int]]]:
+    """Return for each node those of a camera just before and just after it."""
+    own = np.array([place for place, node in enumerate(nodes) if node.camera == camera], dtype=np.intp)
+    times = np.array([nodes[place].t_s for place in own])
+    reach_s = _BRIDGED * period_s
+    sides = []
+    for node in nodes:
+        first, middle = np.searchsorted(times, [node.t_s - reach_s, node.t_s])
+        end, last = np.searchsorted(times, [node.t_s, node.t_s + reach_s], side="right")
+        sides.append((own[first:end].tolist(), own[middle:last].tolist()))
+    return sides
