@@ -186,7 +186,7 @@ def projected_frames(
             width=config.width,
             height=config.height,
             markers={
-                name: Marker(u=float(u), v=float(v), area=200.0, score=0.9, t_ns=time_of(float(v)))
+                name: Marker(u=float(u), v=float(v), area=0.0, score=0.9, t_ns=time_of(float(v)))
                 for name, (u, v), seen in zip(truth, uv, inside, strict=True)
                 if seen
             },

@@ -117,13 +117,13 @@ def test_still_marker_is_quiet_and_true(make_rig: MakeRig) -> None:
     assert track.std(axis=0)[2] < 2.0
 
 
-@pytest.mark.parametrize(("method", "low_m", "high_m"), [("triangulate", 0.004, 0.010), ("filter", 0.003, 0.006)])
+@pytest.mark.parametrize(("method", "low_m", "high_m"), [("triangulate", 0.004, 0.010), ("filter", 0.003, 0.009)])
 def test_sigma_tells_the_size_of_the_error(make_rig: MakeRig, method: str, low_m: float, high_m: float) -> None:
     rig = make_rig(fusion=f'method = "{method}"')
     points = run(FusionStage(rig), watch(rig, STILL, 2.0, noise_px=0.3, phase_s=0.0))[-1].points["index"]
     assert points.views == 2
     # 0.3 px at 530 px of focal length, 75 mm of baseline, 0.8 m: 6.8 mm in depth before filtering. The filter averages
-    # over all of the past; what remains is mostly that it does not know where the finger points.
+    # over all of the past; what remains is mostly that nobody has calibrated the cameras.
     assert low_m < points.sigma < high_m
 
 
@@ -140,7 +140,7 @@ def test_marker_lost_by_one_camera_is_bridged_along_its_ray(make_rig: MakeRig, m
     assert bridged
     for points in bridged:
         point = points.points["index"]
-        assert point.state == "predicted"
+        assert point.state == ("one_view" if method == "filter" else "predicted")
         assert point.views <= 1
         truth = SLOW.at((points.t_ns - EPOCH_NS) * 1e-9)[0, 1]
         error = (np.array(point.position) - truth) * 1e3

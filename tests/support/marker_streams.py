@@ -263,7 +263,7 @@ def watch(
             uv = uv + rng.normal(0.0, noise_px, uv.shape)
             markers = {
                 marker: Marker(
-                    u=float(uv[i, 0]), v=float(uv[i, 1]), area=100.0, score=1.0, t_ns=EPOCH_NS + round(times[i] * 1e9)
+                    u=float(uv[i, 0]), v=float(uv[i, 1]), area=0.0, score=1.0, t_ns=EPOCH_NS + round(times[i] * 1e9)
                 )
                 for i, marker in enumerate(MARKERS)
                 if camera.contains(uv[i : i + 1])[0]

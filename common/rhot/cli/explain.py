@@ -87,7 +87,9 @@ def explain(
         work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-explain-")))
         if recording_path.is_dir():
             rig = load_rig(rig_path)
-            moment = moment_of_folder(load_recording(recording_path, rig_timing(rig)), lambda part: marker_frames(rig, part), at, lead_s)
+            moment = moment_of_folder(
+                load_recording(recording_path, rig_timing(rig)), lambda part: marker_frames(rig, part), at, lead_s
+            )
         else:
             messages = open_mcap(recording_path)
             rig = load_rig(rig_path if given else unpack_rig(messages.attachments, work, recording_path))

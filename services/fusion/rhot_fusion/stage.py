@@ -18,6 +18,7 @@ from rhot.rig import FusionConfig, Rig
 from rhot.stage import Output
 from rhot.wire_vectors import wire_position
 from rhot_fusion.corners import Corners, PatchCorners
+from rhot_fusion.explain import tracker_tables
 from rhot_fusion.filter.tracker import FilterTracker
 from rhot_fusion.guard import StreamGuard
 from rhot_fusion.paired_tracker import PairedTracker
@@ -83,7 +84,7 @@ class FusionStage:
         self._config = config
 
     def smoothed(self) -> list[PointSet]:
-        """Return all sets published so far as later observations show them; empty unless recorded by `filter`."""
+        """Return the points at all frames so far as these together show them; empty unless recorded by `filter`."""
         if isinstance(self._tracker, FilterTracker) and self._base_ns is not None:
             live = {points.t_ns: points for points in self._published}
             for outcome in self._tracker.smoothed():
@@ -120,6 +121,12 @@ class FusionStage:
                 f"{behind} points lie behind the cameras and {measured} before them: cameras {first} and {second} are "
                 "probably swapped; exchange their names or places in rig.toml (and cameras.json)"
             )
+        bumped_px = self._tracker.agreement.bumped_px if isinstance(self._tracker, FilterTracker) else 0.0
+        if bumped_px:
+            return (
+                f"a camera has moved since the rig was calibrated: its views are {bumped_px:.1f} px off their epipolar "
+                "lines, which is corrected for as far as it can be told; run rhot calibrate cameras"
+            )
         return ""
 
     def feed(self, message: MarkerFrame | HandPose) -> list[Output]:
@@ -151,7 +158,7 @@ class FusionStage:
 
     def explain(self) -> list[Explanation]:
         """Return what is known of the markers after the newest frame, and why; see `rhot.explain`."""
-        return []
+        return tracker_tables(self._tracker, list(self._camera_index), self._markers, self.counts, self._newest_s)
 
     def _begin(self, t_ns: int) -> int:
         """Start a stream at a time; seconds in here count from it, so that they fit a float64 to the nanosecond."""

@@ -1,8 +1,8 @@
 """One extended Kalman filter over all markers of a hand.
 
-The state is (p, v): places, then velocities, each 3 M numbers, marker by marker. A frame is one update, at one moment; a
-marker whose row was exposed δ later is observed through p + δ v. The filter's arrays are replaced and never changed in
-place, so that what `save` returns stays as it is.
+The state is (p, v): places, then velocities, each 3 M numbers, marker by marker. A frame is one update, at one moment;
+a marker whose row was exposed δ later is observed through p + δ v. The filter's arrays are replaced and never changed
+in place, so that a state that somebody keeps stays as it is.
 """
 
 from __future__ import annotations
@@ -132,12 +132,14 @@ class JointFilter:
     @property
     def place(self) -> FloatArray:
         """(M, 3) metres."""
-        return self.state.mean[0].reshape(-1, 3)
+        place: FloatArray = self.state.mean[0].reshape(-1, 3)
+        return place
 
     @property
     def velocity(self) -> FloatArray:
         """(M, 3) metres per second."""
-        return self.state.mean[1].reshape(-1, 3)
+        velocity: FloatArray = self.state.mean[1].reshape(-1, 3)
+        return velocity
 
     def begin(self, marker: int, mean: FloatArray, covariance: FloatArray, t_s: float) -> None:
         """Put a marker in with a state (6,) of covariance (6, 6) at a moment, the filter's own or its first."""
@@ -224,13 +226,13 @@ class JointFilter:
         P[half:, half:] += C
         return State(state.t_s, state.mean, P, state.weight, state.alive)
 
-    def _judge(
-        self, state: State, dt: float, views: Views, H: FloatArray, y: FloatArray
-    ) -> tuple[Innovation, State]:
+    def _judge(self, state: State, dt: float, views: Views, H: FloatArray, y: FloatArray) -> tuple[Innovation, State]:
         """Weigh the scales by a frame's views, each marker by itself, and gate the views."""
         index, count = views.index, len(views.index)
         if not count:
-            return Innovation(y, np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, dtype=bool), np.zeros_like(state.weight)), state
+            return Innovation(
+                y, np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, dtype=bool), np.zeros_like(state.weight)
+            ), state
         own = state.covariance.reshape(2, self._count, 3, 2, self._count, 3)[:, index, :, :, index].reshape(count, 6, 6)
         S = H @ own @ H.swapaxes(1, 2) + views.variance
         C = self._acceleration(state).reshape(self._count, 3, self._count, 3)[index, :, index]

@@ -1,8 +1,8 @@
 """How the markers of one hand move together.
 
 Each marker has constant velocity driven by white acceleration (Bar-Shalom, Li and Kirubarajan, "Estimation with
-Applications to Tracking and Navigation", 2001, section 6.2.2). The accelerations of the markers of a hand are correlated,
-for they share the hand's translation and rotation. With r the place about the middle of the hand's markers,
+Applications to Tracking and Navigation", 2001, section 6.2.2). The accelerations of the markers of a hand are
+correlated, for they share the hand's translation and rotation. With r the place about the middle of the hand's markers,
 
     cov(a_i, a_j) = s² (common² I + turning² [r_i]× [r_j]×ᵀ + own² δ_ij I),
 
@@ -34,7 +34,8 @@ def acceleration_covariance(place: FloatArray, settings: MotionSettings) -> Floa
     shared = turning2 * (arm @ arm.T) + settings.common**2
     shared[np.diag_indices(count)] += settings.own**2
     C += shared[:, None, :, None] * _EYE[:, None, :]
-    return C.reshape(3 * count, 3 * count)
+    covariance: FloatArray = C.reshape(3 * count, 3 * count)
+    return covariance
 
 
 def arms(place: FloatArray, settings: MotionSettings) -> FloatArray:

@@ -5,9 +5,9 @@ direction u to the camera, the middle of that side lies off the finger's axis, a
 
     −(π/4) ρ r c        further along the finger,
 
-r its radius, ρ ≈ 0.85 the share of the paint that is on its shaft rather than on its round end. The direction of a finger
-in the picture is that from the patch on the back of the hand to the tip; how far it bends away from the camera is told by
-its visible area, which is
+r its radius, ρ ≈ 0.85 the share of the paint that is on its shaft rather than on its round end. The direction of a
+finger in the picture is that from the patch on the back of the hand to the tip; how far it bends away from the camera
+is told by its visible area, which is
 
     A(c) / A(0) = (2 λ √(1 − c²) + (π/2) (1 + c)) / (2 λ + π/2)        for c ≤ 0,
 
@@ -64,9 +64,7 @@ class Paint:
         self._largest[:] = 0.0
         self.bend[:] = self._settings.first_bend
 
-    def along(
-        self, camera: CameraModel, index: IndexArray, tip: FloatArray, base: FloatArray
-    ) -> FloatArray:
+    def along(self, camera: CameraModel, index: IndexArray, tip: FloatArray, base: FloatArray) -> FloatArray:
         """Return what to add to a camera's views (N, 2) of fingertips for the side that it sees, normalised units.
 
         Args:
@@ -111,7 +109,9 @@ class Paint:
         full = np.where(recent, self._width[:, index], 0.0).max(axis=0)
         # The first area is that of a finger bent as usual, the largest one that of a finger across the view.
         first = np.sqrt(np.interp(settings.first_bend, self._cosine, self._share))
-        self._largest[index] = np.maximum(self._largest[index], np.where(self._largest[index] > 0.0, full, full / first))
+        self._largest[index] = np.maximum(
+            self._largest[index], np.where(self._largest[index] > 0.0, full, full / first)
+        )
         share = np.square(full / np.maximum(self._largest[index], 1e-9))
         known = area_px > 0.0
         self.bend[index[known]] = np.interp(share, self._share, self._cosine)[known]

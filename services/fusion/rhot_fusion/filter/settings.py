@@ -10,8 +10,8 @@ from typing import Final
 class MotionSettings:
     """How the markers of one hand move; see `motion`.
 
-    The shares were chosen by the errors on 36 recordings of daily actions (FPHA, three people) through 20 random rigs at
-    15, 30 and 60 fps, and are flat there: half or twice of each changes the median by less than 5 %.
+    The shares were chosen by the errors on 36 recordings of daily actions (FPHA, three people) through 20 random rigs
+    at 15, 30 and 60 fps, and are flat there: half or twice of each changes the median by less than 5 %.
 
     Attributes:
         common: share of the acceleration that all markers of a hand have in common, root of a power.
@@ -79,6 +79,7 @@ class TrackSettings:
         fresh_periods, fresh_s: a camera counts among a marker's views as long as its last one is no older than the
             longer of these.
         ray_sigma_m: how far a marker that only one camera has seen may be from its hand in depth, metres.
+        moving_px_s: a marker that moves faster through the picture is never twice at the same place to the last digit.
         ray_views: views in a row of one camera that put a marker on its ray.
         fewest: markers of a hand that tell where it is.
         loose_m: a marker whose place is less certain (standard deviation) is found anew by two views, metres: beyond it
@@ -99,6 +100,7 @@ class TrackSettings:
     fresh_periods: float = 1.5
     fresh_s: float = 0.04
     ray_sigma_m: float = 0.06
+    moving_px_s: float = 60.0
     ray_views: int = 3
     fewest: int = 3
     loose_m: float = 0.03
@@ -144,8 +146,8 @@ class SystematicSettings:
             three times as much near the rim (simulated calibrations of 30 rigs, `rhot evaluate motion`).
         across: share of the calibration's squared error along each axis across the view; the rest is depth. A baseline
             of an eighth of the distance makes depth eight times worse than sideways; more is left for the lens.
-        shape: what the middle of a fingertip may be off for its paint and the side that is seen, each axis, as a share of
-            its radius: 2 mm of 6.5.
+        shape: what the middle of a fingertip may be off for its paint and the side that is seen, each axis, as a share
+            of its radius: 2 mm of 6.5.
     """
 
     doubt: float = 1.6

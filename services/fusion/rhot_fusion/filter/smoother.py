@@ -1,8 +1,8 @@
 """Looking back: the path of each marker as a whole recording shows it.
 
-The views that the live filter took are taken again, now by a filter that knows how noisy the cameras proved to be and, by
-the forward-backward algorithm over the scales of `motion` (L. R. Rabiner, "A tutorial on hidden Markov models", 1989,
-section III), what the hand was going to do. Its states are then smoothed (Rauch, Tung and Striebel, "Maximum likelihood
+The views that the live filter took are taken again, now by a filter that knows how noisy the cameras proved to be and,
+by the forward-backward algorithm over the scales of `motion` (L. R. Rabiner, "A tutorial on hidden Markov models",
+1989, section III), what the hand was going to do. Its states are then smoothed (Rauch, Tung and Striebel, "Maximum likelihood
 estimates of linear dynamic systems", AIAA Journal 3(8), 1965):
 
     G = P F' P⁻¹(next, before),    x ← x + G (x(next) − x(next, before)),    P ← P + G (P(next) − P(next, before)) G'.
@@ -108,7 +108,11 @@ def smooth(frames: Sequence[Frame], count: int, settings: FilterSettings) -> lis
 
 
 def _forward(
-    frames: Sequence[Frame], count: int, settings: FilterSettings, variance: list[FloatArray], scale2: list[float | None]
+    frames: Sequence[Frame],
+    count: int,
+    settings: FilterSettings,
+    variance: list[FloatArray],
+    scale2: list[float | None],
 ) -> tuple[list[Step], list[FloatArray]]:
     # What the live filter refused stays out; among the rest there is no gate, but doubt.
     hand = JointFilter(count, settings.motion, np.inf)

@@ -1,7 +1,7 @@
 """What stays wrong however many frames are averaged: the calibration's own error, and the shape of paint.
 
-`cameras.json` states how far points are off at some distances, which is depth above all. It and the paint's share are added
-to what the filter knows, so that the covariance on the wire holds all of a point's error.
+`cameras.json` states how far points are off at some distances, which is depth above all. It and the paint's share are
+added to what the filter knows, so that the covariance on the wire holds all of a point's error.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fusion by filtering: each camera's frame moves all markers of a hand when it comes, each view at its own row's time."""
+"""Fusion by filtering: each camera's frame moves all markers of a hand when it comes, each at its own row's time."""
 
 from __future__ import annotations
 
@@ -111,6 +111,10 @@ class FilterTracker:
     def epipolar(self, model: EpipolarModel) -> None:
         self.agreement.epipolar = model
 
+    def focal_px(self, camera: int) -> float:
+        """Return the pixels of a normalised unit in a camera."""
+        return float(self._cameras[camera].K[0, 0])
+
     def configure(self, config: FusionConfig) -> None:
         """Change the settings."""
         self._config = self._candidates.config = config
@@ -127,6 +131,7 @@ class FilterTracker:
                 hand.record.clear()
         for track in self.tracks:
             track.end(len(self._cameras))
+        self._last_xy: FloatArray = np.full((len(self._cameras), self._count, 2), np.nan)
         self._candidates.clear()
         self._history.clear()
         self._schedule.clear()
@@ -138,6 +143,7 @@ class FilterTracker:
         """Take one frame; return the markers at its moment, or None when another frame of the same moment is due."""
         self._schedule.arrived(sightings.camera, sightings.t_s)
         self.agreement.watch(sightings, self._schedule)
+        sightings = self._without_held(sightings)
         self._in_order(replace(sightings, xy=self.agreement.correct(sightings.camera, sightings.xy)))
         moment_s = self._schedule.newest_moment()
         return None if moment_s is None else self.outcome(moment_s)
@@ -182,6 +188,26 @@ class FilterTracker:
             max(settings.fresh_periods * self._schedule.period_s(camera), settings.fresh_s)
             for camera in range(len(self._cameras))
         ]
+
+    def _without_held(self, sightings: Sightings) -> Sightings:
+        """Return a frame without views at the very place of the frame before of markers that move.
+
+        Some capture programs repeat the last place of a marker that they lost.
+        """
+        camera, last = self._cameras[sightings.camera], self._last_xy[sightings.camera]
+        held = (last[sightings.index] == sightings.xy).all(axis=1)
+        last[:] = np.nan
+        last[sightings.index] = sightings.xy
+        if not held.any():
+            return sightings
+        for row in np.flatnonzero(held).tolist():
+            hand, k = self._hand_of[int(sightings.index[row])]
+            depth = max(float(hand.filter.place[k] @ camera.R_camera_rig[2] + camera.t_camera_rig[2]), 0.1)
+            pace = camera.R_camera_rig[:2] @ hand.filter.velocity[k] / depth
+            held[row] = float(np.hypot(*pace)) * self.focal_px(sightings.camera) >= self._settings.track.moving_px_s
+        keep = ~held
+        columns = (sightings.index, sightings.times_s, sightings.xy, sightings.area_px)
+        return Sightings(sightings.camera, sightings.t_s, *(column[keep] for column in columns))
 
     def _in_order(self, sightings: Sightings) -> None:
         """Take a frame; where newer ones were taken, go back and take them again."""
@@ -257,7 +283,9 @@ class FilterTracker:
         area_px = sightings.area_px[here]
         shift, doubt = self._paint.correct(sightings.camera, index, sightings.t_s, area_px, depth)
         if hand.base >= 0 and hand.filter.state.alive[hand.base]:
-            shift += self._paint.along(camera, index, place[local], place[hand.base])
+            along = self._paint.along(camera, index, place[local], place[hand.base])
+            # Without areas it is not paint that is seen, or nobody knows how a finger bends.
+            shift[area_px > 0.0] += along[area_px > 0.0]
         variances = np.zeros((len(here), 2, 2))
         own = self.noise.variance(sightings.camera) if variance is None else variance
         variances[:, 0, 0] = variances[:, 1, 1] = own + doubt * doubt
@@ -356,5 +384,7 @@ def _radii(rig: Rig) -> FloatArray:
     radii = []
     for marker in rig.config.markers.values():
         tip = marker.kind == "cap" and marker.joint.endswith("_tip")
-        radii.append(float(HandModel.from_file(rig.hand, marker.hand).radii[JOINTS.index(marker.joint)]) if tip else 0.0)
+        radii.append(
+            float(HandModel.from_file(rig.hand, marker.hand).radii[JOINTS.index(marker.joint)]) if tip else 0.0
+        )
     return np.array(radii)

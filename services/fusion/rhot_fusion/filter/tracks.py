@@ -1,7 +1,7 @@
 """Which markers are believed, and since when: the one place where that changes.
 
-A marker is `absent` until two cameras' views agree on a place, or one camera keeps seeing it while its hand is known; then
-it is `tentative` until further views agree, and `believed` until nothing has shown it for a while.
+A marker is `absent` until two cameras' views agree on a place, or one camera keeps seeing it while its hand is known;
+then it is `tentative` until further views agree, and `believed` until nothing has shown it for a while.
 """
 
 from __future__ import annotations
@@ -80,12 +80,9 @@ class Track:
 
     def views(self, frame_s: list[float], fresh: list[bool]) -> list[bool]:
         """Tell which cameras (C,) show it: those whose newest frame, of time `frame_s`, did and is `fresh`."""
-        return [
-            last >= newest and now for last, newest, now in zip(self.accepted_s, frame_s, fresh, strict=True)
-        ]
+        return [last >= newest and now for last, newest, now in zip(self.accepted_s, frame_s, fresh, strict=True)]
 
 
 def state_of(views: int) -> PointState:
     """Return a point's state by how many cameras show it."""
     return "measured" if views >= 2 else "one_view" if views == 1 else "predicted"
-

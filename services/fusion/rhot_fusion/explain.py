@@ -1,0 +1,112 @@
+"""What fusion knows of each marker and why it believed the cameras or not; reads, changes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rhot.explain import Explanation, ExplanationRow
+from rhot_fusion.filter.settings import DEFAULT
+from rhot_fusion.filter.tracker import FilterTracker
+from rhot_fusion.filter.tracks import Belief
+from rhot_fusion.sightings import Tracker
+
+
+def tracker_tables(
+    tracker: Tracker, cameras: Sequence[str], markers: Sequence[str], counts: Mapping[str, int], now_s: float
+) -> list[Explanation]:
+    """Return what a tracker knows.
+
+    Args:
+        tracker: of any method; the `filter` one can tell more.
+        cameras, markers: names, in the tracker's order.
+        counts: of the stage.
+        now_s: the moment, seconds since the stream's start.
+    """
+    tables = [_rig(tracker, counts)]
+    if isinstance(tracker, FilterTracker):
+        tables = [_gates(tracker, cameras, markers), _states(tracker, cameras, markers, now_s), *tables]
+    return tables
+
+
+def _gates(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str]) -> Explanation:
+    rows = []
+    for camera, (index, innovation) in sorted(tracker.gates.items()):
+        focal_px = tracker.focal_px(camera)
+        sigma_px = np.sqrt(innovation.S[:, [0, 1], [0, 1]]) * focal_px
+        for marker, y, sigma, nis, accepted in zip(
+            index.tolist(), innovation.y * focal_px, sigma_px, innovation.nis.tolist(), innovation.accepted, strict=True
+        ):
+            rows.append(
+                ExplanationRow(
+                    (
+                        cameras[camera],
+                        markers[marker],
+                        f"{y[0]:+.2f}",
+                        f"{sigma[0]:.2f}",
+                        f"{y[1]:+.2f}",
+                        f"{sigma[1]:.2f}",
+                        f"{nis**0.5:.1f}",
+                        "taken" if accepted else "refused",
+                    ),
+                    "taken" if accepted else "refused",
+                )
+            )
+    return Explanation(
+        "Gates: each camera's newest frame against what was expected",
+        ("camera", "marker", "off in x, px", "sigma x, px", "off in y, px", "sigma y, px", "sigmas off", "verdict"),
+        tuple(rows),
+        f"Distance of the view from the filter's prediction. Beyond {DEFAULT.track.gate**0.5:.0f} standard deviations "
+        "of both together, with some slack for what hides a marker, it is refused.",
+    )
+
+
+def _states(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str], now_s: float) -> Explanation:
+    outcome = tracker.outcome(now_s)
+    rows = []
+    for place, name in enumerate(markers):
+        track = tracker.tracks[place]
+        if track.belief is not Belief.BELIEVED or outcome.covariance is None or outcome.state is None:
+            belief = f"not tracked ({track.belief.name.lower()})"
+            rows.append(ExplanationRow((name, belief, "", "", "", ""), "refused"))
+            continue
+        fresh = [camera for camera, seen in zip(cameras, outcome.seen, strict=True) if seen[place]]
+        sigma = np.sqrt(np.diag(outcome.covariance[place]))
+        rows.append(
+            ExplanationRow(
+                (
+                    name,
+                    outcome.state[place],
+                    ", ".join(f"{1e3 * value:.1f}" for value in outcome.position[place]),
+                    " / ".join(f"{1e3 * value:.2f}" for value in sigma),
+                    f"{1e3 * (now_s - track.seen_s):.0f}",
+                    ", ".join(fresh) or "none",
+                ),
+                "taken" if fresh else "refused",
+            )
+        )
+    return Explanation(
+        "Filters: what is known of each marker",
+        ("marker", "state", "x, y, z, mm", "sigma x / y / z, mm", "seen, ms ago", "newest frame shows it"),
+        tuple(rows),
+    )
+
+
+def _rig(tracker: Tracker, counts: Mapping[str, int]) -> Explanation:
+    mean, p95 = tracker.epipolar.figures_px
+    noise = []
+    if isinstance(tracker, FilterTracker):
+        noise = [(f"noise of camera {k + 1}, px", f"{px:.2f}") for k, px in enumerate(tracker.noise.sigma_px.tolist())]
+    rows = [
+        ("epipolar residual, mean, px", f"{mean:.2f}"),
+        ("epipolar residual, p95, px", f"{p95:.2f}"),
+        ("by how much cameras have moved, px", f"{tracker.epipolar.correction_px:.2f}"),
+        *noise,
+        *((f"count: {name}", str(count)) for name, count in sorted(counts.items()) if count),
+    ]
+    return Explanation(
+        "Fusion: how well the cameras agree, and counts since the run-up began",
+        ("figure", "value"),
+        tuple(ExplanationRow(row) for row in rows),
+    )
