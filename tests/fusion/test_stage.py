@@ -188,15 +188,15 @@ def test_real_jump_is_believed_once_it_repeats(make_rig: MakeRig) -> None:
     seen = [moved(one, "index", 60.0) if one.arrival_s > 1.0 else one for one in watch(rig, STILL, 1.6, phase_s=0.0)]
     sets = run(FusionStage(rig), seen)
     target = STILL.at(0.0)[0, 1] + np.array([60.0 / 530.3 * 0.8, 0.0, 0.0])
-    at = {round((points.t_ns - EPOCH_NS) * 1e-6): place(points, "index") for points in sets if points.points}
+    # Until it is believed again the marker is nowhere.
+    at = {round((points.t_ns - EPOCH_NS) * 1e-6): place(points, "index") for points in sets if "index" in points.points}
     times = sorted(at)
     first = next(t for t in times if t > 1000)
     assert np.linalg.norm(at[first] - STILL.at(0.0)[0, 1]) < 0.03
     assert np.linalg.norm(at[times[-1]] - target) < 0.01
     late = [t for t in times if t > 1000 + 200]
     assert np.linalg.norm(at[late[0]] - target) < 0.02
-    steps = [float(np.linalg.norm(at[b] - at[a])) for a, b in pairwise(times)]
-    assert max(steps) < 4.0 / 60.0 + 1e-3
+    assert any(b - a > 30 for a, b in pairwise(times))
 
 
 def test_swapped_cameras_are_refused_and_named(make_rig: MakeRig) -> None:

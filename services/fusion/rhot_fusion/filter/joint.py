@@ -190,6 +190,8 @@ class JointFilter:
         """Return the state at a moment without the noise of the way, and how long that is."""
         old, settings = self.state, self._settings
         dt = max(t_s - old.t_s, 0.0) if np.isfinite(old.t_s) else 0.0
+        if dt == 0.0:
+            return State(max(t_s, old.t_s), old.mean, old.covariance, old.weight, old.alive), 0.0
         x = carried(old.mean.reshape(-1, 1), dt, old.alive, settings).reshape(2, -1)
         P = carried(carried(old.covariance, dt, old.alive, settings).T, dt, old.alive, settings)
         stay = np.exp(-dt / settings.switch_s)

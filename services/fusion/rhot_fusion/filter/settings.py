@@ -32,7 +32,7 @@ class MotionSettings:
     longest_arm_m: float = 0.1
     scales: tuple[float, ...] = (0.01, 0.1, 0.5, 1.6, 5.0, 16.0)
     shares: tuple[float, ...] = (0.1, 0.2, 0.3, 0.25, 0.13, 0.02)
-    switch_s: float = 0.05
+    switch_s: float = 0.02
     joining_s: float = 0.2
 
 

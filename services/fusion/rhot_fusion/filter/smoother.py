@@ -2,8 +2,8 @@
 
 The views that the live filter took are taken again, now by a filter that knows how noisy the cameras proved to be and,
 by the forward-backward algorithm over the scales of `motion` (L. R. Rabiner, "A tutorial on hidden Markov models",
-1989, section III), what the hand was going to do. Its states are then smoothed (Rauch, Tung and Striebel, "Maximum likelihood
-estimates of linear dynamic systems", AIAA Journal 3(8), 1965):
+1989, section III), what the hand was going to do. Its states are then smoothed (Rauch, Tung and Striebel, "Maximum
+likelihood estimates of linear dynamic systems", AIAA Journal 3(8), 1965):
 
     G = P F' P⁻¹(next, before),    x ← x + G (x(next) − x(next, before)),    P ← P + G (P(next) − P(next, before)) G'.
 

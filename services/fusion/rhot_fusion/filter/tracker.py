@@ -233,7 +233,7 @@ class FilterTracker:
         camera, t_s = sightings.camera, sightings.t_s
         variance = self.noise.variance(camera)
         for hand in self._hands:
-            here = _of(hand, sightings)
+            here = _of(hand, sightings, alone=len(self._hands) == 1)
             index = sightings.index[here]
             if again:
                 self._update(hand, sightings, here[hand.filter.state.alive[np.searchsorted(hand.index, index)]], None)
@@ -362,9 +362,9 @@ class FilterTracker:
                 self._end(marker)
 
 
-def _of(hand: _Hand, sightings: Sightings) -> IndexArray:
-    """Return which views (N,) are of a hand's markers."""
-    return np.flatnonzero(np.isin(sightings.index, hand.index))
+def _of(hand: _Hand, sightings: Sightings, *, alone: bool) -> IndexArray:
+    """Return which views (N,) are of a hand's markers: all of them where it is the only one."""
+    return np.arange(len(sightings.index)) if alone else np.flatnonzero(np.isin(sightings.index, hand.index))
 
 
 def _hands(rig: Rig, cameras: Sequence[CameraModel], settings: FilterSettings, *, record: bool) -> list[_Hand]:
