@@ -21,7 +21,8 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
 
-HUBER = 9.0
+_HUBER = 9.0
+"""Squared Mahalanobis distance beyond which a view's variance grows in proportion to it."""
 _NEAREST_M = 0.05
 """A marker on or behind the image plane has no useful derivative; its innovation refuses it."""
 _REACH = 0.02
@@ -178,7 +179,7 @@ class JointFilter:
         innovation, state = self._judge(state, dt, views, H, y)
         before = self._noisy(state, dt, self._scale2(state.weight) if scale2 is None else scale2)
         # What lies far off counts less: Huber's loss.
-        variance = views.variance * np.maximum(1.0, innovation.nis / HUBER)[:, None, None]
+        variance = views.variance * np.maximum(1.0, innovation.nis / _HUBER)[:, None, None]
         views = replace(views, variance=variance)
         self.state = self._updated(before, views, H, y, innovation.accepted)
         return innovation, Step(dt, before, self.state)

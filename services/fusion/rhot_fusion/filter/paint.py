@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.camera import CameraModel
+from rhot.hand import CAP_LENGTH_M
 from rhot_fusion.filter.settings import PaintSettings
 
 FloatArray = NDArray[np.float64]
@@ -49,6 +50,10 @@ class Paint:
         end = 0.5 * np.pi
         self._share: FloatArray = (shaft * np.sqrt(1.0 - self._cosine**2) + end * (1.0 + self._cosine)) / (shaft + end)
         self._largest: FloatArray = np.zeros(markers)
+        # Root of the area of a tip seen from the side, painted over `CAP_LENGTH_M`; the rim of it is mixed with what is
+        # behind.
+        flat = 2.0 * radius_m * np.maximum(CAP_LENGTH_M - radius_m, 0.0) + end * radius_m**2
+        self._flat_m: FloatArray = np.sqrt(settings.found * flat)
         self.bend: FloatArray = np.full(markers, settings.first_bend)
         self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
         centers = np.stack([camera.center for camera in cameras])
@@ -107,14 +112,15 @@ class Paint:
         self._seen_s[camera, index] = t_s
         recent = self._seen_s[:, index] >= t_s - settings.compare_s
         full = np.where(recent, self._width[:, index], 0.0).max(axis=0)
-        # The first area is that of a finger bent as usual, the largest one that of a finger across the view.
-        first = np.sqrt(np.interp(settings.first_bend, self._cosine, self._share))
-        self._largest[index] = np.maximum(
-            self._largest[index], np.where(self._largest[index] > 0.0, full, full / first)
-        )
+        # The largest area is not known at first: half way between that of a finger bent as usual and that of paint as
+        # long as it should be.
+        usual = full / np.sqrt(np.interp(settings.first_bend, self._cosine, self._share))
+        first = usual**settings.seen_first * self._flat_m[index] ** (1.0 - settings.seen_first)
+        known = self._largest[index]
+        self._largest[index] = np.maximum(full, np.where(known > 0.0, known, first))
         share = np.square(full / np.maximum(self._largest[index], 1e-9))
-        known = area_px > 0.0
-        self.bend[index[known]] = np.interp(share, self._share, self._cosine)[known]
+        told = area_px > 0.0
+        self.bend[index[told]] = np.interp(share, self._share, self._cosine)[told]
         share = np.square(self._width[camera, index] / np.maximum(full, 1e-9))
         uneven = settings.uneven + settings.rim_px / np.sqrt(np.maximum(area_px, 1.0))
         hidden = np.where(area_px > 0.0, np.clip(1.0 - share - uneven, 0.0, 1.0), 0.0)

@@ -119,8 +119,16 @@ class PaintSettings:
         rim_px: and by this much of its rim, pixels: a quarter of a pixel of its radius.
         shift: of the middle, as a share of the width that is hidden: a strip moves it by half of itself.
         doubt: standard deviation of that, which stays the same for many frames, in the same unit.
-        wander: how far the middle of the paint that is seen is from the marker's, standard deviation as a share of the
-            width, beyond what stays the same.
+        wander: how far the middle of the paint that is seen wanders, standard deviation as a share of the width; any of
+            it made the rendered pictures worse, for such errors stay for many frames.
+        side: (π/4) ρ of `paint`.
+        shaft: λ of `paint`: tips are painted over 15 to 20 mm and 6 to 7 mm thick.
+        first_bend: c of a finger at ease, bent away from the camera by a quarter of a right angle or a little more.
+        seen_first: how far the largest area of a marker is taken from its first one rather than from how long paint
+            should be: between 0 and 0.5 alike on rendered and simulated hands, 1 is worse by 0.4 mm on the latter.
+        found: share of a tip's area that is found as its colour; the rim is mixed with what is behind.
+        slack_px, slack: what a gate allows for beyond the filter's covariance, pixels and a share of the width: a tip
+            that half hides within one frame.
     """
 
     compare_s: float = 0.1
@@ -133,6 +141,8 @@ class PaintSettings:
     side: float = 0.66
     shaft: float = 1.8
     first_bend: float = -0.45
+    seen_first: float = 0.25
+    found: float = 0.9
     slack_px: float = 0.5
     slack: float = 0.05
 

@@ -1,0 +1,215 @@
+"""The filter's parts on synthetic truth with known noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rhot.camera import CameraModel
+from rhot_fusion.filter.birth import View, from_views, on_ray
+from rhot_fusion.filter.joint import Innovation, JointFilter, Views
+from rhot_fusion.filter.motion import acceleration_covariance
+from rhot_fusion.filter.noise import CameraNoise, stated_px
+from rhot_fusion.filter.paint import Paint
+from rhot_fusion.filter.settings import DEFAULT
+from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
+from rhot_fusion.filter.systematic import Systematic
+
+FloatArray = NDArray[np.float64]
+
+FOCAL_PX = 530.0
+COUNT = 6
+
+
+def camera(x_m: float) -> CameraModel:
+    T = np.eye(4)
+    T[0, 3] = x_m
+    K = np.array([[FOCAL_PX, 0.0, 319.5], [0.0, FOCAL_PX, 239.5], [0.0, 0.0, 1.0]])
+    return CameraModel.from_arrays(640, 480, K, np.zeros(0), T)
+
+
+CAMERAS = (camera(0.0), camera(0.09))
+SHAPE = np.random.default_rng(3).uniform(-0.06, 0.06, (COUNT, 3))
+
+
+def truth(t_s: float) -> FloatArray:
+    """A hand that never stops: it swings by 8 cm at 1.2 Hz, 6 m/s² at most, its markers a little on their own."""
+    swing = 0.08 * np.sin(2.0 * np.pi * 1.2 * t_s + np.array([0.0, 0.5, 1.0]))
+    own = 0.01 * np.sin(2.0 * np.pi * 2.0 * t_s + np.arange(COUNT))[:, None]
+    place: FloatArray = np.array([0.04, 0.0, 0.8]) + SHAPE + swing + own
+    return place
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a filter made of a stream, frame by frame: errors (N, 6, 3), m, their covariances, and frames to smooth."""
+
+    t_s: FloatArray
+    error: FloatArray
+    covariance: FloatArray
+    frames: list[Frame]
+
+
+def run(noise_px: float, rate_hz: float, seconds: float = 3.0, seed: int = 0) -> Run:
+    """Two cameras 0.4 of a period out of step, rows 3 ms apart, through a filter that begins at the truth."""
+    rng = np.random.default_rng(seed)
+    hand = JointFilter(COUNT, DEFAULT.motion, DEFAULT.track.gate)
+    start = np.diag([1e-6] * 3 + [0.25] * 3)
+    index, delta = np.arange(COUNT), np.linspace(-0.003, 0.003, COUNT)
+    variance = np.tile(np.eye(2) * (noise_px / FOCAL_PX) ** 2, (COUNT, 1, 1))
+    times, errors, covariances, frames = [], [], [], []
+    moments = sorted((n / rate_hz + 0.4 * c / rate_hz, c) for n in range(int(seconds * rate_hz)) for c in (0, 1))
+    for number, (t_s, c) in enumerate(moments):
+        seen = np.array([truth(t_s + d)[k] for k, d in enumerate(delta)])
+        local = CAMERAS[c].to_camera(seen)
+        xy = local[:, :2] / local[:, 2:] + rng.normal(0.0, noise_px / FOCAL_PX, (COUNT, 2))
+        views = Views(CAMERAS[c], index, delta, xy, variance, np.zeros(COUNT))
+        events = []
+        if number == 0:
+            for marker in range(COUNT):
+                mean = np.concatenate([truth(t_s)[marker], np.zeros(3)])
+                hand.begin(marker, mean, start, t_s)
+                first = from_views([View(CAMERAS[c], t_s, xy[marker], variance[0, 0, 0])] * 1, t_s, np.zeros(3), 0.5)
+                assert first is None, "one ray is no place"
+                ray = on_ray(View(CAMERAS[c], t_s, xy[marker], variance[0, 0, 0]), mean[:3], np.zeros(3), 0.001, 0.5)
+                events.append(Event(t_s, marker, ray, t_s))
+        else:
+            hand.step(t_s, views)
+        frames.append(Frame(t_s, c, views, np.ones(COUNT, dtype=bool), events))
+        P = hand.state.covariance.reshape(2, COUNT, 3, 2, COUNT, 3)[0][index, :, 0][index, :, index]
+        times.append(t_s)
+        errors.append(hand.place - truth(t_s))
+        covariances.append(P)
+    return Run(np.array(times), np.array(errors), np.array(covariances), frames)
+
+
+def nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
+    distance2: FloatArray = np.einsum("...i,...ij,...j->...", error, np.linalg.inv(covariance), error)
+    return distance2
+
+
+@pytest.mark.parametrize(("rate_hz", "median_mm", "p95_mm"), [(120.0, 1.2, 3.5), (60.0, 2.0, 5.0), (30.0, 4.5, 11.0)])
+def test_a_moving_hand_before_cameras_out_of_step(rate_hz: float, median_mm: float, p95_mm: float) -> None:
+    done = run(0.1, rate_hz)
+    size = 1e3 * np.linalg.norm(done.error[done.t_s > 0.5], axis=2)
+    assert np.median(size) < median_mm
+    assert np.percentile(size, 95) < p95_mm
+    inside = nees(done.error, done.covariance)[done.t_s > 0.5] < 8.02
+    assert 0.88 < inside.mean() <= 1.0, "within two sigma"
+
+
+def test_looking_back_is_better_than_looking_ahead() -> None:
+    done = run(0.1, 30.0)
+    nodes: list[Node] = smooth(done.frames, COUNT, DEFAULT)
+    late = done.t_s > 0.5
+    back = np.array([node.place - truth(node.t_s) for node in nodes])[late]
+    assert np.median(np.linalg.norm(back, axis=2)) < 0.7 * np.median(np.linalg.norm(done.error[late], axis=2))
+    assert np.percentile(np.linalg.norm(back, axis=2), 95) < 4e-3
+    inside = nees(back, np.array([node.covariance[:, :3, :3] for node in nodes])[late]) < 8.02
+    assert inside.mean() > 0.85
+
+
+def test_a_hidden_marker_goes_with_its_hand() -> None:
+    hand = JointFilter(COUNT, DEFAULT.motion, DEFAULT.track.gate)
+    for marker in range(COUNT):
+        mean = np.concatenate([truth(0.0)[marker], [0.5, 0.0, 0.0]])
+        hand.begin(marker, mean, np.diag([1e-8] * 3 + [0.01] * 3), 0.0)
+    variance = np.tile(np.eye(2) * (0.1 / FOCAL_PX) ** 2, (COUNT - 1, 1, 1))
+    index = np.arange(1, COUNT)
+    for number in range(1, 25):
+        t_s = number / 120.0
+        # All stop at once: marker 0 is not seen and stops with the others.
+        local = CAMERAS[number % 2].to_camera(truth(0.0)[1:] + np.array([0.5, 0.0, 0.0]) * min(t_s, 0.05))
+        views = Views(
+            CAMERAS[number % 2], index, np.zeros(5), local[:, :2] / local[:, 2:], variance, np.zeros(COUNT - 1)
+        )
+        hand.step(t_s, views)
+    assert np.linalg.norm(hand.place[0] - truth(0.0)[0] - [0.025, 0.0, 0.0]) < 0.03
+    assert np.linalg.norm(hand.velocity[0]) < 0.2
+
+
+def test_an_outlier_is_refused_and_leaves_no_trace() -> None:
+    hand = JointFilter(COUNT, DEFAULT.motion, DEFAULT.track.gate)
+    for marker in range(COUNT):
+        hand.begin(marker, np.concatenate([truth(0.0)[marker], np.zeros(3)]), np.diag([1e-8] * 3 + [1e-4] * 3), 0.0)
+    local = CAMERAS[0].to_camera(truth(0.0))
+    xy = local[:, :2] / local[:, 2:]
+    xy[2] += 30.0 / FOCAL_PX
+    variance = np.tile(np.eye(2) * (0.1 / FOCAL_PX) ** 2, (COUNT, 1, 1))
+    innovation, _ = hand.step(
+        1.0 / 60.0, Views(CAMERAS[0], np.arange(COUNT), np.zeros(COUNT), xy, variance, np.zeros(6))
+    )
+    assert innovation.accepted.tolist() == [True, True, False, True, True, True]
+    assert np.linalg.norm(hand.place - truth(0.0), axis=1).max() < 1e-3
+
+
+def test_two_views_begin_a_marker_where_it_is() -> None:
+    point, velocity = np.array([0.02, -0.03, 0.75]), np.array([0.3, 0.1, 0.0])
+    views = []
+    for one, t_s in zip(CAMERAS, (0.0, 0.011), strict=True):
+        x, y, z = one.to_camera((point + t_s * velocity)[None])[0]
+        views.append(View(one, t_s, np.array([x / z, y / z]), (0.1 / FOCAL_PX) ** 2))
+    birth = from_views(views, 0.011, np.zeros(3), 0.5)
+    assert birth is not None
+    error = birth.mean[:3] - point - 0.011 * velocity
+    assert float(error @ np.linalg.solve(birth.covariance[:3, :3], error)) < 8.0
+    views[1].xy[1] += 5.0 / FOCAL_PX
+    off = from_views(views, 0.011, np.zeros(3), 0.01)
+    assert off is not None
+    assert off.misfit > DEFAULT.track.birth_gate
+
+
+def test_accelerations_are_shared_and_have_a_covariance() -> None:
+    C = acceleration_covariance(SHAPE, DEFAULT.motion)
+    assert np.allclose(C, C.T)
+    assert np.linalg.eigvalsh(C).min() > 0.9 * DEFAULT.motion.own**2
+    assert C[0, 3] > 0.4 * C[0, 0]
+
+
+def test_noise_is_learnt_from_innovations() -> None:
+    noise = CameraNoise(CAMERAS, DEFAULT.noise, np.zeros(2), calibrated=True)
+    rng = np.random.default_rng(1)
+    for _ in range(400):
+        known = (0.1 / FOCAL_PX) ** 2
+        S = np.tile(np.eye(2) * (known + noise.variance(0)), (COUNT, 1, 1))
+        y = rng.normal(0.0, np.hypot(0.1, 0.2) / FOCAL_PX, (COUNT, 2))
+        nis = (y * y).sum(axis=1) / S[:, 0, 0]
+        noise.learn(0, Innovation(y, S, nis, np.ones(COUNT, dtype=bool), np.zeros(6)))
+    assert noise.sigma_px[0] == pytest.approx(0.2, abs=0.03)
+    assert noise.sigma_px[1] == pytest.approx(DEFAULT.noise.first_px)
+    quality = {"pairs": {"right-left": {"epipolar_rms_px": 0.2}}}
+    assert stated_px(["left", "right"], quality, DEFAULT.noise) == pytest.approx([0.1414, 0.1414], abs=1e-3)
+
+
+def test_hidden_paint_is_made_up_for_on_its_own_side() -> None:
+    paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
+    one, depth = np.array([0]), np.array([0.8])
+    for number in range(20):
+        paint.correct(0, one, number / 60.0, np.array([100.0]), depth)
+        shift, doubt = paint.correct(1, one, number / 60.0 + 0.005, np.array([50.0]), depth)
+    # A third or more of 10 px is hidden in the right camera: by something on its right.
+    assert 1.0 < shift[0, 0] * FOCAL_PX < 2.5
+    assert doubt[0] > 0.0
+    level, _ = paint.correct(0, one, 1.0, np.array([100.0]), depth)
+    assert np.abs(level).max() == 0.0
+
+
+def test_a_bent_finger_is_seen_on_its_near_side() -> None:
+    """A tip straight ahead that points away from the camera: its middle is nearer to the hand than what is seen."""
+    paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
+    paint.bend[:] = -0.6
+    tip, base = np.array([[0.0, -0.05, 0.8]]), np.array([0.0, 0.05, 0.78])
+    along = paint.along(CAMERAS[0], np.array([0]), tip, base)
+    assert along[0, 1] * 0.8 == pytest.approx(0.66 * 0.0065 * 0.6, rel=0.05)
+
+
+def test_the_calibration_s_own_error_is_in_the_covariance() -> None:
+    quality = {"expected_error_mm": {"50 cm": {"calibration": 0.5}, "100 cm": {"calibration": 2.0}}}
+    stated = Systematic(CAMERAS, quality, 0.1, np.zeros(1), DEFAULT.systematic)
+    sigma_m = np.sqrt(np.trace(stated.covariance(np.array([[0.045, 0.0, 1.0]]))[0]))
+    assert sigma_m == pytest.approx(DEFAULT.systematic.doubt * 2e-3, rel=0.01)
+    derived = Systematic(CAMERAS, None, 0.1, np.zeros(1), DEFAULT.systematic)
+    assert np.trace(derived.covariance(np.array([[0.045, 0.0, 1.0]]))[0]) > 0.0
