@@ -256,8 +256,8 @@ class FilterTracker:
         state, track = hand.filter.state, self.tracks[marker]
         if not state.alive[k]:
             return True
-        count = len(hand.index)
-        variance = float(np.trace(state.covariance.reshape(2 * count, 3, 2 * count, 3)[k, :, k]))
+        P, row = state.covariance, 3 * k
+        variance = P.item(row, row) + P.item(row + 1, row + 1) + P.item(row + 2, row + 2)
         if variance <= self._settings.track.loose_m**2 or self._is_recent(track.accepted_s[camera], t_s):
             return False
         # A camera that has just come back sees farther than a linear filter can follow.
