@@ -58,7 +58,7 @@ class NoiseSettings:
     memory: float = 5000.0
     calibration_px: float = 0.2
     uncalibrated_px: float = 1.0
-    uncalibrated_s: float = 0.016
+    uncalibrated_s: float = 0.006
 
 
 @dataclass(frozen=True, slots=True)
