@@ -19,9 +19,9 @@ from rich.table import Table
 
 from capture_scenes import MARKERS, SIDE, Case, draw
 from rhot.rig.colors import nominal_colors
-from rhot.sim.paint import PAINTS
-from rhot_capture.color_table import build_color_table
-from rhot_capture.detector import MarkerDetector
+from rhot_capture.detection.color_table import build_color_table
+from rhot_capture.detection.detector import MarkerDetector
+from rhot_sim.world.paint import PAINTS
 
 Disturb = Callable[[Case, np.random.Generator], Case]
 

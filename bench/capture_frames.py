@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from rhot.rig import Rig, load_rig
 from rhot.rig.colors import ColorsFile, nominal_colors
 from rhot.rig.template import rig_template
-from rhot.sim.coverage import MarkerCoverage, MarkerView
-from rhot.sim.folder import true_cameras
-from rhot.sim.paint import SKIN, paints_of
-from rhot.sim.renderer import Renderer
-from rhot.sim.world import World
+from rhot_sim.rendering.coverage import MarkerCoverage, MarkerView
+from rhot_sim.rendering.renderer import Renderer
+from rhot_sim.rig.folder import true_cameras
+from rhot_sim.world.paint import SKIN, paints_of
+from rhot_sim.world.world import World
 
 BURST: Final = 3
 RATE_HZ: Final = 60.0

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.rig.config import MarkerConfig
-from rhot.sim.paint import DESK, OBJECT, PAINTS, SKIN, Bgr
+from rhot_sim.world.paint import DESK, OBJECT, PAINTS, SKIN, Bgr
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -21,12 +21,12 @@ from rich.progress import track
 from rich.table import Table
 from scipy.optimize import minimize
 
-import rhot_capture.detector
+import rhot_capture.detection.detector
 from capture_frames import BURST, rig_colors, simulated_rig, true_frames
-from rhot.sim.coverage import MarkerView
-from rhot_capture.color_table import build_color_table
-from rhot_capture.detector import Detection, MarkerDetector
-from rhot_capture.score import BIAS, RIGHT_PX, WEIGHTS, Evidence, probability
+from rhot_capture.detection.color_table import build_color_table
+from rhot_capture.detection.detector import Detection, MarkerDetector
+from rhot_capture.detection.score import BIAS, RIGHT_PX, WEIGHTS, Evidence, probability
+from rhot_sim.rendering.coverage import MarkerView
 
 FloatArray = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def samples(seeds: Sequence[int], bursts: int) -> tuple[FloatArray, FloatArray]:
         return probability(evidence)
 
     right: list[bool] = []
-    rhot_capture.detector.probability = record
+    rhot_capture.detection.detector.probability = record
     try:
         for seed in seeds:
             burst = -1
@@ -60,7 +60,7 @@ def samples(seeds: Sequence[int], bursts: int) -> tuple[FloatArray, FloatArray]:
                     burst = frame.burst
                 right += [_right(found, frame.views.get(name)) for name, found in detector.detect(frame.image).items()]
     finally:
-        rhot_capture.detector.probability = probability
+        rhot_capture.detection.detector.probability = probability
     return np.array(recorded), np.array(right, dtype=np.float64)
 
 

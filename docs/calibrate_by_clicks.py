@@ -27,10 +27,10 @@ from page_actions import choose, chosen, look_through, place_of_pixel, press_unt
 
 from rhot.rig import load_rig  # noqa: E402
 from rhot.rig.folder import RIG_FILE  # noqa: E402
-from rhot.sim.coverage import MarkerCoverage  # noqa: E402
-from rhot.sim.folder import true_cameras  # noqa: E402
-from rhot.sim.run import free_endpoint  # noqa: E402
-from rhot.sim.world import World  # noqa: E402
+from rhot_sim.rendering.coverage import MarkerCoverage  # noqa: E402
+from rhot_sim.rig.folder import true_cameras  # noqa: E402
+from rhot_sim.running.run import free_endpoint  # noqa: E402
+from rhot_sim.world.world import World  # noqa: E402
 from rhot_viewer.scene.cameras import PicturePlane  # noqa: E402
 
 WINDOW = (1280, 800)

@@ -12,15 +12,15 @@ import cv2
 from rich.console import Console
 from rich.progress import Progress
 
-from rhot.evaluate.rows import Section, check_output
 from rhot.rig import Rig
-from rhot_bench.cores import Scene, capture_section, fusion_section, ik_section, pipeline_section
-from rhot_bench.interleaved import Spread
-from rhot_bench.live import live_section, processes_section
+from rhot_bench.measures.rows import Section, check_output
 from rhot_bench.output import json_option, show
-from rhot_bench.pi_budget import budget_section
-from rhot_bench.scaling import scaling_section, scaling_steps
-from rhot_bench.simulated_rig import RATE_HZ, simulated_rig
+from rhot_bench.speed.cores import Scene, capture_section, fusion_section, ik_section, pipeline_section
+from rhot_bench.speed.interleaved import Spread
+from rhot_bench.speed.live import live_section, processes_section
+from rhot_bench.speed.pi_budget import budget_section
+from rhot_bench.speed.scaling import scaling_section, scaling_steps
+from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
 
 PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "live", "processes")
 
@@ -59,7 +59,7 @@ def bench(quick: bool, parts: tuple[str, ...], json_path: Path | None, rig_path:
     processes  start-up time and memory of each service
 
     The machine should do nothing else meanwhile. Takes about two minutes, with --quick one.
-    """  # noqa: D301
+    """
     check_output("--json", json_path)
     chosen = parts or PARTS
     console = Console(stderr=True, soft_wrap=True)

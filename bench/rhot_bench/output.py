@@ -10,8 +10,8 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from rhot.evaluate.rows import Section, as_json, missed, section_table
 from rhot.rig.folder import write_text_atomic
+from rhot_bench.measures.rows import Section, as_json, missed, section_table
 
 F = TypeVar("F", bound=Callable[..., Any])
 

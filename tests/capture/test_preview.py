@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rhot.errors import ConfigError
-from rhot_capture.detector import MarkerDetector
+from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.preview import mark_places, marker_mask, preview_jpeg, preview_png
 
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from still_feet import FEET, head, picture, places, standing_samples
 
 from rhot.messages import FootPose, Side
-from rhot_feet.depth_floor import FloorPlane
-from rhot_feet.depth_tracker import DepthSightings, FootDepth
+from rhot_feet.depth.floor import FloorPlane
+from rhot_feet.depth.tracker import DepthSightings, FootDepth
 from rhot_feet.expectation import FootExpectation
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame
-from rhot_feet.marker_tracker import MarkerSightings
+from rhot_feet.marker.tracker import MarkerSightings
 from rhot_feet.view import Seen
 
 START_NS = 1_700_000_000_000_000_000

@@ -12,8 +12,8 @@ from rig_processes import Processes
 from rhot.bus import Bus
 from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE
-from rhot.sim.folder import write_simulated_rig
-from rhot.sim.run import free_endpoint
+from rhot_sim.rig.folder import write_simulated_rig
+from rhot_sim.running.run import free_endpoint
 
 BUSY = 0.3
 """Processors that others keep busy beyond which wall-clock limits say nothing of the tracker: it takes most of two."""

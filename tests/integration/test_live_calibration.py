@@ -17,10 +17,10 @@ from rhot.bus import Bus
 from rhot.errors import BusError, ConfigError
 from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE
-from rhot.sim.run import free_endpoint
-from rhot_fusion.camera_calibration.coverage import links
-from rhot_fusion.camera_calibration.live import collect
-from rhot_fusion.camera_calibration.views import Board
+from rhot_calibration.cameras.live.coverage import links
+from rhot_calibration.cameras.live.live import collect
+from rhot_calibration.cameras.solve.views import Board
+from rhot_sim.running.run import free_endpoint
 
 pytestmark = [pytest.mark.integration, pytest.mark.real_time]
 

@@ -15,11 +15,11 @@ import zenoh
 from bus_watch import PATIENCE_S, answers
 from rig_processes import Processes, hand_measured_after, next_message, start_rig
 
+from rhot.anatomy.skeleton import FINGERS
 from rhot.bus import Bus
 from rhot.messages import HandPose, MarkerFrame, Message, ServiceStatus, decode
 from rhot.rig import load_rig
-from rhot.sim.world import World
-from rhot.skeleton import FINGERS
+from rhot_sim.world.world import World
 
 pytestmark = [pytest.mark.integration, pytest.mark.real_time]
 

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from simulated_take import DELAY_NS, simulated_rig, write_take
 
 from rhot.bus import Bus
-from rhot.cli.status import fetch_status
 from rhot.messages import (
     Control,
     HandPose,
@@ -34,11 +33,12 @@ from rhot.messages import (
     encode,
     encoding_of,
 )
+from rhot.operation.status import fetch_status
+from rhot.operation.supervisor import Supervisor
 from rhot.recording import load_recording
-from rhot.recording.mcap_reader import RecordedSample, open_mcap
+from rhot.recording.mcap.reader import RecordedSample, open_mcap
 from rhot.rig import BusConfig
-from rhot.supervisor import Supervisor
-from rhot_bench.simulated import Cameras, Capture, moments, world_of
+from rhot_bench.speed.simulated import Cameras, Capture, moments, world_of
 from rhot_capture.frame_stream import FrameStream
 from rhot_capture.offline import marker_frames
 from rhot_capture.sources import Frame

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from rig_processes import processes_that_name
 
-from rhot.sim.run import free_endpoint
+from rhot_sim.running.run import free_endpoint
 
 pytestmark = [pytest.mark.integration, pytest.mark.real_time]
 

@@ -12,7 +12,7 @@ import pytest
 from rig_processes import processes_that_name
 
 from rhot.rig.template import rig_template
-from rhot.sim.run import free_endpoint
+from rhot_sim.running.run import free_endpoint
 
 pytestmark = [pytest.mark.integration, pytest.mark.real_time]
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.aruco_dictionary import marker_cells
-from rhot.camera import CameraModel
-from rhot.rotations import rotation_from_vector, rotation_z
+from rhot.geometry.camera import CameraModel
+from rhot.geometry.rotations import rotation_from_vector, rotation_z
 from rhot_feet.frames import ColorImage, DepthImage, pinhole
-from rhot_feet.marker_pose import square_corners
+from rhot_feet.marker.pose import square_corners
 
 FloatArray = NDArray[np.float64]
 

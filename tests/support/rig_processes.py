@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from rhot.bus import Bus
-from rhot.cli.control import broadcast
 from rhot.errors import WireError
 from rhot.messages import Control, HandPose, MarkerFrame, Message, decode
-from rhot.supervisor import Child, Supervisor
+from rhot.operation.control import broadcast
+from rhot.operation.supervisor import Child, Supervisor
 
 SERVICES = {
     "router": ["router"],

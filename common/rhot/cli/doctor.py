@@ -21,9 +21,9 @@ from rich.markup import escape
 
 from rhot.bus import Bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
-from rhot.cli.status import fetch_status
 from rhot.errors import BusError, RhotError
 from rhot.messages import ServiceStatus
+from rhot.operation.status import fetch_status
 from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.calibration import CalibrationFile
 from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE

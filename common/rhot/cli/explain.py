@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import tempfile
 from contextlib import ExitStack
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final
 
@@ -13,16 +12,16 @@ import click
 from rich.console import Console
 
 from rhot.cli.options import rig_option
-from rhot.cli.process import core, marker_frames, track_with
-from rhot.errors import ConfigError
 from rhot.explain import Explaining, Explanation, PictureExplanation
 from rhot.explain.findings import in_short, said_then
 from rhot.explain.moment import Moment, moment_of_folder, moment_of_mcap
 from rhot.explain.page import explanation_page
 from rhot.explain.trace import trace_of
+from rhot.offline import core, marker_frames, track_with
+from rhot.plugins import load_plugin
 from rhot.recording import PictureTrack, Recording, VideoTrack, load_recording
-from rhot.recording.beside import pictures_beside, unpack_rig
-from rhot.recording.mcap_reader import open_mcap
+from rhot.recording.mcap.beside import pictures_beside, unpack_rig
+from rhot.recording.mcap.reader import open_mcap
 from rhot.recording.span import newest
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import write_text_atomic
@@ -116,16 +115,9 @@ def _page(rig: Rig, moment: Moment, path: Path, lead_s: float) -> str:
 
 def _explained(rig: Rig, pictures: Recording) -> dict[str, PictureExplanation]:
     """Return why each camera's last picture shows the markers that it shows; nothing without colours or capture."""
-    found = list(entry_points(group="rhot.explainers", name="capture"))
-    if not found or not rig.colors_path.exists():
+    if not rig.colors_path.exists():
         return {}
-    try:
-        explain_last = found[0].load()
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"explaining pictures needs the Python module {error.name}, which is not installed; "
-            "pip install 'rhot[capture]'"
-        ) from error
+    explain_last = load_plugin("rhot.explainers", "capture", "explaining pictures", "capture")
     return {
         name: explain_last(rig, newest(track, _DETECTION_LEAD + 1))
         for name, track in pictures.cameras.items()

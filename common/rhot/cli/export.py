@@ -14,14 +14,14 @@ from rich.console import Console
 from rhot.errors import ConfigError
 from rhot.export.bvh import bvh_text
 from rhot.export.columns import tables
-from rhot.export.foxglove_file import write_foxglove
+from rhot.export.foxglove.file import write_foxglove
 from rhot.export.poses import hand_motion
 from rhot.export.rerun_file import write_rerun
 from rhot.export.skeleton_motion import skeleton_motion
 from rhot.export.source import RecordedMessages
 from rhot.export.table_files import write_csv, write_parquet
 from rhot.messages import Message, Side
-from rhot.recording.beside import StoredPicture, pictures_beside, stored_pictures, unpack_rig
+from rhot.recording.mcap.beside import StoredPicture, pictures_beside, stored_pictures, unpack_rig
 from rhot.rig import CameraCalibration, load_rig
 from rhot.rig.folder import write_text_atomic
 

@@ -9,6 +9,7 @@ import click
 from rich.console import Console
 
 from rhot.errors import ConfigError
+from rhot.plugins import load_plugin
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
 
@@ -40,8 +41,7 @@ def init(path: Path, simulated: bool, uncalibrated: bool) -> None:
         raise ConfigError("--uncalibrated goes with --sim; a rig of your own begins without calibration anyway")
     make_folder(path)
     if simulated:
-        from rhot.sim.folder import write_simulated_rig  # noqa: PLC0415  # only this needs the simulator's packages
-
+        write_simulated_rig = load_plugin("rhot.simulated", "rig_folder", "--sim", "sim")
         with Console(stderr=True).status("preparing the simulated rig: cameras, colours, hand"):
             write_simulated_rig(path, rate_hz=CALIBRATING_HZ if uncalibrated else 60.0, calibrated=not uncalibrated)
         what = "a simulated rig without calibration" if uncalibrated else "a simulated rig"

@@ -11,9 +11,7 @@ from rhot import __version__
 from rhot.cli.group import LazyCommand, LazyGroup, MainGroup
 
 _COMMANDS: Final = {
-    "sim": LazyCommand(
-        "Run a whole simulated rig on this machine and show how well it tracks.", "rhot.cli.sim:sim", "sim"
-    ),
+    "sim": LazyCommand("Run a whole simulated rig on this machine and show how well it tracks.", extra="sim"),
     "init": LazyCommand("Make a new rig folder with a commented rig.toml.", "rhot.cli.init:init"),
     "up": LazyCommand("Run everything of the PC side: router, fusion, ik, objects, web page.", "rhot.cli.up:up", "pc"),
     "start": LazyCommand("Tell every service of the rig to start, all at one moment.", "rhot.cli.control:start"),
@@ -48,7 +46,7 @@ _COMMANDS: Final = {
     "feet": LazyCommand("Service: track feet with a depth camera on the head and ankle sensors.", extra="feet"),
     "viewer": LazyCommand("Service: the web page that shows the rig while it runs.", extra="viewer"),
     "router": LazyCommand("Service: the Zenoh router that all others connect to.", "rhot.cli.router:router"),
-    "truth": LazyCommand("Service: publish what is true in the simulated world.", "rhot.cli.truth:truth", "sim"),
+    "truth": LazyCommand("Service: publish what is true in the simulated world.", extra="sim"),
 }
 
 _CALIBRATIONS: Final = {

@@ -18,11 +18,11 @@ from rich.table import Table
 from rhot.bus import Bus
 from rhot.cli.options import DEFAULT_RIG, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
-from rhot.recording.gaps import Tally
-from rhot.recording.mcap_writer import McapWriter, rig_files
+from rhot.recording.mcap.gaps import Tally
+from rhot.recording.mcap.session import record as record_session
+from rhot.recording.mcap.session import record_pictures, subscribe, subscribe_pictures
+from rhot.recording.mcap.writer import McapWriter, rig_files
 from rhot.recording.picture_folder import PictureFolder
-from rhot.recording.session import record as record_session
-from rhot.recording.session import record_pictures, subscribe, subscribe_pictures
 from rhot.rig import BusConfig
 from rhot.service.stop import Stop, install_stop
 

@@ -15,14 +15,14 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from rhot.cli.live_rig import rig_clock, started
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
-from rhot.recording.mcap_reader import McapRecording, RecordedSample, open_mcap
-from rhot.recording.player import LATE_NS, REPLAY_SERVICE, PlayFigures, conflicts, moments, play
-from rhot.recording.replay_bus import ReplayBus, chosen_keys
-from rhot.recording.restamp import Restamp, clock_skew_ns
-from rhot.recording.session import EVERYTHING
+from rhot.operation.live_rig import rig_clock, started
+from rhot.recording.mcap.reader import McapRecording, RecordedSample, open_mcap
+from rhot.recording.mcap.session import EVERYTHING
+from rhot.recording.playback.player import LATE_NS, REPLAY_SERVICE, PlayFigures, conflicts, moments, play
+from rhot.recording.playback.replay_bus import ReplayBus, chosen_keys
+from rhot.recording.playback.restamp import Restamp, clock_skew_ns
 from rhot.rig import BusConfig
 from rhot.service.stop import Stop, install_stop
 

@@ -10,13 +10,13 @@ from typing import Any
 import click
 
 from rhot.bus import Bus
-from rhot.cli.control import broadcast, new_session
 from rhot.cli.options import rig_option, tool_bus
 from rhot.cli.page import free_page_port, page_command, page_options
 from rhot.errors import BusError
+from rhot.operation.control import broadcast, new_session
+from rhot.operation.supervisor import Supervisor
 from rhot.rig import BusConfig, load_rig
 from rhot.service.stop import install_stop
-from rhot.supervisor import Supervisor
 
 logger = logging.getLogger(__name__)
 

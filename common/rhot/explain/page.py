@@ -8,12 +8,12 @@ from html import escape
 
 import numpy as np
 
-from rhot.camera import CameraModel
-from rhot.evaluate.html import html_page
-from rhot.evaluate.svg import line_plot
 from rhot.explain.tables import Explanation, ExplanationRow, Outline, PictureExplanation
 from rhot.explain.trace import Trace
+from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, PointSet
+from rhot.report.html import html_page
+from rhot.report.svg import line_plot
 from rhot.rig import Rig
 
 _STYLE = """

@@ -20,10 +20,10 @@ from typing import Final
 
 import numpy as np
 
+from rhot.anatomy.hand import PALM, WRIST
+from rhot.anatomy.skeleton import JOINTS
 from rhot.export.poses import FloatArray
 from rhot.export.skeleton_motion import PARENT_OF, SkeletonMotion
-from rhot.hand import PALM, WRIST
-from rhot.skeleton import JOINTS
 
 CM_PER_M: Final = 100.0
 RIG_TO_FILE: Final = np.diag([1.0, -1.0, -1.0])

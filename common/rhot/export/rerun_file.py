@@ -9,11 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from rhot.anatomy.skeleton import PARENTS
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, MarkerFrame, Message, ObjectPose, PointSet
-from rhot.recording.beside import StoredPicture
+from rhot.recording.mcap.beside import StoredPicture
 from rhot.rig import CameraCalibration
-from rhot.skeleton import PARENTS
 
 TIMELINE: Final = "rig_time"
 _MEASURED: Final = (42, 157, 143)

@@ -18,10 +18,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.anatomy.hand import WRIST
+from rhot.anatomy.skeleton import JOINTS, PARENTS
 from rhot.export.poses import FloatArray, HandMotion
-from rhot.hand import WRIST
-from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion
-from rhot.skeleton import JOINTS, PARENTS
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 
 PARENT_OF: Final = tuple(-1 if (parent := PARENTS[name]) is None else JOINTS.index(parent) for name in JOINTS)
 """(26,) index in `JOINTS` of each joint's parent, −1 for the wrist."""

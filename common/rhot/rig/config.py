@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from rhot.anatomy.skeleton import JOINTS
 from rhot.messages import Name, Side
 from rhot.rig.feet_config import BodyConfig, FeetConfig
 from rhot.rig.file_model import FileModel, NotNegative, Positive, Vector3
-from rhot.skeleton import JOINTS
 
 WalkProgram = Literal[
     "still",

@@ -17,7 +17,7 @@ from rhot.bus import Bus, Publisher
 from rhot.errors import BusError
 from rhot.messages import MAX_PAYLOAD_BYTES
 from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
-from rhot_capture.color_table import ImageArray
+from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.sources import Frame
 
 _QUALITY: Final = 90

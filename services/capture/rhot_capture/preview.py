@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from rhot.errors import ConfigError
-from rhot_capture.color_table import ImageArray
-from rhot_capture.detector import Detection
+from rhot_capture.detection.color_table import ImageArray
+from rhot_capture.detection.detector import Detection
 
 _QUALITY: Final = 85
 _LINE: Final = (255, 255, 255)

@@ -22,8 +22,8 @@ from rhot.rig.colors import ColorsFile, load_colors
 from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.grabber import Grabber
-from rhot_capture.color_table import ImageArray, build_color_table
-from rhot_capture.detector import Detection, MarkerDetector
+from rhot_capture.detection.color_table import ImageArray, build_color_table
+from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.frame_stream import FrameStream
 from rhot_capture.grabber import grab
 from rhot_capture.kept_optics import KeptOptics

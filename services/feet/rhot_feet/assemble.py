@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from rhot.messages import Side
+from rhot.plugins import load_simulated
 from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig
-from rhot_feet.imu_sources.factory import make_imu_source
-from rhot_feet.imu_sources.samples import ImuSource
+from rhot_feet.imu.samples import ImuSource
+from rhot_feet.sources.imu.factory import make_imu_source
 
 
 def plan_sensors(rig: Rig, feet: FeetConfig) -> dict[Side, ImuSource]:
@@ -18,10 +19,5 @@ def plan_sensors(rig: Rig, feet: FeetConfig) -> dict[Side, ImuSource]:
     configs = {side: foot.imu for side, foot in feet.feet.items() if foot.imu is not None}
     simulated: dict[Side, ImuSource] = {}
     if any(config.source == "simulated" for config in configs.values()):
-        # Imported here: a rig with real sensors needs no simulated world.
-        from rhot.sim.walker.world import WalkerWorld  # noqa: PLC0415
-        from rhot_feet.imu_sources.simulated import SimulatedSource  # noqa: PLC0415
-
-        world = WalkerWorld.from_rig(rig)
-        simulated = {side: SimulatedSource(world, side) for side in configs}
+        simulated = load_simulated("imu")(rig, list(configs))
     return {side: make_imu_source(config, rig.path, simulated.get(side)) for side, config in configs.items()}

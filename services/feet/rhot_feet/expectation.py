@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
+from rhot.geometry.turns import squared_distance
 from rhot.messages import Side
-from rhot.turns import squared_distance
 from rhot_feet.region import Region
 
 FloatArray = NDArray[np.float64]

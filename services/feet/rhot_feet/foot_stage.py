@@ -16,22 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.aruco_dictionary import marker_dictionary
-from rhot.camera_mounting import camera_mounting
+from rhot.geometry.camera_mounting import camera_mounting
+from rhot.geometry.turns import quaternion_from_turn, turn_from_quaternion
 from rhot.messages import FootPose, HeadPose, Side
+from rhot.messages.vectors import wire_position, wire_quaternion
 from rhot.rig.feet_config import FeetConfig
 from rhot.stage import Output
-from rhot.turns import quaternion_from_turn, turn_from_quaternion
-from rhot.wire_vectors import wire_position, wire_quaternion
-from rhot_feet.depth_tracker import DepthSightings, DepthTracker
+from rhot_bench.thesis.foot_filter import ThesisFilter
+from rhot_feet.depth.tracker import DepthSightings, DepthTracker
 from rhot_feet.expectation import OTHER_FOOT, FootExpectation
-from rhot_feet.foot_filter import FootFilter
-from rhot_feet.foot_filter_kinematic import room_m
-from rhot_feet.foot_filter_model import FootFilterSettings, FootState
+from rhot_feet.filter.filter import FootFilter
+from rhot_feet.filter.kinematic import room_m
+from rhot_feet.filter.model import FootFilterSettings, FootState
 from rhot_feet.frames import DepthFrame
 from rhot_feet.head_track import HeadTrack
-from rhot_feet.imu_sources.samples import ImuSamples
-from rhot_feet.marker_tracker import FootMarker, MarkerTracker
-from rhot_feet.thesis_filter import ThesisFilter
+from rhot_feet.imu.samples import ImuSamples
+from rhot_feet.marker.tracker import FootMarker, MarkerTracker
 from rhot_feet.view import HEAD_TURN_RAD, Seen, View
 
 FloatArray = NDArray[np.float64]

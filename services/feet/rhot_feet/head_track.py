@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.geometry.transforms import rigid
+from rhot.geometry.turns import turn_from_quaternion, turn_from_vector, vector_from_turn
 from rhot.messages import HeadPose
-from rhot.transforms import rigid
-from rhot.turns import turn_from_quaternion, turn_from_vector, vector_from_turn
 
 FloatArray = NDArray[np.float64]
 

@@ -22,11 +22,11 @@ from rhot.rig.feet_config import FeetConfig
 from rhot.service import Node
 from rhot.service.grabber import GrabberCounts
 from rhot_feet.assemble import plan_sensors
-from rhot_feet.depth_grabber import DepthGrabber
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame, DepthSource
-from rhot_feet.imu_sources.samples import ImuSource
+from rhot_feet.imu.samples import ImuSource
 from rhot_feet.sources import open_depth_source
+from rhot_feet.sources.depth_camera.grabber import DepthGrabber
 
 logger = logging.getLogger(__name__)
 

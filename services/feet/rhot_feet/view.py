@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.messages import Side
-from rhot_feet.depth_tracker import DepthSightings
+from rhot_feet.depth.tracker import DepthSightings
 from rhot_feet.expectation import FootExpectation
 from rhot_feet.frames import DepthFrame
-from rhot_feet.marker_tracker import MarkerSightings
+from rhot_feet.marker.tracker import MarkerSightings
 
 FloatArray = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rhot.explain import Explanation, ExplanationRow
-from rhot_fusion.acquisition import CONFIRMATIONS
-from rhot_fusion.filter_tracker import GATE, SLACK_PX, FilterTracker
-from rhot_fusion.motion_bank import DENSITIES
-from rhot_fusion.sightings import Tracker
+from rhot_fusion.filter.acquisition import CONFIRMATIONS
+from rhot_fusion.filter.motion_bank import DENSITIES
+from rhot_fusion.filter.tracker import GATE, SLACK_PX, FilterTracker
+from rhot_fusion.views.sightings import Tracker
 
 MODELS = ("at rest", "slow", "brisk", "brisk across the view", "fast")
 """Names of the motion models, in the order of `DENSITIES`."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rhot.geometry.rotations import FloatArray, quaternion_from_rotation
 from rhot.rig.calibration import RigidTransform
-from rhot.rotations import FloatArray, quaternion_from_rotation
 
 _ROTATION_TOLERANCE = 1e-2
 _SLERP_LINEAR_ABOVE = 1.0 - 1e-10

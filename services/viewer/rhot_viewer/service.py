@@ -21,14 +21,11 @@ from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.runner import serve
-from rhot_viewer.capture_settings import CaptureSettings
+from rhot_viewer.browser.marker_colors import marker_colors
+from rhot_viewer.browser.overview import Problems
+from rhot_viewer.browser.page import Page
+from rhot_viewer.browser.rig_scene import RigScene
 from rhot_viewer.config import ViewerConfig
-from rhot_viewer.history import History
-from rhot_viewer.inbox import Inbox
-from rhot_viewer.live_recording import LiveRecording
-from rhot_viewer.marker_colors import marker_colors
-from rhot_viewer.overview import Problems
-from rhot_viewer.page import Page
 from rhot_viewer.panels import (
     CalibratePanel,
     CamerasPanel,
@@ -40,7 +37,10 @@ from rhot_viewer.panels import (
     ViewPanel,
 )
 from rhot_viewer.panels.live import STATUS_AGE_S
-from rhot_viewer.rig_scene import RigScene
+from rhot_viewer.rig.capture_settings import CaptureSettings
+from rhot_viewer.rig.history import History
+from rhot_viewer.rig.inbox import Inbox
+from rhot_viewer.rig.live_recording import LiveRecording
 
 logger = logging.getLogger(__name__)
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhot.body_anatomy import BodyModel
+from rhot.anatomy.body_proportions import BodyModel
+from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import BodyPose, FootPose, HeadPose, Position, Quaternion, Side, decode, encode
+from rhot.messages.vectors import wire_position, wire_quaternion
 from rhot.rig import BodyConfig, load_rig
-from rhot.rotations import quaternion_from_rotation
-from rhot.sim.walker.person import person_of
-from rhot.sim.walker.world import WalkerWorld
-from rhot.wire_vectors import wire_position, wire_quaternion
 from rhot_ik.legs.body_stage import BodyStage
+from rhot_sim.walker.person import person_of
+from rhot_sim.walker.world import WalkerWorld
 
 MS = 1_000_000
 START_NS = 1_700_000_000 * 1_000 * MS

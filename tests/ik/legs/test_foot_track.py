@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_x, rotation_y
+from rhot.geometry.transforms import rigid
 from rhot.messages import FootPose, Side
-from rhot.rotations import quaternion_from_rotation, rotation_x, rotation_y
-from rhot.transforms import rigid
 from rhot_ik.legs.foot_track import Carrier, FootTrack
 
 UP = np.array([0.0, 1.0, 0.0])

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rhot.body_anatomy import BodyModel
+from rhot.anatomy.body_proportions import BodyModel
+from rhot.geometry.rotations import rotation_x, rotation_y
+from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot.rig import BodyConfig
-from rhot.rotations import rotation_x, rotation_y
-from rhot.transforms import rigid
 from rhot_ik.legs.ankle import Ankle
 from rhot_ik.legs.hips import estimate_hips, hip_joint
 

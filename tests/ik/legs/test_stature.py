@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhot.body_anatomy import BodyModel
+from rhot.anatomy.body_proportions import BodyModel
+from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot.rig import BodyConfig
-from rhot.transforms import rigid
 from rhot_ik.legs.ankle import Ankle
 from rhot_ik.legs.hips import OUTWARDS
 from rhot_ik.legs.stature import Stature

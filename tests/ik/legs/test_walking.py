@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhot.body_anatomy import BodyModel
+from rhot.anatomy.body_proportions import BodyModel
+from rhot.geometry.rotations import rotation_from_quaternion
+from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot.rig import BodyConfig
-from rhot.rotations import rotation_from_quaternion
-from rhot.sim.walker.person import Person
-from rhot.sim.walker.programs import PROGRAMS
-from rhot.transforms import rigid
 from rhot_ik.legs.ankle import Ankle
 from rhot_ik.legs.body_solver import BodySolution, solve_body
 from rhot_ik.legs.hips import estimate_hips
+from rhot_sim.walker.person import Person
+from rhot_sim.walker.programs import PROGRAMS
 
 UP = np.array([0.0, 1.0, 0.0])
 RATE_HZ = 30.0

@@ -18,9 +18,9 @@ from mcap.reader import make_reader
 from rhot.cli.export import export
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, Message, ServiceStatus, encode, encoding_of
-from rhot.recording.beside import unpack_rig
 from rhot.recording.camera_picture import CameraPicture
-from rhot.recording.mcap_writer import McapWriter, rig_files
+from rhot.recording.mcap.beside import unpack_rig
+from rhot.recording.mcap.writer import McapWriter, rig_files
 from rhot.recording.picture_folder import PictureFolder
 from rhot.rig import load_rig
 

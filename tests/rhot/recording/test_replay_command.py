@@ -11,7 +11,7 @@ from hand_messages import marker_frame, point_set
 from rhot.cli.replay import replay
 from rhot.errors import ConfigError
 from rhot.messages import encode, encoding_of
-from rhot.recording.mcap_writer import McapWriter
+from rhot.recording.mcap.writer import McapWriter
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rhot.clock import NodeClock
 from rhot.errors import ConfigError
+from rhot.plugins import load_simulated
 from rhot.rig import Rig
 from rhot_capture.sources.frame import Source
 
@@ -24,9 +25,8 @@ def open_source(name: str, rig: Rig, clock: NodeClock) -> Source:
     if camera is None:
         raise ConfigError(f"no camera {name} in {rig.path / 'rig.toml'}; it has {', '.join(rig.config.cameras)}")
     if camera.source == "simulated":
-        from rhot_capture.sources.simulated import SimulatedSource  # noqa: PLC0415
-
-        return SimulatedSource.from_rig(name, rig, clock)
+        source: Source = load_simulated("camera").from_rig(name, rig, clock)
+        return source
     if camera.source in ("images", "video"):
         from rhot_capture.sources.recorded import RecordedSource  # noqa: PLC0415
 

@@ -8,13 +8,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.body_anatomy import BodyModel
+from rhot.anatomy.body_proportions import BodyModel
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
+from rhot.geometry.transforms import rigid
 from rhot.messages import BodyJoint, BodyPose, FootPose, HeadPose, LegAngles, Position, Quaternion, Side, State
+from rhot.messages.vectors import wire_position, wire_quaternion
 from rhot.rig import Rig
-from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.stage import Output
-from rhot.transforms import rigid
-from rhot.wire_vectors import wire_position, wire_quaternion
 from rhot_ik.legs.body_solver import BodySolution, solve_body
 from rhot_ik.legs.foot_track import LEAD_S, Carrier, FootTrack
 from rhot_ik.legs.hips import hang_hips, hip_joint, stride, within_reach

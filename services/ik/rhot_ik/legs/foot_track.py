@@ -20,10 +20,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.geometry.rotations import rotation_from_quaternion
+from rhot.geometry.transforms import rigid
+from rhot.geometry.turns import orthonormal, rotation_between, turn_between, turn_from_vector
 from rhot.messages import FootPose, State
-from rhot.rotations import rotation_from_quaternion
-from rhot.transforms import rigid
-from rhot.turns import orthonormal, rotation_between, turn_between, turn_from_vector
 from rhot_ik.legs.ankle import Ankle
 
 FloatArray = NDArray[np.float64]

@@ -20,9 +20,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.body_anatomy import BodyModel
+from rhot.anatomy.body_proportions import BodyModel
+from rhot.geometry.transforms import rigid
 from rhot.messages import Side
-from rhot.transforms import rigid
 from rhot_ik.legs.ankle import Ankle
 
 FloatArray = NDArray[np.float64]

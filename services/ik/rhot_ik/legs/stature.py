@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.body_anatomy import BodyModel
+from rhot.anatomy.body_proportions import BodyModel
 from rhot.messages import Side
 from rhot_ik.legs.ankle import Ankle
 from rhot_ik.legs.hips import hip_joint

@@ -14,13 +14,13 @@ import viser
 from rhot.calibration_step import CalibrationStep, Room, StepView, load_steps
 from rhot.errors import RhotError
 from rhot.rig.config import RigConfig
-from rhot_viewer.camera_layer import dark_picture, show_jpeg
-from rhot_viewer.page import Page
+from rhot_viewer.browser.camera_layer import dark_picture, show_jpeg
+from rhot_viewer.browser.page import Page
+from rhot_viewer.browser.rig_scene import RigScene
+from rhot_viewer.browser.step_html import about_html, bar_html, path_html, remarks_html, tables_html
 from rhot_viewer.panels.simulated_world import SimulatedWorld, is_simulated
-from rhot_viewer.picture_feed import PictureFeed
-from rhot_viewer.rig_scene import RigScene
-from rhot_viewer.sessions import Sessions
-from rhot_viewer.step_html import about_html, bar_html, path_html, remarks_html, tables_html
+from rhot_viewer.rig.picture_feed import PictureFeed
+from rhot_viewer.rig.sessions import Sessions
 
 logger = logging.getLogger(__name__)
 

@@ -11,10 +11,10 @@ from typing import Any, Final
 import viser
 
 from rhot.messages import ServiceStatus
-from rhot_viewer.camera_sliders import CameraSlider, camera_sliders
-from rhot_viewer.capture_settings import CaptureSettings
-from rhot_viewer.inbox import Inbox
-from rhot_viewer.page import Page
+from rhot_viewer.browser.page import Page
+from rhot_viewer.rig.camera_sliders import CameraSlider, camera_sliders
+from rhot_viewer.rig.capture_settings import CaptureSettings
+from rhot_viewer.rig.inbox import Inbox
 
 _HELD_S: Final = 0.8
 """A slider that somebody has moved in this time is left alone: it would jump under their finger."""

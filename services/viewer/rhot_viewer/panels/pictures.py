@@ -10,12 +10,12 @@ import viser
 
 from rhot.messages import MarkerFrame
 from rhot.rig.calibration import CameraCalibration
-from rhot_viewer.camera_layer import dark_picture, show_jpeg
-from rhot_viewer.inbox import Inbox
-from rhot_viewer.page import Page
-from rhot_viewer.picking import marker_at
-from rhot_viewer.picture_feed import Picture, PictureFeed
-from rhot_viewer.rig_scene import RigScene
+from rhot_viewer.browser.camera_layer import dark_picture, show_jpeg
+from rhot_viewer.browser.page import Page
+from rhot_viewer.browser.picking import marker_at
+from rhot_viewer.browser.rig_scene import RigScene
+from rhot_viewer.rig.inbox import Inbox
+from rhot_viewer.rig.picture_feed import Picture, PictureFeed
 
 ALL_MARKERS: Final = "all markers"
 _FRAME_AGE_S: Final = 1.0

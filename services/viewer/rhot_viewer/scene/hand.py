@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS, PARENTS
 from rhot.messages import HandPose, Side, State, TruePose
-from rhot.skeleton import CHAINS, FINGERS, JOINTS, PARENTS
 from rhot_viewer.scene.instances import Instances, Rgb, balls, rods
 
 FloatArray = NDArray[np.float64]

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import BodyPose, FootPose, HeadPose, ObjectPose, PointSet
-from rhot.rotations import rotation_from_quaternion
 from rhot_viewer.scene.instances import Instances, Rgb, balls, instances, rods
 
 MARKER_RADIUS_M: Final = 0.0095

@@ -1,0 +1,180 @@
+"""The page's step that registers a tracking system, over the functions of `rhot calibrate objects --live`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView
+from rhot.errors import ConfigError, RhotError
+from rhot.rig import RegistrationFile, load_rig
+from rhot.rig.folder import REGISTRATION_FILE
+from rhot.rig.kept_file import KeptFile
+from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
+from rhot_calibration.objects.collector import Place, PlaceCollector
+from rhot_calibration.objects.fit import Places, RegistrationFit, first_prior, fit_registration
+from rhot_calibration.objects.live import collect_places
+from rhot_calibration.objects.record import registration_file
+
+_WANTED: Final = 10
+_PATIENCE_S: Final = 15.0
+_UNKNOWN_LEVER_SD_M: Final = 0.05
+
+
+class ObjectStep:
+    """Collects places of a tracked device with a marker; see `rhot.calibration_step.CalibrationStep`."""
+
+    about = (
+        "Fix a painted marker to a tracked device, or touch the device with it, and hold both still before the cameras "
+        "at ten places: the corners of the space where you work and its middle, near and far, turned by about 60° to "
+        "all sides. A place is taken when both stand still. Try the result, then save."
+    )
+    buttons = (
+        Button("start", "start taking places", "Again = from the beginning."),
+        Button("solve", "end and fit", "With the places there are."),
+        Button("try", "try", "Write registration.json; the former one is put aside."),
+        Button("save", "save", "Keep what is tried."),
+        Button("undo", "undo", "Bring the former registration back."),
+    )
+
+    def __init__(self, room: Room) -> None:
+        self._room = room
+        rig = load_rig(room.rig_path)
+        self._objects = tuple(rig.config.objects)
+        self._simulated = all(each.source == "simulated" for each in rig.config.objects.values())
+        self._kept = KeptFile(room.rig_path / REGISTRATION_FILE, RegistrationFile)
+        markers = tuple(rig.config.markers)
+        self.fields = (
+            *((Field("object", "device", self._objects[0], self._objects),) if self._objects else ()),
+            Field("marker", "marker", markers[0], markers, "The one that is fixed to it."),
+        )
+        self._collector = PlaceCollector()
+        self._collecting: asyncio.Task[None] | None = None
+        self._hint = ""
+        self._doing = ""
+        self._found: RegistrationFile | None = None
+        self._fitted: tuple[tuple[Figures, ...], tuple[Remark, ...]] = ((), ())
+
+    def view(self) -> StepView:
+        """Return how many places there are, and what came of them."""
+        if self._collecting is not None:
+            enabled = {"solve"}
+        elif self._doing or not self._objects:
+            enabled = set()
+        else:
+            enabled = {"start"}
+            enabled |= self._kept.enabled(self._found)
+        tables, remarks = self._fitted
+        stored, done = self._stored()
+        return StepView(
+            self._doing or stored,
+            done and not self._doing,
+            share=len(self._collector.places) / _WANTED,
+            remarks=(*self._todo(), *remarks),
+            enabled=frozenset(enabled),
+            tables=tables,
+        )
+
+    async def follow(self) -> None:
+        """Nothing happens before the start."""
+
+    def _stored(self) -> tuple[str, bool]:
+        if not self._objects:
+            return "rig.toml names no objects; nothing to do", True
+        absent = ("not registered: objects stand in their own space", False)
+        if self._simulated:
+            absent = ("simulated objects stand in the cameras' space; nothing to do", True)
+        return self._kept.standing(
+            absent, "a new registration on trial", lambda stored: (f"registered {stored.date}", True)
+        )
+
+    def _todo(self) -> tuple[Remark, ...]:
+        if self._collecting is not None:
+            taken = Remark(f"{len(self._collector.places)} of {_WANTED} places taken.", "good")
+            return (taken, Remark(self._hint, "warning")) if self._hint else (taken,)
+        if self._kept.on_trial:
+            text = "Objects stand where the new registration has them: move one, look at the tab Live. Save or undo."
+            return (Remark(text, "good"),)
+        return ()
+
+    async def press(self, button: str, values: Mapping[str, str]) -> None:
+        """Start, fit, try, save or undo.
+
+        Raises:
+            RhotError: it cannot be done.
+        """
+        if button == "start" and not self._doing:
+            await self._register(values)
+        elif button == "solve" and self._collecting is not None:
+            self._collecting.cancel()  # whoever pressed start goes on from here
+        else:
+            self._kept.press(button, self._found)
+
+    async def point(self, camera: str, u: float, v: float, values: Mapping[str, str]) -> None:
+        """There is nothing to click at."""
+
+    async def _register(self, values: Mapping[str, str]) -> None:
+        device, marker = values.get("object", ""), values["marker"]
+        if not device:
+            raise ConfigError("rig.toml names no objects; add [objects.NAME] with source and serial")
+        self._collector, self._hint, self._found, self._fitted = PlaceCollector(), "", None, ((), ())
+        rig = load_rig(self._room.rig_path)
+        self._doing = "taking places"
+        try:
+            self._collecting = asyncio.create_task(
+                collect_places(
+                    self._room.bus,
+                    rig,
+                    device,
+                    marker,
+                    self._collector,
+                    wanted=_WANTED,
+                    patience_s=_PATIENCE_S,
+                    taken=self._taken,
+                    hint=self._hinted,
+                )
+            )
+            await asyncio.wait({self._collecting})
+            ended, self._collecting = self._collecting, None
+            if not ended.cancelled():
+                ended.result()
+            self._doing = "fitting"
+            places = self._collector.to_places()
+            fit = await asyncio.to_thread(_fitted, places)
+            self._found = registration_file(fit, places, rig.registration, object_id=device, marker=marker, prior=None)
+            self._fitted = _shown(places, fit)
+            check_fit(fit)
+        except RhotError:
+            self._found = None
+            raise
+        finally:
+            if self._collecting is not None:
+                self._collecting.cancel()
+                self._collecting = None
+            self._doing = ""
+
+    def _taken(self, _: Place) -> None:
+        self._hint = "go to another place, and turn it"
+
+    def _hinted(self, text: str) -> None:
+        self._hint = text
+
+
+def _fitted(places: Places) -> RegistrationFit:
+    check_places(places)
+    return fit_registration(places, first_prior(places, np.zeros(3), _UNKNOWN_LEVER_SD_M))
+
+
+def _shown(places: Places, fit: RegistrationFit) -> tuple[tuple[Figures, ...], tuple[Remark, ...]]:
+    rows = tuple(
+        (name, f"{1e3 * off:.1f}", "" if kept else "left out: contradicts the others")
+        for name, off, kept in zip(places.names, fit.residual_m, fit.kept, strict=True)
+    )
+    sd_mm = 1e3 * float(np.linalg.norm(fit.estimate.position_sd_m))
+    turn_deg = float(np.degrees(fit.estimate.rotation_sd_rad))
+    text = f"Residual {1e3 * fit.rms_m:.1f} mm RMS; position ± {sd_mm:.1f} mm, rotation ± {turn_deg:.2f}°."
+    notes = (Remark(note, "warning") for note in (scale_note(places, fit), lever_note(fit)) if note)
+    return (Figures("Places", ("place", "off mm", ""), rows),), (Remark(text), *notes)

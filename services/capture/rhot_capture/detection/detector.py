@@ -1,0 +1,236 @@
+"""All markers of a frame in one pass.
+
+While every marker is where it was expected, only the places where they are expected are looked at. As soon as one is
+not there, and every `_SURVEY_FRAMES` frames anyway, the whole frame is searched for places, so a lost marker is found
+again wherever it turns up; where a marker was before only decides between several blobs of its colour. Either way all
+places are classified together and measured alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.errors import ConfigError
+from rhot.rig.config import MarkerConfig
+from rhot_capture.detection.blob import Blob, blobs_of
+from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, judge, middle_of
+from rhot_capture.detection.color_table import ColorTable, ImageArray
+from rhot_capture.detection.corners import find_corners
+from rhot_capture.detection.cutouts import Cutouts, Region
+from rhot_capture.detection.score import probability
+from rhot_capture.detection.search import find_regions
+from rhot_capture.detection.subpixel.centers import find_centres
+from rhot_capture.detection.subpixel.windows import Window
+from rhot_capture.detection.track import MarkerTrack
+
+FloatArray = NDArray[np.float64]
+
+_SURVEY_FRAMES: Final = 30
+
+
+class Detection(NamedTuple):
+    """One marker in one frame; a tuple, as those of each frame are made in a quarter of the time of dataclasses.
+
+    Attributes:
+        u, v: sub-pixel centre of the visible painted area, pixels, pixel centres on integers.
+        area: visible painted area, square pixels.
+        score: the probability that this is the marker and its centre within a pixel of the truth; see
+            `rhot_capture.detection.score`.
+        corners: (4, 2) of a patch, pixels, clockwise as seen; None when they could not be found.
+        blob: the painted area.
+    """
+
+    u: float
+    v: float
+    area: float
+    score: float
+    corners: FloatArray | None
+    blob: Blob
+
+    @property
+    def outline(self) -> FloatArray:
+        """(n, 2) pixels on the rim of the painted area."""
+        return np.concatenate(self.blob.outlines).reshape(-1, 2).astype(np.float64)
+
+
+class MarkerDetector:
+    """Finds all markers of one camera, frame after frame."""
+
+    def __init__(self, markers: Mapping[str, MarkerConfig], table: ColorTable, width: int, height: int) -> None:
+        """Prepare for frames of one size.
+
+        Args:
+            markers: by name.
+            table: built for these markers, in this order.
+            width: of the frames, pixels.
+            height: of the frames, pixels.
+
+        Raises:
+            ConfigError: the table was built for other markers.
+        """
+        self._markers = dict(markers)
+        self._names = tuple(markers)
+        self._gates = [(marker.min_area_px, marker.max_area_px) for marker in markers.values()]
+        self._size = (height, width)
+        self._tracks = {name: MarkerTrack() for name in markers}
+        # Corners of patches in the last frame, from their centres.
+        self._shapes: dict[str, list[tuple[float, float]]] = {}
+        self._image: ImageArray = np.zeros((height, width, 3), np.uint8)
+        self._since_survey = 0
+        self.table = table
+
+    @property
+    def table(self) -> ColorTable:
+        """The colours in use; may be replaced between frames."""
+        return self._table
+
+    @table.setter
+    def table(self, table: ColorTable) -> None:
+        if table.names != tuple(self._markers):
+            raise ConfigError(
+                f"colour table is for {', '.join(table.names)}, the detector looks for {', '.join(self._markers)}"
+            )
+        self._table = table
+
+    @property
+    def labels(self) -> ImageArray:
+        """Labels of the last frame, (H, W) uint8, 0 = no marker, i = the i-th marker."""
+        labels, _ = self._table.classify(self._image)
+        return np.asarray(cv2.medianBlur(labels, 3), dtype=np.uint8)
+
+    def reset(self) -> None:
+        """Forget where the markers were."""
+        self._shapes.clear()
+        self._tracks = {name: MarkerTrack() for name in self._markers}
+
+    def detect(self, image: ImageArray) -> dict[str, Detection]:
+        """Return the markers seen in a frame; one that is not seen is absent.
+
+        Args:
+            image: (H, W, 3) uint8 BGR; kept until the next frame for `labels`.
+
+        Raises:
+            ConfigError: the frame is not of the detector's size.
+        """
+        if image.shape != (*self._size, 3) or image.dtype != np.uint8:
+            raise ConfigError(
+                f"frame is {image.shape} {image.dtype}, the detector was made for {(*self._size, 3)} uint8; "
+                "set width and height of the camera in rig.toml to what it delivers"
+            )
+        self._image = image
+        chosen = self._follow()
+        if chosen is None:
+            chosen = self._survey()
+        for name in self._markers:
+            if name not in chosen:
+                self._tracks[name].miss()
+                self._shapes.pop(name, None)
+        return self._measure(image, chosen)
+
+    def _follow(self) -> dict[str, Candidate] | None:
+        """Look for each marker where it is expected; None when one of them is not wholly there."""
+        self._since_survey += 1
+        if self._since_survey >= _SURVEY_FRAMES:
+            return None
+        looks: list[tuple[int, Region]] = []
+        for label, track in enumerate(self._tracks.values(), start=1):
+            region = track.region(track.margin_px, *self._size)
+            if region is None:
+                return None
+            looks.append((label, region))
+        candidates = self._candidates(looks, every=True) if looks else {}
+        if candidates is None or len(candidates) < len(looks):
+            return None
+        chosen = self._best(candidates)
+        return chosen if len(chosen) == len(looks) else None
+
+    def _survey(self) -> dict[str, Candidate]:
+        """Look for every marker in the whole frame."""
+        self._since_survey = 0
+        looks = find_regions(self._image, self._table)
+        return self._best(self._candidates(looks, every=False) or {}) if looks else {}
+
+    def _candidates(self, looks: Sequence[tuple[int, Region]], every: bool) -> dict[str, list[Candidate]] | None:
+        """Return the candidates for each marker in some regions of the frame; markers without one are absent.
+
+        Args:
+            looks: label and region.
+            every: return None as soon as some blob is not wholly in its region.
+        """
+        cutouts = Cutouts(self._image, self._table, looks)
+        candidates: dict[str, list[Candidate]] = {}
+        found = blobs_of(cutouts.own, cutouts.places, [self._gates[label - 1] for label, _ in looks], self._size)
+        count = [0] * (len(self._names) + 1)
+        for place, blobs in zip(cutouts.places, found, strict=True):
+            count[place.label] += len(blobs)
+        for place, blobs in zip(cutouts.places, found, strict=True):
+            name = self._names[place.label - 1]
+            track, alone = self._tracks[name], count[place.label] == 1
+            for blob in blobs:
+                if not blob.inside(place.region, self._size):
+                    if every:
+                        return None
+                    continue
+                candidate = judge(cutouts, blob, place.label, self._gates[place.label - 1][0], track, alone)
+                if candidate is not None:
+                    candidates.setdefault(name, []).append(candidate)
+        return candidates
+
+    def _best(self, candidates: Mapping[str, list[Candidate]]) -> dict[str, Candidate]:
+        """Return for each marker the candidate that is most surely it; none where none is surely enough."""
+        chosen: dict[str, Candidate] = {}
+        for name in self._names:
+            each = candidates.get(name)
+            if each is None:
+                continue
+            best = each[0]
+            if len(each) > 1:
+                track = self._tracks[name]
+                # How much it is like the marker, times how well it continues the track, times area.
+                weights = [
+                    one.plausibility * track.preference(*middle_of(one.blob), one.blob.area) * one.blob.area
+                    for one in each
+                ]
+                first, second = sorted(range(len(each)), key=weights.__getitem__, reverse=True)[:2]
+                share = weights[first] / (weights[first] + weights[second])
+                best = each[first]
+                best = best._replace(
+                    plausibility=best.plausibility * share, evidence=best.evidence._replace(alone=math.log(share))
+                )
+            if best.plausibility >= MIN_PLAUSIBILITY:
+                chosen[name] = best
+        return chosen
+
+    def _measure(self, image: ImageArray, chosen: Mapping[str, Candidate]) -> dict[str, Detection]:
+        """Measure the chosen blobs of a frame."""
+        windows = []
+        for name, one in chosen.items():
+            # At the picture's border a rim is missing, and what the gain does on the other side would not cancel.
+            blob, is_cap = one.blob, self._markers[name].kind == "cap"
+            whole = blob.border_share == 0.0
+            windows.append(Window(image[blob.window], blob.mask, is_cap and whole, not is_cap and whole))
+        found = {}
+        for (name, one), centre in zip(chosen.items(), find_centres(windows), strict=True):
+            blob = one.blob
+            corners = None
+            u, v = blob.x0 + centre.u, blob.y0 + centre.v
+            if centre.shares is not None:
+                shift = blob.shift[0] - blob.x0, blob.shift[1] - blob.y0
+                shape = self._shapes.get(name)
+                expected = None if shape is None else [(centre.u + x, centre.v + y) for x, y in shape]
+                corners = find_corners(centre.shares, blob.points, shift, centre.area, expected)
+                if corners is None:
+                    self._shapes.pop(name, None)
+                else:
+                    self._shapes[name] = (corners - (centre.u, centre.v)).tolist()
+                    corners += (blob.x0, blob.y0)
+                    corners.setflags(write=False)
+            found[name] = Detection(u, v, centre.area, probability(one.evidence), corners, blob)
+            self._tracks[name].hit(u, v, centre.area, (0.5 * blob.box[2], 0.5 * blob.box[3]))
+        return found

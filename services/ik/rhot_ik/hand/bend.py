@@ -1,0 +1,65 @@
+"""How far a nearly straight finger is bent: the mean of what its reach leaves open, not the likeliest.
+
+Near the straight finger the distance from knuckle to marker hardly changes with the bend: 2 mm of error are 20°. The
+filter's answer is the likeliest one, and of a reach that errs long that is a finger quite straight, its knuckle bent
+instead. The mean over all bends θ that explain the reach r,
+
+    E[θ | r] = ∫ θ·p(r | θ)·p(θ) dθ / ∫ p(r | θ)·p(θ) dθ,   p(r | θ) = N(r − r(θ); 0, REACH_SIGMA_M²),
+
+has the least expected square of error. p(θ) is the one of `rhot_ik.hand.prior` within the limits. Both hinges follow
+it, and the knuckle turns back by as much as keeps the marker's direction.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot_ik.hand.fingers import AnalyticFingers
+from rhot_ik.hand.prior import angle_covariance, rest_angles
+
+FloatArray = NDArray[np.float64]
+
+REACH_SIGMA_M: Final = 0.002
+"""Error of the distance from knuckle to marker: what is seen of a painted tip wanders along the finger by as much."""
+_NODES: Final = 64
+_FLEXION: Final = 0
+_MIDDLE: Final = 2
+
+
+class MeanBend:
+    """Tables of one hand, from the likeliest bend of each finger to the mean; stateless after construction.
+
+    Args:
+        fingers: its closed form.
+    """
+
+    def __init__(self, fingers: AnalyticFingers) -> None:
+        model = fingers.model
+        self._low, self._high = model.angle_min, model.angle_max
+        bends = np.linspace(self._low[:, _MIDDLE], self._high[:, _MIDDLE], _NODES, axis=-1)
+        reach, direction = fingers.reach(bends)
+        rest = rest_angles(model).reshape(5, 4)[:, _MIDDLE, None]
+        spread = np.sqrt(np.diag(angle_covariance(model)).reshape(5, 4)[:, _MIDDLE, None])
+        off = (reach[:, None, :] - reach[:, :, None]) / REACH_SIGMA_M
+        weights = np.exp(-0.5 * (off * off + (((bends - rest) / spread) ** 2)[:, None, :]))
+        mean = (weights * bends[:, None, :]).sum(-1) / weights.sum(-1)
+        # What flexion, middle and last hinge are to be turned by.
+        self._turns = np.zeros((5, _NODES, 4))
+        self._turns[:, :, _FLEXION] = direction - fingers.reach(mean)[1]
+        self._turns[:, :, _MIDDLE] = mean - bends
+        self._turns[:, :, 3] = fingers.last_hinge(mean) - fingers.last_hinge(bends)
+        self._per_radian = (_NODES - 1) / (self._high[:, _MIDDLE] - self._low[:, _MIDDLE])
+        self._slopes = np.diff(self._turns, axis=1)
+        self._rows = np.arange(5)
+
+    def of(self, angles: FloatArray) -> FloatArray:
+        """Return the angles (5, 4) to show of the likeliest ones (5, 4), radians, both inside the limits."""
+        place = (angles[:, _MIDDLE] - self._low[:, _MIDDLE]) * self._per_radian
+        index = np.minimum(place, _NODES - 1.001).astype(np.intp)
+        part = (place - index)[:, None] * self._slopes[self._rows, index]
+        turned = angles + self._turns[self._rows, index] + part
+        shown: FloatArray = np.minimum(np.maximum(turned, self._low), self._high)
+        return shown
