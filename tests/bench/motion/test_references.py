@@ -41,7 +41,9 @@ def swinging(noise_px: float, lost: slice = slice(0)) -> Views:
 
 
 def errors_mm(found: Estimates) -> FloatArray:
-    errors: FloatArray = 1e3 * np.linalg.norm(found.position - path((found.t_ns - 10**12) * 1e-9), axis=1)
+    errors: FloatArray = 1e3 * np.linalg.norm(
+        found.position - path(np.asarray(found.t_ns - 10**12, dtype=np.float64) * 1e-9), axis=1
+    )
     return errors
 
 
