@@ -68,6 +68,7 @@ _EVALUATIONS: Final = {
     "steps": LazyCommand("Follow feet on recordings of real sensors and cameras.", extra="bench"),
     "thesis": LazyCommand("The 2018 thesis's tables with ours beside them.", extra="bench"),
     "calibration": LazyCommand("Tell whether the cameras have moved since they were calibrated.", extra="pc"),
+    "page": LazyCommand("Write measured figures as a page of the documentation.", extra="bench"),
 }
 
 
