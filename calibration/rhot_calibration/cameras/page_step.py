@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Final
 
 from rhot.bus import Bus
-from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView, Tone, typed_metres
+from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView, Tone, typed_metres
 from rhot.errors import ConfigError
 from rhot.rig import CamerasFile, load_rig
 from rhot.rig.folder import CAMERAS_FILE
@@ -48,11 +48,11 @@ class CameraStep:
         Button("undo", "undo", "Bring the former cameras back."),
     )
 
-    def __init__(self, room: Room) -> None:
-        self._room = room
-        rig = load_rig(room.rig_path)
+    def __init__(self, context: StepContext) -> None:
+        self._context = context
+        rig = load_rig(context.rig_path)
         self._cameras = tuple(rig.config.cameras)
-        self._kept = KeptFile(room.rig_path / CAMERAS_FILE, CamerasFile)
+        self._kept = KeptFile(context.rig_path / CAMERAS_FILE, CamerasFile)
         sim = rig.config.sim
         self.fields = (
             Field("board", "board", f"{sim.board_columns}x{sim.board_rows}", (), "Inner corners along and across."),
@@ -183,12 +183,12 @@ class CameraStep:
         """There is nothing to click at."""
 
     async def _collect(self, board: Board) -> None:
-        folder = self._room.rig_path / f"calibration-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+        folder = self._context.rig_path / f"calibration-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
         self._doing, self._session, self._found = "waiting for the cameras", None, None
         self._tables, self._warnings = (), ()
         self._ended.clear()
         try:
-            async with await Bus.open(self._room.bus, timeout_s=CONNECT_S) as bus:
+            async with await Bus.open(self._context.bus, timeout_s=CONNECT_S) as bus:
                 prepare_folder(folder, self._cameras)
                 self._collector = Collector(bus, self._cameras, board, folder)
                 self._session = await self._collector.begin(self._ended, None)
@@ -225,7 +225,7 @@ class CameraStep:
         def told(step: str) -> None:
             self._doing = f"solving: {step}"
 
-        return calibrate_rig(load_rig(self._room.rig_path), views, baseline_m, told)
+        return calibrate_rig(load_rig(self._context.rig_path), views, baseline_m, told)
 
 
 def _board(values: Mapping[str, str]) -> Board:

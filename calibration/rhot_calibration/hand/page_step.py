@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 
-from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView, typed_metres
+from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView, typed_metres
 from rhot.errors import ConfigError
 from rhot.messages import PointSet, Side
 from rhot.rig import HandFile, load_rig
@@ -35,10 +35,10 @@ class HandStep:
         Button("undo", "undo", "Bring the former hand back."),
     )
 
-    def __init__(self, room: Room) -> None:
-        self._room = room
-        self._sides = load_rig(room.rig_path).config.sides
-        self._kept = KeptFile(room.rig_path / HAND_FILE, HandFile)
+    def __init__(self, context: StepContext) -> None:
+        self._context = context
+        self._sides = load_rig(context.rig_path).config.sides
+        self._kept = KeptFile(context.rig_path / HAND_FILE, HandFile)
         self.fields = (
             Field("length_mm", "length, mm", "", (), "Wrist crease to the tip of the middle finger; optional."),
             Field("width_mm", "width, mm", "", (), "Across the knuckles of the four fingers; optional."),
@@ -116,7 +116,7 @@ class HandStep:
 
     async def _measure(self, values: Mapping[str, str]) -> None:
         length_m, _ = _typed(values)
-        rig = load_rig(self._room.rig_path)
+        rig = load_rig(self._context.rig_path)
         side: Side = "left" if values.get("side", self._sides[0]) == "left" else "right"
         self._found, self._share = None, 0.0
 
@@ -127,7 +127,7 @@ class HandStep:
 
         self._doing = "looking for the rig"
         try:
-            self._listening = asyncio.create_task(live_points(self._room.bus, LIVE_S, on_time))
+            self._listening = asyncio.create_task(live_points(self._context.bus, LIVE_S, on_time))
             done, _pending = await asyncio.wait({self._listening})
             listened = done.pop()
             self._listening = None
