@@ -12,8 +12,8 @@ import pytest
 from click.testing import CliRunner
 
 from rhot.cli import main
-from rhot.cli.configure import parse_assignments
-from rhot.cli.inspect import plain_value
+from rhot.cli.operate.configure import parse_assignments
+from rhot.cli.operate.inspect import plain_value
 from rhot.cli.options import tool_bus
 from rhot.errors import ConfigError
 

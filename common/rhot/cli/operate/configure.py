@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from rhot.bus import Bus
-from rhot.cli.inspect import plain_value
+from rhot.cli.operate.inspect import plain_value
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
 from rhot.rig import BusConfig

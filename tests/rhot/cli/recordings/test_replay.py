@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 from hand_messages import marker_frame, point_set
 
-from rhot.cli.replay import replay
+from rhot.cli.recordings.replay import replay
 from rhot.errors import ConfigError
 from rhot.messages import encode, encoding_of
 from rhot.recording.mcap.writer import McapWriter
