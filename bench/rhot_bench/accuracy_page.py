@@ -80,14 +80,14 @@ HEADLINES: Final = (
     help="README whose table of headline figures to renew.",
 )
 def page(results_path: Path, out_path: Path, readme_path: Path | None) -> None:
-    r"""Write a page from the figures that `rhot evaluate …` and `rhot bench` left with --json.
+    """Write a page from the figures that `rhot evaluate …` and `rhot bench` left with --json.
 
     RESULTS is a folder of such files. NAME.md beside NAME.json, if there is one, introduces its figures.
 
     \b
     rhot evaluate hands DATA --json docs/results/hands.json
     rhot evaluate page docs/results --out docs/accuracy.md --readme README.md
-    """
+    """  # noqa: D301 (click reads \b as "keep these lines")
     check_output("--out", out_path)
     results = load_results(results_path)
     write_text_atomic(out_path, accuracy_page(results, introductions(results_path, results)))
