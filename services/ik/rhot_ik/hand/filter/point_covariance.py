@@ -15,8 +15,8 @@ _CELL_M: Final = 0.025
 _MOST_CELLS: Final = 4096
 
 
-class Sight:
-    """The places that a rig looks from.
+class PointCovariances:
+    """Covariances of points as a rig's cameras see them, up to their size.
 
     Args:
         viewpoints: (C, 3) metres, rig frame: the cameras' centres; fewer than two tell no shape.
@@ -49,7 +49,7 @@ class Sight:
             return np.eye(3) / 3.0
         across = np.eye(3) - rays[:, :, None] * rays[:, None, :] / squared[:, None, None]
         information = (across / squared[:, None, None]).sum(axis=0)
-        # Parallel lines of sight leave depth open: never more than 30 times longer than wide.
+        # Parallel lines of covariances leave depth open: never more than 30 times longer than wide.
         information += np.eye(3) * (np.trace(information) / 2.0 / 900.0)
         covariance = np.linalg.inv(information)
         scaled: FloatArray = covariance / np.trace(covariance)

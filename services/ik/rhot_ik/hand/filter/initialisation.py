@@ -1,4 +1,4 @@
-"""Where a hand is when nothing is known of it but one sample."""
+"""Finding the hand in a single sample, with nothing known before."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import rotation_x, rotation_z
-from rhot_ik.hand.evidence import Evidence, EvidenceModel, HandObservation
-from rhot_ik.hand.filter import HandFilter
-from rhot_ik.hand.process import HandState
+from rhot_ik.hand.filter.evidence import Evidence, EvidenceModel, HandObservation
+from rhot_ik.hand.filter.filter import HandFilter
+from rhot_ik.hand.filter.process import HandState
 
 FloatArray = NDArray[np.float64]
 
@@ -24,12 +24,12 @@ _TURNED_AWAY_COST: Final = 1e4
 """A flat patch that is seen faces the cameras: cost of the square of how far its normal points away."""
 
 
-class HandStart:
+class HandInitialiser:
     """Finds the state that explains one sample best: many guesses, each refined.
 
     Args:
         hand_filter: of the hand.
-        evidence: how points are trusted.
+        evidence: gives points their covariances.
         base_offset: (3,) metres: the base marker's centre in the wrist frame.
     """
 
@@ -46,16 +46,16 @@ class HandStart:
         direction = seen.tips[visible].mean(axis=0) - seen.base
         if direction @ direction < 1e-6:
             return None
-        points = self._evidence.of(seen, None)
+        points = self._evidence.assess(seen, None)
         tried = []
         for R in self._facing(guesses(direction), seen.base):
-            state = self._filter.correct(self._filter.start(R, seen.base - R @ self._base_offset), points)
+            state = self._filter.update(self._filter.start(R, seen.base - R @ self._base_offset), points)
             tried.append((self.cost(state, points), state))
         refined = []
         for _, state in sorted(tried, key=lambda item: item[0])[:_REFINED]:
             # The corners of a patch fit two ways round; the tips have told by now which one it is.
-            evidence = self._evidence.of(seen, state.R)
-            final = self._filter.correct(self._filter.start(state.R, state.p, state.angles), evidence, steps=5)
+            evidence = self._evidence.assess(seen, state.R)
+            final = self._filter.update(self._filter.start(state.R, state.p, state.angles), evidence, steps=5)
             refined.append((self.cost(final, evidence), final, evidence))
         _, best, evidence = min(refined, key=lambda item: item[0])
         return best, evidence
@@ -64,13 +64,13 @@ class HandStart:
         """Return the rotations that show the cameras a flat patch; all when there is none, or none does."""
         if self._evidence.outline is None:
             return rotations
-        sight = self._evidence.sight.direction(at)
-        facing = [R for R in rotations if R[:, 1] @ sight < _MOST_AWAY]
+        covariances = self._evidence.covariances.direction(at)
+        facing = [R for R in rotations if R[:, 1] @ covariances < _MOST_AWAY]
         return facing or rotations
 
     def cost(self, state: HandState, evidence: Evidence) -> float:
-        """Return how ill a state explains a sample, the side of the hand that the cameras see included."""
-        away = float(state.R[:, 1] @ self._evidence.sight.direction(state.p))
+        """Return the cost of a state under a sample; which side of the hand the cameras see counts as well."""
+        away = float(state.R[:, 1] @ self._evidence.covariances.direction(state.p))
         cost = self._filter.cost(state, evidence)
         if self._evidence.outline is not None:
             return cost + _TURNED_AWAY_COST * max(0.0, away + 0.1) ** 2

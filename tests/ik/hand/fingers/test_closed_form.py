@@ -12,8 +12,8 @@ from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS
 from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
-from rhot_ik.hand.finger_geometry import FingerGeometry
-from rhot_ik.hand.fingers import AnalyticFingers
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 FloatArray = NDArray[np.float64]
 

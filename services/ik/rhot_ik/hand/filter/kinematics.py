@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.hand import MOVING
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
-from rhot_ik.hand.finger_geometry import FingerGeometry
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 FloatArray = NDArray[np.float64]
 

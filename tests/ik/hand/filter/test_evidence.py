@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 
 from rhot.geometry.rotations import rotation_from_vector, shortest_rotation
-from rhot_ik.hand.evidence import EvidenceModel, HandObservation
-from rhot_ik.hand.sight import Sight
+from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
+from rhot_ik.hand.filter.point_covariance import PointCovariances
 
 
 def test_two_points_of_the_wrist_turn_it_the_shortest_way_and_leave_the_turn_about_their_line() -> None:
@@ -13,14 +13,14 @@ def test_two_points_of_the_wrist_turn_it_the_shortest_way_and_leave_the_turn_abo
     seen = HandObservation(
         10**18, np.array([0.0, 0.0, 0.8]), True, None, np.full((5, 3), np.nan), np.zeros(5, dtype=np.bool_)
     )
-    model = EvidenceModel(None, Sight(np.empty((0, 3))))
-    assert model.of(seen, expected).rotation is None
+    model = EvidenceModel(None, PointCovariances(np.empty((0, 3))))
+    assert model.assess(seen, expected).rotation is None
     across = HandObservation(seen.t_ns, seen.base, True, None, seen.tips, seen.tips_measured, across=truth[:, 0])
-    evidence = model.of(across, expected)
+    evidence = model.assess(across, expected)
     assert evidence.rotation is not None
     assert np.allclose(evidence.rotation[:, 0], truth[:, 0])
     assert evidence.rotation_information[0, 0] < 1e-4 * evidence.rotation_information[1, 1]
-    assert model.of(across, None).rotation is None
+    assert model.assess(across, None).rotation is None
 
 
 def test_the_turn_between_two_directions_takes_one_to_the_other_however_near() -> None:

@@ -1,6 +1,6 @@
 """The whole hand as one filter: wrist pose and twenty angles from all points of all samples together.
 
-State and prediction are `rhot_ik.hand.process`'s.
+State and prediction are `rhot_ik.hand.filter.process`'s.
 
 Measurements, each with its own 3x3 covariance: the base marker p + R·b; each tip p + R·m(q); and the corners of the
 base patch, which are first made into one rotation with its information matrix. The update is the iterated extended
@@ -19,18 +19,27 @@ from numpy.typing import NDArray
 
 from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
-from rhot_ik.hand.evidence import Evidence
-from rhot_ik.hand.finger_geometry import FingerGeometry
-from rhot_ik.hand.fingers import AnalyticFingers
-from rhot_ik.hand.kinematics import HandKinematics
-from rhot_ik.hand.prior import COUNT
-from rhot_ik.hand.process import ANGLES, POSITION, ROTATION, SIZE, SPEED, TURNING, HandProcess, HandState
+from rhot_ik.hand.filter.evidence import Evidence
+from rhot_ik.hand.filter.kinematics import HandKinematics
+from rhot_ik.hand.filter.prior import COUNT
+from rhot_ik.hand.filter.process import (
+    ANGLES,
+    ANGULAR_VELOCITY,
+    POSITION,
+    ROTATION,
+    SIZE,
+    VELOCITY,
+    HandProcess,
+    HandState,
+)
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-MOST_SURPRISE: Final = 30.0
-"""A finger that moves faster than the process expects gets up to this many times its room."""
+MAX_INFLATION: Final = 30.0
+"""Largest factor on the process noise of a finger whose NIS says that it moves faster than expected."""
 CLOSE_RAD: Final = 0.05
 """Steps end when the derivatives were taken this near to where they led."""
 FAR_M: Final = 0.015
@@ -83,7 +92,7 @@ def _rows(evidence: Evidence) -> _Rows | None:
 
 
 class HandFilter(HandProcess):
-    """Predicts and corrects `HandState`s of one hand; stateless after construction."""
+    """Predicts and updates `HandState`s of one hand; stateless after construction."""
 
     def __init__(self, geometry: FingerGeometry, base_offset: FloatArray) -> None:
         model = geometry.model
@@ -99,7 +108,7 @@ class HandFilter(HandProcess):
         self._H[:18, POSITION] = np.tile(np.eye(3), (6, 1))
         self._H[18:, ROTATION] = np.eye(3)
 
-    def correct(self, prior: HandState, evidence: Evidence, steps: int = 2) -> HandState:
+    def update(self, prior: HandState, evidence: Evidence, steps: int = 2) -> HandState:
         """Return the state after a sample, by at most `steps` Gauss–Newton steps."""
         rows = _rows(evidence)
         if rows is None:
@@ -115,17 +124,17 @@ class HandFilter(HandProcess):
         for step in range(steps):
             if step > 0:
                 modelled = self._kinematics.markers(q)
-            used, y = self._linearised(rows, R, p, modelled)
+            used, y = self._linearise(rows, R, p, modelled)
             innovation = y + used @ dx
             PHt = P @ used.T
             S = used @ PHt
             blocks = S.reshape(7, 3, 7, 3)
             blocks[_BLOCKS, :, _BLOCKS] += rows.noise
             if step == 0:
-                surprise = self._surprise(innovation[:15].reshape(5, 3), blocks[_TIPS, :, _TIPS])
-                weights = np.minimum(1.0, OUTLIER**2 / (3.0 * np.maximum(surprise, 1.0)))
-                if prior.spread > 0.0 and surprise.max() > 1.0:
-                    P = self._with_room(prior, surprise)
+                nis = self._tip_nis(innovation[:15].reshape(5, 3), blocks[_TIPS, :, _TIPS])
+                weights = np.minimum(1.0, OUTLIER**2 / (3.0 * np.maximum(nis, 1.0)))
+                if prior.stationary_share > 0.0 and nis.max() > 1.0:
+                    P = self._inflated(prior, nis)
                     PHt = P @ used.T
                     S = used @ PHt
                     blocks = S.reshape(7, 3, 7, 3)
@@ -148,15 +157,15 @@ class HandFilter(HandProcess):
         return HandState(
             R,
             p,
-            prior.turning + dx[TURNING],
-            prior.speed + dx[SPEED],
+            prior.angular_velocity + dx[ANGULAR_VELOCITY],
+            prior.velocity + dx[VELOCITY],
             np.minimum(np.maximum(q, self._low), self._high),
             0.5 * (posterior + posterior.T),
-            missed_m=float(np.sqrt(left).sum() / max(1, np.count_nonzero(rows.seen[:5]))),
+            mean_residual_m=float(np.sqrt(left).sum() / max(1, np.count_nonzero(rows.seen[:5]))),
         )
 
     def cost(self, state: HandState, evidence: Evidence) -> float:
-        """Return how ill a state explains a sample on its own: squared errors over their variances, angles included."""
+        """Return the squared normalised error of a sample under a state, angles against their prior included."""
         seen = np.isfinite(evidence.tips).all(axis=1)
         off = state.angles - self._rest
         cost = float(off @ self._stationary_inverse @ off)
@@ -185,7 +194,7 @@ class HandFilter(HandProcess):
         angles: FloatArray = np.where(seen, self._fingers.solve(local).angles, prior.angles.reshape(5, 4))
         return angles.reshape(COUNT)
 
-    def _linearised(
+    def _linearise(
         self, rows: _Rows, R: FloatArray, p: FloatArray, modelled: tuple[FloatArray, FloatArray]
     ) -> tuple[FloatArray, FloatArray]:
         """Return H (21, 32) and what was measured beyond what a pose has, (21,); rows of what was not seen are 0.
@@ -207,19 +216,19 @@ class HandFilter(HandProcess):
         return H * rows.counts[:, None], y * rows.counts
 
     @staticmethod
-    def _surprise(innovation: FloatArray, S: FloatArray) -> FloatArray:
-        """Return by how much the errors (5, 3) exceed their expected covariances (5, 3, 3): (5,), 1 on average."""
-        surprise: FloatArray = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(-1) / 3.0
-        return surprise
+    def _tip_nis(innovation: FloatArray, S: FloatArray) -> FloatArray:
+        """Return the normalised innovation squared (5,) of errors (5, 3), over its mean of 3; S: (5, 3, 3)."""
+        nis: FloatArray = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(-1) / 3.0
+        return nis
 
-    def _with_room(self, prior: HandState, surprise: FloatArray) -> FloatArray:
-        """Return P with more room for fingers that move faster than the process expects."""
+    def _inflated(self, prior: HandState, nis: FloatArray) -> FloatArray:
+        """Return P with more process noise for the fingers whose NIS is too large."""
         P = prior.P.copy()
         own = P[ANGLES, ANGLES]
-        for finger, times in enumerate(surprise.tolist()):
+        for finger, times in enumerate(nis.tolist()):
             if times > 1.0:
                 mine = slice(4 * finger, 4 * finger + 4)
-                own[mine, mine] += min(times, MOST_SURPRISE) * prior.spread * self._own_stationary[finger]
+                own[mine, mine] += min(times, MAX_INFLATION) * prior.stationary_share * self._own_stationary[finger]
         return P
 
     def _within_limits(self, dx: FloatArray, angles: FloatArray, P: FloatArray) -> FloatArray:

@@ -9,8 +9,8 @@ from rhot.anatomy.skeleton import FINGERS
 from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector
 from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
-from rhot_ik.hand.finger_geometry import FingerGeometry
-from rhot_ik.hand.kinematics import HandKinematics
+from rhot_ik.hand.filter.kinematics import HandKinematics
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 FloatArray = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ instead. The mean over all bends θ that explain the reach r,
 
     E[θ | r] = ∫ θ·p(r | θ)·p(θ) dθ / ∫ p(r | θ)·p(θ) dθ,   p(r | θ) = N(r − r(θ); 0, REACH_SIGMA_M²),
 
-has the least expected square of error. p(θ) is the one of `rhot_ik.hand.prior` within the limits. Both hinges follow
-it, and the knuckle turns back by as much as keeps the marker's direction.
+has the least expected square of error. p(θ) is the one of `rhot_ik.hand.filter.prior` within the limits. Both hinges
+follow it, and the knuckle turns back by as much as keeps the marker's direction.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot_ik.hand.fingers import AnalyticFingers
-from rhot_ik.hand.prior import angle_covariance, rest_angles
+from rhot_ik.hand.filter.prior import angle_covariance, rest_angles
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 
 FloatArray = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ _FLEXION: Final = 0
 _MIDDLE: Final = 2
 
 
-class MeanBend:
+class ExpectedBend:
     """Tables of one hand, from the likeliest bend of each finger to the mean; stateless after construction.
 
     Args:
@@ -46,20 +46,20 @@ class MeanBend:
         off = (reach[:, None, :] - reach[:, :, None]) / REACH_SIGMA_M
         weights = np.exp(-0.5 * (off * off + (((bends - rest) / spread) ** 2)[:, None, :]))
         mean = (weights * bends[:, None, :]).sum(-1) / weights.sum(-1)
-        # What flexion, middle and last hinge are to be turned by.
-        self._turns = np.zeros((5, _NODES, 4))
-        self._turns[:, :, _FLEXION] = direction - fingers.reach(mean)[1]
-        self._turns[:, :, _MIDDLE] = mean - bends
-        self._turns[:, :, 3] = fingers.last_hinge(mean) - fingers.last_hinge(bends)
+        # What is added to flexion, middle and last hinge.
+        self._corrections = np.zeros((5, _NODES, 4))
+        self._corrections[:, :, _FLEXION] = direction - fingers.reach(mean)[1]
+        self._corrections[:, :, _MIDDLE] = mean - bends
+        self._corrections[:, :, 3] = fingers.last_hinge(mean) - fingers.last_hinge(bends)
         self._per_radian = (_NODES - 1) / (self._high[:, _MIDDLE] - self._low[:, _MIDDLE])
-        self._slopes = np.diff(self._turns, axis=1)
+        self._slopes = np.diff(self._corrections, axis=1)
         self._rows = np.arange(5)
 
-    def of(self, angles: FloatArray) -> FloatArray:
-        """Return the angles (5, 4) to show of the likeliest ones (5, 4), radians, both inside the limits."""
-        place = (angles[:, _MIDDLE] - self._low[:, _MIDDLE]) * self._per_radian
-        index = np.minimum(place, _NODES - 1.001).astype(np.intp)
-        part = (place - index)[:, None] * self._slopes[self._rows, index]
-        turned = angles + self._turns[self._rows, index] + part
-        shown: FloatArray = np.minimum(np.maximum(turned, self._low), self._high)
-        return shown
+    def expected(self, angles: FloatArray) -> FloatArray:
+        """Return the expected angles (5, 4) of the likeliest ones (5, 4), radians, both inside the limits."""
+        position = (angles[:, _MIDDLE] - self._low[:, _MIDDLE]) * self._per_radian
+        index = np.minimum(position, _NODES - 1.001).astype(np.intp)
+        part = (position - index)[:, None] * self._slopes[self._rows, index]
+        expected = angles + self._corrections[self._rows, index] + part
+        clamped: FloatArray = np.minimum(np.maximum(expected, self._low), self._high)
+        return clamped

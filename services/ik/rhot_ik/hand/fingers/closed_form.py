@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
-from rhot_ik.hand.finger_geometry import FingerGeometry
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 FloatArray = NDArray[np.float64]
 

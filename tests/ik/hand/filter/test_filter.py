@@ -9,11 +9,11 @@ from rhot.anatomy.hand import HandModel
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.messages import Side
 from rhot.rig import HandFile
-from rhot_ik.hand.evidence import Evidence
-from rhot_ik.hand.filter import HandFilter
-from rhot_ik.hand.finger_geometry import FingerGeometry
-from rhot_ik.hand.prior import angle_covariance, rest_angles
-from rhot_ik.hand.process import ANGLES, HandState
+from rhot_ik.hand.filter.evidence import Evidence
+from rhot_ik.hand.filter.filter import HandFilter
+from rhot_ik.hand.filter.prior import angle_covariance, rest_angles
+from rhot_ik.hand.filter.process import ANGLES, HandState
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 FloatArray = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def test_one_sample_of_all_points_gives_pose_and_angles() -> None:
     model = HandModel.from_file(HandFile(), "right")
     truth = coupled(model, 30.0, 50.0)
     start = hand.start(R_TRUE @ rotation_from_vector(np.array([0.2, 0.1, -0.2])), P_TRUE + 0.01)
-    state = hand.correct(start, evidence_of(hand, truth), steps=6)
+    state = hand.update(start, evidence_of(hand, truth), steps=6)
     assert degrees_off(state) < 1.0
     assert np.linalg.norm(state.p - P_TRUE) < 0.001
     missed = np.linalg.norm(hand.tips(state.angles)[0] @ state.R.T + state.p - evidence_of(hand, truth).tips, axis=1)
@@ -69,7 +69,7 @@ def test_angles_never_leave_their_limits_and_the_tips_still_fit() -> None:
     flat = model.clamp(np.zeros((5, 4))).reshape(-1)
     state = hand.start(R_TRUE, P_TRUE)
     for _ in range(30):
-        state = hand.correct(hand.predict(state, 1 / 60), evidence_of(hand, flat))
+        state = hand.update(hand.predict(state, 1 / 60), evidence_of(hand, flat))
         angles = state.angles.reshape(5, 4)
         assert (angles >= model.angle_min).all()
         assert (angles <= model.angle_max).all()
@@ -84,7 +84,7 @@ def test_a_hidden_finger_goes_with_its_neighbours() -> None:
     for share in np.linspace(0.0, 1.0, 60):
         angles = coupled(model, 10.0 + 50.0 * share, 10.0 + 70.0 * share)
         hidden = (3,) if share > 0.2 else ()
-        state = hand.correct(hand.predict(state, 1 / 60), evidence_of(hand, angles, hidden=hidden))
+        state = hand.update(hand.predict(state, 1 / 60), evidence_of(hand, angles, hidden=hidden))
     ring = np.degrees(state.angles.reshape(5, 4)[3])
     assert ring[0] > 35.0
     assert ring[2] > 50.0
@@ -93,7 +93,7 @@ def test_a_hidden_finger_goes_with_its_neighbours() -> None:
 def test_left_alone_the_angles_go_back_to_rest_and_doubt_grows_to_what_is_known_beforehand() -> None:
     hand = filter_of()
     model = HandModel.from_file(HandFile(), "right")
-    state = hand.correct(hand.start(R_TRUE, P_TRUE), evidence_of(hand, coupled(model, 50.0, 80.0)), steps=4)
+    state = hand.update(hand.start(R_TRUE, P_TRUE), evidence_of(hand, coupled(model, 50.0, 80.0)), steps=4)
     before = np.trace(state.P[ANGLES, ANGLES])
     for _ in range(100):
         state = hand.predict(state, 0.1)
@@ -108,7 +108,7 @@ def test_covariance_stays_symmetric_and_positive() -> None:
     state = hand.start(R_TRUE, P_TRUE)
     for k in range(200):
         angles = coupled(model, 20.0 + 20.0 * np.sin(0.1 * k), 30.0 + 30.0 * np.sin(0.13 * k))
-        state = hand.correct(hand.predict(state, 1 / 120), evidence_of(hand, angles, turned=k % 3 == 0))
+        state = hand.update(hand.predict(state, 1 / 120), evidence_of(hand, angles, turned=k % 3 == 0))
     assert np.array_equal(state.P, state.P.T)
     assert np.linalg.eigvalsh(state.P).min() > -1e-12
 
@@ -119,10 +119,10 @@ def test_one_wild_tip_does_not_turn_the_palm() -> None:
     angles = coupled(model, 20.0, 30.0)
     state = hand.start(R_TRUE, P_TRUE)
     for _ in range(30):
-        state = hand.correct(hand.predict(state, 1 / 60), evidence_of(hand, angles))
+        state = hand.update(hand.predict(state, 1 / 60), evidence_of(hand, angles))
     wild = evidence_of(hand, angles)
     tips = wild.tips.copy()
     tips[2] += np.array([0.0, 0.0, 0.08])
     for _ in range(5):
-        state = hand.correct(hand.predict(state, 1 / 60), dataclasses.replace(wild, tips=tips))
+        state = hand.update(hand.predict(state, 1 / 60), dataclasses.replace(wild, tips=tips))
     assert degrees_off(state) < 5.0

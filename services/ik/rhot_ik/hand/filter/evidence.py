@@ -1,4 +1,4 @@
-"""What one sample says of a hand: points and corners with the covariance of their errors."""
+"""What one sample measures of a hand: points and corners with the covariance of their errors."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import shortest_rotation
-from rhot_ik.hand.patch import PatchRotation
-from rhot_ik.hand.sight import Sight
+from rhot_ik.hand.filter.patch_rotation import PatchRotation
+from rhot_ik.hand.filter.point_covariance import PointCovariances
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -79,34 +79,34 @@ class Evidence:
 
 
 class EvidenceModel:
-    """Knows how far each kind of point can be trusted.
+    """Gives every kind of point the covariance of its errors.
 
     Args:
         outline: (4, 3) metres: corners of the base patch about its centre, wrist frame; none for a round marker.
-        sight: where the cameras are.
+        covariances: of a point as the cameras see it.
     """
 
-    def __init__(self, outline: FloatArray | None, sight: Sight) -> None:
+    def __init__(self, outline: FloatArray | None, covariances: PointCovariances) -> None:
         self.outline = outline
-        self.sight = sight
+        self.covariances = covariances
         self._patch = None if outline is None else PatchRotation(outline)
 
-    def of(self, seen: HandObservation, expected: FloatArray | None) -> Evidence:
-        """Return the evidence of a sample; corners count when the rotation (3, 3) is about known as `expected`."""
+    def assess(self, seen: HandObservation, expected: FloatArray | None) -> Evidence:
+        """Return a sample's evidence; corners are used only where an expected rotation (3, 3) is given."""
         base = _NOWHERE if seen.base is None else seen.base
         if seen.base is not None:
             middle = seen.base
         else:
             visible = np.isfinite(seen.tips).all(axis=1)
             middle = seen.tips[visible].mean(axis=0) if visible.any() else np.zeros(3)
-        shape = self.sight.shape(middle)
-        turned = None
+        shape = self.covariances.shape(middle)
+        fitted = None
         if expected is not None and seen.corners is not None and self._patch is not None and seen.base_measured:
             covariance = CORNER_SIGMA_M**2 * shape + BASE_SIGMA_M**2 * _UNIT
-            turned = self._patch.fit(seen.corners, expected, covariance)
+            fitted = self._patch.fit(seen.corners, expected, covariance)
         elif expected is not None and seen.across is not None:
-            turned = shortest_rotation(expected[:, 0], seen.across) @ expected, _ACROSS_INFORMATION
-        rotation, information = (None, _UNIT) if turned is None else turned
+            fitted = shortest_rotation(expected[:, 0], seen.across) @ expected, _ACROSS_INFORMATION
+        rotation, information = (None, _UNIT) if fitted is None else fitted
         floors = TIP_SIGMA_M**2 + np.where(seen.tips_measured, 0.0, PREDICTED_SIGMA_M**2)
         sigma = _SIGMAS if seen.tips_sigma is None else seen.tips_sigma
         base_floor = BASE_SIGMA_M**2 + (0.0 if seen.base_measured else PREDICTED_SIGMA_M**2)
@@ -122,6 +122,6 @@ class EvidenceModel:
 
 _UNIT: Final = np.eye(3)
 _ACROSS_INFORMATION: Final = np.diag([1e-3, ACROSS_RAD**-2, ACROSS_RAD**-2])
-"""Two points tell nothing of the turn about the line through them."""
+"""Two points say nothing about a rotation around the line through them."""
 _NOWHERE: Final = np.full(3, np.nan)
 _SIGMAS: Final = np.full(5, SIGMA_M)
