@@ -32,8 +32,8 @@ and run the same command with `--json FILE`.
 
 *Load* is how many processes ran or waited during the last minute, this one included. Where it exceeds the cores, others
 used the machine too, and times come out longer than on a quiet one. *Beside it* stands the same figure of the 2018 or
-2021 thesis or of another tracker. Where a target is missed, the table says so. Figures that tests assert, and older ones
-that no command writes, are in [tested.md](tested.md).
+2021 thesis or of another tracker. Where a target is missed, the table says so. Figures that tests assert, and older
+ones that no command writes, are in [tested.md](tested.md).
 """
 
 
