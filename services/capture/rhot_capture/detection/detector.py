@@ -64,10 +64,12 @@ class Decisions(NamedTuple):
     Attributes:
         looks: label and region of every part of the frame that was looked at.
         judged: name of the marker and candidate or refusal of every blob of a marker's colour in these.
+        chosen: the candidates that were taken, with the evidence of all blobs.
     """
 
     looks: Sequence[tuple[int, Region]]
     judged: Sequence[tuple[str, Candidate | Refusal]]
+    chosen: Mapping[str, Candidate]
 
 
 class MarkerDetector:
@@ -97,6 +99,7 @@ class MarkerDetector:
         self._looks: Sequence[tuple[int, Region]] = ()
         self._judged: list[tuple[str, Candidate | Refusal]] = []
         self._outsized: list[Outsized] = []
+        self._chosen: Mapping[str, Candidate] = {}
         self.table = table
 
     @property
@@ -120,7 +123,7 @@ class MarkerDetector:
             label, blob = each.place.label, each.blob
             reason: Reason = "too small" if blob.area < self._gates[label - 1][0] else "too large"
             judged.append((self._names[label - 1], Refusal(blob, reason)))
-        return Decisions(self._looks, judged)
+        return Decisions(self._looks, judged, self._chosen)
 
     def expected(self, name: str) -> tuple[float, float] | None:
         """Return where a marker is expected in the next frame, u and v in pixels; None when it was not in the last."""
@@ -194,7 +197,7 @@ class MarkerDetector:
         self._since_survey = 0
         looks = find_regions(self._image, self._table)
         self._looks, self._judged, self._outsized = looks, [], []
-        return self._best(self._candidates(looks, every=False) or {}) if looks else {}
+        return self._best(self._candidates(looks, every=False) or {}) if looks else self._best({})
 
     def _candidates(self, looks: Sequence[tuple[int, Region]], every: bool) -> dict[str, list[Candidate]] | None:
         """Return the candidates for each marker in some regions of the frame; markers without one are absent.
@@ -248,6 +251,7 @@ class MarkerDetector:
                 )
             if best.plausibility >= MIN_PLAUSIBILITY:
                 chosen[name] = best
+        self._chosen = chosen
         return chosen
 
     def _measure(self, image: ImageArray, chosen: Mapping[str, Candidate]) -> dict[str, Detection]:
