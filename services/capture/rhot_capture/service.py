@@ -26,11 +26,10 @@ from rhot_capture.detection.color_table import ColorTable, ImageArray, build_col
 from rhot_capture.detection.cutouts import marker_mask
 from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.frame_stream import FrameStream
-from rhot_capture.grabber import grab
 from rhot_capture.kept_optics import KeptOptics
 from rhot_capture.preview import preview_jpeg, preview_png
 from rhot_capture.settings import CameraSettings
-from rhot_capture.sources import Frame, Source, open_source
+from rhot_capture.sources import Frame, Source, grab, open_source
 from rhot_capture.timing import marker_frame, row_time_ns
 
 _PREVIEW_WAIT_S: Final = 0.4
