@@ -6,9 +6,8 @@ from collections.abc import AsyncIterator, Generator
 from pathlib import Path
 
 import pytest
-from foreign_load import ForeignLoad
 from rig_processes import Processes
-from wall_clock import excuse
+from wall_clock import ForeignLoad, excuse
 
 from rhot.bus import Bus
 from rhot.rig import BusConfig
