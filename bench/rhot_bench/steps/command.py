@@ -184,7 +184,7 @@ def _markers(files: Sequence[Path], most: int | None, advance: Advance) -> list[
         rows += [
             Row(f"{file.stem}: the right one of two orientations", 100 * figures.right, "%", least=97.0,
                 note=f"the detector's first solution {first}"),
-            Row(f"{file.stem}: filtered place, mean", MM * figures.mean_m, "mm", note=note),
+            Row(f"{file.stem}: filtered position, mean", MM * figures.mean_m, "mm", note=note),
             Row("    nearer to the truth than that by", nearer, "%", least=30.0),
         ]  # fmt: skip
         advance()
