@@ -37,7 +37,7 @@ class HandCoherence:
         self._reach_m = _REACH * hand_length_m
 
     def near(self, index: IndexArray, position: FloatArray, known: FloatArray, tracked: BoolArray) -> BoolArray:
-        """Tell which points (K, 3) of markers (K,) are within reach of their hand's known places (M, 3).
+        """Tell which points (K, 3) of markers (K,) are within reach of their hand's known positions (M, 3).
 
         Where fewer than three markers of a hand are tracked nothing is refused.
         """
