@@ -10,14 +10,12 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import nearest_rotation
 from rhot.messages import Side
 from rhot.rig import HandFile
-
-FloatArray = NDArray[np.float64]
 
 BENT_RAD: Final = np.radians(10.0)
 """Each hinge of the start of plain FABRIK."""

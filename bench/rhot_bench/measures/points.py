@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.messages import PointSet
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 FALSE_M: Final = 0.020
 """A measured point with no true marker this near is a false one."""

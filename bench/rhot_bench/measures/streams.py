@@ -9,11 +9,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot_bench.measures.delay import stream_delay
 from rhot_bench.measures.points import scatter_m
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 REST_FRAMES: Final = 15
 """A marker rests while it stays within `REST_PX` in every view over this many frames."""

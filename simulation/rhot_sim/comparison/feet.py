@@ -9,16 +9,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.bus import Bus
 from rhot.messages import BodyPose, FootPose, Side
 from rhot_sim.comparison.accuracy import seconds_since
 from rhot_sim.comparison.collect import follow
 from rhot_sim.comparison.figures import joined, latency_ms, spread
 from rhot_sim.walker.world import WalkerWorld
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import FloatArray
 from rhot.messages import ServiceStatus
 from rhot_sim.comparison.accuracy import hand_errors, object_errors, point_errors, seconds_since
 from rhot_sim.comparison.collect import Collected, HandSample, ObjectSample, PointsSample
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
 
 S = TypeVar("S", HandSample, PointsSample, ObjectSample)
 

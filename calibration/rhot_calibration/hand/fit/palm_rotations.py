@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import nearest_rotation
 from rhot_calibration.hand.samples.samples import HandSamples
 from rhot_ik.hand.filter.patch_rotation import CORNER_ORDERS, MAX_ERROR_M
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _SMOOTHING_S: Final = 0.15
 _REACH: Final = 12

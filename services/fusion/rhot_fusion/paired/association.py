@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig import FusionConfig, MarkerConfig
 from rhot_fusion.paired.disparity import DisparityLaw
@@ -26,9 +27,6 @@ from rhot_fusion.views.sightings import Outcome
 from rhot_fusion.views.tracks import Snapshot
 from rhot_fusion.views.triangulate import Geometry, Prior, Solution, Triangulation, Views
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.intp]
 CountArray = NDArray[np.int64]
 
 

@@ -9,14 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot_fusion.paired.one_euro import Axes, OneEuroFilter, OneEuroSettings
 from rhot_fusion.paired.settings import PAIRED
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.intp]
 
 
 class MarkerStates:

@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.rig import MarkerConfig
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.intp]
 
 _REACH = 1.2
 """Furthest marker from the middle of its hand's markers, in hand lengths: an open hand, with room for noise."""

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
-
-FloatArray = NDArray[np.float64]
 
 FINGER_M_S: Final = 0.15
 """A finger's offset shrinks by this much path of its tip a second. Chosen on simulated grasps."""

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import shortest_rotation
 from rhot_ik.hand.filter.patch_rotation import PatchRotation
 from rhot_ik.hand.filter.point_covariance import PointCovariances
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SIGMA_M: Final = 0.0015
 """Standard deviation of a point that states none (root of the sum of the three variances)."""

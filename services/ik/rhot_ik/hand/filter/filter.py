@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
 from rhot_ik.hand.filter.evidence import Evidence
@@ -34,9 +34,6 @@ from rhot_ik.hand.filter.process import (
 )
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 MAX_INFLATION: Final = 30.0
 """Largest factor on the process noise of a finger whose NIS says that it moves faster than expected."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import cross_matrix, nearest_rotation, rotation_from_vector
 
-FloatArray = NDArray[np.float64]
 Fitted = tuple[FloatArray, FloatArray]
 
 _MOST_STEPS: Final = 4

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-
+from rhot.arrays import FloatArray
 
 _CELL_M: Final = 0.025
 """Shapes are those at the middle of a cell of this size; they change by a few per cent from cell to cell."""

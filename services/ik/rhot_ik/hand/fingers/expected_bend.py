@@ -15,12 +15,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_ik.hand.filter.prior import angle_covariance, rest_angles
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
-
-FloatArray = NDArray[np.float64]
 
 REACH_SIGMA_M: Final = 0.002
 """Error of the distance from knuckle to marker: what is seen of a painted tip wanders along the finger by as much."""
