@@ -137,9 +137,7 @@ class Picamera2Source:
         try:
             self._device = self._modules.picamera2.Picamera2(number)
         except (RuntimeError, IndexError) as error:
-            raise DeviceError(
-                f"camera {self._name}: cannot be opened ({error}); another program may hold it"
-            ) from error
+            raise DeviceError(f"camera {self._name}: cannot be opened ({error}); another program uses it?") from error
         try:
             self._start()
         except BaseException:
