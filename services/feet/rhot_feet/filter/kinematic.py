@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from rhot.geometry.covariances import squared_distance
 from rhot.geometry.rotations import orthonormal, rotation_between, rotation_from_vector
-from rhot_feet.filter.kalman import kalman_gain
 from rhot_feet.filter.model import FootMotion, Observation
 from rhot_feet.imu.samples import GRAVITY_M_S2
 from rhot_feet.imu.track import InertialStep
@@ -269,6 +268,6 @@ def _correct(
     x: FloatArray, P: FloatArray, H: FloatArray, residual: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     PHt = P @ H.T
-    K = kalman_gain(PHt, H, noise)
+    K = np.linalg.solve(H @ PHt + noise, PHt.T).T
     A = np.eye(len(x)) - K @ H
     return x + K @ residual, A @ P @ A.T + K @ noise @ K.T

@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import cross_matrix, orthonormal, rotation_from_vector
-from rhot_feet.filter.kalman import kalman_gain
 from rhot_feet.imu.track import InertialStep
 
 FloatArray = NDArray[np.float64]
@@ -167,7 +166,7 @@ def correct(state: InertialState, H: FloatArray, residual: FloatArray, noise: Fl
         noise: (m, m) covariance of the measurement.
     """
     PHt = state.P @ H.T
-    K = kalman_gain(PHt, H, noise)
+    K = np.linalg.solve(H @ PHt + noise, PHt.T).T
     P = state.P - K @ PHt.T
     return inject(state, K @ residual, 0.5 * (P + P.T))
 
