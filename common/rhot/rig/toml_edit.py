@@ -36,14 +36,14 @@ def with_values(text: str, table: Sequence[str], values: Mapping[str, Value]) ->
         document = tomlkit.parse(text)
     except TOMLKitError as error:
         raise ConfigError(str(error)) from error
-    place: Any = document
+    found: Any = document
     for name in table:
-        place = place.get(name) if isinstance(place, MutableMapping) else None
-    if not isinstance(place, MutableMapping):
+        found = found.get(name) if isinstance(found, MutableMapping) else None
+    if not isinstance(found, MutableMapping):
         raise ConfigError(f"[{'.'.join(table)}] is not there; add it by hand")
     newline = "\r\n" if "\r\n" in text else "\n"
     for key, value in values.items():
-        _set(place, key, value, newline)
+        _set(found, key, value, newline)
     return tomlkit.dumps(document)
 
 
