@@ -7,7 +7,7 @@ import numpy as np
 from rhot.anatomy.skeleton import FINGERS
 from rhot.explain import Explanation, ExplanationRow
 from rhot_ik.hand.filter.prior import angle_covariance, rest_angles
-from rhot_ik.hand.filter.process import ANGLES, POSITION, ROTATION
+from rhot_ik.hand.filter.process import ANGLES, POSITION, ROTATION, HandState
 from rhot_ik.hand.solver import HandSolver
 
 _ANGLES = ("flexion", "abduction", "middle hinge", "last hinge")
@@ -21,7 +21,7 @@ def solver_tables(side: str, solver: HandSolver) -> list[Explanation]:
     if solver.state is None:
         row = ExplanationRow((f"no {side} hand: its base marker and a fingertip must be seen",), "refused")
         return [Explanation(f"Hand {side}: nothing is known", ("",), (row,))]
-    return [_fingers(side, solver), _angles(side, solver), _palm(side, solver)]
+    return [_fingers(side, solver), _angles(side, solver, solver.state), _palm(side, solver, solver.state)]
 
 
 def _fingers(side: str, solver: HandSolver) -> Explanation:
@@ -47,10 +47,8 @@ def _fingers(side: str, solver: HandSolver) -> Explanation:
     )
 
 
-def _angles(side: str, solver: HandSolver) -> Explanation:
-    state, model = solver.state, solver.geometry.model
-    if state is None:
-        raise ValueError("asked for the angles of a hand that is not known")
+def _angles(side: str, solver: HandSolver, state: HandState) -> Explanation:
+    model = solver.geometry.model
     rest = rest_angles(model).reshape(5, 4)
     usual = np.sqrt(np.diag(angle_covariance(model))).reshape(5, 4)
     sigma = np.sqrt(np.diag(state.P)[ANGLES]).reshape(5, 4)
@@ -97,10 +95,7 @@ def _angles(side: str, solver: HandSolver) -> Explanation:
     )
 
 
-def _palm(side: str, solver: HandSolver) -> Explanation:
-    state = solver.state
-    if state is None:
-        raise ValueError("asked for the palm of a hand that is not known")
+def _palm(side: str, solver: HandSolver, state: HandState) -> Explanation:
     by_corners, by_base = solver.palm_sources
     rotation, position = np.sqrt(np.diag(state.P)[ROTATION]), np.sqrt(np.diag(state.P)[POSITION])
     rows = [

@@ -49,7 +49,7 @@ class HandObservation:
     corners: FloatArray | None
     tips: FloatArray
     tips_measured: BoolArray
-    base_sigma: float = 0.0015
+    base_sigma: float = SIGMA_M
     tips_sigma: FloatArray | None = None
     across: FloatArray | None = None
 
