@@ -122,10 +122,8 @@ class Estimate:
 
     def offset_from(self, other: Estimate) -> FloatArray:
         """Return the step (9,) from another estimate with the same centre to this one, to first order in rotation."""
-        change = self.R_rig_tracker @ other.R_rig_tracker.T
-        rotation = 0.5 * np.array(
-            [change[2, 1] - change[1, 2], change[0, 2] - change[2, 0], change[1, 0] - change[0, 1]]
-        )
+        R = self.R_rig_tracker @ other.R_rig_tracker.T
+        rotation = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
         return np.concatenate([rotation, self.center_rig - other.center_rig, self.lever_m - other.lever_m])
 
 

@@ -99,8 +99,8 @@ def serve(rig_path: Path, camera: str) -> None:
     keep_out_of_the_way()
     rig = load_rig(rig_path)
     model: CameraModel = true_cameras(rig)[camera]
-    place = list(rig.config.cameras).index(camera)
-    renderer = Renderer(model, World.from_rig(rig), rig.config.sim, rig.config.cameras[camera], place)
+    index = list(rig.config.cameras).index(camera)
+    renderer = Renderer(model, World.from_rig(rig), rig.config.sim, rig.config.cameras[camera], index)
     with contextlib.suppress(BrokenPipeError):
         while request := sys.stdin.buffer.read(_REQUEST.size):
             if len(request) < _REQUEST.size:
