@@ -363,7 +363,7 @@ def test_changes_are_merged_field_by_field() -> None:
 
 
 async def test_without_any_fusion_the_clock_is_unknown_and_said_so(router: BusConfig) -> None:
-    from rhot.cli.control import rig_now_ns
+    from rhot.operation.control import rig_now_ns
 
     async with await Bus.open(router) as bus:
         with pytest.raises(BusError, match="start fusion first"):

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.messages import HandPose
-from rhot.skeleton import FINGERS, JOINTS
 from rhot_bench.motion.estimates import MEASURED, Estimates
 from rhot_bench.motion.recordings import FloatArray
 from rhot_bench.motion.tracks import IntArray, Tracks

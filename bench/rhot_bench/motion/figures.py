@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.evaluate.rows import Row, Section
+from rhot_bench.measures.rows import Row, Section
 from rhot_bench.motion.errors import HandErrors, PointErrors, joined_hands, joined_points
 from rhot_bench.motion.recordings import FloatArray
 from rhot_bench.motion.run import RigResult, Stratum

@@ -9,11 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from rhot.anatomy.skeleton import PARENTS
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, MarkerFrame, Message, ObjectPose, PointSet
-from rhot.recording.beside import StoredPicture
+from rhot.recording.mcap.beside import StoredPicture
 from rhot.rig import CameraCalibration
-from rhot.skeleton import PARENTS
 
 TIMELINE: Final = "rig_time"
 _MEASURED: Final = (42, 157, 143)
@@ -97,8 +97,8 @@ def _parts(rerun: Any, key: str, message: Message) -> list[tuple[str, Any]]:
         case PointSet():
             points = message.points
             colors = [_MEASURED if point.state == "measured" else _PREDICTED for point in points.values()]
-            places = [point.position for point in points.values()]
-            return [(path, rerun.Points3D(places, radii=_POINT_M, colors=colors, labels=list(points)))]
+            positions = [point.position for point in points.values()]
+            return [(path, rerun.Points3D(positions, radii=_POINT_M, colors=colors, labels=list(points)))]
         case ObjectPose():
             pose = rerun.Transform3D(
                 translation=message.position, quaternion=rerun.Quaternion(xyzw=message.orientation)

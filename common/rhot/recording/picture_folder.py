@@ -11,7 +11,7 @@ from typing import IO
 from rhot.errors import ConfigError
 from rhot.recording.camera_picture import CameraPicture
 from rhot.recording.folder import RECORDING_FILE, TIMES_FILE
-from rhot.recording.gaps import KeyCount
+from rhot.recording.mcap.gaps import KeyCount
 from rhot.recording.tables import TIMES_HEADER
 from rhot.rig.folder import write_text_atomic
 
@@ -43,7 +43,7 @@ class PictureFolder:
             notes: for people.
 
         Raises:
-            ConfigError: there is something at that place.
+            ConfigError: the path is taken.
         """
         if path.exists():
             raise ConfigError(f"{path} exists already and is not overwritten; choose another --out")

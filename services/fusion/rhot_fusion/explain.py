@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rhot.explain import Explanation, ExplanationRow
-from rhot_fusion.acquisition import CONFIRMATIONS
-from rhot_fusion.filter_tracker import GATE, SLACK_PX, FilterTracker
-from rhot_fusion.motion_bank import DENSITIES
-from rhot_fusion.sightings import Tracker
+from rhot_fusion.filter.acquisition import CONFIRMATIONS
+from rhot_fusion.filter.motion_bank import DENSITIES
+from rhot_fusion.filter.tracker import GATE, SLACK_PX, FilterTracker
+from rhot_fusion.views.sightings import Tracker
 
 MODELS = ("at rest", "slow", "brisk", "brisk across the view", "fast")
 """Names of the motion models, in the order of `DENSITIES`."""
@@ -75,7 +75,7 @@ def _refusal(miss_px: Sequence[float], limit_px: Sequence[float], held: bool) ->
     ]
     if outside:
         return "; ".join(outside)
-    return "repeats its last place while it moves" if held else "nearer to where another marker is expected"
+    return "repeats its last position while it moves" if held else "nearer to where another marker is expected"
 
 
 def _states(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str], now_s: float) -> Explanation:

@@ -15,9 +15,9 @@ from mcap.reader import make_reader
 
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, MarkerFrame, Message, encode, encoding_of, with_seq
-from rhot.recording.gaps import peek
-from rhot.recording.mcap_reader import RecordedSample, open_mcap, read_mcap
-from rhot.recording.mcap_writer import McapWriter, rig_files
+from rhot.recording.mcap.gaps import peek
+from rhot.recording.mcap.reader import RecordedSample, open_mcap, read_mcap
+from rhot.recording.mcap.writer import McapWriter, rig_files
 
 BEGIN_NS = 1_800_000_000_000_000_000
 FRAME_NS = 10_000_000

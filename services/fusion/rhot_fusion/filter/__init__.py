@@ -1,0 +1,1 @@
+"""Fusion by asynchronous filtering."""

@@ -1,0 +1,201 @@
+"""A simulated camera: renders the world that every other simulated node knows too, in real time.
+
+The next frame is rendered ahead of its time and delivered when a real camera would deliver it. Frames are timed on
+the camera's own clock, which is off and drifts when it is a `SkewedClock`.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+from rhot.clock import NodeClock, SkewedClock
+from rhot.errors import ConfigError, DeviceError
+from rhot.rig import CameraConfig, Rig
+from rhot_capture.detection.color_table import ImageArray
+from rhot_capture.settings import CameraSettings
+from rhot_capture.sources.frame import Frame
+from rhot_capture.sources.pacing import Pacer
+from rhot_sim.rendering.render_process import RenderProcess
+
+
+class FrameMoment(Protocol):
+    """When one simulated frame happens, seconds since the world's start."""
+
+    @property
+    def t_first_row_s(self) -> float:
+        """Start of the first row's exposure."""
+        ...
+
+    @property
+    def delivered_s(self) -> float:
+        """When the picture is there."""
+        ...
+
+    @property
+    def dropped(self) -> bool:
+        """Whether it is lost."""
+        ...
+
+
+class Schedule(Protocol):
+    """When the frames of one simulated camera happen."""
+
+    def frame(self, index: int) -> FrameMoment:
+        """Return a frame by its number."""
+        ...
+
+    def first_after(self, t_s: float) -> int:
+        """Return the number of the first frame that does not begin before `t_s`."""
+        ...
+
+
+class FrameRenderer(Protocol):
+    """Renders pictures; one may be begun while the one before it waits to be taken."""
+
+    def begin(self, t_first_row_s: float) -> None:
+        """Begin the picture whose first row begins at a time, seconds since the world's start."""
+        ...
+
+    def finish(self) -> ImageArray:
+        """Return the picture begun earliest."""
+        ...
+
+    def close(self) -> None:
+        """Let go of everything."""
+        ...
+
+
+class TrueClock:
+    """The machine's wall clock, the true time of the simulation."""
+
+    def now_ns(self) -> int:
+        """Return nanoseconds since the Unix epoch."""
+        return time.time_ns()
+
+
+class SimulatedSource:
+    """Delivers rendered frames at their due time."""
+
+    def __init__(
+        self,
+        name: str,
+        camera: CameraConfig,
+        renderer: FrameRenderer,
+        schedule: Schedule,
+        clock: NodeClock,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            name: of the camera.
+            camera: its configuration.
+            renderer: makes its pictures.
+            schedule: when its frames happen.
+            clock: the node's own clock.
+        """
+        self._name = name
+        self._camera = camera
+        self._renderer = renderer
+        self._schedule = schedule
+        self._clock = clock
+        self._pacer = Pacer(TrueClock())
+        self._world_start_ns = 0
+        self._number = 0
+        self._begun: tuple[int, FrameMoment] | None = None
+        self._settings: CameraSettings | None = None
+
+    @classmethod
+    def from_rig(cls, name: str, rig: Rig, clock: NodeClock) -> SimulatedSource:
+        """Build the source of a simulated camera: rendered with its true geometry, not with what calibration found."""
+        from rhot_sim.rig.schedule import FrameSchedule  # noqa: PLC0415
+
+        cameras = rig.config.cameras
+        camera = cameras[name]
+        schedule = FrameSchedule(name, list(cameras).index(name), camera, rig.config.sim)
+        return cls(name, camera, RenderProcess(rig.path, name, camera.width, camera.height), schedule, clock)
+
+    def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
+        """Let the world begin at a moment; late, join at the frame that is due next."""
+        self._pacer.restart()
+        # The world begins at the broadcast start time itself where it is known: were it read off the node's clock,
+        # errors of the clock exchange would shift the world along and could not be seen.
+        self._world_start_ns = self._true_ns(start_ns) if start_t_ns is None else start_t_ns
+        passed_s = 1e-9 * (self._pacer.now_ns() - self._world_start_ns)
+        self._number = self._schedule.first_after(passed_s) if passed_s > 0.0 else 0
+
+    def read(self) -> Frame | None:
+        """Wait until the next frame is due and return it; the one after it is begun by then."""
+        while True:
+            begun = self._begun or self._begin_next()
+            image = self._finish()
+            # Rendered ahead: the picture waits for its time, never the other way round.
+            self._begun = self._begin_next()
+            if begun is None or image is None:
+                return None
+            number, moment = begun
+            if self._is_late(moment):
+                # The renderer was still starting; a camera would have delivered this frame long ago.
+                continue
+            if not self._pacer.wait_until(self._due_ns(moment)):
+                return None
+            break
+        return Frame(
+            image,
+            number,
+            self._node_ns(self._world_start_ns + round(1e9 * moment.t_first_row_s)),
+            self._camera.exposure_s,
+            self._camera.readout_s,
+        )
+
+    def _begin_next(self) -> tuple[int, FrameMoment] | None:
+        """Begin to render the next frame that is not lost; None when closed."""
+        while not self._pacer.stopped:
+            number, moment = self._number, self._schedule.frame(self._number)
+            self._number += 1
+            # Where rendering does not keep up, frames fall out as they would from a camera that nobody empties.
+            if moment.dropped or self._is_late(moment):
+                continue
+            self._renderer.begin(moment.t_first_row_s)
+            return number, moment
+        return None
+
+    def _finish(self) -> ImageArray | None:
+        try:
+            return None if self._pacer.stopped else self._renderer.finish()
+        except DeviceError:
+            if self._pacer.stopped:
+                return None
+            raise
+
+    def apply(self, settings: CameraSettings) -> None:
+        """Accept settings that leave the optics alone: the simulated light is what it is."""
+        if self._settings is not None and not settings.same_optics(self._settings):
+            raise ConfigError(
+                f"camera {self._name} is simulated: exposure, gain, white balance and focus follow rig.toml; only "
+                "colours can change while it runs"
+            )
+        self._settings = settings
+
+    def close(self) -> None:
+        """Stop; a waiting `read` returns None."""
+        self._pacer.stop()
+        self._renderer.close()
+
+    def _due_ns(self, moment: FrameMoment) -> int:
+        return self._world_start_ns + round(1e9 * moment.delivered_s)
+
+    def _is_late(self, moment: FrameMoment) -> bool:
+        return self._due_ns(moment) < self._pacer.now_ns() - round(1e9 / self._camera.rate_hz)
+
+    def _node_ns(self, true_ns: int) -> int:
+        if isinstance(self._clock, SkewedClock):
+            return self._clock.from_true_ns(true_ns)
+        return true_ns + self._clock.now_ns() - self._pacer.now_ns()
+
+    def _true_ns(self, node_ns: int) -> int:
+        true_ns = self._pacer.now_ns() + node_ns - self._clock.now_ns()
+        if isinstance(self._clock, SkewedClock):
+            # One correction leaves drift² of the error: nothing.
+            true_ns += node_ns - self._clock.from_true_ns(true_ns)
+        return true_ns
