@@ -10,7 +10,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import Progress
 
 from rhot.errors import ConfigError
 from rhot.messages import PointSet
@@ -21,7 +21,7 @@ from rhot.rig.template import rig_template
 from rhot_bench.measures.rows import Row, Section, check_output
 from rhot_bench.measures.streams import Stream, lateral_delay, measured_glitches, rest_noise_m, step_p99_m
 from rhot_bench.number_table import read_table
-from rhot_bench.output import json_option, show
+from rhot_bench.output import counted, json_option, show
 from rhot_fusion.stage import FusionStage
 
 _STEP_MM: Final = {"hand_recovered": 40.0, "hand_as_sent": 60.0}
@@ -40,20 +40,19 @@ _RATE_HZ: Final = 30.0
 @click.option("--quick", is_flag=True, help="Only the first 600 frames of each.")
 @json_option
 def streams(data_path: Path, rig_path: Path | None, quick: bool, json_path: Path | None) -> None:
-    """Run recorded marker tracks through fusion and measure steps, delay and noise at rest.
+    """Run recorded marker tracks through fusion, and measure steps, delay and noise at rest.
 
-    DATA is a recording whose cameras hold markers.csv, or a folder of such recordings. There is no truth: steps are
-    those between consecutive frames, the delay is that of the sideways place behind the picture, and rest is wherever
-    the recorded pixels stay within 2 px for half a second. A masks.csv (frame, one column a marker, bits 2 and 8 for
-    glitches) only tells afterwards whether a glitch was believed; it is not read before.
+    DATA is a recording whose cameras hold markers.csv, or a folder of such recordings. There is no truth to
+    compare with. Steps are those between consecutive frames. The delay is how far the sideways position lags behind the
+    picture. The hand is at rest wherever the recorded pixels stay within 2 px for half a second. A masks.csv (frame,
+    one column a marker, bits 2 and 8 for glitches) only tells afterwards whether a glitch was believed.
     """
     check_output("--json", json_path)
     found = _recordings(data_path)
-    columns = (TextColumn("fusing {task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("frames"))
     sections = []
     with (
         tempfile.TemporaryDirectory(prefix="rhot-streams-") as folder,
-        Progress(*columns, console=Console(stderr=True), transient=True) as progress,
+        counted(Console(stderr=True)) as progress,
     ):
         for path in found:
             recording = load_recording(path)
@@ -104,7 +103,7 @@ def _run(rig: Rig, recording: Recording, limit: int | None, progress: Progress) 
         views=np.zeros((count, len(names)), dtype=np.int64),
     )
     stage = FusionStage(rig)
-    task = progress.add_task(recording.path.name, total=count * len(tracks))
+    task = progress.add_task(f"fusing frames of {recording.path.name}", total=count * len(tracks))
     for frame in marker_track_frames(rig, recording):
         row = row_of.get(frame.frame if frame.frame is not None else -1)
         if row is None:

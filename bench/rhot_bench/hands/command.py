@@ -9,7 +9,6 @@ from typing import Final
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from rhot.anatomy.hand import HandModel
 from rhot.errors import ConfigError
@@ -26,9 +25,9 @@ from rhot_bench.hands.recorded_joints import (
     whole_chains,
 )
 from rhot_bench.measures.rows import Row, Section, check_output
-from rhot_bench.output import json_option, show
-from rhot_ik.hand.finger_geometry import FingerGeometry
-from rhot_ik.hand.fingers import AnalyticFingers
+from rhot_bench.output import counted, json_option, show
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 _MIDDLE: Final = slice(1, 3)
 _INNER: Final = slice(0, 3)
@@ -44,14 +43,14 @@ Advance = Callable[[], None]
 
 @click.command()
 @click.argument("data_path", metavar="DATA", type=click.Path(path_type=Path))
-@click.option("--quick", is_flag=True, help="Fewer frames, rougher figures.")
+@click.option("--quick", is_flag=True, help="Use fewer frames; rougher figures.")
 @json_option
 def hands(data_path: Path, quick: bool, json_path: Path | None) -> None:
     """Predict the inner joints of recorded hands from wrist and tips, and compare with the recording.
 
     DATA is a folder with any of msra14_dev.csv, nyu_dev.csv and fpha/S1_*.csv: columns JOINT_x, JOINT_y, JOINT_z in
-    millimetres. Bone lengths come from other frames of the same person. Beside each figure stands plain FABRIK on the
-    same frames: bone lengths and knuckles as ours, no limits and no coupling, from a slightly bent start.
+    millimetres. Bone lengths come from other frames of the same person. Beside each figure stands plain FABRIK on
+    the same frames: with our bone lengths and knuckles, without limits and coupling, from a slightly bent start.
     """
     check_output("--json", json_path)
     if data_path.is_dir() and (data_path / "hand_motion").is_dir():
@@ -61,12 +60,11 @@ def hands(data_path: Path, quick: bool, json_path: Path | None) -> None:
     ]
     if not parts:
         raise ConfigError(f"{data_path}: holds none of {_MSRA}, {_NYU} and {_FPHA}/; name the folder that does")
-    columns = (TextColumn("solving {task.description}"), BarColumn(), MofNCompleteColumn())
     sections = []
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    with counted(Console(stderr=True)) as progress:
         task = progress.add_task("", total=2 * len(parts) + (len(_PERSONS) - 2) * any(n == _FPHA for n, _ in parts))
         for name, make in parts:
-            progress.update(task, description=name)
+            progress.update(task, description=f"solving {name}")
             sections.append(make(data_path / name, quick, lambda: progress.advance(task)))
     show("evaluate hands", sections, json_path, quick=quick)
 

@@ -9,19 +9,17 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.rig import HandFile, IkConfig, MarkerConfig
 from rhot_bench.hands.recorded_hands import palm_rotations, plain_hand
 from rhot_bench.number_table import read_table
-from rhot_ik.hand.evidence import HandObservation
+from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.solver import HandSolver
-
-FloatArray = NDArray[np.float64]
 
 RATE_HZ: Final = 30.0
 PREFIXES: Final = "TIMRP"

@@ -7,15 +7,13 @@ from pathlib import Path
 
 import click
 import numpy as np
-from numpy.typing import NDArray
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
+from rhot.report.tables import figures_table
 from rhot_calibration.depth.fit import PhysicalLaw, PowerLaw, fit_physical_law, fit_power_law, relative_rms
-
-FloatArray = NDArray[np.float64]
 
 _COLUMNS = "distance_cm and either disparity_px or left_x and right_x"
 
@@ -56,7 +54,7 @@ def _number(file: Path, line: int, name: str, text: str | None) -> float:
 @click.argument("table", metavar="TABLE.csv", type=click.Path(path_type=Path, dir_okay=False))
 @click.option("--focal-px", type=click.FloatRange(min=1.0), help="Focal length, to say what the physical law means.")
 def depth(table: Path, focal_px: float | None) -> None:
-    """Fit laws of depth over disparity to measured distances.
+    """Fit the law from disparity to depth to measured distances.
 
     TABLE.csv has one row per distance, with a header: distance_cm and either disparity_px or left_x and right_x (where
     the marker is in both pictures). Hold a marker at ten or more measured distances over the range that you use.
@@ -84,9 +82,7 @@ def depth(table: Path, focal_px: float | None) -> None:
 
 
 def _rows_table(distance_m: FloatArray, disparity_px: FloatArray, power: PowerLaw, physical: PhysicalLaw) -> Table:
-    table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    for column in ("distance cm", "disparity px", "power law cm", "off %", "physical cm", "off %"):
-        table.add_column(column, justify="right")
+    table = figures_table("distance cm", "disparity px", "power law cm", "off %", "physical cm", "off %")
     guesses = power.depth_m(disparity_px), physical.depth_m(disparity_px)
     for row, (distance, disparity) in enumerate(zip(distance_m, disparity_px, strict=True)):
         cells = [f"{100 * distance:.1f}", f"{disparity:.1f}"]

@@ -8,23 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich import box
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.messages import PointSet, Side
 from rhot.recording import load_recording
+from rhot.report.tables import figures_table
 from rhot.rig import BusConfig, HandFile, Rig, load_rig, write_json_model
 from rhot.rig.calibration import today
 from rhot.rig.folder import HAND_FILE
-from rhot_calibration.hand.measure import Phases, measure_hand
-from rhot_calibration.hand.phases import Window
-from rhot_calibration.hand.prompts import LIVE_PHASES, LIVE_S, prompt_at
+from rhot_calibration.hand.calibration import measure_hand
 from rhot_calibration.hand.proportions import typed_hand
-from rhot_calibration.hand.streams import live_points, recorded_points, stored_points
+from rhot_calibration.hand.samples.phases import LIVE_PHASES, LIVE_S, Phases, Window, prompt_at
+from rhot_calibration.hand.samples.sources import live_points, recorded_points, stored_points
 
 
 class _Stretch(click.ParamType[Window]):
@@ -45,15 +43,15 @@ class _Stretch(click.ParamType[Window]):
 
 @click.command()
 @click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
-@click.option("--live", is_flag=True, help=f"Listen to the running rig; tells what to do, {LIVE_S:.0f} s in all.")
+@click.option("--live", is_flag=True, help=f"Use the running rig; tells you what to do, {LIVE_S:.0f} s in all.")
 @click.option(
-    "--flat", metavar="START-END", type=_Stretch(), help="When the hand is flat, s from the start; found if not given."
+    "--flat", metavar="START-END", type=_Stretch(), help="When the hand is flat, s from the start.  [default: found]"
 )
 @click.option(
     "--knuckles",
     metavar="START-END",
     type=_Stretch(),
-    help="When straight fingers bend at the knuckles only; found if not given.",
+    help="When straight fingers bend at the knuckles only.  [default: found]",
 )
 @click.option("--length-mm", type=float, help="By a ruler: wrist crease to middle tip; alone or beside a recording.")
 @click.option(
@@ -74,7 +72,7 @@ def hand(
     connect: tuple[str, ...],
     namespace: str | None,
 ) -> None:
-    """Measure a hand: bone lengths and where its markers are; writes hand.json into the rig folder.
+    """Measure a hand (bone lengths, positions of its markers) and write hand.json into the rig folder.
 
     \b
     rhot calibrate hand myrecording --rig myrig       a recording, or a .jsonl file of `rhot process`
@@ -173,10 +171,7 @@ def _report(found: HandFile, file: Path) -> None:
         console.print(f"hand {quality['length']['mm']:g} mm long, {width['mm']:g} mm wide ({width['source']})")
         console.print("all bones from proportions; a recording measures them: rhot calibrate hand --help")
     else:
-        table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-        table.add_column("length")
-        for heading in ("mm", "± mm"):
-            table.add_column(heading, justify="right")
+        table = figures_table("length", "mm", "± mm")
         table.add_column("source")
         rows = {"hand: wrist crease to middle tip": quality["length"], "hand: across the knuckles": quality["width"]}
         rows |= {f"{finger}: patch to tip marker, straight": figure for finger, figure in quality["reach"].items()}

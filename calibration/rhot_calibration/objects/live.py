@@ -17,8 +17,8 @@ from rhot.operation.control import newest_control
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import REGISTRATION_FILE
 from rhot_calibration.objects.collector import Place, PlaceCollector
+from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose
 from rhot_objects.stage import key_of
 
 _CONNECT_TIMEOUT_S: Final = 5.0
@@ -113,7 +113,7 @@ async def _wait(
     hint: Hint,
 ) -> None:
     """Wait until done, saying what is missing."""
-    begun, told = time.monotonic(), ""
+    begun, hinted = time.monotonic(), ""
     while not done.is_set():
         silent = [key for key in keys if key not in heard]
         if silent and time.monotonic() - begun > patience_s:
@@ -127,9 +127,9 @@ async def _wait(
                 task.result()
                 raise BusError("the connection to the router was closed")
         now = f"nothing on {silent[0]} yet" if silent else collector.hint
-        if now and now != told:
+        if now and now != hinted:
             hint(now)
-        told = now
+        hinted = now
         try:
             async with asyncio.timeout(_HINT_S):
                 await done.wait()

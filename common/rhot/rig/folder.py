@@ -39,7 +39,7 @@ class Rig:
         config: `rig.toml`.
         cameras: geometry of every configured camera, in the order of `rig.toml`.
         calibrated: whether that geometry comes from `cameras.json`; otherwise it is nominal (field of view and
-            place from `rig.toml`, no distortion).
+            position from `rig.toml`, no distortion).
         hand: `hand.json`, or the default scaled by `[hand] length_m`.
         registration: `registration.json`, or identity.
     """

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot_sim.comparison.collect import HandSample, ObjectSample, PointsSample
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
 
 TIPS: Final = tuple(f"{finger}_tip" for finger in FINGERS)
 _TIP_ROWS: Final = [JOINTS.index(tip) for tip in TIPS]
@@ -26,7 +25,7 @@ class HandErrors:
 
     Attributes:
         t_s: (N,) seconds since the start.
-        tips_m: (N, 5) distance of each fingertip joint from its true place, NaN where the pose has none.
+        tips_m: (N, 5) distance of each fingertip joint from its true position, NaN where the pose has none.
         joints_m: (N, 26) the same for all joints.
         measured: (N, 5) whether the pose says that the finger was measured.
     """
@@ -55,7 +54,7 @@ def hand_errors(world: World, start_t_ns: int, poses: Sequence[HandSample]) -> H
 
 
 def point_errors(world: World, start_t_ns: int, sets: Sequence[PointsSample]) -> dict[str, FloatArray]:
-    """Return per marker the vector (N, 3) from its true to its measured place, metres, without the predicted."""
+    """Return per marker the vector (N, 3) from its true to its measured position, metres, without the predicted."""
     if not sets:
         return {}
     truth = world.sample(seconds_since(start_t_ns, [points.t_ns for points in sets])).markers

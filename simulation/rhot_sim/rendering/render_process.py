@@ -83,7 +83,7 @@ class RenderProcess:
             raise self._ended() from error
         if not done:
             raise self._ended()
-        image = self._ring[self._taken % AHEAD].copy()
+        image: ImageArray = self._ring[self._taken % AHEAD].copy()
         self._taken += 1
         return image
 
@@ -114,8 +114,8 @@ def serve(rig_path: Path, camera: str, file: int) -> None:
     keep_out_of_the_way()
     rig = load_rig(rig_path)
     model: CameraModel = true_cameras(rig)[camera]
-    place = list(rig.config.cameras).index(camera)
-    renderer = Renderer(model, World.from_rig(rig), rig.config.sim, rig.config.cameras[camera], place)
+    index = list(rig.config.cameras).index(camera)
+    renderer = Renderer(model, World.from_rig(rig), rig.config.sim, rig.config.cameras[camera], index)
     ring = _ring(file, model.width, model.height)
     number = 0
     with contextlib.suppress(BrokenPipeError):

@@ -10,6 +10,7 @@ import hashlib
 import math
 from dataclasses import dataclass
 
+from rhot.clock import SkewedClock
 from rhot.rig.config import CameraConfig, SimConfig
 
 _STEPS = float(1 << 32)
@@ -50,15 +51,15 @@ class FrameSchedule:
 
     Args:
         camera: name.
-        place: its number in the rig; camera k is k · `phase_s` behind the first.
+        index: its number in the rig; camera k is k · `phase_s` behind the first.
         camera_config: rate, exposure and read-out.
         config: phase, jitter and loss.
     """
 
-    def __init__(self, camera: str, place: int, camera_config: CameraConfig, config: SimConfig) -> None:
+    def __init__(self, camera: str, index: int, camera_config: CameraConfig, config: SimConfig) -> None:
         self._key = f"{config.seed} {camera}"
         self._rate_hz = camera_config.rate_hz
-        self._phase_s = math.fmod(place * config.phase_s, 1.0 / camera_config.rate_hz)
+        self._phase_s = math.fmod(index * config.phase_s, 1.0 / camera_config.rate_hz)
         self._busy_s = camera_config.exposure_s + camera_config.readout_s
         self._jitter_s = config.jitter_s
         self._drop_rate = config.drop_rate
@@ -92,3 +93,9 @@ def uniforms(key: str) -> tuple[float, float, float]:
     digest = hashlib.blake2b(key.encode(), digest_size=12).digest()
     first, second, third = (int.from_bytes(digest[at : at + 4], "big") / _STEPS for at in (0, 4, 8))
     return first, second, third
+
+
+def node_clock_of(config: SimConfig, camera: str) -> SkewedClock:
+    """Return the clock of a simulated camera's node: wrong on purpose, by an amount that follows from seed and name."""
+    error = clock_error(camera, config)
+    return SkewedClock(error.offset_ns, error.drift_ppm)

@@ -1,7 +1,7 @@
 """A simulated camera: renders the world that every other simulated node knows too, in real time.
 
-Frames are rendered ahead of their time, a few at once, and delivered when a real camera would deliver them. Frames are timed on
-the camera's own clock, which is off and drifts when it is a `SkewedClock`.
+Frames are rendered ahead of their time, a few at once, and delivered when a real camera would deliver them. They are
+timed on the camera's own clock, which is off and drifts when it is a `SkewedClock`.
 """
 
 from __future__ import annotations
@@ -164,11 +164,9 @@ class SimulatedSource:
             self._begun.append((number, moment))
 
     def _finish(self) -> ImageArray | None:
-        if self._pacer.stopped or not self._begun:
-            return None
         since_s = time.monotonic()
         try:
-            image = self._renderer.finish()
+            image = self._renderer.finish() if self._begun and not self._pacer.stopped else None
         except DeviceError:
             if self._pacer.stopped:
                 return None

@@ -12,7 +12,7 @@ from bus_watch import PATIENCE_S
 from click.testing import CliRunner, Result
 
 from rhot.bus import Bus
-from rhot.calibration_step import Room
+from rhot.calibration_step import StepContext
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.geometry.rotations import (
     FloatArray,
@@ -27,8 +27,8 @@ from rhot_calibration.objects.collector import PlaceCollector
 from rhot_calibration.objects.command import objects
 from rhot_calibration.objects.page_step import ObjectStep
 from rhot_calibration.objects.table import COLUMNS, read_places
+from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose
 
 R = rotation_from_vector(np.array([0.4, -1.2, 0.7]))
 T = np.array([0.3, 0.9, 1.6])
@@ -334,7 +334,7 @@ async def test_silence_says_which_service_is_missing(
 
 async def test_the_page_takes_places_and_can_end(rig_folder: Path, router: BusConfig) -> None:
     with_cup(rig_folder)
-    step = ObjectStep(Room(rig_folder, router))
+    step = ObjectStep(StepContext(rig_folder, router))
     values = {"object": "cup", "marker": "index"}
     started = asyncio.create_task(step.press("start", values))
     async with asyncio.timeout(PATIENCE_S):

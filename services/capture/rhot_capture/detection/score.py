@@ -7,7 +7,7 @@ evidence x (each entry oriented so that more of it never makes a detection less 
     p = 1 / (1 + exp(−(b + w·x))).
 
 Solidity, size, thinness, neighbouring markers and the distance and size against the track were tried beside these
-three and got weight 0: they decide which blobs are candidates at all, and tell nothing more about those that remain.
+three and got weight 0: they decide which blobs are candidates at all, and say nothing more about those that remain.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 
 RIGHT_PX: Final = 1.0
 
-# Made by `python bench/fit_score.py`, which prints these lines and the reliability on other seeds.
+# Made by `python -m rhot_bench.detection.score_fit`, which prints these lines and the reliability on other seeds.
 BIAS: Final = 3.081
 WEIGHTS: Final = (4.327, 11.682, 5.145)
 

@@ -22,7 +22,7 @@ _MARGIN_PER_MOTION: Final = 0.5
 
 
 class MarkerTrack:
-    """One marker's last place, motion per frame and size in one camera."""
+    """One marker's last position, motion per frame and size in one camera."""
 
     def __init__(self) -> None:
         self._u = 0.0
@@ -38,6 +38,11 @@ class MarkerTrack:
         """Room to leave around where the marker is expected; more the faster it moves."""
         return _MARGIN_PX + _MARGIN_PER_MOTION * max(abs(self._motion_u), abs(self._motion_v))
 
+    @property
+    def expected(self) -> tuple[float, float] | None:
+        """U and v of where the marker is expected, pixels; None when it was not in the last frame."""
+        return None if self._missed > 0 else (self._u + self._motion_u, self._v + self._motion_v)
+
     def region(self, margin_px: float, height: int, width: int) -> Region | None:
         """Return where in the picture the marker is expected; None when it was not in the last frame.
 
@@ -46,10 +51,10 @@ class MarkerTrack:
             height: of the picture, pixels.
             width: of the picture, pixels.
         """
-        if self._missed > 0:
+        if (expected := self.expected) is None:
             return None
+        u, v = expected
         reach_u, reach_v = self._reach[0] + margin_px, self._reach[1] + margin_px
-        u, v = self._u + self._motion_u, self._v + self._motion_v
         left, top = max(0, int(u - reach_u)), max(0, int(v - reach_v))
         right, bottom = min(width, int(u + reach_u) + 1), min(height, int(v + reach_v) + 1)
         return Region(left, top, right, bottom) if left < right and top < bottom else None
@@ -71,7 +76,7 @@ class MarkerTrack:
         return max(_FLOOR, math.exp(-0.5 * (away / gate) ** 2) * math.sqrt(ratio))
 
     def continues(self, u: float, v: float) -> bool:
-        """Tell whether a place is so near to where the marker must be that even a sliver of its colour is believed.
+        """Tell whether a position is so near to where the marker must be that even a sliver of its colour is believed.
 
         Args:
             u: middle of the blob, pixels to the right.
@@ -81,8 +86,8 @@ class MarkerTrack:
         away = math.hypot(u - self._u - frames * self._motion_u, v - self._v - frames * self._motion_v)
         return frames <= _SLIVER_FRAMES and away <= _SLIVER_GATE_PX
 
-    def hit(self, u: float, v: float, area: float, reach_px: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Take the marker's place in this frame.
+    def update(self, u: float, v: float, area: float, reach_px: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Update the track with the marker's position in this frame.
 
         Args:
             u: centre, pixels to the right.

@@ -1,4 +1,4 @@
-"""One hand over time: the filter of the whole hand, how it starts, and how what comes back is led in."""
+"""One hand over time: the filter of the whole hand, its start, and the transitions between sources."""
 
 from __future__ import annotations
 
@@ -7,26 +7,24 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel, patch_outline
+from rhot.arrays import BoolArray, FloatArray
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.fabrik.finger_chains import FabrikFingers
-from rhot_ik.hand.bend import MeanBend
-from rhot_ik.hand.evidence import EvidenceModel, HandObservation
-from rhot_ik.hand.filter import HandFilter
-from rhot_ik.hand.finger_geometry import FingerGeometry, marker_on_palm
-from rhot_ik.hand.fingers import AnalyticFingers
-from rhot_ik.hand.kinematics import HandKinematics
-from rhot_ik.hand.lead import FingerLead, FingerRoom, PalmLead
-from rhot_ik.hand.process import HandState
-from rhot_ik.hand.sight import Sight
-from rhot_ik.hand.start import HandStart
+from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
+from rhot_ik.hand.filter.filter import HandFilter
+from rhot_ik.hand.filter.initialisation import HandInitialiser
+from rhot_ik.hand.filter.kinematics import HandKinematics
+from rhot_ik.hand.filter.point_covariance import PointCovariances
+from rhot_ik.hand.filter.process import HandState
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers
+from rhot_ik.hand.fingers.expected_bend import ExpectedBend
+from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
+from rhot_ik.hand.transitions import FingerStepLimit, FingerTransition, PalmTransition
 
 __all__ = ["HandObservation", "HandSolution", "HandSolver"]
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 GAP_S: Final = 1.0
 """After a silence this long nothing of the past is used."""
@@ -35,7 +33,7 @@ LATE_S: Final = 0.1
 LOST_M: Final = 0.012
 """When the seen tips miss the model by more than this on average …"""
 LOST_S: Final = 0.3
-"""… for this long, the hand is looked for anew."""
+"""… for this long, the hand is searched for from scratch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +69,14 @@ class HandSolver:
         config: which finger solver, and how long a hand is held.
         viewpoints: (C, 3) metres, rig frame: the cameras' centres, for the shape of the points' errors; taken as round
             when not given.
+
+    Attributes:
+        geometry: the hand and where its markers are painted.
+        state: of the filter after the last sample; none when nothing is known.
+        shown: (5, 4) radians: the angles published last.
+        measured: (5,) which fingers the last sample measured.
+        residual: (5,) metres between measured and modelled marker in the last sample; NaN where nothing was measured.
+        palm_sources: whether the last sample measured the palm by the corners of its patch, and by its base marker.
     """
 
     def __init__(
@@ -81,67 +87,37 @@ class HandSolver:
         config: IkConfig,
         viewpoints: FloatArray | None = None,
     ) -> None:
-        self._geometry = FingerGeometry.of(model, markers)
+        self.geometry = FingerGeometry.of(model, markers)
         marker = markers[base]
         base_offset = marker_on_palm(model, base, marker)
         outline = patch_outline(marker) if marker.kind == "patch" else None
-        sight = Sight(np.empty((0, 3)) if viewpoints is None else viewpoints)
-        self._evidence = EvidenceModel(outline, sight)
-        self._kinematics = HandKinematics(self._geometry)
-        self._filter = HandFilter(self._geometry, base_offset)
-        self._start = HandStart(self._filter, self._evidence, base_offset)
-        self._analytic = AnalyticFingers(self._geometry)
-        self._bend = MeanBend(self._analytic)
-        self._fabrik = FabrikFingers(self._geometry)
+        covariances = PointCovariances(np.empty((0, 3)) if viewpoints is None else viewpoints)
+        self._evidence = EvidenceModel(outline, covariances)
+        self._kinematics = HandKinematics(self.geometry)
+        self._filter = HandFilter(self.geometry, base_offset)
+        self._initialiser = HandInitialiser(self._filter, self._evidence, base_offset)
+        self._analytic = AnalyticFingers(self.geometry)
+        self._bend = ExpectedBend(self._analytic)
+        self._fabrik = FabrikFingers(self.geometry)
         self.config = config
         self.reset()
 
-    @property
-    def geometry(self) -> FingerGeometry:
-        """The hand and where its markers are painted."""
-        return self._geometry
-
-    @property
-    def state(self) -> HandState | None:
-        """The filter's state after the last sample; none when nothing is known."""
-        return self._state
-
-    @property
-    def shown(self) -> FloatArray:
-        """Angles (5, 4), radians, as they were shown last."""
-        return self._shown
-
-    @property
-    def measured(self) -> BoolArray:
-        """Which fingers (5,) the last sample measured."""
-        return self._measured
-
-    @property
-    def residual(self) -> FloatArray:
-        """Metres (5,) between measured and modelled marker in the last sample; NaN where there was no measurement."""
-        return self._residual
-
-    @property
-    def held_by(self) -> tuple[bool, bool]:
-        """Whether the last sample measured the palm by the corners of its patch, and by its base marker."""
-        return self._held_by
-
     def reset(self) -> None:
-        """Forget the past; the next sample starts anew."""
+        """Forget the past; the next sample starts from scratch."""
         self._t_ns: int | None = None
         self._base_seen_ns = 0
         self._measured_ns = 0
-        self._state: HandState | None = None
+        self.state: HandState | None = None
         self._lost_s = 0.0
-        self._finger_lead = FingerLead(self._geometry.model)
-        self._room = FingerRoom()
-        self._palm_lead = PalmLead()
+        self._finger_transition = FingerTransition(self.geometry.model)
+        self._step_limit = FingerStepLimit()
+        self._palm_transition = PalmTransition()
         self._known = np.zeros(5, dtype=np.bool_)
-        self._measured = np.zeros(5, dtype=np.bool_)
-        self._held_by = (False, False)
-        self._shown = np.zeros((5, 4))
+        self.measured = np.zeros(5, dtype=np.bool_)
+        self.palm_sources = (False, False)
+        self.shown = np.zeros((5, 4))
         self._tips = np.full((5, 3), np.nan)
-        self._residual = np.full(5, np.nan)
+        self.residual = np.full(5, np.nan)
 
     def solve(self, seen: HandObservation) -> HandSolution | None:
         """Return the hand after one more sample, or None when too little is known to show one."""
@@ -157,45 +133,45 @@ class HandSolver:
         if self._is_over(seen, visible):
             self.reset()
             return None
-        if self._state is None:
+        if self.state is None:
             expected = None
-            found = self._start.find(seen)
+            found = self._initialiser.find(seen)
             if found is None:
                 return None
             state, evidence = found
         else:
-            expected = self._filter.predict(self._state, dt_s)
-            evidence = self._evidence.of(seen, expected.R)
-            state = self._filter.correct(expected, evidence)
-            state = self._looked_for_anew(state, seen, visible, dt_s)
+            expected = self._filter.predict(self.state, dt_s)
+            evidence = self._evidence.assess(seen, expected.R)
+            state = self._filter.update(expected, evidence)
+            state = self._reinitialised_if_lost(state, seen, visible, dt_s)
         measured = visible & seen.tips_measured
-        held_by = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
+        palm_sources = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
         if expected is not None:
-            if held_by != self._held_by or (measured & ~self._measured).any():
-                self._palm_lead.begin((expected.R, expected.p), (state.R, state.p))
-            self._palm_lead.advance(dt_s)
-        R, p = self._palm_lead.lead(state.R, state.p)
+            if palm_sources != self.palm_sources or (measured & ~self.measured).any():
+                self._palm_transition.begin((expected.R, expected.p), (state.R, state.p))
+            self._palm_transition.advance(dt_s)
+        R, p = self._palm_transition.apply(state.R, state.p)
         angles = self._angles(state, R, p, seen.tips, measured)
         if expected is not None:
-            changed = (measured != self._measured) & self._known
+            changed = (measured != self.measured) & self._known
             if changed.any():
-                self._finger_lead.begin(changed, angles, self._shown)
-            self._finger_lead.advance(dt_s)
-        shown = self._finger_lead.lead(angles)
+                self._finger_transition.begin(changed, angles, self.shown)
+            self._finger_transition.advance(dt_s)
+        shown = self._finger_transition.apply(angles)
         if expected is not None:
-            shown = self._finger_lead.bounded(shown, self._shown, self._room_m(seen.tips, measured, dt_s))
-        model = self._geometry.model
-        self._shown = np.minimum(np.maximum(shown, model.angle_min), model.angle_max)
+            shown = self._finger_transition.limit_step(shown, self.shown, self._max_step_m(seen.tips, measured, dt_s))
+        model = self.geometry.model
+        self.shown = np.minimum(np.maximum(shown, model.angle_min), model.angle_max)
         self._known |= visible
         self._tips = seen.tips
-        self._t_ns, self._state, self._measured, self._held_by = seen.t_ns, state, measured, held_by
+        self._t_ns, self.state, self.measured, self.palm_sources = seen.t_ns, state, measured, palm_sources
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R, p
-        positions, orientations, modelled = self._kinematics.pose(R, p, self._shown.reshape(-1))
+        positions, orientations, modelled = self._kinematics.pose(R, p, self.shown.reshape(-1))
         gaps = modelled - seen.tips
         # NaN where a tip was not seen, as it came.
-        residual = self._residual = np.sqrt((gaps * gaps).sum(-1))
-        return HandSolution(T, self._shown, positions, orientations, residual, measured, held_by[1])
+        residual = self.residual = np.sqrt((gaps * gaps).sum(-1))
+        return HandSolution(T, self.shown, positions, orientations, residual, measured, palm_sources[1])
 
     def _is_over(self, seen: HandObservation, visible: BoolArray) -> bool:
         """Tell whether the palm, or everything, has been gone for longer than a hand is held."""
@@ -206,38 +182,40 @@ class HandSolver:
         oldest_ns = seen.t_ns - round(self.config.hold_s * 1e9)
         return self._base_seen_ns < oldest_ns or self._measured_ns < oldest_ns
 
-    def _room_m(self, tips: FloatArray, measured: BoolArray, dt_s: float) -> FloatArray:
-        """Return how far each finger (5,) may move its joints from one sample to the next, metres."""
-        way = tips - self._tips
-        room = self._room.advance(dt_s, np.sqrt((way * way).sum(-1)), measured)
-        return np.where(self._known, room, np.inf)
+    def _max_step_m(self, tips: FloatArray, measured: BoolArray, dt_s: float) -> FloatArray:
+        """Return how far each finger (5,) may move its joints in this sample, metres."""
+        moved = tips - self._tips
+        limit = self._step_limit.advance(dt_s, np.sqrt((moved * moved).sum(-1)), measured)
+        return np.where(self._known, limit, np.inf)
 
-    def _looked_for_anew(self, state: HandState, seen: HandObservation, visible: BoolArray, dt_s: float) -> HandState:
+    def _reinitialised_if_lost(
+        self, state: HandState, seen: HandObservation, visible: BoolArray, dt_s: float
+    ) -> HandState:
         """Return the state, or a better one when the tips have missed the model for too long."""
-        if state.missed_m < LOST_M or np.count_nonzero(visible) < 3:
+        if state.mean_residual_m < LOST_M or np.count_nonzero(visible) < 3:
             self._lost_s = 0.0
             return state
         self._lost_s += dt_s
         if self._lost_s < LOST_S:
             return state
         self._lost_s = 0.0
-        found = self._start.find(seen)
-        if found is None or self._start.cost(*found) > 0.5 * self._start.cost(state, found[1]):
+        found = self._initialiser.find(seen)
+        if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):
             return state
-        self._held_by = (False, False)
+        self.palm_sources = (False, False)
         return found[0]
 
     def _angles(
         self, state: HandState, R: FloatArray, p: FloatArray, tips: FloatArray, measured: BoolArray
     ) -> FloatArray:
         """Return the angles (5, 4) of the fingers on a palm at R, p; of those not measured as the filter has them."""
-        filtered = self._bend.of(state.angles.reshape(5, 4))
+        filtered = self._bend.expected(state.angles.reshape(5, 4))
         if self.config.solver == "filter" or not measured.any():
             return filtered
-        resting = self._geometry.marker_points(filtered)
+        resting = self.geometry.marker_points(filtered)
         local = np.where(measured[:, None], (tips - p) @ R, resting)
         if self.config.solver == "fabrik":
-            solved, _ = self._fabrik.solve(local, self._shown, self.config.tolerance_m, self.config.max_iterations)
+            solved, _ = self._fabrik.solve(local, self.shown, self.config.tolerance_m, self.config.max_iterations)
         else:
             solved = self._analytic.solve(local).angles
         return np.where(measured[:, None], solved, filtered)

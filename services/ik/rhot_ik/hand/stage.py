@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
@@ -14,12 +13,10 @@ from rhot.explain import Explanation
 from rhot.messages import FingerAngles, HandPose, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
 from rhot.stage import Output
-from rhot_ik.hand.evidence import SIGMA_M, HandObservation
 from rhot_ik.hand.explain import solver_tables
-from rhot_ik.hand.finger_geometry import base_marker
+from rhot_ik.hand.filter.evidence import SIGMA_M, HandObservation
+from rhot_ik.hand.fingers.geometry import base_marker
 from rhot_ik.hand.solver import HandSolution, HandSolver
-
-FloatArray = NDArray[np.float64]
 
 _ANGLES = tuple(FingerAngles.model_fields)
 _REACH = 1.6
