@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AbstractTable
 
+from rhot.atomic_file import locked
 from rhot.errors import ConfigError
 from rhot.messages import first_problem
 from rhot.rig.config import RigConfig
@@ -64,10 +65,16 @@ def _set(table: MutableMapping[str, Any], key: str, value: Value, newline: str) 
 def change_rig_file(rig_path: Path, changes: Mapping[tuple[str, ...], Mapping[str, Value]]) -> None:
     """Set values of `rig.toml`, by table; all of them or, with an error, none.
 
+    Two processes that change it at the same moment do so one after the other: neither loses the other's change.
+
     Raises:
         ConfigError: the file cannot be read, changed or written, or a value is not valid.
     """
-    file = rig_path / RIG_FILE
+    with locked(rig_path):
+        _change(rig_path / RIG_FILE, changes)
+
+
+def _change(file: Path, changes: Mapping[tuple[str, ...], Mapping[str, Value]]) -> None:
     try:
         text = file.read_bytes().decode()
     except (OSError, UnicodeDecodeError) as error:
