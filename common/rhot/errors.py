@@ -4,6 +4,8 @@ A message names the value, the place (file and field, key, device) and the remed
 alone, without a traceback.
 """
 
+from rhot.text import printable
+
 
 class RhotError(Exception):
     """Base of all errors a user may see; catch it at the edge of a program."""
@@ -18,7 +20,10 @@ class CalibrationError(RhotError):
 
 
 class WireError(RhotError):
-    """A payload from the bus is not a valid message of its key."""
+    """A payload from the bus is not a valid message of its key; its text holds nothing of it unescaped."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(printable(text))
 
 
 class DeviceError(RhotError):

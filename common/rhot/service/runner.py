@@ -23,7 +23,7 @@ from rhot.messages import Control, ServiceStatus, decode
 from rhot.rig.config import BusConfig
 from rhot.service import configuration, systemd
 from rhot.service.clock_sync import keep_synced, serve_clock
-from rhot.service.control import ControlState
+from rhot.service.control import ControlState, with_start_in_reach
 from rhot.service.node import Node
 from rhot.service.status import StatusBoard
 from rhot.service.stop import install_stop
@@ -151,6 +151,7 @@ class _Runner:
                     tasks.create_task(self._publish_status(node))
                     tasks.create_task(self._hear_control(node))
                     tasks.create_task(self._ask_control(node))
+                    tasks.create_task(self._judge_control(node))
                     tasks.create_task(self._hear_config(node))
                     tasks.create_task(self._check_loop())
                     tasks.create_task(self._run_sessions(node))
@@ -186,6 +187,7 @@ class _Runner:
     async def _run_session(self, node: Node, start: Control) -> None:
         """Run one session; a device that fails is tried again until the session ends."""
         await self._clock_ready.wait()
+        start = with_start_in_reach(start, node.clock.now_ns())
         delay_s = (start.start_t_ns - node.clock.now_ns()) / 1e9
         if delay_s > 0:
             await asyncio.sleep(delay_s)
@@ -252,25 +254,43 @@ class _Runner:
 
     async def _hear_control(self, node: Node) -> None:
         async for sample in node.bus.events(CONTROL_KEY):
-            self._take_control(node, sample.payload)
+            if not sample.deleted:
+                self._take_control(node, sample.payload, live=True)
 
     async def _ask_control(self, node: Node) -> None:
         """Learn the start signal from whoever knows it: for services that join late or missed it."""
         while True:
             for reply in await node.bus.get(CONTROL_KEY, timeout_s=1.0):
                 if not reply.error:
-                    self._take_control(node, reply.payload)
+                    self._take_control(node, reply.payload, live=False)
             await asyncio.sleep(_CONTROL_QUERY_S)
 
-    def _take_control(self, node: Node, payload: bytes) -> None:
+    async def _judge_control(self, node: Node) -> None:
+        """Take a start that came before rig time was known."""
+        await self._clock_ready.wait()
+        try:
+            if self._control.judge(node.clock.now_ns()):
+                self._log_control()
+        except WireError as error:
+            node.refuse(CONTROL_KEY, error)
+
+    def _take_control(self, node: Node, payload: bytes, *, live: bool) -> None:
         try:
             control = decode(payload, Control)
-            taken = self._control.offer(control, node.clock.now_ns() if node.clock.ready else None)
+            if not live:
+                taken = self._control.learn(control)
+            else:
+                taken = self._control.hear(control, node.clock.now_ns() if node.clock.ready else None)
         except WireError as error:
             node.refuse(CONTROL_KEY, error)
             return
         if taken:
-            logger.info("%s %s", control.action, control.session)
+            self._log_control()
+
+    def _log_control(self) -> None:
+        newest = self._control.newest
+        if newest is not None:
+            logger.info("%s %s", newest.action, newest.session)
 
     def _answer_control(self, request: Request) -> Answer | None:
         newest = self._control.newest
