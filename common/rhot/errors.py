@@ -4,7 +4,12 @@ A message names the value, the place (file and field, key, device) and the remed
 alone, without a traceback.
 """
 
+from typing import Final
+
 from rhot.text import printable
+
+EXIT_AGAIN: Final = 75
+"""What a process ends with that should be started anew, as after `HungDeviceError`: EX_TEMPFAIL of sysexits.h."""
 
 
 class RhotError(Exception):
@@ -28,6 +33,13 @@ class WireError(RhotError):
 
 class DeviceError(RhotError):
     """A camera, tracker or other device is absent or refuses what was asked of it."""
+
+
+class HungDeviceError(RhotError):
+    """A driver does not return and holds its device; only a new process gets it back, so this one ends.
+
+    No DeviceError: those are tried again in the same process.
+    """
 
 
 class BusError(RhotError):

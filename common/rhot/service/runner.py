@@ -18,7 +18,7 @@ from pydantic import BaseModel
 from rhot.bus import Bus, Request, message_answer
 from rhot.bus.query import Answer
 from rhot.clock import LocalRigClock, NodeClock, SyncedRigClock, SystemClock
-from rhot.errors import BusError, ConfigError, DeviceError, RhotError, WireError
+from rhot.errors import BusError, ConfigError, DeviceError, HungDeviceError, RhotError, WireError
 from rhot.messages import Control, ServiceStatus, decode
 from rhot.rig.config import BusConfig
 from rhot.service import configuration, systemd
@@ -26,7 +26,7 @@ from rhot.service.clock_sync import keep_synced, serve_clock
 from rhot.service.control import ControlState, with_start_in_reach
 from rhot.service.node import Node
 from rhot.service.status import StatusBoard
-from rhot.service.stop import install_stop
+from rhot.service.stop import install_stop, run_to_the_end
 
 logger = logging.getLogger(__name__)
 
@@ -79,9 +79,9 @@ def run_service(service: Service, bus_config: BusConfig, *, node_clock: NodeCloc
     """Run a service until a signal ends it and return the process's exit code.
 
     Raises:
-        RhotError: the service cannot work as it is configured.
+        RhotError: the service cannot work as it is configured, or its device hangs.
     """
-    return asyncio.run(serve(service, bus_config, node_clock or SystemClock()))
+    return run_to_the_end(serve(service, bus_config, node_clock or SystemClock()))
 
 
 async def serve(
@@ -103,12 +103,11 @@ async def serve(
         with contextlib.suppress(asyncio.CancelledError):
             await work
     except BaseExceptionGroup as group:
-        raise _first_cause(group) from group
+        raise _first_cause(group) or group from group
     return stop.exit_code
 
 
-def _first_cause(group: BaseExceptionGroup) -> BaseException:
-    first: BaseException = group
+def _first_cause(first: BaseException | None) -> BaseException | None:
     while isinstance(first, BaseExceptionGroup):
         ours = [error for error in first.exceptions if isinstance(error, RhotError)]
         first = ours[0] if ours else first.exceptions[0]
@@ -183,6 +182,9 @@ class _Runner:
                 change.cancel()
                 # Waited for, not awaited: a signal that arrives meanwhile must still end this task.
                 await asyncio.wait((run, change))
+            if not run.cancelled() and isinstance(_first_cause(run.exception()), HungDeviceError):
+                # The session is over, but the device is lost to this process.
+                run.result()
 
     async def _run_session(self, node: Node, start: Control) -> None:
         """Run one session; a device that fails is tried again until the session ends."""
