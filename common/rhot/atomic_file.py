@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -18,10 +19,8 @@ from typing import Final
 
 from rhot.errors import ConfigError
 
-try:
+if sys.platform != "win32":
     import fcntl
-except ImportError:  # Windows, where only the objects service runs and nobody else changes its rig
-    fcntl = None  # type: ignore[assignment]
 
 _LOCK_LIMIT_S: Final = 5.0
 """A change of rig.toml takes milliseconds, on a worn SD card perhaps a second; who holds the lock longer hangs."""
@@ -149,7 +148,7 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         ConfigError: another process holds it for longer than any change takes, or the folder cannot be opened.
     """
-    if fcntl is None:
+    if sys.platform == "win32":  # where only the objects service runs, and nobody else changes its rig
         yield
         return
     try:
