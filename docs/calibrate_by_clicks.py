@@ -27,10 +27,10 @@ from page_actions import choose, chosen, look_through, place_of_pixel, press_unt
 
 from rhot.rig import load_rig  # noqa: E402
 from rhot.rig.folder import RIG_FILE  # noqa: E402
-from rhot.sim.coverage import MarkerCoverage  # noqa: E402
-from rhot.sim.folder import true_cameras  # noqa: E402
-from rhot.sim.run import free_endpoint  # noqa: E402
-from rhot.sim.world import World  # noqa: E402
+from rhot_sim.rendering.coverage import MarkerCoverage  # noqa: E402
+from rhot_sim.rig.folder import true_cameras  # noqa: E402
+from rhot_sim.running.run import free_endpoint  # noqa: E402
+from rhot_sim.world.world import World  # noqa: E402
 from rhot_viewer.scene.cameras import PicturePlane  # noqa: E402
 
 WINDOW = (1280, 800)
@@ -114,7 +114,7 @@ class Newcomer:
         self.browser.click(*place)
         text_shows(self.browser, "found the same patch of colour", STEP_S)
         self.done("one paint for two markers is refused")
-        self.browser.click_text("take the last click back")
+        self.browser.click_text("undo last click")
         self.turn_of(marker)
 
     def turn_of(self, marker: str) -> None:
@@ -134,7 +134,7 @@ class Newcomer:
                 pictured = True
                 self.done("half of the board's places", "calibrate-cameras")
             if taken and int(taken[1]) >= ENOUGH:
-                press_until(self.browser, "end and solve", "The cameras are solved", PRESS_S)
+                press_until(self.browser, "finish and solve", "The cameras are solved", PRESS_S)
             time.sleep(0.5)
         self.done("cameras solved")
         press_until(self.browser, "try", "The rig tracks with the new cameras now", PRESS_S)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import socket
 import tempfile
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,10 @@ import pytest
 # As the program itself does, before numpy is loaded: BLAS threads that wait for each other cost more than they bring.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import marker_streams
+
 from rhot.bus import Bus
-from rhot.rig import BusConfig
+from rhot.rig import BusConfig, Rig
 from rhot.rig.template import rig_template
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -27,6 +30,18 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip(f"no real data at {path}")
     return path
+
+
+@pytest.fixture(scope="session")
+def thesis_rig(shared_data: Path) -> Path:
+    """The real rig of 2018."""
+    return shared_data / "thesis_rig"
+
+
+@pytest.fixture
+def make_rig(tmp_path: Path) -> Callable[..., Rig]:
+    """A maker of rigs in a folder of this test's own."""
+    return partial(marker_streams.make_rig, tmp_path)
 
 
 @pytest.fixture

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import platform
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
@@ -12,40 +10,40 @@ import cv2
 from rich.console import Console
 from rich.progress import Progress
 
-from rhot.evaluate.rows import Section, check_output
 from rhot.rig import Rig
-from rhot_bench.cores import Scene, capture_section, fusion_section, ik_section, pipeline_section
-from rhot_bench.interleaved import Spread
-from rhot_bench.live import live_section, processes_section
+from rhot_bench.measures.rows import Section, check_output
 from rhot_bench.output import json_option, show
-from rhot_bench.pi_budget import budget_section
-from rhot_bench.scaling import scaling_section, scaling_steps
-from rhot_bench.simulated_rig import RATE_HZ, simulated_rig
+from rhot_bench.speed.cores import Scene, capture_section, fusion_section, ik_section, pipeline_section
+from rhot_bench.speed.interleaved import Spread
+from rhot_bench.speed.live import live_section, processes_section
+from rhot_bench.speed.pi_budget import budget_section
+from rhot_bench.speed.scaling import scaling_section, scaling_steps
+from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
 
 PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "live", "processes")
 
 
 @click.command()
-@click.option("--quick", is_flag=True, help="Fewer turns: about a quarter of the time, rougher figures.")
+@click.option("--quick", is_flag=True, help="Repeat less often: half the time, rougher figures.")
 @click.option(
     "--part",
     "parts",
     multiple=True,
     type=click.Choice(PARTS),
-    help="Measure only this; may be repeated. All parts when not given.",
+    help="Measure only this part. May be repeated.  [default: all]",
 )
 @json_option
 @click.option(
     "--rig",
     "rig_path",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Simulated rig to measure on, made by `rhot init RIG --sim`; a temporary one when not given.",
+    help="Simulated rig to measure on, made by `rhot init RIG --sim`.  [default: a temporary one]",
 )
 def bench(quick: bool, parts: tuple[str, ...], json_path: Path | None, rig_path: Path | None) -> None:
-    """Measure how fast each part is on this machine, beside what the 2018 thesis did.
+    """Measure how fast each part is on this machine, and compare with the 2018 thesis.
 
-    The thesis's own algorithms are re-implemented here and run in turns with ours on the same pictures, so that the
-    ratios hold on a busy machine too. Pictures come from the simulated rig, 640x480 with all its faults; OpenCV uses
+    The thesis's algorithms are re-implemented here. They run in turns with ours on the same pictures, so the ratios
+    hold on a busy machine too. The pictures come from the simulated rig: 640x480, with all its faults. OpenCV uses
     one thread.
 
     \b
@@ -53,13 +51,13 @@ def bench(quick: bool, parts: tuple[str, ...], json_path: Path | None, rig_path:
     fusion     one camera's markers into points
     ik         five fingers; a whole hand
     pipeline   picture in memory to encoded pose, in one process
-    scaling    cost as markers, cameras, hands and frame rate grow
-    budget     what capture would take on a Pi 3, 4 and 5: an estimate on paper
+    scaling    how the cost grows with markers, cameras, hands and frame rate
+    budget     what capture would cost on a Pi 3, 4 and 5: an estimate on paper
     live       latency of the whole system, as processes on the bus
     processes  start-up time and memory of each service
 
-    The machine should do nothing else meanwhile. Takes about two minutes, with --quick one.
-    """  # noqa: D301
+    The machine should do nothing else meanwhile. This takes about two minutes, or one with --quick.
+    """
     check_output("--json", json_path)
     chosen = parts or PARTS
     console = Console(stderr=True, soft_wrap=True)
@@ -70,8 +68,7 @@ def bench(quick: bool, parts: tuple[str, ...], json_path: Path | None, rig_path:
             sections = _measure(rig, chosen, quick, progress)
     finally:
         cv2.setNumThreads(threads)
-    about = {"date": datetime.now(UTC).isoformat(timespec="seconds"), "quick": quick, "machine": platform.machine()}
-    show("bench", sections, json_path, **about)
+    show("bench", sections, json_path, quick=quick)
 
 
 def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) -> list[Section]:

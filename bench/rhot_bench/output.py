@@ -10,8 +10,9 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from rhot.evaluate.rows import Section, as_json, missed, section_table
 from rhot.rig.folder import write_text_atomic
+from rhot_bench.measures.rows import Section, as_json, missed, section_table
+from rhot_bench.provenance import provenance
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -22,7 +23,7 @@ def json_option(command: F) -> F:
         "--json",
         "json_path",
         type=click.Path(path_type=Path, dir_okay=False),
-        help="Write every figure as JSON to this file.",
+        help="Also write every figure to this file, as JSON.",
     )(command)
 
 
@@ -35,7 +36,7 @@ def page_option(flag: str) -> Callable[[F], F]:
             "page_path",
             type=click.Path(path_type=Path, dir_okay=False),
             metavar="FILE.html",
-            help="Write tables and plots as one HTML file.",
+            help="Also write tables and plots, as one HTML file.",
         )(command)
 
     return add
@@ -54,7 +55,7 @@ def show(command: str, sections: Sequence[Section], json_path: Path | None, **ab
         command: that was run, for the file.
         sections: its tables.
         json_path: file to write; None = none.
-        about: how it was run, for the file.
+        about: how it was run, for the file, beside its `provenance`.
     """
     out = Console()
     for section in sections:
@@ -63,5 +64,5 @@ def show(command: str, sections: Sequence[Section], json_path: Path | None, **ab
     targets = sum(bool(row.verdict) for section in sections for row in section.rows)
     out.print(f"{missed(sections)} of {targets} targets missed")
     if json_path is not None:
-        write_text_atomic(json_path, as_json(command, sections, **about))
+        write_text_atomic(json_path, as_json(command, sections, run=provenance(), **about))
         Console(stderr=True, soft_wrap=True).print(f"figures: {json_path}")

@@ -12,8 +12,8 @@ from click.testing import CliRunner
 
 from rhot.rig import load_rig, write_json_model
 from rhot.rig.colors import nominal_colors
-from rhot.sim.paint import paints_of
-from rhot_bench.scaling import bare_rig
+from rhot_bench.speed.scaling import bare_rig
+from rhot_sim.world.paint import paints_of
 
 Invoke = Callable[..., str]
 

@@ -8,9 +8,9 @@ import pytest
 
 from rhot.errors import ConfigError
 from rhot_bench.command import bench
-from rhot_bench.live import latency_rows
-from rhot_bench.pi_budget import slowness
-from rhot_bench.scaling import growth_row
+from rhot_bench.speed.live import latency_rows
+from rhot_bench.speed.pi_budget import slowness
+from rhot_bench.speed.scaling import growth_row
 
 Invoke = Callable[..., str]
 

@@ -10,15 +10,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from rhot.anatomy.hand import HandModel
 from rhot.errors import ConfigError
-from rhot.hand import HandModel
 from rhot.rig import HandFile
-from rhot_bench.evaluate_hands import hands
-from rhot_bench.evaluate_steps import steps
-from rhot_bench.evaluate_streams import streams
-from rhot_bench.evaluate_thesis import thesis
-from rhot_bench.evaluate_tracking import tracking
-from rhot_bench.recorded_joints import PREFIXES
+from rhot_bench.hands.command import hands
+from rhot_bench.hands.recorded_joints import PREFIXES
+from rhot_bench.steps.command import steps
+from rhot_bench.streams import streams
+from rhot_bench.thesis.command import thesis
+from rhot_bench.tracking.command import tracking
 
 Invoke = Callable[..., str]
 
@@ -31,8 +31,8 @@ def rows_of(file: Path) -> dict[str, Any]:
 def test_tracking_measures_every_figure(
     invoke: Invoke, rig_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rhot_bench.tracking.SETTLE_S", 0.4)
-    monkeypatch.setattr("rhot_bench.evaluate_tracking._FAST_S", 6.0)
+    monkeypatch.setattr("rhot_bench.tracking.tracking.SETTLE_S", 0.4)
+    monkeypatch.setattr("rhot_bench.tracking.command._FAST_S", 6.0)
     file, report = tmp_path / "t.json", tmp_path / "t.html"
     options = ("--quick", "--duration", 6, "--speed", 4, "--json", file, "--report", report, "--rig", rig_path)
     text = invoke(tracking, *options)
@@ -67,7 +67,7 @@ def test_tracking_measures_every_figure(
 
 
 def test_thesis_tables(invoke: Invoke, rig_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rhot_bench.thesis_tables.DISTANCES_CM", (30, 80))
+    monkeypatch.setattr("rhot_bench.thesis.tables.DISTANCES_CM", (30, 80))
     text = invoke(thesis, "--quick", "--json", tmp_path / "t.json", "--rig", rig_path)
     rows = rows_of(tmp_path / "t.json")
     assert rows["distances at which the marker is tracked"]["value"] == 2

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
 from rhot.rig import Rig, load_rig
 from rhot.rig.colors import nominal_colors
-from rhot.sim.coverage import MarkerCoverage
-from rhot.sim.folder import true_cameras
-from rhot.sim.paint import paints_of
-from rhot.sim.renderer import Renderer
-from rhot.sim.world import World
-from rhot_capture.color_table import build_color_table
-from rhot_capture.detector import MarkerDetector
+from rhot_capture.detection.color_table import build_color_table
+from rhot_capture.detection.detector import MarkerDetector
+from rhot_sim.rendering.coverage import MarkerCoverage
+from rhot_sim.rendering.renderer import Renderer
+from rhot_sim.rig.folder import true_cameras
+from rhot_sim.world.paint import paints_of
+from rhot_sim.world.world import World
 
 CAMERAS = ("left", "right")
 

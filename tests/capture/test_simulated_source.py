@@ -13,10 +13,10 @@ from rhot.clock import SkewedClock, SystemClock
 from rhot.errors import ConfigError
 from rhot.rig import CameraConfig, load_rig
 from rhot.rig.colors import nominal_colors
-from rhot_capture.color_table import ImageArray
+from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources import Frame, open_source
-from rhot_capture.sources.simulated import SimulatedSource
+from rhot_sim.sources.camera import SimulatedSource
 
 RATE_HZ = 200.0
 
@@ -114,9 +114,9 @@ def test_close_ends_a_waiting_read() -> None:
 
 
 def test_the_real_simulation_shows_markers(write_rig: Callable[..., Path]) -> None:
-    from rhot.sim.paint import paints_of
-    from rhot_capture.color_table import build_color_table
-    from rhot_capture.detector import MarkerDetector
+    from rhot_capture.detection.color_table import build_color_table
+    from rhot_capture.detection.detector import MarkerDetector
+    from rhot_sim.world.paint import paints_of
 
     folder = write_rig({"left": 'source = "simulated"\n'}, "[sim]\nmotion = 'still'\ndrop_rate = 0.0\n")
     rig = load_rig(folder)

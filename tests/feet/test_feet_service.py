@@ -18,11 +18,11 @@ from rhot.messages import Control, FootPose, HeadPose, ServiceStatus, decode
 from rhot.rig import BusConfig, Rig, load_rig
 from rhot.service import runner
 from rhot.service.runner import serve
-from rhot.sim.walker.folder import write_walker_rig
 from rhot_feet import service as feet_service
 from rhot_feet.frames import DepthFrame
-from rhot_feet.imu_sources import ImuSamples
+from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.service import FeetService
+from rhot_sim.walker.folder import write_walker_rig
 
 LIMIT_S = 60.0
 

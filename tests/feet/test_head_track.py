@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vector, vector_from_rotation
 from rhot.messages import HeadPose
-from rhot.rotations import quaternion_from_rotation, rotation_from_vector, vector_from_rotation
 from rhot_feet.head_track import HeadTrack
 
 START_NS = 1_700_000_000_000_000_000

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhot_feet.frames import ColorImage, DepthImage, pinhole
-from rhot_feet.sources.simulated import SimulatedDepthSource
+from rhot_sim.sources.depth_camera import SimulatedDepthSource
 
 CAMERA = pinhole(8, 6, np.diag([10.0, 10.0, 1.0]), np.empty(0))
 

@@ -8,10 +8,10 @@ from rhot.explain import Explaining, Explanation
 from rhot.messages import HandPose, MarkerFrame, PointSet
 from rhot.rig import Rig, load_rig, write_json_model
 from rhot.rig.template import rig_template
-from rhot.sim.calibration import simulated_rig_calibration
-from rhot_bench.simulated import projected_frames, world_of
+from rhot_bench.speed.simulated import projected_frames, world_of
 from rhot_fusion.stage import FusionStage
-from rhot_ik.stage import HandStage
+from rhot_ik.hand.stage import HandStage
+from rhot_sim.rig.calibration import simulated_rig_calibration
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from marker_streams import EPOCH_NS, MARKERS, Motion, Seen, pinhole_cameras, truth_figures, watch
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
 from rhot.errors import ConfigError
+from rhot.geometry.camera import CameraModel
 from rhot.messages import Marker, MarkerFrame, PointSet
 from rhot.rig import FusionConfig, Rig
 from rhot_fusion.stage import FusionStage

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhot.hand import HandJoints, HandModel
+from rhot.anatomy.hand import HandJoints, HandModel
+from rhot.anatomy.skeleton import FINGERS
+from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import Point, PointSet, Position, Side
 from rhot.rig import CameraConfig, HandFile, MarkerConfig, RegistrationFile, Rig, RigConfig
-from rhot.rotations import rotation_from_vector
-from rhot.skeleton import FINGERS
 
 FloatArray = NDArray[np.float64]
 START_NS = 1_700_000_000_000_000_000

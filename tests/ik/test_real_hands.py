@@ -11,14 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhot.hand import HandModel
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import FINGERS
 from rhot.rig import IkConfig, MarkerConfig
-from rhot.skeleton import FINGERS
-from rhot_ik.finger_chains import FabrikFingers
-from rhot_ik.finger_geometry import FingerGeometry
-from rhot_ik.fingers import AnalyticFingers
-from rhot_ik.hand_solver import HandObservation, HandSolver
-from rhot_ik.recorded_hands import (
+from rhot_bench.hands.recorded_hands import (
     fit_person,
     fit_rest_frames,
     fit_spread,
@@ -26,6 +22,10 @@ from rhot_ik.recorded_hands import (
     plain_fingers,
     plain_hand,
 )
+from rhot_ik.fabrik.finger_chains import FabrikFingers
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers
+from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.solver import HandObservation, HandSolver
 
 FloatArray = NDArray[np.float64]
 

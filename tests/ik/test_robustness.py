@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rhot.hand import HandModel
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import HandPose, Point, PointSet, State
 from rhot.rig import CameraConfig, HandFile, MarkerConfig, RegistrationFile, Rig, RigConfig
-from rhot.rotations import rotation_from_vector
-from rhot.skeleton import FINGERS, JOINTS
-from rhot_ik.hand_solver import HandObservation, HandSolution, HandSolver
-from rhot_ik.stage import HandStage
+from rhot_ik.hand.solver import HandObservation, HandSolution, HandSolver
+from rhot_ik.hand.stage import HandStage
 
 FloatArray = NDArray[np.float64]
 MakePoints = Callable[..., PointSet]

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rhot.cli.process import process
+from rhot.anatomy.skeleton import FINGERS
+from rhot.cli.recordings.process import process
 from rhot.errors import ConfigError
 from rhot.rig import load_rig
-from rhot.sim.folder import true_cameras
-from rhot.sim.renderer import Renderer
-from rhot.sim.schedule import FrameSchedule
-from rhot.sim.world import World
-from rhot.skeleton import FINGERS
+from rhot_sim.rendering.renderer import Renderer
+from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.schedule import FrameSchedule
+from rhot_sim.world.world import World
 
 START_NS = 1_790_000_000_000_000_000
 SECONDS = 1.5

@@ -13,15 +13,16 @@ from collections.abc import AsyncIterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from bus_watch import PATIENCE_S, answers, until
 from hand_messages import hand_pose, marker_frame, object_pose, point_set
 from numpy.typing import NDArray
 from simulated_take import DELAY_NS, simulated_rig, write_take
+from wall_clock import in_time
 
 from rhot.bus import Bus
-from rhot.cli.status import fetch_status
 from rhot.messages import (
     Control,
     HandPose,
@@ -34,11 +35,13 @@ from rhot.messages import (
     encode,
     encoding_of,
 )
+from rhot.operation.status import fetch_status
+from rhot.operation.supervisor import Supervisor
 from rhot.recording import load_recording
-from rhot.recording.mcap_reader import RecordedSample, open_mcap
+from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
+from rhot.recording.mcap.reader import RecordedSample, open_mcap
 from rhot.rig import BusConfig
-from rhot.supervisor import Supervisor
-from rhot_bench.simulated import Cameras, Capture, moments, world_of
+from rhot_bench.speed.simulated import Cameras, Capture, moments, world_of
 from rhot_capture.frame_stream import FrameStream
 from rhot_capture.offline import marker_frames
 from rhot_capture.sources import Frame
@@ -60,7 +63,7 @@ async def start(command: str, *arguments: str, file_limit: int | None = None) ->
             resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
 
     code = f"import sys; from rhot.cli.group import LazyCommand, MainGroup; MainGroup(name='rhot', lazy={{'{command}': \
-LazyCommand('', 'rhot.cli.{command}:{command}')}}).main(sys.argv[1:])"
+LazyCommand('', 'rhot.cli.recordings.{command}:{command}')}}).main(sys.argv[1:])"
     return await asyncio.create_subprocess_exec(
         *(sys.executable, "-c", code, command, *arguments),
         preexec_fn=limit if file_limit is not None else None,
@@ -92,9 +95,10 @@ async def recording(router: BusConfig, file: Path, *options: str) -> AsyncIterat
         process.send_signal(signal.SIGINT)
         begun = time.monotonic()
         output, errors = await asyncio.wait_for(process.communicate(), 10.0)
-        assert time.monotonic() - begun < 2.0
+        took_s = time.monotonic() - begun
         assert process.returncode == 0, errors.decode()
         assert "were lost" not in errors.decode(), errors.decode() + output.decode()
+        in_time(took_s, 2.0, "the end")
     finally:
         with contextlib.suppress(ProcessLookupError):
             process.kill()
@@ -192,14 +196,14 @@ async def test_a_session_survives_recording_and_replay(router: BusConfig, tmp_pa
         logger.info("%d samples: %s", len(again), figures)
         if np.percentile(errors_ms, 99) < 2.0:
             break
-    assert np.percentile(errors_ms, 99) < 2.0, figures
-    assert drift_s < 0.02
-
     async with recording(router, tmp_path / "quick.mcap"):
         begun = time.monotonic()
         await replay(router, tmp_path / "live.mcap", "--rate", "10")
-        assert time.monotonic() - begun < 0.5 * SESSION_S
+        quick_s = time.monotonic() - begun
     assert content(list(open_mcap(tmp_path / "quick.mcap").samples())) == content(live), "ten times as fast, in order"
+    in_time(float(np.percentile(errors_ms, 99)), 2.0, figures, "ms")
+    in_time(drift_s, 0.02, "drift")
+    in_time(quick_s, 0.5 * SESSION_S, "ten times as fast")
 
 
 async def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(router: BusConfig, tmp_path: Path) -> None:
@@ -213,7 +217,7 @@ async def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(router: 
     found = list(recorded.samples())
     assert "was cut off" in recorded.note or recorded.note == ""
     assert set(content(found)) <= set(sent)
-    assert len(found) > len(sent) / 2.5 * 1.4
+    in_time(2.5 * (1.0 - len(found) / len(sent)), 1.1, "of the session are lost")
 
 
 async def test_a_disk_that_fills_up_ends_the_recording_with_one_message(router: BusConfig, tmp_path: Path) -> None:
@@ -230,6 +234,39 @@ async def test_a_disk_that_fills_up_ends_the_recording_with_one_message(router: 
     sent = await publishing
     found = content(list(open_mcap(file).samples()))
     assert 0 < len(found) < len(sent)
+
+
+async def test_strangers_cannot_end_a_recording_nor_spoil_it(router: BusConfig, tmp_path: Path) -> None:
+    pictures, flood = 60, 400
+    jpeg = bytes(cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))[1])
+
+    def picture(camera: str, frame: int, t_ns: int) -> CameraPicture:
+        return CameraPicture(t_ns=t_ns, camera=camera, frame=frame, exposure_s=0.004, readout_s=0.012, jpeg=jpeg)
+
+    async with recording(router, tmp_path / "take.mcap", "--frames"), await Bus.open(router) as bus:
+        names = ("left", "..", "right.csv")
+        publishers = {name: bus.publisher(f"{PICTURES_KEY}/{name}", CameraPicture) for name in names}
+        points = bus.publisher("rhot/points", PointSet)
+        for publisher in publishers.values():
+            assert await publisher.wait_for_reader(10.0)
+        assert await points.wait_for_reader(10.0)
+        for number in range(flood):
+            await bus.put(f"rhot/[/red]/{number}", b"x", "text/plain")
+        begin_ns = time.time_ns()
+        for frame in range(pictures):
+            t_ns = begin_ns + frame * 10_000_000
+            publishers["left"].put(picture("left", frame, t_ns))
+            points.put(point_set(t_ns))
+            if frame == 10:
+                publishers["left"].put(picture("left", frame, t_ns + 10**15))
+                publishers[".."].put(picture("..", frame, t_ns))
+                publishers["right.csv"].put(picture("right.csv", frame, t_ns))
+            await asyncio.sleep(0.01)
+    track = load_recording(tmp_path / "take").cameras
+    assert {name: len(camera.t_ns) for name, camera in track.items()} == {"left": pictures}
+    recorded = open_mcap(tmp_path / "take.mcap")
+    assert "rhot/points" in recorded.keys
+    assert len(recorded.keys) < flood
 
 
 async def test_a_running_service_is_not_mixed_with(router: BusConfig, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from stub_rig import StubRig, StubThread
 
 from rhot.rig import load_rig
 from rhot.rig.colors import load_colors
-from rhot.sim.run import free_endpoint
+from rhot_sim.running.run import free_endpoint
 from rhot_viewer.scene.cameras import PicturePlane
 from rhot_viewer.scene.viewpoint import overview
 

@@ -7,10 +7,10 @@ import pytest
 
 from rhot.messages import ObjectPose
 from rhot.rig import RegistrationFile, RigidTransform
+from rhot_objects.pose import Pose, angle_between
 from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose, angle_between
-from rhot_objects.sources.simulated import ORIENTATION_NOISE_RAD, POSITION_NOISE_M, SimulatedSource
 from rhot_objects.stage import ObjectStage
+from rhot_sim.sources.objects import ORIENTATION_NOISE_RAD, POSITION_NOISE_M, SimulatedSource
 
 START = 1_700_000_000_000_000_000
 REGISTRATION = Registration.from_file(

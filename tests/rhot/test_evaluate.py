@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rhot.evaluate.accuracy import object_errors, point_errors
-from rhot.evaluate.collect import Collected, HandSample, ObjectSample, PointsSample
-from rhot.evaluate.coverage import coverage
-from rhot.evaluate.figures import service_figures, spread, tracking_figures, window
-from rhot.hand import HandModel
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import FINGERS
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_z
 from rhot.messages import ServiceStatus
 from rhot.rig import HandFile, MarkerConfig
-from rhot.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_z
-from rhot.sim.coverage import MarkerView
-from rhot.sim.world import World
-from rhot.skeleton import FINGERS
+from rhot_sim.comparison.accuracy import object_errors, point_errors
+from rhot_sim.comparison.collect import Collected, HandSample, ObjectSample, PointsSample
+from rhot_sim.comparison.coverage import coverage
+from rhot_sim.comparison.figures import service_figures, spread, tracking_figures, window
+from rhot_sim.rendering.coverage import MarkerView
+from rhot_sim.world.world import World
 
 START_NS = 1_790_000_000_000_000_000
 TIMES_S = np.arange(0.0, 4.0, 1.0 / 60.0)

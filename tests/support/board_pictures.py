@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot_fusion.camera_calibration.boards import charuco_board
-from rhot_fusion.camera_calibration.views import Board, FloatArray
+from rhot_calibration.cameras.board.boards import charuco_board
+from rhot_calibration.cameras.solve.views import Board, FloatArray
 
 GrayImage = NDArray[np.uint8]
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
+from rhot.geometry.rotations import rotation_from_vector
 from rhot.rig.config import CameraConfig
-from rhot.rotations import rotation_from_vector
-from rhot.sim.calibration import simulated_rig_calibration
-from rhot_fusion.camera_calibration.views import Board, BoardView, ViewSet
+from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
+from rhot_sim.rig.calibration import simulated_rig_calibration
 
 FloatArray = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rhot.bus import Bus, Reply
-from rhot.cli.status import fetch_status
+from rhot.operation.status import fetch_status
 from rhot.rig import BusConfig
 
 PATIENCE_S = 60.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.rotations import quaternion_from_rotation, rotation_from_vector, rotation_x, rotation_y, rotation_z
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vector, rotation_x, rotation_y, rotation_z
 
 FloatArray = NDArray[np.float64]
 

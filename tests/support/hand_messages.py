@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from rhot.hand import HandModel
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vector
 from rhot.messages import FingerAngles, HandPose, Joint, Marker, MarkerFrame, ObjectPose, Point, PointSet
 from rhot.rig import HandFile
-from rhot.rotations import quaternion_from_rotation, rotation_from_vector
-from rhot.skeleton import FINGERS, JOINTS
 
 MODEL = HandModel.from_file(HandFile(length_m=0.189), "right")
 LEFT_MODEL = HandModel.from_file(HandFile(length_m=0.175), "left")

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
 from rhot.messages import Marker, MarkerFrame, PointSet
 from rhot.recording import MarkerTrack, load_recording, marker_track_frames
 from rhot.rig import CameraCalibration, CamerasFile, Rig, load_rig, write_json_model

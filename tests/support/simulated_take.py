@@ -9,15 +9,15 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from rhot.cli.process import track
 from rhot.messages import HandPose, MarkerFrame, encode, encoding_of
+from rhot.offline import track
 from rhot.recording.camera_picture import CameraPicture
-from rhot.recording.mcap_writer import McapWriter, rig_files
+from rhot.recording.mcap.writer import McapWriter, rig_files
 from rhot.recording.picture_folder import PictureFolder
 from rhot.rig import Rig, load_rig
-from rhot.sim.folder import write_simulated_rig
-from rhot_bench.simulated import Cameras, Capture, moments, world_of
-from rhot_capture.frame_stream import jpeg_of
+from rhot_bench.speed.simulated import Cameras, Capture, moments, world_of
+from rhot_capture.preview import jpeg_of
+from rhot_sim.rig.folder import write_simulated_rig
 
 DELAY_NS = 8_000_000
 """From when a message was true to when the recorder had it."""

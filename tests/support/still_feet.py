@@ -7,14 +7,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.body_anatomy import BodyModel
+from rhot.anatomy.body_proportions import BodyModel
+from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import HeadPose
 from rhot.rig.feet_config import BodyConfig, DepthCameraConfig, FeetConfig, FootConfig, ImuConfig
-from rhot.rotations import quaternion_from_rotation
-from rhot.sim.walker.disturbances import Disturbances
-from rhot.sim.walker.world import WalkerWorld
 from rhot_feet.frames import DepthFrame, pinhole
-from rhot_feet.imu_sources import ImuSamples
+from rhot_feet.imu.samples import ImuSamples
+from rhot_sim.walker.pictures.disturbances import Disturbances
+from rhot_sim.walker.world import WalkerWorld
 
 FloatArray = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def head(t_ns: int, shift_m: FloatArray | None = None) -> HeadPose:
     )
 
 
-def places() -> dict[str, FloatArray]:
+def positions() -> dict[str, FloatArray]:
     """Where the markers are, metres, rig frame."""
     return {side: T[0, :3, 3] for side, T in world().feet(np.array([AT_S])).items()}
 

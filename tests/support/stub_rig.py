@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.bus import Answer, Bus, Request
 from rhot.errors import ConfigError
 from rhot.messages import (
@@ -35,11 +36,10 @@ from rhot.messages import (
 from rhot.rig import BusConfig, Rig, load_rig
 from rhot.rig.colors import ColorsFile, RgbBoxColor
 from rhot.service.configuration import changed, config_answer, digest, parse_change
-from rhot.sim.folder import true_cameras
-from rhot.sim.paint import paints_of
-from rhot.sim.world import World
-from rhot.skeleton import FINGERS, JOINTS
 from rhot_capture.settings import CameraSettings
+from rhot_sim.rig.folder import true_cameras
+from rhot_sim.world.paint import paints_of
+from rhot_sim.world.world import World
 
 FloatArray = NDArray[np.float64]
 

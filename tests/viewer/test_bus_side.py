@@ -18,10 +18,10 @@ from rhot.rig import BusConfig
 from rhot.service import Node, StatusBoard
 from rhot.service.configuration import changed, config_answer, parse_change
 from rhot_capture.settings import CameraSettings
-from rhot_viewer import capture_settings, picture_feed
-from rhot_viewer.capture_settings import CaptureSettings
-from rhot_viewer.inbox import Inbox
-from rhot_viewer.picture_feed import Picture, PictureFeed
+from rhot_viewer.rig import capture_settings, picture_feed
+from rhot_viewer.rig.capture_settings import CaptureSettings
+from rhot_viewer.rig.inbox import Inbox
+from rhot_viewer.rig.picture_feed import Picture, PictureFeed
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
+from rhot.geometry.rotations import rotation_from_vector
+from rhot.geometry.transforms import rigid
 from rhot.rig.calibration import CameraCalibration, matrix4
-from rhot.rotations import rotation_from_vector
-from rhot.transforms import rigid
 from rhot_viewer.scene.cameras import PICTURE_DISTANCE_M, PicturePlane
 
 T = rigid(rotation_from_vector(np.array([0.2, -0.3, 0.5])), np.array([0.3, -0.1, 0.2]))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from stub_rig import StubRig
 
+from rhot.anatomy.skeleton import CHAINS, JOINTS
 from rhot.messages import HandPose
-from rhot.skeleton import CHAINS, JOINTS
 from rhot_viewer.scene.hand import (
     BONE_COLOR,
     GHOST_SWELL,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhot.rotations import rotation_from_quaternion
+from rhot.geometry.rotations import rotation_from_quaternion
 from rhot_viewer.scene.instances import Instances, Mesh, balls, rods, turn_of_z, unit_ball, unit_box, unit_rod
 
 RNG = np.random.default_rng(3)

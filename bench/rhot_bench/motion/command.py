@@ -11,7 +11,7 @@ from typing import Final, Literal
 import click
 from rich.console import Console
 
-from rhot.evaluate.rows import check_output
+from rhot_bench.measures.rows import check_output
 from rhot_bench.motion.figures import stratum_sections
 from rhot_bench.motion.recordings import list_recordings
 from rhot_bench.motion.run import Job, RigResult, Stratum, run_job

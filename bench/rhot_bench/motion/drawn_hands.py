@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from rhot.anatomy.skeleton import JOINTS
+from rhot.geometry.rotations import nearest_rotation, rotation_from_vector, rotation_z
 from rhot.rig import HandFile
 from rhot.rig.calibration import WIDTH_OVER_LENGTH, today
-from rhot.rotations import nearest_rotation, rotation_from_vector, rotation_z
-from rhot.skeleton import JOINTS
 from rhot_bench.motion.hand_motion import HandMotion
 from rhot_bench.motion.painted import Flesh, Surface, cap_surface, patch_surface
 from rhot_bench.motion.recordings import RecordedHand, list_recordings, read_recording

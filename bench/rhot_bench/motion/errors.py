@@ -9,14 +9,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.messages import HandPose
-from rhot.skeleton import FINGERS, JOINTS
 from rhot_bench.motion.estimates import MEASURED, Estimates
 from rhot_bench.motion.recordings import FloatArray
 from rhot_bench.motion.tracks import IntArray, Tracks
 
 SWAP_M: Final = 0.010
 """A point counts as swapped when it is nearer to another marker and at least this far from its own (as in score.py)."""
+CLEAR_SHARE: Final = 0.9
+"""Share of the facing paint above which its middle is hardly shifted by what hides the rest."""
 _OFFSET_ROUNDS: Final = 4
 _FEW: Final = 10
 _BACK_S: Final = 0.1
@@ -40,6 +42,7 @@ class PointErrors:
         sigma_m: (N,) root of the sum of the stated variances; NaN = none stated.
         nees: (N,) normalised estimation error squared, three degrees of freedom; NaN = no covariance.
         views: (N,) cameras that see the marker well then, a quarter of its facing paint or more.
+        clear: (N,) two cameras or more see nearly all of the facing paint, so that its middle is where it should be.
         hidden_s: (N,) since a camera last saw any of it; 0 while one does, NaN before it was first seen.
         measured: (N,) told as measured.
         swapped: (N,) nearer to another marker.
@@ -53,6 +56,7 @@ class PointErrors:
     sigma_m: FloatArray
     nees: FloatArray
     views: IntArray
+    clear: NDArray[np.bool_]
     hidden_s: FloatArray
     measured: NDArray[np.bool_]
     swapped: NDArray[np.bool_]
@@ -127,6 +131,7 @@ def point_errors(tracks: Tracks, estimates: Estimates) -> PointErrors:
         np.sqrt(np.trace(estimates.covariance, axis1=1, axis2=2)),
         _nees(off, estimates.covariance),
         views,
+        truth.views(times, CLEAR_SHARE)[place, estimates.marker] >= 2,
         hidden,
         measured,
         (others.min(axis=1) < error) & (error > SWAP_M),

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.evaluate.rows import Row, Section
+from rhot_bench.measures.rows import Row, Section
 from rhot_bench.motion.errors import HandErrors, PointErrors, joined_hands, joined_points
 from rhot_bench.motion.recordings import FloatArray
 from rhot_bench.motion.run import RigResult, Stratum
@@ -71,9 +71,11 @@ def _live_rows(
     mine, other = _two_views(live), _two_views(ekf)
     rows: list[Row] = []
     for name, late, times in (("after 0.5 s", True, 1.0), ("first 0.5 s", False, targets.start_times)):
-        own, beside = mine & ((live.age_s >= 0.5) == late), other & ((ekf.age_s >= 0.5) == late)
+        own, theirs = mine & ((live.age_s >= 0.5) == late), other & ((ekf.age_s >= 0.5) == late)
         limits = [limit * times for limit in stratum.live_mm] if stratum.live_mm else [None, None]
-        rows += _spread(f"tips in two views, {name}", live, own, limits, ("plain EKF", ekf, beside))
+        rows += _spread(f"tips in two views, {name}", live, own, limits, ("plain EKF", ekf, theirs))
+    beside = ("plain EKF", ekf, other & ekf.clear)
+    rows += _spread("tips all but unhidden in two views", live, mine & live.clear, [None, None], beside)
     rows += _worst(live, mine, ("plain EKF", ekf, other))
     rows += _raw(live, mine, ("plain EKF", ekf, other))
     rows += _honesty(live, mine, targets, ("plain EKF", ekf, other))
@@ -90,6 +92,8 @@ def _smooth_rows(points: dict[str, PointErrors], cover: dict[str, float], target
     reached = [_at(spline.error_offset_m[other], share) for share in (50, 95)]
     limits = [round(targets.spline_share * value, 2) for value in reached]
     rows = _spread("tips in two views", smooth, mine, limits, ("spline", spline, other))
+    beside = ("spline", spline, other & spline.clear)
+    rows += _spread("tips all but unhidden in two views", smooth, mine & smooth.clear, [None, None], beside)
     rows += _worst(smooth, mine, ("spline", spline, other))
     rows += _raw(smooth, mine, ("spline", spline, other))
     rows += _honesty(smooth, mine, targets, None)

@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from rhot.hand import HandModel
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
 from rhot.rig import HandFile
-from rhot.skeleton import CHAINS, FINGERS, JOINTS
+from rhot_bench.hands.recorded_joints import RATE_HZ
 from rhot_bench.motion.recordings import FloatArray, RecordedHand
-from rhot_bench.recorded_joints import RATE_HZ
 
 _MARGIN: Final = 8
 """Recorded frames beyond a clip's ends that its spline runs through."""

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from rhot.errors import ConfigError
-from rhot_bench.recorded_joints import RATE_HZ, Recorded, fit_open_hand, read_joints, whole_chains
-from rhot_ik.recorded_hands import fit_person
+from rhot_bench.hands.recorded_hands import fit_person
+from rhot_bench.hands.recorded_joints import RATE_HZ, Recorded, fit_open_hand, read_joints, whole_chains
 
 FloatArray = NDArray[np.float64]
 

@@ -16,20 +16,20 @@ from typing import Final
 
 import numpy as np
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
+from rhot.geometry.rotations import rotation_from_vector, rotation_z
+from rhot.geometry.transforms import inverse, rigid
 from rhot.rig import CamerasFile, HandFile, Rig, load_rig, write_json_model
 from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
 from rhot.rig.toml_edit import change_rig_file
-from rhot.rotations import rotation_from_vector, rotation_z
-from rhot.transforms import inverse, rigid
 from rhot_bench.motion.recordings import FloatArray
-from rhot_fusion.camera_calibration.adjustment import adjust_views
-from rhot_fusion.camera_calibration.calibration import Calibrated, cameras_file, models_of
-from rhot_fusion.camera_calibration.figures import camera_figures, expected_errors, pair_figures
-from rhot_fusion.camera_calibration.lens import lens_of
-from rhot_fusion.camera_calibration.solve import Solution
-from rhot_fusion.camera_calibration.views import Board, BoardView, ViewSet
+from rhot_calibration.cameras.bundle.adjustment import adjust_views
+from rhot_calibration.cameras.bundle.lens import lens_of
+from rhot_calibration.cameras.calibration import Calibrated, cameras_file, models_of
+from rhot_calibration.cameras.figures import camera_figures, expected_errors, pair_figures
+from rhot_calibration.cameras.solve.solve import Solution
+from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 
 CAMERA_NAMES: Final = ("left", "right", "third", "fourth")
 WIDTH, HEIGHT = 640, 480

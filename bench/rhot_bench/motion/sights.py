@@ -9,9 +9,9 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.anatomy.skeleton import FINGERS
+from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame
-from rhot.skeleton import FINGERS
 from rhot_bench.motion.hand_motion import HandMotion
 from rhot_bench.motion.painted import Flesh, Surface, seen_samples
 from rhot_bench.motion.recordings import FloatArray

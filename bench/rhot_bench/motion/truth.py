@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.skeleton import FINGERS
+from rhot.anatomy.skeleton import FINGERS
 from rhot_bench.motion.hand_motion import HandMotion, HandShape
 from rhot_bench.motion.painted import Surface
 from rhot_bench.motion.recordings import FloatArray

@@ -12,14 +12,14 @@ from typing import Final
 import click
 from rich.console import Console
 
-from rhot.cli.process import track, track_smoothly
-from rhot.evaluate.rows import Row, Section, check_output
 from rhot.messages import MarkerFrame
+from rhot.offline import track, track_smoothly
 from rhot.recording import load_recording
 from rhot.rig import Rig
-from rhot_bench.motion.plain_ekf import plain_ekf
-from rhot_bench.motion.spline_reference import spline_reference
-from rhot_bench.motion.views import views_of
+from rhot_bench.measures.rows import Row, Section, check_output
+from rhot_bench.motion.references.plain_ekf import plain_ekf
+from rhot_bench.motion.references.spline_reference import spline_reference
+from rhot_bench.motion.references.views import views_of
 from rhot_bench.output import counted, json_option, show
 from rhot_bench.pictures.rendered import SEQUENCES, at_rate_of, found_markers, prepare_rig, require_pictures
 from rhot_bench.pictures.scoring import Score, score_estimates, score_messages

@@ -19,9 +19,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhot.cli.process import core
 from rhot.errors import CalibrationError, ConfigError
 from rhot.messages import MarkerFrame
+from rhot.offline import core
 from rhot.recording import Recording, load_recording
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import CAMERAS_FILE, COLORS_FILE, HAND_FILE, RIG_FILE, write_text_atomic

@@ -21,9 +21,9 @@ from rich.markup import escape
 
 from rhot.bus import Bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
-from rhot.cli.status import fetch_status
 from rhot.errors import BusError, RhotError
 from rhot.messages import ServiceStatus
+from rhot.operation.status import fetch_status
 from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.calibration import CalibrationFile
 from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE
@@ -81,7 +81,7 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
         findings.append(
             Finding(
                 "warn",
-                "cameras.json is missing: lenses and places are only nominal",
+                "cameras.json is missing: lenses and positions are only nominal",
                 f"calibrate the cameras: rhot calibrate cameras RECORDING --rig {path} --board 9x6 --square-mm 25",
             )
         )
@@ -145,7 +145,7 @@ def _check_cameras(rig: Rig) -> Finding:
         error_mm = figure(file.quality, "expected_error_mm", distance, "with_marker_noise")
         if error_mm is not None:
             text += f"; {error_mm:.1f} mm expected at {distance}"
-    remedy = f"rhot evaluate calibration --live 30 --rig {rig.path} tells whether they have moved since"
+    remedy = f"rhot evaluate calibration --live 30 --rig {rig.path} shows whether they have moved since"
     return Finding("ok", text, remedy)
 
 

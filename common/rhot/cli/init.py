@@ -8,7 +8,9 @@ from typing import Final
 import click
 from rich.console import Console
 
+from rhot.atomic_file import why
 from rhot.errors import ConfigError
+from rhot.plugins import load_plugin
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
 
@@ -27,21 +29,22 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be made: {error.strerror or error}") from error
+        raise ConfigError(f"{path}: cannot be made: {why(error)}") from error
 
 
 @click.command()
 @click.argument("path", metavar="RIG", type=click.Path(path_type=Path))
-@click.option("--sim", "simulated", is_flag=True, help="A simulated rig, calibrated and ready to run on this machine.")
-@click.option("--uncalibrated", is_flag=True, help="With --sim: without any calibration, to try how that is done.")
+@click.option(
+    "--sim", "simulated", is_flag=True, help="Make a simulated rig, calibrated and ready to run on this machine."
+)
+@click.option("--uncalibrated", is_flag=True, help="With --sim: leave the rig uncalibrated, to try the calibration.")
 def init(path: Path, simulated: bool, uncalibrated: bool) -> None:
     """Make a new rig folder RIG with a commented rig.toml for two cameras named left and right."""
     if uncalibrated and not simulated:
         raise ConfigError("--uncalibrated goes with --sim; a rig of your own begins without calibration anyway")
     make_folder(path)
     if simulated:
-        from rhot.sim.folder import write_simulated_rig  # noqa: PLC0415  # only this needs the simulator's packages
-
+        write_simulated_rig = load_plugin("rhot.simulated", "rig_folder", "--sim", "sim")
         with Console(stderr=True).status("preparing the simulated rig: cameras, colours, hand"):
             write_simulated_rig(path, rate_hz=CALIBRATING_HZ if uncalibrated else 60.0, calibrated=not uncalibrated)
         what = "a simulated rig without calibration" if uncalibrated else "a simulated rig"

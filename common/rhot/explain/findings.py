@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from rhot.anatomy.skeleton import FINGERS
 from rhot.explain.moment import Moment
 from rhot.explain.tables import Explanation, ExplanationRow, PictureExplanation, Verdict
 from rhot.explain.trace import Trace, difference_m
 from rhot.messages import HandPose, PointSet, ServiceStatus
 from rhot.rig import Rig
-from rhot.skeleton import FINGERS
 
 _STALE_S = 0.1
 _SAME_M = 0.001

@@ -9,7 +9,7 @@ from typing import Final, TypeVar
 from rhot.errors import ConfigError, WireError
 from rhot.messages import HandPose, MarkerFrame, Message, PointSet, ServiceStatus
 from rhot.recording import Recording
-from rhot.recording.mcap_reader import McapRecording
+from rhot.recording.mcap.reader import McapRecording
 from rhot.recording.span import between, time_span
 
 M = TypeVar("M", bound=Message)

@@ -8,12 +8,12 @@ from html import escape
 
 import numpy as np
 
-from rhot.camera import CameraModel
-from rhot.evaluate.html import html_page
-from rhot.evaluate.svg import line_plot
 from rhot.explain.tables import Explanation, ExplanationRow, Outline, PictureExplanation
 from rhot.explain.trace import Trace
+from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, PointSet
+from rhot.report.html import html_page
+from rhot.report.svg import line_plot
 from rhot.rig import Rig
 
 _STYLE = """
@@ -101,8 +101,8 @@ def _figure(
             _cross(marker.u, marker.v, "" if picture else marker_name) for marker_name, marker in frame.markers.items()
         ]
     if points is not None and points.points:
-        places = np.array([point.position for point in points.points.values()])
-        uv = CameraModel.from_calibration(camera).project(places)
+        positions = np.array([point.position for point in points.points.values()])
+        uv = CameraModel.from_calibration(camera).project(positions)
         for marker_name, (u, v) in zip(points.points, uv.tolist(), strict=True):
             if np.isfinite((u, v)).all():
                 text = f"<title>{escape(marker_name)} as fusion has it</title>"

@@ -1,6 +1,6 @@
 """A skeleton's motion as BVH (Biovision Hierarchy), for Blender and other animation programs.
 
-Lengths are centimetres. BVH programs expect Y up: the file's frame is the rig frame turned by half a turn about x,
+Lengths are centimetres. BVH programs expect Y up: the file's frame is the rig frame rotated by half a turn about x,
 
     p_file = (x, −y, −z) · 100,
 
@@ -20,10 +20,10 @@ from typing import Final
 
 import numpy as np
 
+from rhot.anatomy.hand import PALM, WRIST
+from rhot.anatomy.skeleton import JOINTS
 from rhot.export.poses import FloatArray
 from rhot.export.skeleton_motion import PARENT_OF, SkeletonMotion
-from rhot.hand import PALM, WRIST
-from rhot.skeleton import JOINTS
 
 CM_PER_M: Final = 100.0
 RIG_TO_FILE: Final = np.diag([1.0, -1.0, -1.0])

@@ -7,8 +7,8 @@ from array import array
 from collections.abc import Iterable, Mapping
 from typing import Final
 
+from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.messages import HandPose, MarkerFrame, Message, ObjectPose, PointSet
-from rhot.skeleton import FINGERS, JOINTS
 
 Value = float | str
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.anatomy.skeleton import JOINTS
 from rhot.errors import ConfigError
+from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import HandPose, Message, Side
-from rhot.rotations import rotation_from_quaternion
-from rhot.skeleton import JOINTS
 
 FloatArray = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ class HandMotion:
     Attributes:
         side: whose hand.
         t_ns: (N,) int64, increasing.
-        positions: (N, 26, 3) metres, rig frame, order of `rhot.skeleton.JOINTS`.
+        positions: (N, 26, 3) metres, rig frame, order of `rhot.anatomy.skeleton.JOINTS`.
         rotations: (N, 26, 3, 3) joint axes as columns, rig frame.
         incomplete: poses left out because a joint is missing.
     """

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from rhot.anatomy.skeleton import PARENTS
+from rhot.atomic_file import replacing
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, MarkerFrame, Message, ObjectPose, PointSet
-from rhot.recording.beside import StoredPicture
+from rhot.recording.mcap.beside import StoredPicture
 from rhot.rig import CameraCalibration
-from rhot.skeleton import PARENTS
 
 TIMELINE: Final = "rig_time"
 _MEASURED: Final = (42, 157, 143)
@@ -40,7 +43,19 @@ def write_rerun(
         raise ConfigError("--rerun needs the Python module rerun; pip install 'rhot[rerun]'") from error
     if not file.parent.is_dir():
         raise ConfigError(f"{file}: the folder {file.parent} does not exist")
-    stream = rerun.RecordingStream("rhot", recording_id=file.stem)
+    with replacing(file) as part:
+        return _write(rerun, part, file.stem, messages, cameras, pictures)
+
+
+def _write(
+    rerun: Any,
+    file: Path,
+    title: str,
+    messages: Iterable[tuple[str, Message]],
+    cameras: dict[str, CameraCalibration],
+    pictures: Iterable[StoredPicture],
+) -> int:
+    stream = rerun.RecordingStream("rhot", recording_id=title)
     stream.save(file)
     # Cameras look down: what they see is far along z, and what is up in their pictures is towards −y.
     stream.log("rig", rerun.ViewCoordinates.RDF, static=True)
@@ -66,6 +81,9 @@ def write_rerun(
         stream.log(f"rig/{picture.camera}/image", rerun.EncodedImage(path=picture.file))
     stream.flush()
     stream.disconnect()
+    if not file.stat().st_size:
+        # Rerun writes on a thread of its own and only logs when it cannot.
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     return count
 
 
@@ -97,8 +115,8 @@ def _parts(rerun: Any, key: str, message: Message) -> list[tuple[str, Any]]:
         case PointSet():
             points = message.points
             colors = [_MEASURED if point.state == "measured" else _PREDICTED for point in points.values()]
-            places = [point.position for point in points.values()]
-            return [(path, rerun.Points3D(places, radii=_POINT_M, colors=colors, labels=list(points)))]
+            positions = [point.position for point in points.values()]
+            return [(path, rerun.Points3D(positions, radii=_POINT_M, colors=colors, labels=list(points)))]
         case ObjectPose():
             pose = rerun.Transform3D(
                 translation=message.position, quaternion=rerun.Quaternion(xyzw=message.orientation)

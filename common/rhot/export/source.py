@@ -11,8 +11,8 @@ from pydantic import ValidationError
 
 from rhot.errors import ConfigError, WireError
 from rhot.messages import Message, first_problem
-from rhot.recording.mcap_reader import RecordedSample, is_mcap, open_mcap
-from rhot.recording.wire_models import model_of_key
+from rhot.recording.mcap.reader import RecordedSample, is_mcap, open_mcap
+from rhot.recording.mcap.wire_models import model_of_key
 
 
 class RecordedMessages:

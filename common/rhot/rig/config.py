@@ -6,10 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from rhot.anatomy.skeleton import JOINTS
 from rhot.messages import Name, Side
 from rhot.rig.feet_config import BodyConfig, FeetConfig
 from rhot.rig.file_model import FileModel, NotNegative, Positive, Vector3
-from rhot.skeleton import JOINTS
+from rhot.rig.v4l2_control import V4l2Control
 
 WalkProgram = Literal[
     "still",
@@ -64,11 +65,12 @@ class CameraConfig(FileModel):
         exposure_s: exposure time; short enough that a fast finger does not smear.
         gain: analogue gain.
         white_balance: red and blue gains; locked, never automatic.
-        focus_dioptres: lens position, for cameras with a focus motor.
+        focus_dioptres: lens position, for cameras with a focus motor. V4L2 has no units for gain, white balance, focus.
+        v4l2_controls: what a V4L2 driver is set to, in its own units (`v4l2-ctl --list-ctrls`).
         readout_s: time between the read-out of the first and of the last row (rolling shutter).
         sync: libcamera's software synchronisation between Pis: who gives the beat.
         fov_deg: horizontal field of view, used until the cameras are calibrated.
-        position_m: place of the camera in the rig frame, used until the cameras are calibrated.
+        position_m: position of the camera in the rig frame, used until the cameras are calibrated.
         loop: start a folder or a video again at its end.
     """
 
@@ -82,6 +84,7 @@ class CameraConfig(FileModel):
     gain: Annotated[float, Field(ge=1.0, le=64.0)] = 4.0
     white_balance: tuple[Positive, Positive] = (1.6, 1.6)
     focus_dioptres: NotNegative | None = None
+    v4l2_controls: dict[V4l2Control, Annotated[int, Field(ge=-(1 << 31), lt=1 << 31)]] = {}
     readout_s: NotNegative = 0.0
     sync: Literal["off", "server", "client"] = "off"
     fov_deg: Annotated[float, Field(gt=1.0, lt=170.0)] = 62.2
@@ -297,12 +300,12 @@ class RigConfig(FileModel):
     def _one_marker_per_joint(self) -> RigConfig:
         seen: dict[tuple[str, str], str] = {}
         for name, marker in self.markers.items():
-            place = (marker.hand, marker.joint)
-            if place in seen:
+            joint = (marker.hand, marker.joint)
+            if joint in seen:
                 raise ValueError(
-                    f"markers.{name} and markers.{seen[place]} both mark {marker.joint} of the {marker.hand} hand"
+                    f"markers.{name} and markers.{seen[joint]} both mark {marker.joint} of the {marker.hand} hand"
                 )
-            seen[place] = name
+            seen[joint] = name
         return self
 
     @property

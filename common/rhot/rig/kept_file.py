@@ -1,16 +1,17 @@
 """A calibration file that can be tried before it is saved, and undone.
 
-The former file is put aside in the rig folder itself, so that a trial survives the program that began it.
+The former file is put aside in the rig folder itself, so that a trial survives the program that began it; a power cut
+between any two steps leaves the file as it was before or after.
 """
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Callable
+import contextlib
 from pathlib import Path
 from typing import Final, Generic, TypeVar
 
-from rhot.errors import ConfigError, RhotError
+from rhot.atomic_file import remove, rename, why, write_atomic
+from rhot.errors import ConfigError
 from rhot.rig.calibration import CalibrationFile
 from rhot.rig.folder import read_json_model, write_json_model
 
@@ -38,6 +39,7 @@ class KeptFile(Generic[F]):
         self._model = model
         self._untried = path.with_name(f".{path.stem}.untried.json")
         self._previous = path.with_name(f"{path.stem}.previous.json")
+        self._swapped = path.with_name(f".{path.stem}.swapped.json")
         self._stamp = _ABSENT
         self._content: F | None = None
 
@@ -49,7 +51,7 @@ class KeptFile(Generic[F]):
     @property
     def can_undo(self) -> bool:
         """Whether there is a former state to go back to."""
-        return self.on_trial or self._previous.exists()
+        return self.on_trial or self._previous.exists() or self._swapped.exists()
 
     @property
     def content(self) -> F | None:
@@ -64,37 +66,25 @@ class KeptFile(Generic[F]):
             self._stamp = stamp
         return self._content
 
-    def standing(self, absent: tuple[str, bool], trial: str, kept: Callable[[F], tuple[str, bool]]) -> tuple[str, bool]:
-        """Return in words how the file stands, and whether the rig is calibrated by it.
-
-        Args:
-            absent: without a file.
-            trial: while it is on trial.
-            kept: of its content otherwise.
-        """
-        try:
-            content = self.content
-        except RhotError as error:
-            return str(error), False
-        if content is None:
-            return absent
-        return (trial, False) if self.on_trial else kept(content)
-
     def try_out(self, content: F) -> None:
         """Write new content; services that look at the file take it over, and `undo` brings the former one back.
 
         Raises:
             ConfigError: the folder cannot be written.
         """
+        self._finish_swap()
+        begins = not self.on_trial
         try:
-            if not self.on_trial:
-                if self.path.exists():
-                    _copy(self.path, self._untried)
-                else:
-                    self._untried.touch()
+            if begins:
+                write_atomic(self._untried, self.path.read_bytes() if self.path.exists() else b"")
+            write_json_model(self.path, content)
+        except ConfigError:
+            if begins:
+                with contextlib.suppress(OSError):
+                    self._untried.unlink(missing_ok=True)
+            raise
         except OSError as error:
             raise self._unwritable(error) from error
-        write_json_model(self.path, content)
 
     def save(self) -> None:
         """End the trial: what was tried stays, what was there before becomes the previous file.
@@ -106,9 +96,9 @@ class KeptFile(Generic[F]):
             raise ConfigError(f"{self.path}: nothing new to save; try something first")
         try:
             if self._untried.stat().st_size:
-                self._untried.replace(self._previous)
+                rename(self._untried, self._previous)
             else:
-                self._untried.unlink()
+                remove(self._untried)
         except OSError as error:
             raise self._unwritable(error) from error
 
@@ -122,53 +112,38 @@ class KeptFile(Generic[F]):
         """
         if not self.can_undo:
             raise ConfigError(f"{self.path}: there is no former one to go back to")
+        self._finish_swap()
         try:
             if self.on_trial:
                 if self._untried.stat().st_size:
-                    self._untried.replace(self.path)
+                    rename(self._untried, self.path)
                 else:
-                    self.path.unlink(missing_ok=True)
-                    self._untried.unlink()
+                    remove(self.path)
+                    remove(self._untried)
                 return
-            swapped = self.path.with_name(f".{self.path.stem}.swapped.json")
             if self.path.exists():
-                _copy(self.path, swapped)
-            self._previous.replace(self.path)
-            if swapped.exists():
-                swapped.replace(self._previous)
+                write_atomic(self._swapped, self.path.read_bytes())
+            rename(self._previous, self.path)
+            if self._swapped.exists():
+                rename(self._swapped, self._previous)
         except OSError as error:
             raise self._unwritable(error) from error
 
-    def enabled(self, found: F | None) -> set[str]:
-        """Return which of `try`, `save` and `undo` can be pressed, with something to try or without."""
-        return (
-            ({"try"} if found is not None else set())
-            | ({"save"} if self.on_trial else set())
-            | ({"undo"} if self.can_undo else set())
-        )
-
-    def press(self, button: str, found: F | None) -> None:
-        """Try what was found, save or undo; any other button is not ours.
-
-        Raises:
-            ConfigError: see `try_out`, `save` and `undo`.
-        """
-        if button == "try" and found is not None:
-            self.try_out(found)
-        elif button == "save":
-            self.save()
-        elif button == "undo":
-            self.undo()
+    def _finish_swap(self) -> None:
+        """Bring an undoing to its end that a crash has interrupted: what was saved becomes the former file again."""
+        if not self._swapped.exists():
+            return
+        try:
+            if self._previous.exists():
+                # The former file had not been brought back yet: nothing has changed.
+                remove(self._swapped)
+            else:
+                rename(self._swapped, self._previous)
+        except OSError as error:
+            raise self._unwritable(error) from error
 
     def _unwritable(self, error: OSError) -> ConfigError:
-        return ConfigError(f"{self.path}: cannot be kept: {error.strerror or error}")
-
-
-def _copy(source: Path, target: Path) -> None:
-    """Copy in one step: a crash leaves no half of a file."""
-    half = target.with_name(f"{target.name}.tmp")
-    shutil.copyfile(source, half)
-    half.replace(target)
+        return ConfigError(f"{self.path}: cannot be kept: {why(error)}")
 
 
 def file_stamp(path: Path) -> _Stamp:

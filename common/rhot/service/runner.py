@@ -15,24 +15,23 @@ from typing import Final, Protocol
 
 from pydantic import BaseModel
 
-from rhot.bus import Bus, Request, message_answer
+from rhot.bus import Bus, Request
 from rhot.bus.query import Answer
 from rhot.clock import LocalRigClock, NodeClock, SyncedRigClock, SystemClock
-from rhot.errors import BusError, ConfigError, DeviceError, RhotError, WireError
-from rhot.messages import Control, ServiceStatus, decode
+from rhot.errors import BusError, ConfigError, DeviceError, HungDeviceError, RhotError, WireError
+from rhot.messages import Control, ServiceStatus
 from rhot.rig.config import BusConfig
 from rhot.service import configuration, systemd
-from rhot.service.clock_sync import keep_synced, serve_clock
-from rhot.service.control import ControlState
+from rhot.service.clock_sync import ClockWatch, keep_synced, serve_clock, watch_for_rivals
+from rhot.service.control import with_start_in_reach
+from rhot.service.control_link import CONTROL_KEY, ControlLink
 from rhot.service.node import Node
 from rhot.service.status import StatusBoard
-from rhot.service.stop import install_stop
+from rhot.service.stop import install_stop, run_to_the_end
 
 logger = logging.getLogger(__name__)
 
-CONTROL_KEY: Final = "rhot/control"
 _STATUS_INTERVAL_S: Final = 1.0
-_CONTROL_QUERY_S: Final = 2.0
 _RETRY_FIRST_S: Final = 0.5
 _RETRY_MAX_S: Final = 5.0
 _LOOP_CHECK_S: Final = 0.1
@@ -79,9 +78,9 @@ def run_service(service: Service, bus_config: BusConfig, *, node_clock: NodeCloc
     """Run a service until a signal ends it and return the process's exit code.
 
     Raises:
-        RhotError: the service cannot work as it is configured.
+        RhotError: the service cannot work as it is configured, or its device hangs.
     """
-    return asyncio.run(serve(service, bus_config, node_clock or SystemClock()))
+    return run_to_the_end(serve(service, bus_config, node_clock or SystemClock()))
 
 
 async def serve(
@@ -103,12 +102,11 @@ async def serve(
         with contextlib.suppress(asyncio.CancelledError):
             await work
     except BaseExceptionGroup as group:
-        raise _first_cause(group) from group
+        raise _first_cause(group) or group from group
     return stop.exit_code
 
 
-def _first_cause(group: BaseExceptionGroup) -> BaseException:
-    first: BaseException = group
+def _first_cause(first: BaseException | None) -> BaseException | None:
     while isinstance(first, BaseExceptionGroup):
         ours = [error for error in first.exceptions if isinstance(error, RhotError)]
         first = ours[0] if ours else first.exceptions[0]
@@ -120,20 +118,24 @@ class _Runner:
         self._service = service
         self._bus_config = bus_config
         self._node_clock = node_clock
-        self._control = ControlState()
+        self._control_link = ControlLink()
+        self._control = self._control_link.state
         self._status = StatusBoard()
         self._clock_ready = asyncio.Event()
+        self._clock_watch = ClockWatch()
 
     async def run(self) -> None:
         service = self._service
         async with await Bus.open(self._bus_config) as bus:
             clock = LocalRigClock(self._node_clock) if service.owns_clock else SyncedRigClock(self._node_clock)
             node = Node(service.name, service.instance, bus, self._node_clock, clock, self._status)
+            self._status.include(bus.limit_counts)
+            self._status.watch(lambda: ({}, self._clock_watch.problem))
             service.attach(node)
-            if service.owns_clock:
-                serve_clock(bus)
+            own_clock = serve_clock(bus) if service.owns_clock else ""
+            if own_clock:
                 self._clock_ready.set()
-            bus.queryable(CONTROL_KEY, self._answer_control)
+            bus.queryable(CONTROL_KEY, self._control_link.answer)
             loop = asyncio.get_running_loop()
             bus.queryable(self._key("config"), lambda request: self._answer_config(loop, request), slow=True)
             bus.alive(self._key("alive"))
@@ -147,10 +149,11 @@ class _Runner:
             try:
                 async with asyncio.TaskGroup() as tasks:
                     if isinstance(clock, SyncedRigClock):
-                        tasks.create_task(keep_synced(bus, clock, self._clock_ready))
+                        tasks.create_task(keep_synced(bus, clock, self._clock_ready, self._clock_watch))
+                    else:
+                        tasks.create_task(watch_for_rivals(bus, self._node_clock, own_clock, self._clock_watch))
                     tasks.create_task(self._publish_status(node))
-                    tasks.create_task(self._hear_control(node))
-                    tasks.create_task(self._ask_control(node))
+                    self._control_link.follow(node, self._clock_ready, tasks)
                     tasks.create_task(self._hear_config(node))
                     tasks.create_task(self._check_loop())
                     tasks.create_task(self._run_sessions(node))
@@ -182,15 +185,19 @@ class _Runner:
                 change.cancel()
                 # Waited for, not awaited: a signal that arrives meanwhile must still end this task.
                 await asyncio.wait((run, change))
+            if not run.cancelled() and isinstance(_first_cause(run.exception()), HungDeviceError):
+                # The session is over, but the device is lost to this process.
+                run.result()
 
     async def _run_session(self, node: Node, start: Control) -> None:
         """Run one session; a device that fails is tried again until the session ends."""
         await self._clock_ready.wait()
+        start = with_start_in_reach(start, node.clock.now_ns())
         delay_s = (start.start_t_ns - node.clock.now_ns()) / 1e9
         if delay_s > 0:
             await asyncio.sleep(delay_s)
         self._status.clear_latencies()
-        retry_s, told = _RETRY_FIRST_S, ""
+        retry_s, logged = _RETRY_FIRST_S, ""
         while True:
             self._status.state, self._status.session = "running", start.session
             logger.info("session %s runs", start.session)
@@ -200,8 +207,8 @@ class _Runner:
                 self._status.error(str(error))
                 self._status.count("device_errors")
                 self._status.state = "waiting"
-                if str(error) != told:
-                    told = str(error)
+                if str(error) != logged:
+                    logged = str(error)
                     logger.error("%s; trying again, at least every %.0f s", error, _RETRY_MAX_S)
                 await asyncio.sleep(retry_s)
                 retry_s = min(2 * retry_s, _RETRY_MAX_S)
@@ -241,40 +248,14 @@ class _Runner:
         """Keep systemd's watchdog quiet while the event loop turns, and note when it did not."""
         interval_s = systemd.watchdog_interval_s()
         loop = asyncio.get_running_loop()
-        told = loop.time()
+        published_s = loop.time()
         while True:
             before = loop.time()
             await asyncio.sleep(_LOOP_CHECK_S)
             self._status.latency("loop_lag", max(0.0, loop.time() - before - _LOOP_CHECK_S))
-            if interval_s is not None and loop.time() - told >= interval_s:
+            if interval_s is not None and loop.time() - published_s >= interval_s:
                 systemd.notify("WATCHDOG=1")
-                told = loop.time()
-
-    async def _hear_control(self, node: Node) -> None:
-        async for sample in node.bus.events(CONTROL_KEY):
-            self._take_control(node, sample.payload)
-
-    async def _ask_control(self, node: Node) -> None:
-        """Learn the start signal from whoever knows it: for services that join late or missed it."""
-        while True:
-            for reply in await node.bus.get(CONTROL_KEY, timeout_s=1.0):
-                if not reply.error:
-                    self._take_control(node, reply.payload)
-            await asyncio.sleep(_CONTROL_QUERY_S)
-
-    def _take_control(self, node: Node, payload: bytes) -> None:
-        try:
-            control = decode(payload, Control)
-            taken = self._control.offer(control, node.clock.now_ns() if node.clock.ready else None)
-        except WireError as error:
-            node.refuse(CONTROL_KEY, error)
-            return
-        if taken:
-            logger.info("%s %s", control.action, control.session)
-
-    def _answer_control(self, request: Request) -> Answer | None:
-        newest = self._control.newest
-        return None if newest is None else message_answer(newest, request)
+                published_s = loop.time()
 
     def _answer_config(self, loop: asyncio.AbstractEventLoop, request: Request) -> Answer:
         """Answer a query for the configuration; one that carries a payload changes it first."""

@@ -10,6 +10,7 @@ import cv2
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.clock import NodeClock, SystemClock
 from rhot.errors import ConfigError
+from rhot.plugins import load_simulated
 from rhot.rig import Rig, load_rig
 from rhot.service import run_service
 from rhot_capture.service import CaptureService
@@ -19,9 +20,8 @@ def node_clock(rig: Rig, camera: str) -> NodeClock:
     """Return the clock of a camera's node: the machine's, or for a simulated camera one that is off on purpose."""
     if rig.config.cameras[camera].source != "simulated":
         return SystemClock()
-    from rhot.sim.node_clock import node_clock_of  # noqa: PLC0415  # only a simulated camera needs the simulator
-
-    return node_clock_of(rig.config.sim, camera)
+    clock: NodeClock = load_simulated("node_clock")(rig.config.sim, camera)
+    return clock
 
 
 @click.command()

@@ -10,8 +10,8 @@ from rhot.messages import MarkerFrame
 from rhot.recording import MarkerTrack, PictureTrack, Recording, VideoTrack
 from rhot.rig import Rig
 from rhot.rig.colors import load_colors
-from rhot_capture.color_table import ColorTable, build_color_table
-from rhot_capture.detector import MarkerDetector
+from rhot_capture.detection.color_table import ColorTable, build_color_table
+from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.sources.pictures import read_pictures
 from rhot_capture.timing import marker_frame
 

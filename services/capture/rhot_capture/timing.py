@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rhot.messages import MarkerFrame
-from rhot_capture.detector import Detection
+from rhot_capture.detection.detector import Detection
 
 
 def row_time_ns(t_first_row_ns: int, row: float, height: int, exposure_s: float, readout_s: float) -> int:

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
 
 ColorImage = NDArray[np.uint8]
 DepthImage = NDArray[np.uint16]

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
+from rhot.geometry.transforms import rigid
 from rhot.messages import HeadPose
-from rhot.transforms import rigid
-from rhot.turns import turn_from_quaternion, turn_from_vector, vector_from_turn
 
 FloatArray = NDArray[np.float64]
 
@@ -29,17 +29,17 @@ class HeadTrack:
         self._poses: dict[int, FloatArray] = {}
 
     def add(self, pose: HeadPose) -> None:
-        """Take a pose; one that is only predicted is left out, because a camera's place has to be known to a degree."""
+        """Add a pose; a predicted one is left out, because a camera's rotation has to be known to a degree."""
         if pose.state != "measured" or pose.t_ns in self._poses:
             return
         insort(self._times, pose.t_ns)
-        rotation = turn_from_quaternion(np.array(pose.orientation))
+        rotation = rotation_from_quaternion(np.array(pose.orientation))
         self._poses[pose.t_ns] = rigid(rotation, np.array(pose.position))
         while self._times[-1] - self._times[0] > _KEPT_NS:
             del self._poses[self._times.pop(0)]
 
     def awaits(self, t_ns: int) -> bool:
-        """Tell whether poses come, but none yet that is late enough for a moment."""
+        """Return whether poses come, but none yet that is late enough for a moment."""
         return bool(self._times) and _AHEAD_NS < t_ns - self._times[-1] < _KEPT_NS
 
     def at(self, t_ns: int) -> FloatArray | None:
@@ -53,6 +53,6 @@ class HeadTrack:
             return None
         first, second = self._poses[first_ns], self._poses[second_ns]
         share = (t_ns - first_ns) / (second_ns - first_ns)
-        turned = share * vector_from_turn(first[:3, :3].T @ second[:3, :3])
-        place = first[:3, 3] + share * (second[:3, 3] - first[:3, 3])
-        return rigid(first[:3, :3] @ turn_from_vector(turned), place)
+        turned = share * vector_from_rotation(first[:3, :3].T @ second[:3, :3])
+        position = first[:3, 3] + share * (second[:3, 3] - first[:3, 3])
+        return rigid(first[:3, :3] @ rotation_from_vector(turned), position)

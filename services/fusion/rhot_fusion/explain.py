@@ -10,7 +10,7 @@ from rhot.explain import Explanation, ExplanationRow
 from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.tracker import FilterTracker
 from rhot_fusion.filter.tracks import Belief
-from rhot_fusion.sightings import Tracker
+from rhot_fusion.views.sightings import Tracker
 
 
 def tracker_tables(

@@ -10,19 +10,19 @@ from statistics import median
 
 import numpy as np
 
-from rhot.camera import CameraModel
 from rhot.errors import ConfigError
 from rhot.explain import Explanation
+from rhot.geometry.camera import CameraModel
 from rhot.messages import HandPose, MarkerFrame, Point, PointSet, PointState, Position
+from rhot.messages.base import wire_position
 from rhot.rig import FusionConfig, Rig
 from rhot.stage import Output
-from rhot.wire_vectors import wire_position
-from rhot_fusion.corners import Corners, PatchCorners
 from rhot_fusion.explain import tracker_tables
 from rhot_fusion.filter.tracker import FilterTracker
-from rhot_fusion.guard import StreamGuard
-from rhot_fusion.paired_tracker import PairedTracker
-from rhot_fusion.sightings import Outcome, Sightings, Tracker
+from rhot_fusion.paired.tracker import PairedTracker
+from rhot_fusion.views.corners import Corners, PatchCorners
+from rhot_fusion.views.guard import StreamGuard
+from rhot_fusion.views.sightings import Outcome, Sightings, Tracker
 
 POINTS_KEY = "rhot/points"
 RIG_FRAME = "rig"

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from rhot.messages import FootPose, HeadPose, PointSet
 from rhot.rig import IkConfig, Rig
 from rhot.stage import Output
+from rhot_ik.hand.stage import HandStage
 from rhot_ik.legs.body_stage import BodyStage
-from rhot_ik.stage import HandStage
 
 
 class WholeStage:

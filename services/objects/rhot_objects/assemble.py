@@ -4,23 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from rhot.errors import ConfigError
+from rhot.plugins import load_simulated
 from rhot.rig import ObjectConfig, Rig
 from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose
-from rhot_objects.sources import HEAD, PoseSource
+from rhot_objects.sources import PoseSource
 from rhot_objects.sources.recorded import RecordedSource
-from rhot_objects.sources.simulated import SimulatedSource, TruePoses
 from rhot_objects.sources.steamvr import SteamVrSource
 from rhot_objects.stage import ObjectStage
-
-if TYPE_CHECKING:
-    from rhot.sim.world import World
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +51,7 @@ def plan_sources(rig: Rig) -> list[SourcePlan]:
         add("steamvr", SteamVrSource(_ids_by_serial(rig, steamvr)), steamvr)
     simulated = {name: config for name, config in objects.items() if config.source == "simulated"}
     if simulated:
-        source = SimulatedSource(_simulated_world(rig), registration, frozenset(simulated), rig.config.sim.seed)
+        source = load_simulated("objects")(rig, registration, frozenset(simulated))
         add("simulated", source, simulated)
     for name, config in objects.items():
         if config.source == "recorded" and config.path is not None:
@@ -78,20 +70,3 @@ def _ids_by_serial(rig: Rig, objects: Mapping[str, ObjectConfig]) -> dict[str, s
             )
         ids[serial] = name
     return ids
-
-
-def _simulated_world(rig: Rig) -> TruePoses:
-    # Imported here: a rig with real trackers needs no simulated world.
-    from rhot.sim.world import World  # noqa: PLC0415
-
-    return partial(_object_poses, World.from_rig(rig))
-
-
-def _object_poses(world: World, t_s: float) -> dict[str, Pose]:
-    # The motion alone: the hands' joints would cost eight times as much.
-    t = np.array([t_s])
-    motion = world.motion.sample(t)
-    poses = {name: Pose.from_matrix(T_rig_object[0]) for name, T_rig_object in motion.objects.items()}
-    if world.walker is not None:
-        poses[HEAD] = Pose.from_matrix(world.walker.head(t)[0])
-    return poses

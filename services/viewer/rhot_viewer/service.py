@@ -9,26 +9,23 @@ import os
 import statistics
 import threading
 import time
-from typing import Final
+from typing import Annotated, Final
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
-from rhot.calibration_step import Room
+from rhot.calibration_step import StepContext
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError
 from rhot.messages import Control, ServiceStatus
 from rhot.rig import BusConfig, Rig
+from rhot.rig.file_model import FileModel
 from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.runner import serve
-from rhot_viewer.capture_settings import CaptureSettings
-from rhot_viewer.config import ViewerConfig
-from rhot_viewer.history import History
-from rhot_viewer.inbox import Inbox
-from rhot_viewer.live_recording import LiveRecording
-from rhot_viewer.marker_colors import marker_colors
-from rhot_viewer.overview import Problems
-from rhot_viewer.page import Page
+from rhot_viewer.browser.marker_colors import marker_colors
+from rhot_viewer.browser.overview import Problems
+from rhot_viewer.browser.page import Page
+from rhot_viewer.browser.rig_scene import RigScene
 from rhot_viewer.panels import (
     CalibratePanel,
     CamerasPanel,
@@ -40,7 +37,10 @@ from rhot_viewer.panels import (
     ViewPanel,
 )
 from rhot_viewer.panels.live import STATUS_AGE_S
-from rhot_viewer.rig_scene import RigScene
+from rhot_viewer.rig.capture_settings import CaptureSettings
+from rhot_viewer.rig.history import History
+from rhot_viewer.rig.inbox import Inbox
+from rhot_viewer.rig.live_recording import LiveRecording
 
 logger = logging.getLogger(__name__)
 
@@ -50,6 +50,18 @@ _END_LIMIT_S: Final = 0.9
 """From Ctrl-C to the end of the process, at most; with two busy processes beside it that was 12 s without a limit."""
 _NICE: Final = 10
 """Where processors are short, tracking goes first and the page shows fewer frames."""
+
+
+class ViewerConfig(FileModel):
+    """What `rhot/config/viewer/<instance>` shows.
+
+    Attributes:
+        rate_hz: how often moving things are sent to the browsers, at most.
+        picture_rate_hz: how often each camera is asked for its picture while somebody looks.
+    """
+
+    rate_hz: Annotated[float, Field(ge=1.0, le=120.0)] = 60.0
+    picture_rate_hz: Annotated[float, Field(ge=0.2, le=30.0)] = 4.0
 
 
 class ViewerService:
@@ -82,7 +94,9 @@ class ViewerService:
         self._scene = RigScene(page, rig, self._inbox, marker_colors(rig))
         pictures = PicturesPanel(page, self._scene, self._inbox, rig.cameras, rig.config.markers)
         self._pictures = pictures.feed
-        self._calibrate = CalibratePanel(page, self._scene, pictures.feed, Room(rig.path, bus_config), rig.config)
+        self._calibrate = CalibratePanel(
+            page, self._scene, pictures.feed, StepContext(rig.path, bus_config), rig.config
+        )
         self._recording = LiveRecording(bus_config, rig.path)
         self._record = RecordPanel(page, self._recording, rig.path)
         self.panels: list[Panel] = [

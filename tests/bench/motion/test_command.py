@@ -29,7 +29,7 @@ def test_one_rig_gives_every_table_and_is_repeatable(shared_data: Path, tmp_path
         result = CliRunner().invoke(motion, arguments, catch_exceptions=False)
         assert result.exit_code == 0
         documents.append(json.loads((tmp_path / name).read_text()))
-    assert documents[0] == documents[1]
+    assert documents[0]["sections"] == documents[1]["sections"]
     titles = [section["title"].split(":")[0] for section in documents[0]["sections"]]
     assert titles == ["Points live", "Points smoothed", "Hand"]
 

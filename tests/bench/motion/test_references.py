@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from rhot_bench.motion.estimates import MEASURED, Estimates, FloatArray
-from rhot_bench.motion.plain_ekf import plain_ekf
-from rhot_bench.motion.spline_reference import spline_reference
-from rhot_bench.motion.views import Views, triangulated
+from rhot_bench.motion.references.plain_ekf import plain_ekf
+from rhot_bench.motion.references.spline_reference import spline_reference
+from rhot_bench.motion.references.views import Views, triangulated
 
 BASELINE_M = 0.1
 P = np.stack([np.eye(4)[:3], np.column_stack([np.eye(3), [-BASELINE_M, 0.0, 0.0]])])
@@ -41,7 +41,9 @@ def swinging(noise_px: float, lost: slice = slice(0)) -> Views:
 
 
 def errors_mm(found: Estimates) -> FloatArray:
-    errors: FloatArray = 1e3 * np.linalg.norm(found.position - path((found.t_ns - 10**12) * 1e-9), axis=1)
+    errors: FloatArray = 1e3 * np.linalg.norm(
+        found.position - path(np.asarray(found.t_ns - 10**12, dtype=np.float64) * 1e-9), axis=1
+    )
     return errors
 
 

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rhot.anatomy.hand import HandModel
 from rhot.errors import ConfigError
-from rhot.hand import HandModel
 from rhot.rig import HandFile
 from rhot_bench.motion.errors import coverage, hand_errors, point_errors
 from rhot_bench.motion.hand_motion import HandMotion
 from rhot_bench.motion.recordings import list_recordings, read_recording
+from rhot_bench.motion.references.spline_reference import spline_reference
+from rhot_bench.motion.references.views import views_of
 from rhot_bench.motion.rigs import Family
-from rhot_bench.motion.spline_reference import spline_reference
 from rhot_bench.motion.tracks import MARKERS, START_NS, Tracks, make_tracks
-from rhot_bench.motion.views import views_of
 
 QUICK = Family(boards=(12, 13))
 EXACT = replace(QUICK, corner_px=(1e-3, 1.001e-3), lost=(0.0, 0.0))

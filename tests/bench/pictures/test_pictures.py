@@ -10,8 +10,8 @@ import pytest
 from rhot.errors import ConfigError
 from rhot.recording import load_recording
 from rhot.rig import Rig
-from rhot_bench.motion.plain_ekf import plain_ekf
-from rhot_bench.motion.views import views_of
+from rhot_bench.motion.references.plain_ekf import plain_ekf
+from rhot_bench.motion.references.views import views_of
 from rhot_bench.pictures.rendered import (
     Measures,
     at_rate_of,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.birth import View, from_views, on_ray
 from rhot_fusion.filter.joint import Innovation, JointFilter, Views
 from rhot_fusion.filter.motion import acceleration_covariance

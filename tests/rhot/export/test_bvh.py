@@ -11,15 +11,15 @@ from click.testing import CliRunner
 from hand_messages import LEFT_MODEL, MODEL, hand_pose
 from numpy.typing import NDArray
 
-from rhot.cli.export import export
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import CHAINS, JOINTS
+from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
 from rhot.export.bvh import bvh_text, euler_zyx_deg
 from rhot.export.poses import HandMotion, hand_motion
 from rhot.export.skeleton_motion import skeleton_motion
-from rhot.hand import HandModel
+from rhot.geometry.rotations import rotation_from_vector, rotation_x, rotation_y, rotation_z
 from rhot.messages import Message
-from rhot.rotations import rotation_from_vector, rotation_x, rotation_y, rotation_z
-from rhot.skeleton import CHAINS, JOINTS
 
 BEGIN_NS = 1_800_000_000_000_000_000
 

@@ -10,13 +10,13 @@ import pytest
 from click.testing import CliRunner
 from hand_messages import hand_pose, marker_frame, object_pose, point_set
 
-from rhot.cli.export import export
+from rhot.anatomy.skeleton import JOINTS
+from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
 from rhot.export.columns import tables
 from rhot.export.source import RecordedMessages
 from rhot.messages import Control, Message, encode, encoding_of
-from rhot.recording.mcap_writer import McapWriter
-from rhot.skeleton import JOINTS
+from rhot.recording.mcap.writer import McapWriter
 
 BEGIN_NS = 1_800_000_000_000_000_000
 

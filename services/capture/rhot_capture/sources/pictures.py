@@ -9,7 +9,7 @@ import numpy as np
 
 from rhot.errors import ConfigError
 from rhot.recording import PictureTrack, VideoTrack
-from rhot_capture.color_table import ImageArray
+from rhot_capture.detection.color_table import ImageArray
 
 
 def read_pictures(track: PictureTrack | VideoTrack) -> Iterator[ImageArray]:

@@ -12,12 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
 from rhot.rig.quality import epipolar_limit_px
-from rhot_fusion.epipolar import EpipolarModel
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.sightings import Sightings
-from rhot_fusion.tracks import LONGEST_GAP, ROWS_SHARE, Tracks
+from rhot_fusion.views.epipolar import EpipolarModel
+from rhot_fusion.views.sightings import Sightings
+from rhot_fusion.views.tracks import LONGEST_GAP, ROWS_SHARE, Tracks
 
 FloatArray = NDArray[np.float64]
 

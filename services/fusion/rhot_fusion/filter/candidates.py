@@ -7,11 +7,11 @@ from collections import Counter
 import numpy as np
 
 from rhot.rig import FusionConfig
-from rhot_fusion.coherence import HandCoherence
 from rhot_fusion.filter.birth import Birth, View, from_views
 from rhot_fusion.filter.settings import TrackSettings
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.sightings import BoolArray, FloatArray
+from rhot_fusion.views.coherence import HandCoherence
+from rhot_fusion.views.sightings import BoolArray, FloatArray
 
 
 class Candidates:

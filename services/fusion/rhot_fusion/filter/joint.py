@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.motion import acceleration_covariance
 from rhot_fusion.filter.settings import MotionSettings
 

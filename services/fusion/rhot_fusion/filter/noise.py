@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
 from rhot.rig.quality import figure
 from rhot_fusion.filter.joint import Innovation
 from rhot_fusion.filter.settings import NoiseSettings

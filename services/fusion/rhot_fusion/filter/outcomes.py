@@ -6,7 +6,7 @@ import numpy as np
 
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import state_of
-from rhot_fusion.sightings import BoolArray, FloatArray, Outcome
+from rhot_fusion.views.sightings import BoolArray, FloatArray, Outcome
 
 
 def outcome_of(

@@ -25,8 +25,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
-from rhot.hand import CAP_LENGTH_M
+from rhot.anatomy.hand import CAP_LENGTH_M
+from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import PaintSettings
 
 FloatArray = NDArray[np.float64]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.camera import CameraModel
+from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import SystematicSettings
 
 FloatArray = NDArray[np.float64]

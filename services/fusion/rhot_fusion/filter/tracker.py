@@ -9,14 +9,12 @@ from itertools import combinations
 
 import numpy as np
 
-from rhot.camera import CameraModel
-from rhot.hand import HandModel
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import JOINTS
+from rhot.geometry.camera import CameraModel
 from rhot.messages import HandPose
 from rhot.rig import FusionConfig, Rig
 from rhot.rig.quality import pair_epipolar_p95_px
-from rhot.skeleton import JOINTS
-from rhot_fusion.coherence import HandCoherence
-from rhot_fusion.epipolar import EpipolarModel
 from rhot_fusion.filter.agreement import CameraAgreement
 from rhot_fusion.filter.birth import Birth, View, on_ray
 from rhot_fusion.filter.candidates import Candidates
@@ -30,7 +28,9 @@ from rhot_fusion.filter.smoother import Event
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import Belief, Track
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.sightings import BoolArray, FloatArray, IndexArray, Outcome, Sightings
+from rhot_fusion.views.coherence import HandCoherence
+from rhot_fusion.views.epipolar import EpipolarModel
+from rhot_fusion.views.sightings import BoolArray, FloatArray, IndexArray, Outcome, Sightings
 
 _LONGEST_HISTORY = 32
 

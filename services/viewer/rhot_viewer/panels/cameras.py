@@ -11,10 +11,10 @@ from typing import Any, Final
 import viser
 
 from rhot.messages import ServiceStatus
-from rhot_viewer.camera_sliders import CameraSlider, camera_sliders
-from rhot_viewer.capture_settings import CaptureSettings
-from rhot_viewer.inbox import Inbox
-from rhot_viewer.page import Page
+from rhot_viewer.browser.page import Page
+from rhot_viewer.rig.camera_sliders import CameraSlider, camera_sliders
+from rhot_viewer.rig.capture_settings import CaptureSettings
+from rhot_viewer.rig.inbox import Inbox
 
 _HELD_S: Final = 0.8
 """A slider that somebody has moved in this time is left alone: it would jump under their finger."""
@@ -44,14 +44,14 @@ class CamerasPanel:
         self._folders: dict[str, _CameraFolder] = {}
 
     def build(self, gui: viser.GuiApi) -> None:
-        """Add a folder per camera; the sliders stay grey until the camera has told its settings."""
+        """Add a folder per camera; the sliders stay grey until the camera has sent its settings."""
         text = (
-            "What is moved here acts at once and lasts until the service restarts. The first step of the tab Calibrate "
-            "saves exposure, gain and whites."
+            "The sliders act at once, until the service restarts. To keep exposure, gain and white balance, save them "
+            "in the first step of the tab Calibrate."
         )
         gui.add_html(_NOTE.format(color="inherit", text=text))
-        for place, camera in enumerate(self._settings.cameras):
-            with gui.add_folder(f"Camera {camera}", expand_by_default=place == 0):
+        for index, camera in enumerate(self._settings.cameras):
+            with gui.add_folder(f"Camera {camera}", expand_by_default=index == 0):
                 note = gui.add_html("")
                 optics = [slider for slider in self._sliders if not isinstance(slider.part, str)]
                 handles = {slider: self._add(gui, camera, slider) for slider in optics}

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import viser
 
 from rhot.messages import ServiceStatus
-from rhot_viewer.inbox import Inbox
-from rhot_viewer.overview import Problems, hands_html, problems_html, services_html
-from rhot_viewer.rig_scene import RigScene
+from rhot_viewer.browser.overview import Problems, hands_html, problems_html, services_html
+from rhot_viewer.browser.rig_scene import RigScene
+from rhot_viewer.rig.inbox import Inbox
 
 STATUS_AGE_S = 5.0
 

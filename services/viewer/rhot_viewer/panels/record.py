@@ -10,8 +10,8 @@ from typing import Any, Final
 import viser
 
 from rhot.errors import RhotError
-from rhot_viewer.live_recording import LiveRecording, explain
-from rhot_viewer.page import Page
+from rhot_viewer.browser.page import Page
+from rhot_viewer.rig.live_recording import LiveRecording, explain
 
 _TEXT: Final = "<div style='padding:0.2em 0.8em;font-size:0.9em;overflow-wrap:anywhere;color:{color}'>{text}</div>"
 _BAD: Final = "#ff6b6b"

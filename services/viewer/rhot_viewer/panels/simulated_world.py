@@ -10,7 +10,7 @@ import viser
 
 from rhot.rig.config import RigConfig
 from rhot.rig.toml_edit import change_rig_file
-from rhot_viewer.page import Page
+from rhot_viewer.browser.page import Page
 
 _CHOICES: Final = {
     "a hand that moves and grasps": "script",

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 from viser import uplot
 
-from rhot_viewer.history import SECONDS, Chart, History
+from rhot_viewer.rig.history import SECONDS, Chart, History
 
 _CHARTS: Final = {
     "rate": "messages per second",

@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import viser
 
-from rhot_viewer.page import Page
-from rhot_viewer.rig_scene import RigScene
+from rhot_viewer.browser.page import Page
+from rhot_viewer.browser.rig_scene import RigScene
 
 _SWITCHES: Final = {
     "ghost": ("truth as a ghost", "In simulation: where the hand truly is at this moment."),

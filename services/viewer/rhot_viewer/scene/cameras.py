@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.rig.calibration import CameraCalibration
-from rhot.rotations import quaternion_from_rotation
 
 FloatArray = NDArray[np.float64]
 

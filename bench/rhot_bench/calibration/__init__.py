@@ -1,0 +1,1 @@
+"""`rhot evaluate calibration`: does the calibration still hold?."""

@@ -1,0 +1,1 @@
+"""`rhot evaluate feet`: feet of simulated persons."""

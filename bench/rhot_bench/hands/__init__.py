@@ -1,0 +1,1 @@
+"""`rhot evaluate hands`: recorded hand motion."""

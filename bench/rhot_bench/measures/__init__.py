@@ -1,0 +1,1 @@
+"""Measures of tracked data against truth."""

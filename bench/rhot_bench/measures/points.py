@@ -1,0 +1,128 @@
+"""Points against the truth: errors, jitter, swapped and false points, speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rhot.arrays import BoolArray, FloatArray
+from rhot.messages import PointSet
+from rhot_sim.world.world import World
+
+FALSE_M: Final = 0.020
+"""A measured point with no true marker this near is a false one."""
+SWAP_OWN_M: Final = 0.015
+SWAP_OTHER_M: Final = 0.010
+"""A measured point further than the first from its own marker and nearer than the second to another has its name."""
+_SPEED_STEP_S: Final = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class PointTrack:
+    """Points of N sets and M markers beside the truth.
+
+    Attributes:
+        names: (M) markers.
+        t_s: (N,) seconds since the world's start.
+        positions: (N, M, 3) metres, rig frame; NaN = not published.
+        measured: (N, M).
+        true: (N, M, 3) metres: centre of the painted volume at the same moment.
+        speeds: (N, M) of the truth, metres per second.
+    """
+
+    names: tuple[str, ...]
+    t_s: FloatArray
+    positions: FloatArray
+    measured: BoolArray
+    true: FloatArray
+    speeds: FloatArray
+
+    def after(self, t_s: float) -> PointTrack:
+        """Return the part from a time on."""
+        rows = self.t_s >= t_s
+        return PointTrack(
+            self.names, self.t_s[rows], self.positions[rows], self.measured[rows], self.true[rows], self.speeds[rows]
+        )
+
+    @property
+    def errors_m(self) -> FloatArray:
+        """(N, M) distance of measured points from the truth; NaN where nothing was measured."""
+        distance: FloatArray = np.linalg.norm(self.positions - self.true, axis=2)
+        return np.where(self.measured, distance, np.nan)
+
+
+def point_track(sets: Sequence[PointSet], world: World, start_t_ns: int) -> PointTrack:
+    """Return point sets beside the truth at their own times."""
+    names = tuple(world.markers)
+    t_s = np.array([(points.t_ns - start_t_ns) / 1e9 for points in sets])
+    positions = np.full((len(sets), len(names), 3), np.nan)
+    measured = np.zeros((len(sets), len(names)), dtype=np.bool_)
+    for row, points in enumerate(sets):
+        for column, name in enumerate(names):
+            point = points.points.get(name)
+            if point is not None:
+                positions[row, column] = point.position
+                measured[row, column] = point.state == "measured"
+    true, later = (_marker_positions(world, names, t_s + shift) for shift in (0.0, _SPEED_STEP_S))
+    speeds = np.linalg.norm(later - true, axis=2) / _SPEED_STEP_S
+    return PointTrack(names, t_s, positions, measured, true, speeds)
+
+
+def _marker_positions(world: World, names: Sequence[str], t_s: FloatArray) -> FloatArray:
+    markers = world.sample(t_s).markers
+    return np.stack([markers[name] for name in names], axis=1) if names else np.empty((len(t_s), 0, 3))
+
+
+def true_path(world: World, names: Sequence[str], from_s: float, to_s: float, step_s: float) -> tuple[FloatArray, ...]:
+    """Return times (T,) and marker positions (T, M, 3) of the truth, evenly spaced."""
+    t_s = np.arange(from_s, to_s, step_s)
+    return t_s, _marker_positions(world, names, t_s)
+
+
+def jitter_m(track: PointTrack) -> tuple[FloatArray, FloatArray]:
+    """Return per marker (M,) the standard deviation of measured points about their mean, for a world that is still.
+
+    First sideways (root mean square of the two axes across the line of sight from the rig's origin), then in depth
+    (along it); NaN for markers measured fewer than ten times.
+    """
+    sideways, depth = np.full(len(track.names), np.nan), np.full(len(track.names), np.nan)
+    for column in range(len(track.names)):
+        positions = track.positions[track.measured[:, column], column]
+        if len(positions) < 10:
+            continue
+        sideways[column], depth[column] = scatter_m(positions)
+    return sideways, depth
+
+
+def scatter_m(positions: FloatArray) -> tuple[float, float]:
+    """Return the standard deviations of positions (N, 3) about their mean, sideways and in depth; see `jitter_m`."""
+    mean = positions.mean(axis=0)
+    off = positions - mean
+    sight = mean / np.linalg.norm(mean)
+    along = off @ sight
+    across = off - along[:, None] * sight
+    return float(np.sqrt(0.5 * (across**2).sum(axis=1).mean())), float(along.std())
+
+
+def false_points(track: PointTrack) -> int:
+    """Return how many measured points have no true marker within `FALSE_M`."""
+    return int((track.measured & (_distances(track).min(axis=2) > FALSE_M)).sum())
+
+
+def identity_swaps(track: PointTrack) -> int:
+    """Return how many times a marker was measured at another marker's position; a stretch of sets counts once."""
+    distances = _distances(track)
+    own = np.einsum("nmm->nm", distances)
+    other = distances + np.where(np.eye(len(track.names), dtype=np.bool_), np.inf, 0.0)
+    swapped = track.measured & (own > SWAP_OWN_M) & (other.min(axis=2) < SWAP_OTHER_M)
+    before = np.vstack([np.zeros((1, len(track.names)), dtype=np.bool_), swapped[:-1]])
+    return int((swapped & ~before).sum())
+
+
+def _distances(track: PointTrack) -> FloatArray:
+    """Return (N, M, M): from each point to each true marker; infinite where there is no point."""
+    apart = np.linalg.norm(track.positions[:, :, None] - track.true[:, None], axis=3)
+    return np.where(np.isfinite(apart), apart, np.inf)

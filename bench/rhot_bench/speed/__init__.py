@@ -1,0 +1,1 @@
+"""`rhot bench`: what things cost."""

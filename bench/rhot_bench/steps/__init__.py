@@ -1,0 +1,1 @@
+"""`rhot evaluate steps`: feet on real recordings."""

@@ -1,0 +1,211 @@
+"""`rhot evaluate steps`: feet on recordings of real sensors and real pictures, with what the truth there is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from rhot.errors import ConfigError
+from rhot_bench.measures.rows import Row, Section, check_output
+from rhot_bench.output import counted, json_option, show
+from rhot_bench.steps.dead_reckoning import horizontal_error_m, reckon
+from rhot_bench.steps.markers import follow_marker, marker_figures, read_marker_test
+from rhot_bench.steps.standard_detectors import ared, shoe
+from rhot_bench.steps.toes import NEAR_PX, ToeWalk, follow_toes, thesis_toes
+from rhot_bench.steps.walks import hide_swings, read_places, read_step_trial
+from rhot_feet.sources.imu.recorded import read_samples
+
+FloatArray = NDArray[np.float64]
+Advance = Callable[[], None]
+
+MM: Final = 1e3
+_SENSORS: Final = Path("foot_imu")
+_MARKERS: Final = Path("aruco") / "d435_qualisys"
+_WALK: Final = Path("realsense") / "feet_rgbd"
+_TRIALS: Final = "trials.json"
+_SWINGS: Final = "_raw200.csv"
+_FORMS: Final = {"raw200": "200 Hz, force and rate", "bno100": "100 Hz, as a BNO080 sends it"}
+_THRESHOLD: Final = 1e5
+"""Of the standard detectors: the best one for all of PyShoe's trials together among 1e4, 3e4, 1e5, 3e5 and 1e6."""
+_ARMSE: Final = "mean over time of the horizontal error per axis, turned into one heading: the published measure"
+_WINDOW: Final = {"raw200": 5, "bno100": 3}
+
+
+@click.command()
+@click.argument("data_path", metavar="DATA", type=click.Path(path_type=Path))
+@click.option("--quick", is_flag=True, help="Use less of each recording; rougher figures.")
+@json_option
+def steps(data_path: Path, quick: bool, json_path: Path | None) -> None:
+    """Track feet on recordings of real sensors and cameras.
+
+    DATA is a folder with any of these:
+
+    \b
+    foot_imu/              sensors on feet with motion capture: *_raw200.csv with
+                           t, ax ay az, gx gy gz, px py pz, zv; *_bno100.csv;
+                           trials.json with what is published of each
+    aruco/d435_qualisys/   detections of a marker with motion capture: *.csv
+    realsense/feet_rgbd/   depth pictures of a walk, toes marked by hand
+
+    Hidden swings: the filter sees the truth only while the foot stands; the figure is how far off the foot is when it
+    comes down. Dead reckoning: no camera at all, from the first sample to the last.
+    """
+    check_output("--json", json_path)
+    tasks = _tasks(data_path, quick)
+    sections = []
+    with counted(Console(stderr=True, soft_wrap=True)) as progress:
+        bar = progress.add_task("", total=sum(task.total for task in tasks))
+        for task in tasks:
+            progress.update(bar, description=task.name)
+            sections.append(Section(task.name, tuple(task.make(lambda: progress.advance(bar)))))
+    show("evaluate steps", sections, json_path, quick=quick)
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    name: str
+    total: int
+    make: Callable[[Advance], list[Row]]
+
+
+def _tasks(data: Path, quick: bool) -> list[_Task]:
+    tasks = []
+    published = _published(data / _SENSORS / _TRIALS)
+    swings = sorted((data / _SENSORS).glob(f"*{_SWINGS}"))
+    if swings:
+        longest_s = 15.0 if quick else np.inf
+        name = "Swings that nobody sees"
+        tasks.append(_Task(name, len(swings), lambda go: _swings(swings, published, longest_s, go)))
+    for form, name in _FORMS.items():
+        files = [data / _SENSORS / f"{trial}_{form}.csv" for trial in published]
+        files = [file for file in files if file.exists()][: 2 if quick else None]
+        if files:
+            tasks.append(_reckoning(name, form, files, published))
+    detections = sorted((data / _MARKERS).glob("*.csv"))
+    if detections:
+        most = 500 if quick else None
+        tasks.append(_Task("Detected markers", len(detections), lambda go: _markers(detections, most, go)))
+    if (data / _WALK).is_dir():
+        tasks.append(_Task("Toes on depth pictures", 2, lambda go: _toes(data / _WALK, go)))
+    if not tasks:
+        raise ConfigError(
+            f"{data}: holds none of {_SENSORS}/*{_SWINGS}, {_MARKERS}/*.csv and {_WALK}/; name the folder that does"
+        )
+    return tasks
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """What is published of a recording: its error by dead reckoning, metres, and what the person does."""
+
+    error_m: float
+    motion: str
+
+
+def _published(file: Path) -> dict[str, _Trial]:
+    """Return what is published of recordings, by name; nothing where there is no such file."""
+    if not file.exists():
+        return {}
+    try:
+        trials = json.loads(file.read_text(encoding="utf-8"))
+        return {
+            str(name): _Trial(float(trial["author_ins_rmse_m"]), str(trial.get("motion_guess", "")))
+            for name, trial in trials.items()
+        }
+    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ConfigError(f"{file}: tells no author_ins_rmse_m of each trial: {error!r}") from error
+
+
+def _swings(files: Sequence[Path], published: dict[str, _Trial], longest_s: float, advance: Advance) -> list[Row]:
+    rows = []
+    for file in files:
+        name = file.name.removesuffix(_SWINGS)
+        does = f"{published[name].motion}; " if name in published else ""
+        found = hide_swings(read_step_trial(file, longest_s))
+        ends = MM * found.ends_m
+        aligned = f"aligned after {found.aligned_s:.1f} s" if np.isfinite(found.aligned_s) else "never aligned"
+        rows += [
+            Row(f"{name}, mean", _of(np.mean, ends), "mm", note=f"{does}{len(ends)} swings, {aligned}"),
+            Row("    worst", _of(np.max, ends), "mm"),
+        ]
+        advance()
+    return rows
+
+
+def _reckoning(name: str, form: str, files: Sequence[Path], published: dict[str, _Trial]) -> _Task:
+    def make(advance: Advance) -> list[Row]:
+        off: dict[str, list[float]] = {"ours": [], "published": [], "SHOE": [], "ARED": []}
+        for file in files:
+            samples, truth = read_samples(file), read_places(file)
+            if len(samples) != len(truth):
+                raise ConfigError(f"{file}: {len(truth)} rows, but {len(samples)} samples; remove rows that repeat")
+            size = _WINDOW[form]
+            tests = {
+                "ours": None,
+                "SHOE": shoe(samples.specific_force, samples.angular_rate, size) < _THRESHOLD,
+                "ARED": ared(samples.angular_rate, size) < _THRESHOLD,
+            }
+            off["published"].append(MM * published[file.stem.removesuffix(f"_{form}")].error_m)
+            for detector, still in tests.items():
+                off[detector].append(MM * horizontal_error_m(reckon(samples, still=still), truth))
+            advance()
+        most = round(_of(np.mean, off["published"]), 1)
+        rows = [Row(f"off on average, {len(files)} trials", _of(np.mean, off["ours"]), "mm", most=most, note=_ARMSE)]
+        rows.append(Row("    its worst trial", _of(np.max, off["ours"]), "mm"))
+        for text, key in (
+            ("published: the best detector, tuned to each trial", "published"),
+            ("SHOE, one threshold for all", "SHOE"),
+            ("ARED, one threshold for all", "ARED"),
+        ):
+            rows.append(Row(text, _of(np.mean, off[key]), "mm"))
+            rows.append(Row("    its worst trial", _of(np.max, off[key]), "mm"))
+        return rows
+
+    return _Task(f"Dead reckoning, {name}", len(files), make)
+
+
+def _markers(files: Sequence[Path], most: int | None, advance: Advance) -> list[Row]:
+    rows = []
+    for file in files:
+        test = read_marker_test(file)
+        test = test if most is None else test.first(most)
+        figures = marker_figures(test, follow_marker(test))
+        first = f"{100 * figures.first_right:.1f} %"
+        nearer = 100.0 * (1.0 - figures.mean_m / figures.first_mean_m)
+        note = f"{int(test.known.sum())} detections; the detector's first solution {MM * figures.first_mean_m:.1f} mm"
+        rows += [
+            Row(f"{file.stem}: the right one of two orientations", 100 * figures.right, "%", least=97.0,
+                note=f"the detector's first solution {first}"),
+            Row(f"{file.stem}: filtered position, mean", MM * figures.mean_m, "mm", note=note),
+            Row("    nearer to the truth than that by", nearer, "%", least=30.0),
+        ]  # fmt: skip
+        advance()
+    return rows
+
+
+def _toes(folder: Path, advance: Advance) -> list[Row]:
+    walk = ToeWalk(folder)
+    ours = follow_toes(walk)
+    advance()
+    thesis = thesis_toes(walk)
+    advance()
+    rows = []
+    for name, off_px, least in (("ours", ours, 90.0), ("the 2021 thesis's", thesis, None)):
+        near = 100.0 * _of(np.mean, (off_px < NEAR_PX).astype(np.float64))
+        rows += [
+            Row(f"{name}: toes within {NEAR_PX:g} px", near, "%", least=least, note=f"{len(off_px)} marks"),
+            Row(f"{name}: median", _of(np.median, off_px), "px"),
+        ]
+    return rows
+
+
+def _of(measure: Callable[[FloatArray], float], values: FloatArray | Sequence[float]) -> float:
+    return float(measure(np.asarray(values, dtype=np.float64))) if len(values) else float("nan")

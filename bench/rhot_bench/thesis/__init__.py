@@ -1,0 +1,1 @@
+"""Re-implementations of both theses, to compare with."""

@@ -1,0 +1,1 @@
+"""`rhot evaluate tracking`: the simulated rig, offline."""

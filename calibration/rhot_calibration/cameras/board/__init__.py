@@ -1,0 +1,1 @@
+"""Calibration boards: describing, printing and finding them."""

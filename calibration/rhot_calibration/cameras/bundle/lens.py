@@ -1,0 +1,88 @@
+"""The pinhole camera with Brown–Conrady distortion, projected together with its derivatives.
+
+With (x, y) = (X/Z, Y/Z), r² = x² + y² and s = 1 + k1·r² + k2·r⁴ + k3·r⁶ (OpenCV `calib3d`):
+
+    u = fx · (x·s + 2·p1·x·y + p2·(r² + 2·x²)) + cx
+    v = fy · (y·s + p1·(r² + 2·y²) + 2·p2·x·y) + cy
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from rhot.arrays import FloatArray
+
+LENS_NAMES: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+"""Order of a lens's parameters; the last five are OpenCV's order of distortion coefficients."""
+LENS_SIZE: Final = len(LENS_NAMES)
+
+
+def lens_of(K: FloatArray, distortion: FloatArray) -> FloatArray:
+    """Return the parameters (9,) of a camera matrix (3, 3) and up to five coefficients."""
+    lens = np.zeros(LENS_SIZE)
+    lens[:4] = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    lens[4 : 4 + len(distortion)] = distortion
+    return lens
+
+
+def camera_matrix(lens: FloatArray) -> FloatArray:
+    """Return K (3, 3), pixels, of a lens (9,)."""
+    return np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
+
+
+def project(lens: FloatArray, points: FloatArray) -> FloatArray:
+    """Return raw pixels (..., 2) of points (..., 3) in the camera frame; lens (..., 9) broadcasts."""
+    return _project(lens, points)[0]
+
+
+def project_with_derivatives(lens: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return pixels and how they change.
+
+    Args:
+        lens: (..., 9), leading dimensions broadcast against those of the points.
+        points: (..., 3) metres, camera frame.
+
+    Returns:
+        Pixels (..., 2), their derivative by the lens (..., 2, 9) and by the point (..., 2, 3), pixels per metre.
+    """
+    uv, bent, (x, y, inverse_z, r2, radial) = _project(lens, points)
+    fx, fy = lens[..., 0], lens[..., 1]
+    k1, k2, p1, p2, k3 = (lens[..., place] for place in range(4, 9))
+    by_lens = np.zeros((*x.shape, 2, LENS_SIZE))
+    by_lens[..., 0, 0], by_lens[..., 1, 1] = bent[..., 0], bent[..., 1]
+    by_lens[..., 0, 2] = by_lens[..., 1, 3] = 1.0
+    for axis, focal, along in ((0, fx, x), (1, fy, y)):
+        by_lens[..., axis, 4] = focal * along * r2
+        by_lens[..., axis, 5] = focal * along * r2**2
+        by_lens[..., axis, 8] = focal * along * r2**3
+    by_lens[..., 0, 6], by_lens[..., 0, 7] = fx * 2.0 * x * y, fx * (r2 + 2.0 * x**2)
+    by_lens[..., 1, 6], by_lens[..., 1, 7] = fy * (r2 + 2.0 * y**2), fy * 2.0 * x * y
+    slope = 2.0 * (k1 + 2.0 * k2 * r2 + 3.0 * k3 * r2**2)
+    cross = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+    u_x = fx * (radial + slope * x**2 + 2.0 * p1 * y + 6.0 * p2 * x)
+    u_y = fx * cross
+    v_x = fy * cross
+    v_y = fy * (radial + slope * y**2 + 6.0 * p1 * y + 2.0 * p2 * x)
+    by_point = np.empty((*x.shape, 2, 3))
+    by_point[..., 0, 0], by_point[..., 0, 1] = u_x * inverse_z, u_y * inverse_z
+    by_point[..., 1, 0], by_point[..., 1, 1] = v_x * inverse_z, v_y * inverse_z
+    by_point[..., 0, 2] = -(u_x * x + u_y * y) * inverse_z
+    by_point[..., 1, 2] = -(v_x * x + v_y * y) * inverse_z
+    return uv, by_lens, by_point
+
+
+def _project(lens: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, tuple[FloatArray, ...]]:
+    # A step of the optimiser may bring a point to the camera's plane for a moment; the step is refused then.
+    z = np.where(np.abs(points[..., 2]) > 1e-6, points[..., 2], 1e-6)
+    inverse_z = 1.0 / z
+    x, y = points[..., 0] * inverse_z, points[..., 1] * inverse_z
+    k1, k2, p1, p2, k3 = (lens[..., place] for place in range(4, 9))
+    r2 = x**2 + y**2
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    bent = np.empty((*x.shape, 2))
+    bent[..., 0] = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
+    bent[..., 1] = y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y
+    uv = bent * lens[..., 0:2] + lens[..., 2:4]
+    return uv, bent, (x, y, inverse_z, r2, radial)

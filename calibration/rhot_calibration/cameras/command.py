@@ -1,0 +1,196 @@
+"""`rhot calibrate cameras`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Final
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.errors import CalibrationError, ConfigError
+from rhot.rig import CamerasFile, Rig, load_rig, read_json_model, write_json_model
+from rhot.rig.folder import CAMERAS_FILE, nominal_camera
+from rhot_calibration.cameras.board.boards import DEFAULT_DICTIONARY, parse_board
+from rhot_calibration.cameras.calibration import cameras_file
+from rhot_calibration.cameras.interchange.interchange import export_opencv_yaml, import_cameras
+from rhot_calibration.cameras.live.live import collect
+from rhot_calibration.cameras.pictures import PictureReading, read_pictures
+from rhot_calibration.cameras.report import print_problems, print_report
+from rhot_calibration.cameras.rig_calibration import calibrate_rig, refuse_other_board
+from rhot_calibration.cameras.solve.views import Board
+
+PREVIOUS_FILE: Final = "cameras.previous.json"
+_UNITS_M: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+
+@click.command()
+@click.argument("recording", required=False, type=click.Path(path_type=Path))
+@click.option("--board", "counts", metavar="CxR", help="Inner corners along and across, such as 9x6.")
+@click.option("--square-mm", type=float, help="Side of a square, measured on the print.")
+@click.option("--marker-mm", type=float, help="Side of the markers of a ChArUco board.")
+@click.option("--dictionary", default=DEFAULT_DICTIONARY, show_default=True, help="Markers of a ChArUco board.")
+@click.option(
+    "--baseline-mm", type=click.FloatRange(min=1.0), help="Measured distance of the first two lenses; checked."
+)
+@click.option("--live", is_flag=True, help="Take the pictures now, from the running capture services.")
+@click.option("--pictures", "out", type=click.Path(path_type=Path), help="With --live: folder to keep the pictures in.")
+@click.option("--enough", type=click.IntRange(min=5), help="With --live: stop after this many pictures.")
+@click.option("--dry-run", is_flag=True, help="Print the result and write nothing.")
+@click.option(
+    "--import",
+    "imported",
+    multiple=True,
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Read another program's calibration: OpenCV YAML, ROS camera_info, Anipose or Caliscope TOML. Repeatable.",
+)
+@click.option(
+    "--unit",
+    type=click.Choice([*_UNITS_M, "square"]),
+    help="With --import: unit of the file's lengths; square needs --square-mm.",
+)
+@click.option("--names", help="With --import: rig names of the file's cameras, in its order, such as left,right.")
+@click.option(
+    "--export",
+    "exported",
+    type=click.Path(path_type=Path),
+    help="Write the rig's calibration as OpenCV YAML into this folder.",
+)
+@rig_option
+@bus_options
+def cameras(
+    recording: Path | None,
+    counts: str | None,
+    square_mm: float | None,
+    marker_mm: float | None,
+    dictionary: str,
+    baseline_mm: float | None,
+    live: bool,
+    out: Path | None,
+    enough: int | None,
+    dry_run: bool,
+    imported: tuple[Path, ...],
+    unit: str | None,
+    names: str | None,
+    exported: Path | None,
+    rig_path: Path,
+    connect: tuple[str, ...],
+    namespace: str | None,
+) -> None:
+    """Calibrate the lenses and positions of all cameras from pictures of a board.
+
+    \b
+    rhot calibrate cameras pictures --rig myrig --board 9x6 --square-mm 25
+    rhot calibrate cameras --live   --rig myrig --board 9x6 --square-mm 25
+    rhot calibrate cameras --import intrinsics.yml --import extrinsics.yml --unit mm --rig myrig
+    rhot calibrate cameras --export opencv --rig myrig
+
+    The folder of pictures holds one folder per camera of the rig, with pictures such as left/000001.png and
+    right/000001.png; those of the same number were taken together. Take 20 to 40: the board still, near and far, in
+    every part of the picture, tilted by 20 to 40 degrees in all directions. `rhot calibrate board` draws one to print.
+
+    Pictures that do not fit are left out by name. What cannot be right is refused, and nothing is written then. The
+    result is cameras.json in the rig folder, with its quality figures; the former one is kept as cameras.previous.json.
+    """
+    rig = load_rig(rig_path)
+    console = Console(soft_wrap=True, markup=False, highlight=False, width=max(Console().width, 118))
+    asked = [recording is not None, live, bool(imported)]
+    if sum(asked) > 1:
+        raise ConfigError("give one of: a folder of pictures, --live, --import")
+    if imported:
+        _import(rig, imported, unit, square_mm, names, dry_run, console)
+    elif recording is not None or live:
+        board = _board(counts, square_mm, marker_mm, dictionary)
+        if live:
+            folder = out or Path(f"calibration-{datetime.now().astimezone():%Y%m%d-%H%M%S}")
+            config = tool_bus(rig_path, connect, namespace)
+            errors = Console(stderr=True)
+            views = asyncio.run(collect(config, list(rig.cameras), board, folder, errors, enough=enough))
+            reading = PictureReading(views)
+            again = f"rhot calibrate cameras {folder} --board {counts} --square-mm {square_mm:g}"
+            console.print(f"the pictures are in {folder}; to calibrate from them again: {again}")
+        else:
+            reading = _read(rig, recording or Path(), board)
+        _calibrate(rig, reading, baseline_mm, dry_run, console)
+    elif exported is None:
+        raise ConfigError("nothing to calibrate from: give a folder of pictures, --live or --import; see --help")
+    if exported is not None:
+        _export(rig_path, exported, console)
+
+
+def _board(counts: str | None, square_mm: float | None, marker_mm: float | None, dictionary: str) -> Board:
+    if counts is None or square_mm is None:
+        raise ConfigError(
+            "which board? Give --board (inner corners, such as 9x6) and --square-mm (measured, such as 25)"
+        )
+    return parse_board(counts, 1e-3 * square_mm, None if marker_mm is None else 1e-3 * marker_mm, dictionary)
+
+
+def _read(rig: Rig, recording: Path, board: Board) -> PictureReading:
+    sizes = {name: (camera.width, camera.height) for name, camera in rig.config.cameras.items()}
+    columns = (TextColumn("looking for the board"), BarColumn(), MofNCompleteColumn(), TextColumn("pictures"))
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task("")
+        return read_pictures(
+            recording,
+            board,
+            list(rig.cameras),
+            lambda done, total: progress.update(task, completed=done, total=total),
+            sizes,
+        )
+
+
+def _calibrate(rig: Rig, reading: PictureReading, baseline_mm: float | None, dry_run: bool, console: Console) -> None:
+    refuse_other_board(reading)
+    print_problems(console, reading.problems)
+    baseline_m = None if baseline_mm is None else 1e-3 * baseline_mm
+    with Console(stderr=True).status("calibrating") as status:
+        found = calibrate_rig(rig, reading.views, baseline_m, lambda step: status.update(f"calibrating: {step}"))
+    print_report(console, found)
+    _write(rig.path, cameras_file(found, reading.views), dry_run, console)
+
+
+def _import(
+    rig: Rig,
+    files: Sequence[Path],
+    unit: str | None,
+    square_mm: float | None,
+    names: str | None,
+    dry_run: bool,
+    console: Console,
+) -> None:
+    if unit == "square" and square_mm is None:
+        raise ConfigError("--unit square needs --square-mm, the side of a square")
+    unit_m = 1e-3 * (square_mm or 0.0) if unit == "square" else _UNITS_M.get(unit or "")
+    nominal = {name: nominal_camera(camera) for name, camera in rig.config.cameras.items()}
+    chosen = None if names is None else [name.strip() for name in names.split(",")]
+    file = import_cameras(files, nominal, unit_m=unit_m, names=chosen)
+    for name, camera in file.cameras.items():
+        place = ", ".join(f"{1e3 * row[3]:.1f}" for row in camera.T_rig_camera[:3])
+        console.print(f"{name}: focal length {camera.K[0][0]:.1f} px, at ({place}) mm")
+    _write(rig.path, file, dry_run, console)
+
+
+def _write(rig_path: Path, file: CamerasFile, dry_run: bool, console: Console) -> None:
+    target = rig_path / CAMERAS_FILE
+    if dry_run:
+        console.print(f"dry run: {target} is left as it is")
+        return
+    if target.exists():
+        target.replace(rig_path / PREVIOUS_FILE)
+    write_json_model(target, file)
+    console.print(f"{target} written; running services read it when they start again")
+
+
+def _export(rig_path: Path, folder: Path, console: Console) -> None:
+    file = rig_path / CAMERAS_FILE
+    if not file.exists():
+        raise CalibrationError(f"{file} is not there: nothing to export; calibrate or import first")
+    for written in export_opencv_yaml(read_json_model(file, CamerasFile), folder):
+        console.print(f"{written} written")

@@ -1,0 +1,1 @@
+"""Collecting board views from running cameras."""

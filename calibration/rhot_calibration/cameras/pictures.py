@@ -1,0 +1,277 @@
+"""Reading the pictures of a calibration: which camera, which moment, and where the board is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+
+from rhot.errors import CalibrationError, ConfigError
+from rhot.recording import MarkerTrack, PictureTrack, Recording, VideoTrack, load_recording
+from rhot_calibration.cameras.board.detect import detect_board, looks_mirrored, wrong_count_hint
+from rhot_calibration.cameras.board.grid import GrayImage
+from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
+
+MAX_VIDEO_PICTURES: Final = 60
+_MAX_EXPLAINED: Final = 4
+_ENOUGH_FOUND: Final = 0.5
+"""Where this share of the pictures shows the stated board, it is the right one."""
+_THREADS: Final = 2
+
+Key = tuple[str, int]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class PictureReading:
+    """What came of the pictures.
+
+    Attributes:
+        views: where the board was found.
+        problems: label of a picture that was left out to the reason; pictures without a board are among them.
+        counts: label to the (columns, rows) of inner corners that it shows in place of the stated ones; looked for in
+            the first few pictures without the board.
+        mirrored: labels of pictures that show the board mirrored; same.
+    """
+
+    views: ViewSet
+    problems: dict[str, str] = field(default_factory=dict)
+    counts: dict[str, tuple[int, int]] = field(default_factory=dict)
+    mirrored: tuple[str, ...] = ()
+
+    @property
+    def likely_count(self) -> tuple[int, int] | None:
+        """The count of inner corners that most of the explained pictures show in place of the stated one, if any."""
+        return Counter(self.counts.values()).most_common(1)[0][0] if self.counts else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Picture:
+    """A picture to look at: from a file, or already decoded from a video."""
+
+    key: Key
+    label: str
+    file: Path | None
+    gray: GrayImage | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Looked:
+    """What one picture gave; `size` is None when it could not be read."""
+
+    picture: _Picture
+    size: tuple[int, int] | None
+    view: BoardView | None
+
+
+def read_views(
+    recording: Recording | Path,
+    board: Board,
+    cameras: Sequence[str],
+    progress: Progress | None = None,
+    sizes: dict[str, tuple[int, int]] | None = None,
+) -> ViewSet:
+    """Return where the board is in the pictures of a recording; see `read_pictures`."""
+    return read_pictures(recording, board, cameras, progress, sizes).views
+
+
+def read_pictures(
+    recording: Recording | Path,
+    board: Board,
+    cameras: Sequence[str],
+    progress: Progress | None = None,
+    sizes: dict[str, tuple[int, int]] | None = None,
+) -> PictureReading:
+    """Find the board in every picture of a recording.
+
+    Args:
+        recording: loaded, or its folder: per camera a folder of numbered pictures or a video. Pictures and frames of
+            the same number were taken together.
+        board: what was shown.
+        cameras: of the rig, in the order of `rig.toml`.
+        progress: called with the number of pictures looked at and of all.
+        sizes: camera name to the (width, height) that `rig.toml` states; None = whatever the pictures have.
+
+    Raises:
+        ConfigError: the recording cannot be used (no such folder, marker tracks, an empty or broken video).
+        CalibrationError: its cameras are not those of the rig, or pictures of one camera differ in size.
+    """
+    loaded = load_recording(recording) if isinstance(recording, Path) else recording
+    _require_same_cameras(loaded, cameras)
+    total = sum(_count(loaded, name) for name in cameras)
+    views: dict[Key, BoardView] = {}
+    labels: dict[Key, str] = {}
+    problems: dict[str, str] = {}
+    seen: dict[str, dict[tuple[int, int], list[str]]] = {name: {} for name in cameras}
+    without: list[_Picture] = []
+    # Two at a time: OpenCV releases the interpreter, and videos must not be decoded far ahead.
+    with ThreadPoolExecutor(_THREADS) as pool:
+        pictures = (picture for name in cameras for picture in _pictures(loaded, name))
+        done = 0
+        while batch := list(islice(pictures, 2 * _THREADS)):
+            for looked in pool.map(lambda picture: _look(picture, board), batch):
+                done += 1
+                picture = looked.picture
+                labels[picture.key] = picture.label
+                if looked.size is None:
+                    problems[picture.label] = "cannot be read as a picture: the file is empty, cut off or damaged"
+                elif looked.view is None:
+                    problems[picture.label] = "board not found"
+                    without.append(picture)
+                else:
+                    views[picture.key] = looked.view
+                if looked.size is not None:
+                    seen[picture.key[0]].setdefault(looked.size, []).append(picture.label)
+                if progress is not None:
+                    progress(done, max(done, total))
+    view_sizes = {name: _one_size(loaded.path, name, found) for name, found in seen.items()}
+    for name, size in view_sizes.items():
+        _require_size(loaded.path, name, size, (sizes or {}).get(name, size))
+    # Explaining takes seconds a picture; a board that is merely not wholly in view needs no explanation. A mirrored
+    # ChArUco board is told quickly, and one picture may be mirrored alone.
+    if len(views) >= _ENOUGH_FOUND * (len(views) + len(without)) and not board.is_charuco:
+        without = []
+    counts, mirrored = _explain(without, board, problems)
+    return PictureReading(ViewSet(board, view_sizes, views, labels), problems, counts, mirrored)
+
+
+def read_gray(file: Path) -> GrayImage | None:
+    """Return a picture file (height, width) in grey as its pixels lie in the file, or None when it is no picture.
+
+    A camera's own orientation tag is not obeyed: calibration speaks of raw pixels.
+    """
+    try:
+        data = np.fromfile(file, dtype=np.uint8)
+    except OSError:
+        return None
+    if not data.size or _cut_off(data):
+        return None
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    return None if image is None else np.asarray(image, dtype=np.uint8)
+
+
+def _cut_off(data: GrayImage) -> bool:
+    """Tell whether a JPEG or PNG lacks its end; OpenCV would return the missing part in grey without a word."""
+    tail = data[-4096:].tobytes()
+    if data[:2].tobytes() == b"\xff\xd8":
+        return b"\xff\xd9" not in tail
+    return data[:4].tobytes() == b"\x89PNG" and b"IEND" not in tail
+
+
+def _look(picture: _Picture, board: Board) -> _Looked:
+    gray = _gray(picture)
+    if gray is None:
+        return _Looked(picture, None, None)
+    return _Looked(picture, (gray.shape[1], gray.shape[0]), detect_board(gray, board))
+
+
+def _gray(picture: _Picture) -> GrayImage | None:
+    return picture.gray if picture.file is None else read_gray(picture.file)
+
+
+def _explain(
+    without: list[_Picture], board: Board, problems: dict[str, str]
+) -> tuple[dict[str, tuple[int, int]], tuple[str, ...]]:
+    """Look in a few pictures without the board, spread over all, for a mirrored one or one of another count."""
+    counts: dict[str, tuple[int, int]] = {}
+    mirrored: list[str] = []
+    for picture in without[:: max(1, -(-len(without) // _MAX_EXPLAINED))]:
+        gray = _gray(picture)
+        if gray is None:
+            continue
+        if looks_mirrored(gray, board):
+            mirrored.append(picture.label)
+            problems[picture.label] = "board is mirrored"
+        elif (count := wrong_count_hint(gray, board)) is not None:
+            counts[picture.label] = count
+            problems[picture.label] = (
+                f"board not found; shows {count[0]}x{count[1]} inner corners, not {board.columns}x{board.rows}"
+            )
+    return counts, tuple(mirrored)
+
+
+def _require_same_cameras(recording: Recording, cameras: Sequence[str]) -> None:
+    unknown = [name for name in recording.cameras if name not in cameras]
+    missing = [name for name in cameras if name not in recording.cameras]
+    if unknown:
+        raise CalibrationError(
+            f"{recording.path / unknown[0]}: the rig has no camera {unknown[0]}, only {', '.join(cameras)}; rename the "
+            "folder or the camera in rig.toml"
+        )
+    if missing:
+        raise CalibrationError(
+            f"{recording.path}: no pictures of camera {missing[0]}, only of {', '.join(recording.cameras)}; "
+            f"add the folder {missing[0]} or remove the camera from rig.toml"
+        )
+    for name in cameras:
+        if isinstance(recording.cameras[name], MarkerTrack):
+            raise ConfigError(
+                f"{recording.path / name}: holds 2D marker tracks; a calibration needs pictures of a board, "
+                f"{name}/000001.jpg and so on, or a video {name}.mp4"
+            )
+
+
+def _count(recording: Recording, name: str) -> int:
+    track = recording.cameras[name]
+    return MAX_VIDEO_PICTURES if isinstance(track, VideoTrack) else len(track.frames)
+
+
+def _pictures(recording: Recording, name: str) -> Iterator[_Picture]:
+    track = recording.cameras[name]
+    if isinstance(track, PictureTrack):
+        for number, file in zip(track.frames.tolist(), track.files, strict=True):
+            yield _Picture((name, number), f"{name}/{file.name}", file, None)
+    elif isinstance(track, VideoTrack):
+        yield from _video_pictures(track)
+
+
+def _video_pictures(track: VideoTrack) -> Iterator[_Picture]:
+    """Yield evenly spaced frames of a video, the same numbers in videos of the same length to within a few frames."""
+    capture = cv2.VideoCapture(str(track.file))
+    try:
+        length = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) if capture.isOpened() else 0
+        if length <= 0:
+            raise ConfigError(f"{track.file}: cannot be read as a video, or holds no frame; record it again")
+        # A power of two, so that videos of nearly the same length give the same frame numbers.
+        step = 1
+        while length > step * MAX_VIDEO_PICTURES:
+            step *= 2
+        for number in range(length):
+            if not capture.grab():
+                return
+            if number % step:
+                continue
+            decoded, image = capture.retrieve()
+            if decoded:
+                gray = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+                yield _Picture((track.name, number), f"{track.file.name} frame {number}", None, gray)
+    finally:
+        capture.release()
+
+
+def _one_size(path: Path, name: str, found: dict[tuple[int, int], list[str]]) -> tuple[int, int]:
+    if not found:
+        raise CalibrationError(f"{path / name}: not one picture of camera {name} can be read; record them again")
+    ranked = sorted(found.items(), key=lambda item: -len(item[1]))
+    if len(ranked) > 1:
+        (most, _), (other, labels) = ranked[:2]
+        raise CalibrationError(
+            f"{path / labels[0]} is {other[0]}x{other[1]} pixels, other pictures of camera {name} are "
+            f"{most[0]}x{most[1]}; a calibration holds for one picture size: remove or retake the odd ones"
+        )
+    return ranked[0][0]
+
+
+def _require_size(path: Path, name: str, size: tuple[int, int], stated: tuple[int, int]) -> None:
+    if size != stated:
+        raise CalibrationError(
+            f"{path / name}: pictures of {size[0]}x{size[1]} pixels, rig.toml says {stated[0]}x{stated[1]} for camera "
+            f"{name}; take the pictures in the size that is tracked with, or change rig.toml"
+        )

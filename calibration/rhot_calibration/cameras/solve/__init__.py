@@ -1,0 +1,1 @@
+"""From views of boards to cameras, with what does not fit left out by name."""

@@ -1,0 +1,174 @@
+"""Colours of all markers from a few picks in pictures: grow regions, fit classes, look for what they mistake.
+
+Everything that was not picked is a counter-example. What the fitted colours still take for a marker elsewhere in the
+same pictures joins the background as a class of its own, so that a look-alike in the room loses against itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from rhot.rig.calibration import today
+from rhot.rig.colors import ColorComponent, ColorsFile, FloatArray, GaussianColor, log_ratio
+from rhot.rig.config import MarkerConfig
+from rhot_calibration.colors.model.fit import COUNTER_FLOOR, MARKER_FLOOR, fit_component, fit_mixture
+from rhot_calibration.colors.model.quality import MarkerQuality, class_pixels, marker_quality, quality_as_plain
+from rhot_calibration.colors.model.samples import ClassPixels, marker_pixels
+from rhot_calibration.colors.model.separability import Separability, separability
+from rhot_calibration.colors.picking.boxes import BoolArray
+from rhot_calibration.colors.picking.checks import check_places, check_quality, check_regions
+from rhot_calibration.colors.picking.picks import Places
+from rhot_calibration.colors.picking.regions import regions
+from rhot_capture.detection.blob import find_blobs
+from rhot_capture.detection.color_table import ImageArray, build_color_table
+
+_MARKER_COMPONENTS: Final = 3
+_PIXELS_PER_COMPONENT: Final = 400
+_BACKGROUND_COMPONENTS: Final = 12
+_LIMIT: Final = 3.5
+_LOOKALIKE_ROUNDS: Final = 3
+_MAX_LOOKALIKES: Final = 64
+_LOOKALIKE_WEIGHT: Final = 0.02
+_LOOKALIKE_AREA_SHARE: Final = 0.5
+_CLEARANCE: Final = np.ones((7, 7), np.uint8)
+_SKIN_HUE: Final = ((0.02, 0.90), (-1.60, -0.02))
+"""Bounds of ln(R/G) and ln(B/G) of skin in any ordinary light: more red than green, more green than blue."""
+_SKIN_BRIGHTNESS: Final = math.log(85.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ColorCalibration:
+    """Colours and how good they are.
+
+    Attributes:
+        colors: to be written as `colors.json`.
+        markers: quality of each marker that was shown.
+        regions: for each picture marker name to its pixels, (H, W) bool.
+        pixels: of all classes, in the pictures.
+        separability: how well the colours can be told apart.
+    """
+
+    colors: ColorsFile
+    markers: dict[str, MarkerQuality]
+    regions: tuple[dict[str, BoolArray], ...]
+    pixels: ClassPixels
+    separability: Separability
+
+
+def calibrate(
+    images: Sequence[ImageArray],
+    places: Sequence[Places],
+    markers: Mapping[str, MarkerConfig],
+    region_of: Callable[[int], dict[str, BoolArray]] | None = None,
+) -> ColorCalibration:
+    """Fit colours to markers shown in pictures; a marker that is not shown gets none.
+
+    Args:
+        images: (H, W, 3) uint8 BGR each.
+        places: for each image marker name to (u, v), pixels, on the marker or within about 10 px of it, or to a
+            rectangle around the marker.
+        markers: the rig's markers by name.
+        region_of: returns what `regions` says of a picture by its place among `images`, where that is known.
+
+    Raises:
+        CalibrationError: no place at all, an unknown marker, a place outside its picture, or nothing there that is
+            of a marker's size and differs from its surroundings.
+    """
+    check_places(images, places, markers)
+    known = region_of or (lambda number: regions(images[number], places[number]))
+    found = [known(number) for number in range(len(images))]
+    check_regions(found, places, markers)
+    names = [name for name in markers if any(name in shown for shown in places)]
+    features = [log_ratio(image[..., ::-1].astype(np.float64)) for image in images]
+    painted = {name: marker_pixels(images, found, name) for name in names}
+    fitted = {name: _fit_marker(log_ratio(own)) for name, own in painted.items()}
+    free = [_free(chosen, image.shape[:2]) for chosen, image in zip(found, images, strict=True)]
+    others = np.concatenate([each[where] for each, where in zip(features, free, strict=True)])
+    background = fit_mixture(others, _BACKGROUND_COMPONENTS, COUNTER_FLOOR)
+    colors = _assemble(fitted, background, [])
+    lookalikes: list[ColorComponent] = []
+    for _ in range(_LOOKALIKE_ROUNDS):
+        new = _lookalikes(colors, names, images, features, found, markers)
+        room = _MAX_LOOKALIKES - len(lookalikes)
+        if not new or room <= 0:
+            break
+        lookalikes += new[:room]
+        colors = _assemble(fitted, background, lookalikes)
+    table = build_color_table(colors, names)
+    quality = marker_quality(table, images, found, free)
+    check_quality(quality)
+    pixels = class_pixels(painted, colors, table, images, found, free)
+    apart = separability(colors, table, pixels)
+    colors = colors.model_copy(update={"quality": quality_as_plain(quality, apart)})
+    return ColorCalibration(colors, quality, tuple(found), pixels, apart)
+
+
+def _fit_marker(samples: FloatArray) -> list[ColorComponent]:
+    count = min(_MARKER_COMPONENTS, len(samples) // _PIXELS_PER_COMPONENT)
+    if count <= 1:
+        return [fit_component(samples, MARKER_FLOOR)]
+    return fit_mixture(samples, count, MARKER_FLOOR)
+
+
+def _free(chosen: Mapping[str, BoolArray], shape: tuple[int, ...]) -> BoolArray:
+    taken = np.zeros(shape, np.uint8)
+    for region in chosen.values():
+        taken |= region
+    free: BoolArray = np.asarray(cv2.dilate(taken, _CLEARANCE)) == 0
+    return free
+
+
+def _assemble(
+    fitted: Mapping[str, Sequence[ColorComponent]],
+    background: Sequence[ColorComponent],
+    lookalikes: Sequence[ColorComponent],
+) -> ColorsFile:
+    counters = [*background, *lookalikes]
+    skin = [component for component in counters if _is_skin(component)]
+    counter = [component for component in counters if not _is_skin(component)]
+    return ColorsFile(
+        date=today(),
+        markers={name: GaussianColor(components=tuple(parts), limit=_LIMIT) for name, parts in fitted.items()},
+        skin=GaussianColor(components=tuple(skin)) if skin else None,
+        background=GaussianColor(components=tuple(counter)) if counter else None,
+    )
+
+
+def _is_skin(component: ColorComponent) -> bool:
+    red, blue, brightness = component.mean()
+    (red_low, red_high), (blue_low, blue_high) = _SKIN_HUE
+    return bool(red_low <= red <= red_high and blue_low <= blue <= blue_high and brightness >= _SKIN_BRIGHTNESS)
+
+
+def _lookalikes(
+    colors: ColorsFile,
+    names: Sequence[str],
+    images: Sequence[ImageArray],
+    features: Sequence[FloatArray],
+    found: Sequence[Mapping[str, BoolArray]],
+    markers: Mapping[str, MarkerConfig],
+) -> list[ColorComponent]:
+    """Return a class for every blob that is taken for a marker but lies apart from all picked ones, largest first."""
+    table = build_color_table(colors, names)
+    components: list[tuple[float, ColorComponent]] = []
+    for image, each, chosen in zip(images, features, found, strict=True):
+        labels, _ = table.classify(image)
+        labels = np.asarray(cv2.medianBlur(labels, 3), dtype=np.uint8)
+        free = _free(chosen, image.shape[:2])
+        for label, name in enumerate(names, start=1):
+            if name not in chosen:
+                continue
+            least = _LOOKALIKE_AREA_SHARE * markers[name].min_area_px
+            for blob in find_blobs(labels, label, least, float(labels.size)):
+                inside = (blob.mask > 0) & (labels[blob.window] == label)
+                apart = inside & free[blob.window]
+                if np.count_nonzero(apart) > 0.5 * np.count_nonzero(inside):
+                    component = fit_component(each[blob.window][apart], COUNTER_FLOOR, _LOOKALIKE_WEIGHT)
+                    components.append((blob.area, component))
+    return [component for _, component in sorted(components, key=lambda each: -each[0])]

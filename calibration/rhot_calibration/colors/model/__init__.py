@@ -1,0 +1,1 @@
+"""Colour classes: samples, fit, quality, separability."""

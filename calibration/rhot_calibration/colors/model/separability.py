@@ -1,0 +1,206 @@
+"""How well the colours can be told apart by the very table that the tracker uses.
+
+Pixels of each class are put through the look-up table: the real ones of the pictures, and ones drawn from their
+distribution in light up to 20 % brighter or darker. The share that comes out as another class is the confusion to
+expect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.rig.colors import ColorComponent, ColorsFile, FloatArray, GaussianColor, log_ratio
+from rhot_calibration.colors.model.fit import bhattacharyya
+from rhot_calibration.colors.model.samples import ClassPixels, drawn, in_other_light
+from rhot_capture.detection.color_table import ColorTable, ImageArray, mixture_fit
+
+SKIN: Final = "skin"
+BACKGROUND: Final = "background"
+NOTHING: Final = "nothing"
+
+CONFUSABLE: Final = 0.05
+"""Where more than this share of pixels changes over, a warning names the pair."""
+
+_DRAWN: Final = 8_000
+_MARGIN_PIXELS: Final = 1_500
+_MARGIN_STEP: Final = 0.01
+_MARGIN_STEPS: Final = 50
+_SEED: Final = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Separability:
+    """How well colours can be told apart.
+
+    Attributes:
+        names: the markers.
+        classes: true classes, the rows of all tables: the markers, then skin and background where there are any.
+        seen: what a pixel may be taken for, the columns: the markers, skin, background, nothing.
+        expected: (rows, columns) share of a class's pixels in changing light that are taken for each.
+        measured: (rows, columns) the same of the real pixels of the pictures.
+        distance: (rows, rows) Bhattacharyya distance of the classes' nearest parts; NaN where a class is no
+            statistical one.
+        margin: (markers, rows) by how much the camera's colour balance may drift (relative change of the red or blue
+            gain) until `CONFUSABLE` of a marker's pixels are taken for the other class; infinite beyond 50 %, NaN on
+            the diagonal.
+    """
+
+    names: tuple[str, ...]
+    classes: tuple[str, ...]
+    seen: tuple[str, ...]
+    expected: FloatArray
+    measured: FloatArray
+    distance: FloatArray
+    margin: FloatArray
+
+    def mixed_up(self, first: str, second: str) -> float:
+        """Return the larger expected share of one class's pixels that are taken for the other, of two markers."""
+        a, b = self.names.index(first), self.names.index(second)
+        return float(max(self.expected[a, b], self.expected[b, a]))
+
+    def pairs(self) -> list[tuple[str, str, float]]:
+        """Return every pair of markers with its larger expected confusion, worst first."""
+        pairs = [
+            (first, second, self.mixed_up(first, second))
+            for place, first in enumerate(self.names)
+            for second in self.names[place + 1 :]
+        ]
+        return sorted(pairs, key=lambda pair: -pair[2])
+
+    def nearest(self, name: str) -> tuple[str, float]:
+        """Return the marker that one is most easily mixed up with, and how much; an empty name when it is alone."""
+        row = self.names.index(name)
+        others = [place for place in range(len(self.names)) if place != row]
+        if not others:
+            return "", 0.0
+        # Among pairs that are never mixed up, the smaller distance decides.
+        worst = max(others, key=lambda place: (self.mixed_up(name, self.names[place]), -self.distance[row, place]))
+        return self.names[worst], self.mixed_up(name, self.names[worst])
+
+    def confusable(self) -> list[tuple[str, str, float]]:
+        """Return the pairs of markers of which more than `CONFUSABLE` is mixed up, worst first."""
+        return [pair for pair in self.pairs() if pair[2] > CONFUSABLE]
+
+    def lost(self) -> list[tuple[str, str, float]]:
+        """Return the markers of which more than `CONFUSABLE` is taken for skin or background, worst first."""
+        shares = [
+            (name, other, float(self.expected[row, self.seen.index(other)]))
+            for row, name in enumerate(self.names)
+            for other in (SKIN, BACKGROUND)
+        ]
+        return sorted((each for each in shares if each[2] > CONFUSABLE), key=lambda each: -each[2])
+
+
+def separability(colors: ColorsFile, table: ColorTable, pixels: ClassPixels) -> Separability:
+    """Measure how well colours can be told apart.
+
+    Args:
+        colors: the colours.
+        table: built from them, for the markers in `pixels`, in that order.
+        pixels: of every class.
+    """
+    rng = np.random.default_rng(_SEED)
+    names = tuple(pixels.markers)
+    counters = {name: own for name, own in ((SKIN, pixels.skin), (BACKGROUND, pixels.others)) if len(own)}
+    classes = (*names, *counters)
+    seen = (*names, SKIN, BACKGROUND, NOTHING)
+    new = {name: in_other_light(drawn(own, _DRAWN, rng), rng) for name, own in pixels.markers.items()}
+    new |= {name: in_other_light(own, rng) for name, own in counters.items()}
+    real = {**pixels.markers, **counters}
+    return Separability(
+        names=names,
+        classes=classes,
+        seen=seen,
+        expected=np.stack([_shares(new[name], colors, table) for name in classes]),
+        measured=np.stack([_shares(real[name], colors, table) for name in classes]),
+        distance=_distances(colors, classes),
+        margin=_margins(new, colors, table, names, classes),
+    )
+
+
+def labels_of(table: ColorTable, rgb: FloatArray) -> ImageArray:
+    """Return the label of each colour (N, 3) red, green, blue, 0 to 255, as `ColorTable.classify` would."""
+    whole = rgb.astype(np.int64)
+    labels: ImageArray = table.labels[(whole[:, 0] >> 3) << 11 | (whole[:, 1] >> 2) << 5 | whole[:, 2] >> 3]
+    return labels
+
+
+def _shares(rgb: FloatArray, colors: ColorsFile, table: ColorTable) -> FloatArray:
+    """Return what share of pixels is taken for each marker, skin, background and nothing."""
+    labels = labels_of(table, rgb)
+    count = len(table.names)
+    marked = np.bincount(labels, minlength=count + 1)[1 : count + 1]
+    unmarked = _counted_out(rgb[labels == 0], colors)
+    return np.concatenate([marked, unmarked]) / max(len(rgb), 1)
+
+
+def _counted_out(rgb: FloatArray, colors: ColorsFile) -> NDArray[np.int64]:
+    """Return how many of the pixels that are no marker's go to skin, to background and to nothing at all."""
+    within = [
+        mixture_fit(color, log_ratio(rgb))[1] <= (color.limit * color.tolerance) ** 2
+        for color in (colors.skin, colors.background)
+        if color is not None and len(rgb)
+    ]
+    if not within:
+        return np.array([0, 0, len(rgb)])
+    density = np.full((2, len(rgb)), -np.inf)
+    for row, color in enumerate((colors.skin, colors.background)):
+        if color is not None:
+            density[row] = mixture_fit(color, log_ratio(rgb))[0]
+    known = np.any(within, axis=0)
+    skin = known & (density[0] > density[1])
+    return np.array([np.count_nonzero(skin), np.count_nonzero(known & ~skin), np.count_nonzero(~known)])
+
+
+def _parts(colors: ColorsFile, name: str) -> tuple[ColorComponent, ...]:
+    color = {SKIN: colors.skin, BACKGROUND: colors.background}.get(name, colors.markers.get(name))
+    return color.components if isinstance(color, GaussianColor) else ()
+
+
+def _distances(colors: ColorsFile, classes: Sequence[str]) -> FloatArray:
+    distances = np.full((len(classes), len(classes)), np.nan)
+    for row, first in enumerate(classes):
+        for column, second in enumerate(classes):
+            if {first, second} <= {SKIN, BACKGROUND} or row == column:
+                continue
+            each = [bhattacharyya(a, b) for a in _parts(colors, first) for b in _parts(colors, second)]
+            distances[row, column] = min(each, default=np.nan)
+    return distances
+
+
+def _margins(
+    pixels: dict[str, FloatArray],
+    colors: ColorsFile,
+    table: ColorTable,
+    names: Sequence[str],
+    classes: Sequence[str],
+) -> FloatArray:
+    margins = np.full((len(names), len(classes)), np.nan)
+    label = {name: number for number, name in enumerate(table.names, start=1)}
+    for row, name in enumerate(names):
+        own = pixels[name][:: max(1, len(pixels[name]) // _MARGIN_PIXELS)]
+        for column, other in enumerate(classes):
+            parts = _parts(colors, other)
+            if row == column or not parts:
+                continue
+            # Skin, background and nothing all leave a pixel without a label.
+            margins[row, column] = _drift(own, parts, table, label.get(other, 0))
+    return margins
+
+
+def _drift(own: FloatArray, towards: Sequence[ColorComponent], table: ColorTable, label: int) -> float:
+    mean = log_ratio(own).mean(axis=0)
+    offsets = np.array([part.mean() - mean for part in towards])
+    offset = offsets[np.abs(offsets / (1.0, 1.0, 3.0)).max(axis=1).argmin(), :2]
+    direction = offset / max(float(np.abs(offset).max()), 1e-9)
+    for step in range(_MARGIN_STEPS + 1):
+        drift = step * _MARGIN_STEP
+        gains = np.exp(np.log1p(drift) * np.array([direction[0], 0.0, direction[1]]))
+        if np.mean(labels_of(table, np.clip(own * gains, 0.0, 255.0)) == label) > CONFUSABLE:
+            return drift
+    return float("inf")

@@ -1,0 +1,1 @@
+"""From picks and clicks to a marker's own pixels."""

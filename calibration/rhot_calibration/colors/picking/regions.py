@@ -1,0 +1,262 @@
+"""From a pick near a marker to the marker's own pixels.
+
+A click is rarely on the middle and may even miss. Paint is rare in a picture while cloth, desk and skin are not, so
+the seed is the place near the click whose whole neighbourhood has rare colours; from there the region grows over
+connected pixels that fit its own normal distribution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+
+from rhot.rig.colors import FloatArray, GaussianColor, log_ratio
+from rhot_calibration.colors.model.fit import COUNTER_FLOOR, fit_component, fit_mixture
+from rhot_calibration.colors.picking.boxes import BoolArray, box_region
+from rhot_calibration.colors.picking.picks import Box, Place, Places
+from rhot_capture.detection.color_table import ImageArray, mixture_fit
+
+SEARCH_PX: Final = 12
+_PATCH_PX: Final = 2
+_WINDOWS_PX: Final = (60, 130)
+"""Half the width of what is looked at around a pick; the second has room for a marker in a close-up."""
+_RARE_SEEDS: Final = 5
+_AROUND_PX: Final = 8
+_SEED_SPACING_PX: Final = 5
+_NEAR_PX: Final = 6.0
+_SIZE_WEIGHT: Final = 1.9
+_EVENNESS_WEIGHT: Final = 12.0
+_COMPACT_WEIGHT: Final = 6.0
+_CENTRE_WEIGHT: Final = 3.0
+_LIKENESS_WEIGHT: Final = 0.3
+_LEAST_DENSITY: Final = -12.0
+_DRIFT: Final = (0.40, 0.40, 0.9)
+"""No pixel may lie further than this from the seed's own colour in log-ratio space, however the region drifts."""
+_BINS: Final = (0.06, 0.06, 0.30)
+_DISTANCE_WEIGHT: Final = 1.2
+_GROW_FLOOR: Final = (0.045, 0.045, 0.15)
+_GROW_LIMIT: Final = 3.0
+_GROW_ROUNDS: Final = 8
+_MIN_FIT_PIXELS: Final = 20
+_SURROUNDINGS: Final = 10
+_CLEARANCE_PX: Final = 25
+
+_MAX_SHARE: Final = 0.08
+"""A marker does not fill more of a picture than this; a region that does has leaked into its surroundings."""
+
+
+@dataclass(frozen=True, slots=True)
+class PickImage:
+    """A picture prepared for picking.
+
+    Attributes:
+        image: (H, W, 3) uint8 BGR.
+        features: (H, W, 3) float64, smoothed colours in log-ratio space.
+        commonness: (H, W) float64, natural logarithm of the share of the picture with a like colour.
+        surroundings: colours of everything that was not picked.
+    """
+
+    image: ImageArray
+    features: FloatArray
+    commonness: FloatArray
+    surroundings: GaussianColor
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """A window of a prepared picture; the density is (h, w), its logarithm, of the surroundings' colours."""
+
+    features: FloatArray
+    commonness: FloatArray
+    density: FloatArray
+
+
+def prepare(image: ImageArray, places: Places) -> PickImage:
+    """Prepare a picture.
+
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        places: all markers shown in it.
+    """
+    smooth = cv2.GaussianBlur(image, (3, 3), 0)[..., ::-1].astype(np.float64)
+    features = log_ratio(smooth)
+    around = np.zeros(image.shape[:2], bool)
+    for place in places.values():
+        around |= _surroundings_of(place, image.shape[:2])
+    return PickImage(image, features, _commonness(features), _colors_of(features[~around]))
+
+
+def _surroundings_of(place: Place, shape: tuple[int, ...]) -> BoolArray:
+    """Return where a marker may be, generously, (H, W) bool."""
+    around = np.zeros(shape, np.uint8)
+    if isinstance(place, Box):
+        corner, size = (round(place.u), round(place.v)), (max(round(place.width), 1), max(round(place.height), 1))
+        cv2.rectangle(around, (*corner, *size), 1, cv2.FILLED)
+    else:
+        cv2.circle(around, (round(place[0]), round(place[1])), _CLEARANCE_PX, 1, cv2.FILLED)
+    return around > 0
+
+
+def regions(image: ImageArray, places: Places) -> dict[str, BoolArray]:
+    """Return each shown marker's pixels, (H, W) bool, in one picture.
+
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        places: marker name to a place on it or a rectangle around it, pixels.
+    """
+    picture = prepare(image, places)
+    grown = {name: _region(picture, place, places) for name, place in places.items()}
+    if not any(isinstance(place, tuple) for place in places.values()):
+        return grown
+    # Once the markers are known roughly, their surroundings are known exactly, and the rims come out sharper.
+    taken = np.zeros(image.shape[:2], np.uint8)
+    for region in grown.values():
+        taken |= region
+    free = cv2.dilate(taken, np.ones((7, 7), np.uint8)) == 0
+    sharper = replace(picture, surroundings=_colors_of(picture.features[free]))
+    return {name: grown[name] if isinstance(place, Box) else grow(sharper, *place) for name, place in places.items()}
+
+
+def _region(picture: PickImage, place: Place, places: Places) -> BoolArray:
+    if not isinstance(place, Box):
+        return grow(picture, *place)
+    others = np.zeros(picture.image.shape[:2], bool)
+    for other in places.values():
+        if other is not place:
+            others |= _surroundings_of(other, others.shape)
+    return box_region(picture.features, place, others)
+
+
+def _colors_of(features: FloatArray) -> GaussianColor:
+    return GaussianColor(components=tuple(fit_mixture(features, _SURROUNDINGS, COUNTER_FLOOR)))
+
+
+def _commonness(features: FloatArray) -> FloatArray:
+    bins = np.floor(features / _BINS).astype(np.int64)
+    bins -= bins.min(axis=(0, 1)) - 1
+    shape = bins.max(axis=(0, 1)) + 2
+    flat = bins.reshape(-1, 3)
+    index = np.ravel_multi_index((flat[:, 0], flat[:, 1], flat[:, 2]), tuple(shape))
+    counts = np.bincount(index, minlength=int(np.prod(shape))).astype(np.float64).reshape(shape)
+    for axis in range(3):
+        counts = counts + np.roll(counts, 1, axis) + np.roll(counts, -1, axis)
+    return np.asarray(np.log(counts.ravel()[index] / len(flat))).reshape(features.shape[:2])
+
+
+def grow(picture: PickImage, u: float, v: float) -> BoolArray:
+    """Return the marker's pixels around a pick, (H, W) bool.
+
+    Of the regions that grow from several seeds the one counts that is large, rare in colour and near the pick: the
+    rarest seed alone would often be a highlight.
+
+    Args:
+        picture: the prepared picture.
+        u: the pick, pixels to the right.
+        v: the pick, pixels down.
+    """
+    whole = np.zeros(picture.image.shape[:2], bool)
+    for reach in _WINDOWS_PX:
+        left, top = max(0, round(u) - reach), max(0, round(v) - reach)
+        window = (slice(top, round(v) + reach + 1), slice(left, round(u) + reach + 1))
+        features = picture.features[window]
+        density, _ = mixture_fit(picture.surroundings, features.reshape(-1, 3))
+        view = _View(features, picture.commonness[window], density.reshape(features.shape[:2]))
+        best, best_worth = np.zeros(view.density.shape, bool), -np.inf
+        for seed in _seeds(view, u - left, v - top):
+            region = _grow_from(view, seed, _MAX_SHARE * whole.size)
+            worth = _worth(view, region, u - left, v - top)
+            if worth > best_worth:
+                best, best_worth = region, worth
+        rows, columns = np.nonzero(best)
+        if len(rows) and max(np.abs(columns + left - u).max(), np.abs(rows + top - v).max()) < reach - 1:
+            break
+    whole[window] = best
+    return whole
+
+
+def _seeds(view: _View, u: float, v: float) -> list[tuple[int, int]]:
+    """Return the pick, places around it, and the rarest places near it.
+
+    The rarest alone may all lie in one highlight, those around the pick alone may all miss a small marker.
+    """
+    size = 2 * _PATCH_PX + 1
+    patch_commonness = cv2.dilate(view.commonness, np.ones((size, size), np.uint8))
+    rows, columns = np.mgrid[: patch_commonness.shape[0], : patch_commonness.shape[1]]
+    away = np.hypot(columns - u, rows - v) / SEARCH_PX
+    cost = patch_commonness + _DISTANCE_WEIGHT * away**2
+    cost[away > 1.0] = np.inf
+    height, width = patch_commonness.shape
+    around = [(0, 0), (_AROUND_PX, 0), (-_AROUND_PX, 0), (0, _AROUND_PX), (0, -_AROUND_PX)]
+    seeds = [(min(max(round(u) + du, 0), width - 1), min(max(round(v) + dv, 0), height - 1)) for du, dv in around]
+    for _ in range(_RARE_SEEDS):
+        place = int(np.argmin(cost))
+        row, column = divmod(place, cost.shape[1])
+        if not np.isfinite(cost[row, column]):
+            break
+        seeds.append((column, row))
+        cost[np.hypot(columns - column, rows - row) < _SEED_SPACING_PX] = np.inf
+    return seeds
+
+
+def _worth(view: _View, region: BoolArray, u: float, v: float) -> float:
+    rows, columns = np.nonzero(region)
+    if len(rows) == 0:
+        return -np.inf
+    away = float(np.hypot(columns - u, rows - v).min()) / _NEAR_PX
+    off_centre = float(np.hypot(columns.mean() - u, rows.mean() - v)) / (SEARCH_PX + 0.3 * float(np.sqrt(len(rows))))
+    hull = cv2.convexHull(np.column_stack([columns, rows]).astype(np.int32))
+    solidity = min(1.0, len(rows) / (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1.0))
+    return (
+        _SIZE_WEIGHT * float(np.log(len(rows)))
+        - _EVENNESS_WEIGHT * float(view.features[region][:, 2].var())
+        - float(view.commonness[region].mean())
+        + _COMPACT_WEIGHT * float(np.log(solidity))
+        - 2.0 * away**2
+        - _CENTRE_WEIGHT * off_centre**2
+        - _LIKENESS_WEIGHT * float(np.maximum(view.density[region], _LEAST_DENSITY).mean())
+    )
+
+
+def _grow_from(view: _View, seed: tuple[int, int], most_pixels: float) -> BoolArray:
+    region = np.zeros(view.density.shape, bool)
+    rows = slice(max(0, seed[1] - _PATCH_PX), seed[1] + _PATCH_PX + 1)
+    columns = slice(max(0, seed[0] - _PATCH_PX), seed[0] + _PATCH_PX + 1)
+    region[rows, columns] = True
+    patch = region
+    like_seed = np.all(np.abs(view.features - view.features[patch].mean(axis=0)) <= _DRIFT, axis=-1)
+    for _ in range(_GROW_ROUNDS):
+        grown = _grown(view, region, seed, like_seed)
+        if np.count_nonzero(grown) > most_pixels:
+            # Leaked into the surroundings, and the round before already had begun to.
+            return patch
+        if np.array_equal(grown, region):
+            break
+        region = grown
+    return region
+
+
+def _grown(view: _View, region: BoolArray, seed: tuple[int, int], allowed: BoolArray) -> BoolArray:
+    inner = cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    own = inner if np.count_nonzero(inner) >= _MIN_FIT_PIXELS else region
+    color = GaussianColor(components=(fit_component(view.features[own], _GROW_FLOOR),))
+    density, squared = mixture_fit(color, view.features[allowed])
+    fits = np.zeros(region.shape, np.uint8)
+    fits[allowed] = (squared <= _GROW_LIMIT**2) & (density > view.density[allowed])
+    opened = cv2.morphologyEx(fits, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    _, labels = cv2.connectedComponents(opened, connectivity=4)
+    label = labels[seed[1], seed[0]]
+    if label == 0:
+        return region
+    connected: BoolArray = np.asarray(labels == label)
+    return _filled(connected)
+
+
+def _filled(region: BoolArray) -> BoolArray:
+    """Close holes: highlights and the shine of a nail are paint too."""
+    contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    filled = np.zeros(region.shape, np.uint8)
+    cv2.drawContours(filled, contours, -1, 1, cv2.FILLED)
+    return filled > 0

@@ -1,0 +1,160 @@
+"""The picture that shows a person how well the colours came out: overlay, masks, ratios and the table of confusion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import cv2
+import numpy as np
+
+from rhot_calibration.colors.calibration import ColorCalibration
+from rhot_calibration.colors.report.plot import INK, PAPER, matrix_picture, ratio_plot, text_width, write
+from rhot_capture.detection.color_table import ColorTable, ImageArray
+from rhot_capture.detection.detector import Detection
+
+_WIDTH: Final = 1280
+_OVERLAYS: Final = 4
+_MASK_COLUMNS: Final = 4
+_HEADING: Final = 26
+_DIM: Final = 6
+_FOUND: Final = (80, 255, 80)
+_LEARNT: Final = (255, 255, 255)
+_SHADOW: Final = (0, 0, 0)
+
+
+def report_picture(
+    images: Sequence[ImageArray],
+    titles: Sequence[str],
+    result: ColorCalibration,
+    table: ColorTable,
+    detections: Sequence[Mapping[str, Detection]],
+    remarks: Sequence[str] = (),
+) -> ImageArray:
+    """Return the report, (H, 1280, 3) uint8 BGR.
+
+    Args:
+        images: the pictures, (H, W, 3) uint8 BGR each.
+        titles: their names.
+        result: what was learnt from them.
+        table: of its colours.
+        detections: what the tracker finds in each picture.
+        remarks: lines to write below the table, such as warnings.
+    """
+    shown = min(len(images), _OVERLAYS)
+    columns = 1 if shown == 1 else 2
+    overlays = [
+        _titled(
+            overlay_picture(images[n], result, n, detections[n], _WIDTH // columns),
+            f"{titles[n]}: {_legend(n, result)}",
+        )
+        for n in range(shown)
+    ]
+    masks = [_mask_tile(images, titles, result, table, name) for name in result.markers]
+    plot = ratio_plot(result.colors, result.pixels, _WIDTH // 2)
+    matrix = matrix_picture(result.separability, _WIDTH // 2)
+    figures = _tiled([plot, _stacked(matrix, _remarks(remarks, _WIDTH // 2))], 2)
+    parts = [_tiled(overlays, columns), _tiled(masks, min(_MASK_COLUMNS, len(masks))), figures]
+    return np.concatenate([_padded(part, _WIDTH) for part in parts])
+
+
+def _legend(number: int, result: ColorCalibration) -> str:
+    learnt = len(result.regions[number])
+    return f"white = learnt from ({learnt}), green = found by the tracker"
+
+
+def overlay_picture(
+    image: ImageArray, result: ColorCalibration, number: int, found: Mapping[str, Detection], width: int
+) -> ImageArray:
+    """Return a picture of this width with what its colours were learnt from and what the tracker finds.
+
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        result: what was learnt.
+        number: of the picture among those that it was learnt from.
+        found: what the tracker finds in it.
+        width: pixels.
+    """
+    scale = width / image.shape[1]
+    canvas = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR), np.uint8)
+    for region in result.regions[number].values():
+        large = cv2.resize(region.astype(np.uint8), (canvas.shape[1], canvas.shape[0]), interpolation=cv2.INTER_NEAREST)
+        contours, _ = cv2.findContours(large, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(canvas, contours, -1, _LEARNT, 1, cv2.LINE_AA)
+    for name, detection in found.items():
+        outline = np.zeros(image.shape[:2], np.uint8)
+        columns, rows = np.rint(detection.outline).astype(np.int64).T
+        outline[rows, columns] = 1
+        large = cv2.resize(outline, (canvas.shape[1], canvas.shape[0]), interpolation=cv2.INTER_NEAREST)
+        canvas[large > 0] = (0.4 * canvas[large > 0] + 0.6 * np.array(_FOUND)).astype(np.uint8)
+        text = f"{name} {detection.score:.2f}"
+        centre = (round((detection.u + 0.5) * scale), round((detection.v + 0.5) * scale))
+        right = round((detection.outline[:, 0].max() + 2.0) * scale)
+        x = right if right + text_width(text, 0.5) < canvas.shape[1] else centre[0] - text_width(text, 0.5)
+        cv2.drawMarker(canvas, centre, _SHADOW, cv2.MARKER_CROSS, 13, 3)
+        cv2.drawMarker(canvas, centre, _FOUND, cv2.MARKER_CROSS, 11, 1)
+        place = (slice(max(centre[1] - 10, 0), centre[1] + 10), slice(max(x - 3, 0), x + text_width(text, 0.5) + 3))
+        canvas[place] //= 3
+        write(canvas, text, (x, centre[1] + 5), 0.5, _LEARNT)
+    return canvas
+
+
+def _mask_tile(
+    images: Sequence[ImageArray], titles: Sequence[str], result: ColorCalibration, table: ColorTable, name: str
+) -> ImageArray:
+    """Show what a marker's colour takes in, in the first picture that it was learnt from."""
+    number = next(n for n, regions in enumerate(result.regions) if name in regions)
+    image = images[number]
+    mask = table.classify(image)[0] == table.names.index(name) + 1
+    canvas = image // _DIM
+    canvas[mask] = image[mask]
+    width = _WIDTH // min(_MASK_COLUMNS, len(result.markers))
+    height = round(width * image.shape[0] / image.shape[1])
+    small = np.asarray(cv2.resize(canvas, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    quality = result.markers[name]
+    # In whole pixels of the picture: a share of a large surroundings says nothing to a person.
+    stray = quality.false_share * result.pixels.others_area / result.pixels.pictures
+    title = f"{name}: {100 * quality.recovered:.0f} % kept, {stray:.0f} px elsewhere"
+    return _titled(small, title + (f" ({titles[number]})" if number else ""))
+
+
+def _titled(picture: ImageArray, title: str) -> ImageArray:
+    bar = np.full((_HEADING, picture.shape[1], 3), PAPER, np.uint8)
+    write(bar, title, (8, 18), 0.45, INK)
+    return np.concatenate([bar, picture])
+
+
+def _remarks(lines: Sequence[str], width: int) -> ImageArray:
+    wrapped: list[str] = []
+    for line in lines:
+        words, current = line.split(), ""
+        for word in words:
+            if current and text_width(f"{current} {word}") > width - 24:
+                wrapped.append(current)
+                current = "   " + word
+            else:
+                current = f"{current} {word}" if current else word
+        wrapped.append(current)
+    canvas = np.full((18 * len(wrapped) + 12, width, 3), PAPER, np.uint8)
+    for number, line in enumerate(wrapped):
+        write(canvas, line, (8, 18 * number + 18))
+    return canvas
+
+
+def _padded(picture: ImageArray, width: int, height: int = 0) -> ImageArray:
+    missing = (max(0, height - picture.shape[0]), max(0, width - picture.shape[1]))
+    return np.pad(picture, ((0, missing[0]), (0, missing[1]), (0, 0)), constant_values=255)
+
+
+def _stacked(*pictures: ImageArray) -> ImageArray:
+    width = max(picture.shape[1] for picture in pictures)
+    return np.concatenate([_padded(picture, width) for picture in pictures])
+
+
+def _tiled(pictures: Sequence[ImageArray], columns: int) -> ImageArray:
+    rows = []
+    for start in range(0, len(pictures), columns):
+        row = pictures[start : start + columns]
+        height = max(picture.shape[0] for picture in row)
+        rows.append(np.concatenate([_padded(picture, picture.shape[1], height) for picture in row], axis=1))
+    return _stacked(*rows)

@@ -1,0 +1,1 @@
+"""Printing the feet's markers."""

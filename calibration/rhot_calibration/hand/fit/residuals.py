@@ -1,0 +1,215 @@
+"""What straight fingers tell of a hand: residuals of the samples in which it is flat or bent at the knuckles only.
+
+A straight finger's tip stays on a sphere about its knuckle, whose radius is the finger's length. One distance per
+finger and sample is compared, so no sample has unknowns of its own: that would make every length drift, however many
+samples there are. Each residual is in standard deviations:
+
+    radial    |q − k| − (L − s)        q = T·Rᵀ·(tip − base) + b, the tip in the wrist frame; k knuckle, L its length
+                                       to the marker, s slack of a finger that is not quite straight
+    lateral   how far the tip leaves the finger's plane while the knuckle bends, about one mean abduction
+    flat      flexion and abduction of the flat hand, zero on average
+
+Without the corners of the patch the palm's rotation R is unknown, and only distances between markers of the flat hand
+are compared with those of the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.arrays import BoolArray, FloatArray
+from rhot.geometry.rotations import rotation_from_vector
+from rhot_calibration.hand.fit.palm_rotations import PalmRotations
+from rhot_calibration.hand.fit.parameters import (
+    ABDUCTION,
+    SLACK,
+    SLACK_BENT,
+    SLACK_M,
+    TILT,
+    HandParameters,
+)
+from rhot_calibration.hand.samples.samples import HandSamples
+
+SIGMA_FLAT_RAD: Final = np.radians([[15.0, 15.0], [6.0, 8.0], [6.0, 4.0], [6.0, 8.0], [6.0, 8.0]])
+"""Mean flexion and abduction of the flat hand's fingers; the thumb lies where it likes."""
+_SIGMA_SWAY_RAD: Final = np.radians(4.0)
+"""Abduction of a moment about its mean."""
+_SIGMA_MODEL_M: Final = 0.0003
+"""What bending hinges and soft flesh add to a radius from moment to moment."""
+_MOMENT_S: Final = 0.3
+"""Samples closer in time share what the model leaves out."""
+_DEPTH_OVER_LATERAL: Final = 5.0
+_NOISE_FACTOR: Final = 1.25
+"""On the noise of points and rotations: what the linearised fit underrates, judged by simulated hands."""
+_SIXTY_DEG: Final = np.radians(60.0)
+SIGMA_WITHOUT_ROTATION_M: Final = 0.006
+"""Of a distance between markers of a hand that is taken for flat because it reached furthest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Samples that show straight fingers.
+
+    Attributes:
+        rows: (N,) samples.
+        flat: (N,) whether the hand is flat.
+        use: (N, 5) which fingers are seen and straight.
+    """
+
+    rows: NDArray[np.intp]
+    flat: BoolArray
+    use: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class Tips:
+    """Fingertips about their knuckles under some parameters.
+
+    Attributes:
+        away: (N, 5, 3) metres: knuckle to tip marker, in the finger's rest frame.
+        radius: (N, 5) metres.
+        flexion: (N, 5) radians, of the straight line from knuckle to tip.
+        deficit: (N, 5) metres by which the radius falls short of a straight finger's.
+    """
+
+    away: FloatArray
+    radius: FloatArray
+    flexion: FloatArray
+    deficit: FloatArray
+
+
+class PalmFrame:
+    """Fingertips in the patch's frame, and how they depend on the hand.
+
+    Args:
+        parameters: what is unknown of the hand.
+        samples: the markers.
+        rotations: of the palm.
+        viewpoint: (3,) metres, rig frame: about where the cameras stand.
+    """
+
+    def __init__(
+        self, parameters: HandParameters, samples: HandSamples, rotations: PalmRotations, viewpoint: FloatArray
+    ) -> None:
+        self.parameters = parameters
+        self.seconds = samples.seconds
+        self.sigma_rotation_rad = _NOISE_FACTOR * rotations.sigma_rad
+        self.local: FloatArray = (samples.tips - samples.base[:, None]) @ rotations.R
+        self.known: BoolArray = np.asarray(np.isfinite(self.local).all(axis=2))
+        toward = samples.base - viewpoint
+        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+        self._sight: FloatArray = (toward[:, None] @ rotations.R)[:, 0]
+        self._lateral_m = _NOISE_FACTOR * samples.sigma_m / np.sqrt(2.0 + _DEPTH_OVER_LATERAL**2)
+
+    def tips(self, x: FloatArray, rows: NDArray[np.intp]) -> Tips:
+        """Return the tips of some samples under parameters (COUNT,); NaN where not seen."""
+        shape = self.parameters.shape(x)
+        position = self.local[rows] @ rotation_from_vector(x[TILT]).T + shape.base
+        away = np.einsum("nfi,fij->nfj", position - shape.knuckles, shape.frames)
+        radius = np.linalg.norm(away, axis=2)
+        flexion = np.arctan2(-away[..., 1], -away[..., 2])
+        slack = SLACK_M + x[SLACK] + x[SLACK_BENT] * flexion / _SIXTY_DEG
+        return Tips(away, radius, flexion, shape.straight - slack - radius)
+
+    def covariance(self, x: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
+        """Return (N, 5, 5) square metres of the radii: noise of tips, and of base and rotation, which are common."""
+        tips = self.tips(x, rows)
+        radial = np.einsum("nfj,fij->nfi", tips.away / tips.radius[..., None], self.parameters.shape(x).frames)
+        radial = np.nan_to_num(radial)
+        local = np.nan_to_num(self.local[rows])
+        depth = np.einsum("nfi,ni->nf", radial, self._sight[rows])
+        lateral, far = self._lateral_m**2, (_DEPTH_OVER_LATERAL * self._lateral_m) ** 2
+        own = lateral + (far - lateral) * depth**2 + _SIGMA_MODEL_M**2 * crowding(self.seconds[rows])
+        by_rotation = np.cross(local, radial) * self.sigma_rotation_rad
+        shared = lateral * radial @ np.swapaxes(radial, 1, 2) + (far - lateral) * depth[:, :, None] * depth[:, None, :]
+        covariance: FloatArray = np.eye(5) * own[:, None, :] + shared + by_rotation @ np.swapaxes(by_rotation, 1, 2)
+        return covariance
+
+
+class StraightFingers:
+    """Residuals of chosen samples, as functions of the parameters.
+
+    Args:
+        frame: fingertips in the patch's frame.
+        chosen: which samples show which straight fingers.
+        x: (COUNT,) parameters at which noise is judged.
+    """
+
+    def __init__(self, frame: PalmFrame, chosen: Chosen, x: FloatArray) -> None:
+        self._frame, self._chosen = frame, chosen
+        covariance = frame.covariance(x, chosen.rows)
+        # An unseen finger becomes independent of the others and of no weight.
+        both = chosen.use[:, :, None] & chosen.use[:, None, :]
+        covariance = np.where(both, covariance, np.eye(5))
+        self._whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        self.sigma_m: FloatArray = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        # Uncertainties stay as they are at the start: one that grew with the hand would draw it longer.
+        tips = frame.tips(x, chosen.rows)
+        self._sigma_lateral_m = self._lateral_sigma(tips)
+        self._sigma_flat_m = SIGMA_FLAT_RAD * frame.parameters.shape(x).straight[:, None]
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """Return all residuals at parameters (COUNT,)."""
+        chosen = self._chosen
+        tips = self._frame.tips(x, chosen.rows)
+        deficit = np.where(chosen.use, tips.deficit, 0.0)
+        radial = (self._whiten @ deficit[..., None])[..., 0]
+        return np.concatenate([radial.ravel(), self._lateral(x, tips), self._flat(tips)])
+
+    def _lateral_sigma(self, tips: Tips) -> FloatArray:
+        forward = tips.radius * np.cos(tips.flexion)
+        height = tips.away[..., 1] * self._frame.sigma_rotation_rad[2]
+        crowded = crowding(self._frame.seconds[self._chosen.rows])
+        sigma: FloatArray = np.sqrt(((forward * _SIGMA_SWAY_RAD) ** 2 + _SIGMA_MODEL_M**2) * crowded + height**2)
+        return sigma
+
+    def _lateral(self, x: FloatArray, tips: Tips) -> FloatArray:
+        # +Y of a finger's frame turned by the abduction takes its tip to −X on a right hand.
+        sign = 1.0 if self._frame.parameters.side == "right" else -1.0
+        expected = -sign * tips.radius * np.cos(tips.flexion) * np.sin(x[ABDUCTION])
+        bending = ~self._chosen.flat[:, None] & self._chosen.use
+        lateral = np.where(bending, (tips.away[..., 0] - expected) / self._sigma_lateral_m, 0.0)
+        return np.asarray(lateral.ravel(), dtype=np.float64)
+
+    def _flat(self, tips: Tips) -> FloatArray:
+        flat = self._chosen.flat[:, None] & self._chosen.use
+        count = np.maximum(flat.sum(axis=0), 1)[:, None]
+        beside = np.where(flat[..., None], tips.away[..., (1, 0)], 0.0).sum(axis=0) / count
+        return np.asarray((beside / self._sigma_flat_m).ravel())
+
+
+class FlatDistances:
+    """Residuals of a hand whose palm's rotation is unknown: distances between its markers while it is flat.
+
+    Args:
+        parameters: what is unknown of the hand.
+        samples: those that show the hand flat.
+    """
+
+    def __init__(self, parameters: HandParameters, samples: HandSamples) -> None:
+        self._parameters = parameters
+        points = np.concatenate([samples.tips, samples.base[:, None]], axis=1)
+        self._pairs = [(a, 5) for a in range(5)] + [(a, a + 1) for a in range(1, 4)]
+        self._found: FloatArray = np.array(
+            [np.nanmedian(np.linalg.norm(points[:, a] - points[:, b], axis=1)) for a, b in self._pairs]
+        )
+        # A thumb is anywhere, and so far apart as fingers are spread they do not tell their size.
+        weak = [3.0 if 0 in pair else 1.0 if 5 in pair else 2.5 for pair in self._pairs]
+        self._sigma: FloatArray = SIGMA_WITHOUT_ROTATION_M * np.array(weak)
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """Return the residuals at parameters (COUNT,)."""
+        shape = self._parameters.shape(x)
+        tips = shape.knuckles - shape.straight[:, None] * shape.frames[..., 2]
+        positions = np.array([*tips, shape.base])
+        modelled = np.array([np.linalg.norm(positions[a] - positions[b]) for a, b in self._pairs])
+        return np.asarray(np.nan_to_num((self._found - modelled) / self._sigma), dtype=np.float64)
+
+
+def crowding(seconds: FloatArray) -> float:
+    """Return how many samples fall into one moment that shares what the model leaves out."""
+    return max(1.0, _MOMENT_S / max(float(np.median(np.diff(seconds))), 1e-3)) if len(seconds) > 1 else 1.0

@@ -1,0 +1,1 @@
+"""The page's first step: cameras that run, locked."""

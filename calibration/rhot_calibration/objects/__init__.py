@@ -1,0 +1,1 @@
+"""Registration of a tracking system to the rig."""

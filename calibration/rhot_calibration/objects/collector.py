@@ -1,0 +1,147 @@
+"""Taking places from two live streams: the marker in the rig and the device in its space, when both are held still."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from rhot.geometry.rotations import FloatArray, nearest_rotation, rotation_from_quaternion
+from rhot_calibration.objects.fit import Places
+from rhot_objects.pose import Pose
+
+STILL_S = 0.5
+"""How long marker and device are held still."""
+_WINDOW_NS = round(STILL_S * 1e9)
+_LEAST_COVERED = 0.8
+"""Share of that time that both streams must cover."""
+_LEAST_SAMPLES = 6
+_DEVICE_STILL_M = 0.003
+_DEVICE_STILL_RAD = np.radians(1.0)
+_MARKER_STILL_M = 0.004
+"""Distance between the marker's mean places in the first and second half: cameras see it shake by millimetres."""
+_ELSEWHERE_M = 0.05
+_TURNED_RAD = np.radians(25.0)
+_LEAST_SIGMA_M = 3e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One place; see `Places` for frames and units."""
+
+    x_rig: FloatArray
+    sigma_m: float
+    R_space_device: FloatArray
+    p_space_device: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _PointSample:
+    t_ns: int
+    position: FloatArray
+    sigma_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class _PoseSample:
+    t_ns: int
+    position: FloatArray
+    R: FloatArray
+
+
+class PlaceCollector:
+    """Watches both streams and takes a place whenever both are still and it differs from the earlier ones.
+
+    Attributes:
+        places: taken so far.
+    """
+
+    def __init__(self) -> None:
+        self.places: list[Place] = []
+        self._points: deque[_PointSample] = deque()
+        self._poses: deque[_PoseSample] = deque()
+
+    def add_point(self, t_ns: int, position: FloatArray, sigma_m: float) -> Place | None:
+        """Take a measured marker position (3,), metres, rig frame, `sigma_m` as in `Point.sigma`."""
+        self._points.append(_PointSample(t_ns, position, sigma_m))
+        return self._try()
+
+    def add_pose(self, t_ns: int, T_space_device: Pose) -> Place | None:
+        """Take a measured device pose, tracker space."""
+        R = rotation_from_quaternion(T_space_device.orientation_xyzw)
+        self._poses.append(_PoseSample(t_ns, T_space_device.position, R))
+        return self._try()
+
+    @property
+    def hint(self) -> str:
+        """What the person should do now."""
+        if not self._covers(self._points):
+            return "the cameras do not see the marker"
+        if not self._covers(self._poses):
+            return "the tracking system does not see the device"
+        place = self._candidate()
+        if place is None:
+            return "hold it still"
+        return "" if self._is_new(place) else "go to another place, and turn it"
+
+    def to_places(self) -> Places:
+        """Return what was taken, for the fit."""
+        return Places(
+            names=tuple(f"place {number}" for number in range(1, len(self.places) + 1)),
+            x_rig=np.array([place.x_rig for place in self.places]).reshape(-1, 3),
+            sigma_m=np.array([place.sigma_m for place in self.places]),
+            R_space_device=np.array([place.R_space_device for place in self.places]).reshape(-1, 3, 3),
+            p_space_device=np.array([place.p_space_device for place in self.places]).reshape(-1, 3),
+        )
+
+    def _try(self) -> Place | None:
+        self._forget_old()
+        if not (self._covers(self._points) and self._covers(self._poses)):
+            return None
+        place = self._candidate()
+        if place is None or not self._is_new(place):
+            return None
+        self.places.append(place)
+        self._points.clear()
+        self._poses.clear()
+        return place
+
+    def _forget_old(self) -> None:
+        newest = max(stream[-1].t_ns for stream in (self._points, self._poses) if stream)
+        for stream in (self._points, self._poses):
+            while stream and stream[0].t_ns < newest - _WINDOW_NS:
+                stream.popleft()
+
+    @staticmethod
+    def _covers(stream: deque[_PointSample] | deque[_PoseSample]) -> bool:
+        return len(stream) >= _LEAST_SAMPLES and stream[-1].t_ns - stream[0].t_ns >= _LEAST_COVERED * _WINDOW_NS
+
+    def _candidate(self) -> Place | None:
+        """Return the place that is held now, None when something moves."""
+        p = np.array([sample.position for sample in self._poses])
+        R = np.array([sample.R for sample in self._poses])
+        p_mean, R_mean = p.mean(axis=0), nearest_rotation(R.mean(axis=0))
+        turned = max(_angle(R_mean, one) for one in R)
+        if np.linalg.norm(p - p_mean, axis=1).max() > _DEVICE_STILL_M or turned > _DEVICE_STILL_RAD:
+            return None
+        x = np.array([sample.position for sample in self._points])
+        half = len(x) // 2
+        if np.linalg.norm(x[:half].mean(axis=0) - x[half:].mean(axis=0)) > _MARKER_STILL_M:
+            return None
+        # Not divided by the number of samples: the tracker's filter makes them alike, and its bias does not average.
+        sigma_m = float(np.mean([sample.sigma_m for sample in self._points])) / np.sqrt(3.0)
+        return Place(np.median(x, axis=0), max(sigma_m, _LEAST_SIGMA_M), R_mean, p_mean)
+
+    def _is_new(self, place: Place) -> bool:
+        return all(
+            np.linalg.norm(place.p_space_device - other.p_space_device) > _ELSEWHERE_M
+            or _angle(place.R_space_device, other.R_space_device) > _TURNED_RAD
+            for other in self.places
+        )
+
+
+def _angle(first: FloatArray, second: FloatArray) -> float:
+    """Return the angle between two rotations (3, 3), radians."""
+    chord = float(np.linalg.norm(first - second)) / np.sqrt(8.0)
+    return float(2.0 * np.arcsin(min(chord, 1.0)))

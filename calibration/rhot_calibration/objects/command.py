@@ -1,0 +1,292 @@
+"""`rhot calibrate objects`."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import click
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.errors import CalibrationError, ConfigError
+from rhot.geometry.rotations import FloatArray
+from rhot.rig import BusConfig, RegistrationFile, Rig, load_rig, write_json_model
+from rhot.rig.folder import REGISTRATION_FILE
+from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
+from rhot_calibration.objects.collector import Place, PlaceCollector
+from rhot_calibration.objects.fit import Estimate, Places, RegistrationFit, first_prior, fit_registration
+from rhot_calibration.objects.live import collect_places
+from rhot_calibration.objects.record import (
+    RegistrationQuality,
+    change,
+    check_change,
+    prior_of,
+    read_quality,
+    registration_file,
+)
+from rhot_calibration.objects.table import read_places
+
+PREVIOUS_FILE: Final = "registration.previous.json"
+_UNKNOWN_LEVER_SD_M: Final = 0.05
+"""A marker sits on a tracker of 10 cm, somewhere."""
+_PATIENCE_S: Final = 15.0
+
+
+def _lever(ctx: click.Context, param: click.Parameter, text: str | None) -> FloatArray | None:
+    """Return a lever arm (3,), metres, of three numbers in millimetres."""
+    if text is None:
+        return None
+    try:
+        lever_mm = np.array([float(part) for part in text.split(",")])
+    except ValueError as error:
+        raise click.BadParameter(f"{text!r} is not three numbers, such as 0,-12.5,30") from error
+    if lever_mm.shape != (3,) or not np.isfinite(lever_mm).all() or np.abs(lever_mm).max() > 1000.0:
+        raise click.BadParameter(f"{text!r} is not three lengths in mm, such as 0,-12.5,30")
+    return np.asarray(1e-3 * lever_mm, np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """What was held before the cameras; empty where a table does not say it."""
+
+    object_id: str = ""
+    marker: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Earlier:
+    """The registration that is there, and its record where it has one."""
+
+    file: RegistrationFile
+    record: RegistrationQuality | None
+
+
+@click.command()
+@click.argument("table", metavar="[PLACES.csv]", required=False, type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--live", is_flag=True, help="Take the places from the running rig; needs --object and --marker.")
+@click.option("--object", "object_id", metavar="ID", help="The tracked device, as in [objects.ID] of rig.toml.")
+@click.option("--marker", metavar="NAME", help="The marker that is fixed to it (or touched with it).")
+@click.option(
+    "--places", "wanted", type=click.IntRange(1, 100), default=10, show_default=True, help="Places to take, live."
+)
+@click.option(
+    "--lever",
+    metavar="X,Y,Z",
+    callback=_lever,
+    help="Where the marker sits on the device, mm in the device's own axes; found out when the tracker is turned.",
+)
+@click.option(
+    "--lever-sd-mm",
+    type=click.FloatRange(min=0.01, max=100),
+    default=2.0,
+    show_default=True,
+    help="How well --lever is known, mm (standard deviation).",
+)
+@click.option("--realign", is_flag=True, help="Correct the existing registration, with a few places or even one.")
+@click.option(
+    "--drift-mm",
+    type=click.FloatRange(min=0.01, max=1000),
+    default=5.0,
+    show_default=True,
+    help="With --realign: by how much it has probably moved since.",
+)
+@click.option(
+    "--drift-deg",
+    type=click.FloatRange(min=0.001, max=90),
+    default=0.2,
+    show_default=True,
+    help="With --realign: by how much it has probably turned since.",
+)
+@click.option("--dry-run", is_flag=True, help="Print the result and write nothing.")
+@rig_option
+@bus_options
+def objects(
+    table: Path | None,
+    live: bool,
+    object_id: str | None,
+    marker: str | None,
+    wanted: int,
+    lever: FloatArray | None,
+    lever_sd_mm: float,
+    realign: bool,
+    drift_mm: float,
+    drift_deg: float,
+    dry_run: bool,
+    rig_path: Path,
+    connect: tuple[str, ...],
+    namespace: str | None,
+) -> None:
+    """Register the tracking system's space (SteamVR) to the rig, so that objects and hand share one frame.
+
+    Fix a painted marker to a tracker (or touch a marker with it) and hold it still before the cameras at ten places:
+    the corners of the space where you work and its middle, near and far, turned by about 60° to all sides. From that
+    follow the registration and where the marker sits on the tracker.
+
+    \b
+    rhot calibrate objects --live --object cup --marker index --rig RIG
+    rhot calibrate objects places.csv --rig RIG
+    rhot calibrate objects --live --object cup --marker index --realign --places 1 --rig RIG
+
+    PLACES.csv has one row a place and a header: rig_x_m, rig_y_m, rig_z_m (the marker, metres, rig frame),
+    tracker_x_m, tracker_y_m, tracker_z_m, tracker_qx, tracker_qy, tracker_qz, tracker_qw (the device in the tracking
+    system's space) and, where known, sigma_m (noise of each coordinate).
+
+    Writes registration.json; the one before becomes registration.previous.json.
+    """
+    rig = load_rig(rig_path)
+    file = rig_path / REGISTRATION_FILE
+    earlier = _Earlier(rig.registration, read_quality(file, rig.registration))
+    if realign and not file.exists():
+        raise ConfigError(f"{file} is not there; --realign corrects one, so register once without it")
+    shown = _Shown(object_id or "", marker or "")
+    if live:
+        if table is not None or not object_id or not marker:
+            raise ConfigError("--live needs --object ID and --marker NAME, and no table")
+        _check_names(rig, shown)
+        places = _live_places(rig, tool_bus(rig_path, connect, namespace), shown, wanted)
+    elif table is None:
+        raise ConfigError("give a table of places (PLACES.csv), or --live with --object and --marker")
+    else:
+        places = read_places(table)
+    lever_sd_m = _UNKNOWN_LEVER_SD_M if lever is None else 1e-3 * lever_sd_mm
+    if realign:
+        drift = 1e-3 * drift_mm, float(np.radians(drift_deg))
+        prior = _realign_prior(earlier, places, shown, lever, lever_sd_m, drift)
+        fit = fit_registration(places, prior)
+        check_change(prior, fit.estimate)
+    else:
+        check_places(places)
+        prior = None
+        fit = fit_registration(places, first_prior(places, np.zeros(3) if lever is None else lever, lever_sd_m))
+    console = Console(soft_wrap=True, markup=False, highlight=False)
+    console.print(_places_table(places, fit))
+    notes = [scale_note(places, fit), lever_note(fit)]
+    check_fit(fit)
+    if prior is not None and np.count_nonzero(fit.kept) == 1:
+        notes.append("one place cannot tell how the space has turned: only its position was corrected")
+    _report(console, fit, prior)
+    for note in filter(None, notes):
+        console.print(f"note: {note}", style="yellow")
+    if dry_run:
+        console.print(f"nothing was written (--dry-run); {file} is as before")
+        return
+    if file.exists():
+        write_json_model(rig_path / PREVIOUS_FILE, rig.registration)
+    written = registration_file(
+        fit, places, rig.registration, object_id=shown.object_id, marker=shown.marker, prior=prior
+    )
+    write_json_model(file, written)
+    console.print(f"written: {file}; `rhot objects` takes it when it is started again")
+
+
+def _realign_prior(
+    earlier: _Earlier,
+    places: Places,
+    shown: _Shown,
+    lever: FloatArray | None,
+    lever_sd_m: float,
+    drift: tuple[float, float],
+) -> Estimate:
+    """Return what the earlier registration says; `drift` in metres and radians."""
+    if not len(places):
+        raise CalibrationError("no place was given; one is the least for --realign")
+    if lever is None and earlier.record is not None and not _same(shown, earlier.record):
+        lever = np.zeros(3)
+    return prior_of(
+        earlier.file,
+        earlier.record,
+        places,
+        lever_m=lever,
+        lever_sd_m=lever_sd_m,
+        drift_m=drift[0],
+        drift_rad=drift[1],
+    )
+
+
+def _check_names(rig: Rig, shown: _Shown) -> None:
+    toml = rig.path / "rig.toml"
+    if shown.object_id not in rig.config.objects:
+        there = ", ".join(rig.config.objects) or "none"
+        raise ConfigError(f"{toml}: no [objects.{shown.object_id}]; there is {there}. Add it, or correct --object")
+    if shown.marker not in rig.config.markers:
+        raise ConfigError(
+            f"{toml}: no [markers.{shown.marker}]; there is {', '.join(rig.config.markers)}. Correct --marker"
+        )
+
+
+def _same(shown: _Shown, record: RegistrationQuality) -> bool:
+    """Tell whether the marker sits on the device as it did; a table that names neither is taken to mean so."""
+    return all(
+        not now or not before or now == before
+        for now, before in ((shown.object_id, record.object), (shown.marker, record.marker))
+    )
+
+
+def _live_places(rig: Rig, bus: BusConfig, shown: _Shown, wanted: int) -> Places:
+    console = Console(stderr=True, soft_wrap=True, markup=False, highlight=False)
+    collector = PlaceCollector()
+    console.print(
+        f"Hold {shown.object_id} with marker {shown.marker} still before the cameras at {wanted} places; Ctrl-C ends "
+        "with those there are."
+    )
+
+    def taken(place: Place) -> None:
+        x, y, z = 1e3 * place.x_rig
+        console.print(f"place {len(collector.places)} of {wanted} taken at {x:.0f}, {y:.0f}, {z:.0f} mm", style="green")
+
+    def hint(text: str) -> None:
+        console.print(f"  … {text}")
+
+    try:
+        asyncio.run(
+            collect_places(
+                bus,
+                rig,
+                shown.object_id,
+                shown.marker,
+                collector,
+                wanted=wanted,
+                patience_s=_PATIENCE_S,
+                taken=taken,
+                hint=hint,
+            )
+        )
+    except KeyboardInterrupt:
+        if not collector.places:
+            raise
+        console.print(f"ended with {len(collector.places)} places")
+    return collector.to_places()
+
+
+def _places_table(places: Places, fit: RegistrationFit) -> Table:
+    table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("place")
+    for column in ("x mm", "y mm", "z mm", "off mm"):
+        table.add_column(column, justify="right")
+    table.add_column("")
+    for name, x, off, kept in zip(places.names, places.x_rig, fit.residual_m, fit.kept, strict=True):
+        cells = [f"{1e3 * value:.1f}" for value in (*x, off)]
+        table.add_row(name, *cells, "" if kept else "left out: contradicts the others")
+    return table
+
+
+def _report(console: Console, fit: RegistrationFit, prior: Estimate | None) -> None:
+    estimate = fit.estimate
+    if prior is not None:
+        moved_m, turned_rad = change(prior, estimate)
+        console.print(f"changed by {1e3 * moved_m:.2f} mm amid the places and by {np.degrees(turned_rad):.3f}°")
+    sd = 1e3 * float(np.linalg.norm(estimate.position_sd_m))
+    x, y, z = 1e3 * estimate.lever_m
+    sd_x, sd_y, sd_z = 1e3 * estimate.lever_sd_m
+    console.print(f"residual       {1e3 * fit.rms_m:.2f} mm RMS over {np.count_nonzero(fit.kept)} places")
+    console.print(f"position       ± {sd:.2f} mm amid the places (one standard deviation)")
+    console.print(f"rotation       ± {np.degrees(estimate.rotation_sd_rad):.3f}° about its least certain axis")
+    console.print(
+        f"marker on the device at {x:.1f} ± {sd_x:.1f}, {y:.1f} ± {sd_y:.1f}, {z:.1f} ± {sd_z:.1f} mm, device axes"
+    )

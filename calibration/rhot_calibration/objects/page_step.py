@@ -1,0 +1,145 @@
+"""The page's step that registers a tracking system, over the functions of `rhot calibrate objects --live`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView
+from rhot.errors import ConfigError
+from rhot.rig import RegistrationFile, load_rig
+from rhot.rig.folder import REGISTRATION_FILE
+from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
+from rhot_calibration.objects.collector import Place, PlaceCollector
+from rhot_calibration.objects.fit import Places, RegistrationFit, first_prior, fit_registration
+from rhot_calibration.objects.live import collect_places
+from rhot_calibration.objects.record import registration_file
+from rhot_calibration.page_step import PageStep, trial_buttons
+
+_WANTED: Final = 10
+_PATIENCE_S: Final = 15.0
+_UNKNOWN_LEVER_SD_M: Final = 0.05
+
+
+class ObjectStep(PageStep[RegistrationFile]):
+    """Collects positions of a tracked device with a marker."""
+
+    about = (
+        "Fix a painted marker to a tracked device, or touch the device with it, and hold both still before the cameras "
+        "at ten places: the corners of the space where you work and its middle, near and far, turned by about 60° to "
+        "all sides. A place is taken when both stand still. Try the result, then save."
+    )
+    buttons = (
+        Button("start", "start taking places", "Press again to start over."),
+        Button("solve", "finish and fit", "Use the places taken so far."),
+        *trial_buttons(REGISTRATION_FILE, "registration"),
+    )
+
+    def __init__(self, context: StepContext) -> None:
+        super().__init__(context, context.rig_path / REGISTRATION_FILE, RegistrationFile)
+        config = load_rig(context.rig_path).config
+        self._objects = tuple(config.objects)
+        self._simulated = all(each.source == "simulated" for each in config.objects.values())
+        markers = tuple(config.markers)
+        self.fields = (
+            *((Field("object", "device", self._objects[0], self._objects),) if self._objects else ()),
+            Field("marker", "marker", markers[0], markers, "The one that is fixed to it."),
+        )
+        self._collector = PlaceCollector()
+        self._hint = ""
+        self._fitted: tuple[tuple[Figures, ...], tuple[Remark, ...]] = ((), ())
+
+    def view(self) -> StepView:
+        """Return how many positions there are, and what came of them."""
+        tables, remarks = self._fitted
+        return self._view(
+            self._stored(),
+            actions={"solve"} if self._can_stop else set() if self._doing or not self._objects else {"start"},
+            share=len(self._collector.places) / _WANTED,
+            remarks=(*self._todo(), *remarks),
+            tables=tables,
+        )
+
+    def _stored(self) -> tuple[str, bool]:
+        if not self._objects:
+            return "rig.toml names no objects; nothing to do", True
+        absent = ("not registered: objects stand in their own space", False)
+        if self._simulated:
+            absent = ("simulated objects stand in the cameras' space; nothing to do", True)
+        return self._standing(absent, "a new registration on trial", lambda stored: (f"registered {stored.date}", True))
+
+    def _todo(self) -> tuple[Remark, ...]:
+        if self._can_stop:
+            taken = Remark(f"{len(self._collector.places)} of {_WANTED} places taken.", "good")
+            return (taken, Remark(self._hint, "warning")) if self._hint else (taken,)
+        if self._kept.on_trial:
+            text = "Objects stand where the new registration has them: move one, look at the tab Live. Save or undo."
+            return (Remark(text, "good"),)
+        return ()
+
+    async def press(self, button: str, values: Mapping[str, str]) -> None:
+        """Start, fit, try, save or undo.
+
+        Raises:
+            RhotError: it cannot be done.
+        """
+        if button == "start" and not self._doing:
+            await self._register(values)
+        elif button == "solve":
+            self._stop()  # whoever pressed start goes on from here
+        else:
+            await super().press(button, values)
+
+    async def _register(self, values: Mapping[str, str]) -> None:
+        device, marker = values.get("object", ""), values["marker"]
+        if not device:
+            raise ConfigError("rig.toml names no objects; add [objects.NAME] with source and serial")
+        self._collector, self._hint, self._found, self._fitted = PlaceCollector(), "", None, ((), ())
+        rig = load_rig(self._context.rig_path)
+        with self._busy("taking places"):
+            await self._stoppable(
+                collect_places(
+                    self._context.bus,
+                    rig,
+                    device,
+                    marker,
+                    self._collector,
+                    wanted=_WANTED,
+                    patience_s=_PATIENCE_S,
+                    taken=self._taken,
+                    hint=self._hinted,
+                )
+            )
+            self._doing = "fitting"
+            places = self._collector.to_places()
+            fit = await asyncio.to_thread(_fitted, places)
+            found = registration_file(fit, places, rig.registration, object_id=device, marker=marker, prior=None)
+            self._fitted = _shown(places, fit)
+            check_fit(fit)
+        self._found = found
+
+    def _taken(self, _: Place) -> None:
+        self._hint = "go to another place, and turn it"
+
+    def _hinted(self, text: str) -> None:
+        self._hint = text
+
+
+def _fitted(places: Places) -> RegistrationFit:
+    check_places(places)
+    return fit_registration(places, first_prior(places, np.zeros(3), _UNKNOWN_LEVER_SD_M))
+
+
+def _shown(places: Places, fit: RegistrationFit) -> tuple[tuple[Figures, ...], tuple[Remark, ...]]:
+    rows = tuple(
+        (name, f"{1e3 * off:.1f}", "" if kept else "left out: contradicts the others")
+        for name, off, kept in zip(places.names, fit.residual_m, fit.kept, strict=True)
+    )
+    sd_mm = 1e3 * float(np.linalg.norm(fit.estimate.position_sd_m))
+    turn_deg = float(np.degrees(fit.estimate.rotation_sd_rad))
+    text = f"Residual {1e3 * fit.rms_m:.1f} mm RMS; position ± {sd_mm:.1f} mm, rotation ± {turn_deg:.2f}°."
+    notes = (Remark(note, "warning") for note in (scale_note(places, fit), lever_note(fit)) if note)
+    return (Figures("Places", ("place", "off mm", ""), rows),), (Remark(text), *notes)

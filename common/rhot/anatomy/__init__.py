@@ -1,0 +1,1 @@
+"""The anatomy of hands and bodies: joints, proportions, forward kinematics."""

@@ -1,0 +1,215 @@
+"""An adult's hand in numbers: bones, rest directions, flesh and limits, scaled by the hand's length.
+
+Bone lengths are the means of Buryanov & Kotiuk, "Proportions of Hand Segments", Int. J. Morphol. 28(3), 2010, tables
+1–3 (metacarpals, phalanges, soft tissue beyond the distal phalanx). The wrist joint lies 28 mm behind the base of the
+middle metacarpal, which makes that hand 184.9 mm long from the wrist crease to the tip of the middle finger; every
+length scales with it. Where the metacarpals stand and how the fingers spread at rest is a choice that matches a flat
+relaxed hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
+from rhot.errors import CalibrationError
+from rhot.geometry.rotations import rotation_x, rotation_y, rotation_z
+from rhot.rig.calibration import HandFile
+
+FloatArray = NDArray[np.float64]
+
+REFERENCE_LENGTH_M: Final = 0.18491
+"""Wrist joint to the end of the middle finger of the hand that the following millimetres describe."""
+
+METACARPAL_MM: Final = {"index": 68.12, "middle": 64.60, "ring": 58.00, "little": 53.69}
+BONES_MM: Final = {
+    "thumb": (46.22, 31.57, 21.67 + 5.67),
+    "index": (39.78, 22.38, 15.82 + 3.84),
+    "middle": (44.63, 26.33, 17.40 + 3.95),
+    "ring": (41.37, 25.65, 17.30 + 3.95),
+    "little": (32.74, 18.11, 15.96 + 3.73),
+}
+"""Moving bones from the knuckle outwards; the last with its soft tissue, up to the very tip of the finger."""
+CARPAL_MM: Final = {
+    "thumb": (-20.0, -11.0, -14.0),
+    "index": (-11.0, -1.0, -28.0),
+    "middle": (0.0, 0.0, -28.0),
+    "ring": (9.5, -1.0, -26.0),
+    "little": (17.0, -4.0, -23.0),
+}
+"""Wrist joint to the base of each metacarpal, wrist frame of a right hand."""
+METACARPAL_YAW_DEG: Final = {"index": 9.0, "middle": 0.0, "ring": -9.0, "little": -17.0}
+"""Fan of the metacarpals, positive towards the thumb."""
+METACARPAL_DROP_DEG: Final = {"index": 1.0, "middle": 0.0, "ring": 1.5, "little": 3.0}
+"""Arch of the knuckles: how far each metacarpal points towards the palm."""
+REST_DEG: Final = {
+    "thumb": (42.0, 18.0, 75.0),
+    "index": (5.0, 0.0, 5.0),
+    "middle": (0.0, 0.0, 0.0),
+    "ring": (-5.0, 0.0, -5.0),
+    "little": (-12.0, 0.0, -12.0),
+}
+"""Rest frame F = Ry(yaw) · Rx(−drop) · Rz(roll): spread towards the thumb, drop towards the palm, roll about the
+finger's own axis (positive turns the back of the finger towards the thumb's side), so that bent fingers converge."""
+RADII_MM: Final = {
+    "thumb": (15.0, 12.0, 10.5, 9.0),
+    "index": (14.0, 11.5, 9.5, 8.2, 7.2),
+    "middle": (14.0, 11.5, 9.5, 8.4, 7.4),
+    "ring": (13.0, 11.0, 9.0, 8.0, 7.0),
+    "little": (12.0, 10.0, 8.0, 7.2, 6.3),
+}
+"""Flesh around the joints of each chain, from the palm outwards."""
+PALM_RADIUS_MM: Final = 14.0
+WRIST_RADIUS_MM: Final = 22.0
+
+ANGLE_LIMITS_DEG: Final = {
+    "thumb": ((-25.0, 45.0), (-30.0, 40.0), (0.0, 60.0), (0.0, 85.0)),
+    "index": ((0.0, 90.0), (-15.0, 15.0), (0.0, 110.0), (0.0, 90.0)),
+    "middle": ((0.0, 90.0), (-3.0, 3.0), (0.0, 110.0), (0.0, 90.0)),
+    "ring": ((0.0, 90.0), (-15.0, 15.0), (0.0, 110.0), (0.0, 90.0)),
+    "little": ((0.0, 90.0), (-15.0, 15.0), (0.0, 110.0), (0.0, 90.0)),
+}
+"""Lowest and highest flexion and abduction of the knuckle and flexion of the two hinges (Cobos et al. 2008)."""
+COUPLING: Final = {"thumb": 1.0, "index": 2.0 / 3.0, "middle": 2.0 / 3.0, "ring": 2.0 / 3.0, "little": 2.0 / 3.0}
+"""Last hinge over middle hinge: DIP ≈ ⅔ PIP (Rijpkema & Girard 1991); for the thumb both bend alike."""
+
+SPREAD_LIMITS: Final = (0.5, 2.0)
+"""The knuckles may stand this many times as far apart as the proportions have them."""
+
+
+@dataclass(frozen=True, slots=True)
+class RestGeometry:
+    """A right hand with all angles zero; the fields are those of `rhot.anatomy.hand.HandModel`.
+
+    With the default length of 189 mm the knuckles stand, in millimetres of the wrist frame, at index (−22, −2, −97),
+    middle (0, 0, −95), ring (19, −3, −85), little (33, −7, −76), and the thumb's carpometacarpal joint at
+    (−20, −11, −14).
+    """
+
+    metacarpals: FloatArray
+    knuckles: FloatArray
+    frames: FloatArray
+    metacarpal_frames: FloatArray
+    bones: FloatArray
+    palm: FloatArray
+    radii: FloatArray
+    angle_min: FloatArray
+    angle_max: FloatArray
+    coupling: FloatArray
+
+
+def rest_geometry(hand: HandFile) -> RestGeometry:
+    """Return the rest geometry of a right hand; lengths in `hand.bones_m` replace the proportional ones.
+
+    A length given for a metacarpal joint stretches the carpal bone before it, one for a proximal joint the
+    metacarpal, one for `palm` the way from the wrist to the palm joint. A width fans the metacarpals of the four
+    fingers wider or narrower and keeps their lengths.
+
+    Raises:
+        CalibrationError: width, bones and radii contradict one another.
+    """
+    scale = hand.length_m / REFERENCE_LENGTH_M / 1000.0
+    given = hand.bones_m
+    radii = _radii(hand, scale)
+    spread = 1.0 if hand.width_m is None else _spread(hand, hand.width_m)
+    metacarpals, knuckles, frames, metacarpal_frames, bones = [], [], [], [], []
+    for finger in FINGERS:
+        chain = CHAINS[finger]
+        rest = _frame(*REST_DEG[finger])
+        if finger == "thumb":
+            base = knuckle = _stretched(np.array(CARPAL_MM[finger]) * scale, given.get(chain[0]))
+            metacarpal_frame = rest
+        else:
+            base, knuckle, metacarpal_frame = _metacarpal(finger, given, scale, spread)
+        tip_radius = radii[JOINTS.index(chain[-1])]
+        lengths = np.array(BONES_MM[finger]) * scale - (0.0, 0.0, tip_radius)
+        moving = chain[-3:]
+        metacarpals.append(base)
+        knuckles.append(knuckle)
+        frames.append(rest)
+        metacarpal_frames.append(metacarpal_frame)
+        bones.append([given.get(joint, float(length)) for joint, length in zip(moving, lengths, strict=True)])
+    middle = FINGERS.index("middle")
+    limits = np.radians([ANGLE_LIMITS_DEG[finger] for finger in FINGERS])
+    return RestGeometry(
+        metacarpals=np.array(metacarpals),
+        knuckles=np.array(knuckles),
+        frames=np.array(frames),
+        metacarpal_frames=np.array(metacarpal_frames),
+        bones=np.array(bones),
+        palm=_stretched((metacarpals[middle] + knuckles[middle]) / 2.0, given.get("palm")),
+        radii=radii,
+        angle_min=limits[..., 0],
+        angle_max=limits[..., 1],
+        coupling=np.array([COUPLING[finger] for finger in FINGERS]),
+    )
+
+
+def width_across_knuckles(hand: HandFile, spread: float = 1.0) -> float:
+    """Return the width, metres, of a hand with these lengths and radii, whatever `hand.width_m` says.
+
+    Args:
+        hand: lengths and radii.
+        spread: factor on the knuckles' distances across the hand that its proportions give.
+    """
+    scale = hand.length_m / REFERENCE_LENGTH_M / 1000.0
+    radii = _radii(hand, scale)
+    index, little = (_metacarpal(finger, hand.bones_m, scale, 1.0)[1] for finger in ("index", "little"))
+    flesh = radii[JOINTS.index("index_proximal")] + radii[JOINTS.index("little_proximal")]
+    return float(spread * (little[0] - index[0]) + flesh)
+
+
+def _spread(hand: HandFile, width_m: float) -> float:
+    """Return the factor on the knuckles' distances that gives the hand this width."""
+    bare, natural = width_across_knuckles(hand, 0.0), width_across_knuckles(hand)
+    spread = (width_m - bare) / (natural - bare)
+    low, high = SPREAD_LIMITS
+    if not low <= spread <= high:
+        raise CalibrationError(
+            f"hand.json: width_m {width_m:g} puts the knuckles {spread:.2f} times as far apart as its lengths do, must "
+            f"be {low:g} to {high:g}; measure again with `rhot calibrate hand`"
+        )
+    return spread
+
+
+def _metacarpal(
+    finger: str, given: Mapping[str, float], scale: float, spread: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return base (3,) and head (3,), metres, wrist frame, and frame (3, 3) of the metacarpal of one of four fingers.
+
+    `spread` multiplies every distance across the hand (x): of the bases, and of the heads by turning the bones.
+    """
+    chain = CHAINS[finger]
+    base = _stretched(np.array(CARPAL_MM[finger]) * scale, given.get(chain[0])) * (spread, 1.0, 1.0)
+    yaw_deg = METACARPAL_YAW_DEG[finger]
+    if spread != 1.0:
+        yaw_deg = float(np.degrees(np.arcsin(spread * np.sin(np.radians(yaw_deg)))))
+    frame = _frame(yaw_deg, METACARPAL_DROP_DEG[finger], REST_DEG[finger][2])
+    head: FloatArray = base - given.get(chain[1], METACARPAL_MM[finger] * scale) * frame[:, 2]
+    return base, head, frame
+
+
+def _frame(yaw_deg: float, drop_deg: float, roll_deg: float) -> FloatArray:
+    """Return F = Ry(yaw) · Rx(−drop) · Rz(roll), (3, 3)."""
+    yaw, drop, roll = np.radians([yaw_deg, drop_deg, roll_deg])
+    frame: FloatArray = rotation_y(yaw) @ rotation_x(-drop) @ rotation_z(roll)
+    return frame
+
+
+def _stretched(vector: FloatArray, length_m: float | None) -> FloatArray:
+    if length_m is None:
+        return vector
+    stretched: FloatArray = vector * (length_m / float(np.linalg.norm(vector)))
+    return stretched
+
+
+def _radii(hand: HandFile, scale: float) -> FloatArray:
+    radii = {"palm": PALM_RADIUS_MM * scale, "wrist": WRIST_RADIUS_MM * scale}
+    for finger in FINGERS:
+        radii |= {joint: radius * scale for joint, radius in zip(CHAINS[finger], RADII_MM[finger], strict=True)}
+    return np.array([hand.radii_m.get(joint, radii[joint]) for joint in JOINTS])

@@ -1,0 +1,31 @@
+"""The hand's joints in OpenXR's terms: names, chains and parents (XR_EXT_hand_tracking).
+
+Joint axes: +Z points from the tip to the wrist, +Y out of the back of the hand, +X to the right for either hand
+when the palm faces down.
+"""
+
+from typing import Final
+
+FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
+
+THUMB_JOINTS: Final = ("thumb_metacarpal", "thumb_proximal", "thumb_distal", "thumb_tip")
+_FINGER_SEGMENTS: Final = ("metacarpal", "proximal", "intermediate", "distal", "tip")
+
+CHAINS: Final[dict[str, tuple[str, ...]]] = {
+    finger: THUMB_JOINTS if finger == "thumb" else tuple(f"{finger}_{segment}" for segment in _FINGER_SEGMENTS)
+    for finger in FINGERS
+}
+"""Joints of each finger from the palm outwards."""
+
+JOINTS: Final[tuple[str, ...]] = ("palm", "wrist", *(joint for finger in FINGERS for joint in CHAINS[finger]))
+"""All 26 joints in OpenXR's order."""
+
+PARENTS: Final[dict[str, str | None]] = {
+    "wrist": None,
+    "palm": "wrist",
+    **{
+        joint: "wrist" if index == 0 else chain[index - 1]
+        for chain in CHAINS.values()
+        for index, joint in enumerate(chain)
+    },
+}

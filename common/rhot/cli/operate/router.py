@@ -1,0 +1,49 @@
+"""`rhot router`: a Zenoh router inside Python, so that nothing else needs installing."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from pathlib import Path
+
+import click
+
+from rhot.bus import Bus
+from rhot.cli.options import rig_option
+from rhot.rig import BusConfig
+from rhot.rig.folder import RIG_FILE, load_config
+from rhot.service import systemd
+from rhot.service.stop import install_stop
+
+logger = logging.getLogger(__name__)
+
+DEFAULT_LISTEN = ("tcp/0.0.0.0:7447",)
+
+
+async def _route(config: BusConfig) -> int:
+    stopping = install_stop()
+    async with await Bus.open(config):
+        logger.info("routing on %s", ", ".join(config.listen))
+        systemd.notify("READY=1")
+        interval_s = systemd.watchdog_interval_s()
+        while not stopping.requested.is_set():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(stopping.requested.wait(), interval_s)
+            systemd.notify("WATCHDOG=1")
+    return stopping.exit_code
+
+
+@click.command()
+@click.option(
+    "--listen",
+    multiple=True,
+    metavar="ENDPOINT",
+    help="Endpoint to open. Without it, rig.toml decides, or else tcp/0.0.0.0:7447. May be repeated.",
+)
+@rig_option
+def router(listen: tuple[str, ...], rig_path: Path) -> int:
+    """Connect all services of a rig until Ctrl-C; any Zenoh router of the same version will do, too."""
+    bus = load_config(rig_path).bus if (rig_path / RIG_FILE).exists() else BusConfig()
+    endpoints = listen or bus.listen or DEFAULT_LISTEN
+    return asyncio.run(_route(BusConfig(mode="router", connect=(), listen=endpoints, multicast=bus.multicast)))

@@ -1,0 +1,62 @@
+"""`rhot start` and `rhot stop`: the broadcast that all services follow."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from rhot.bus import Bus
+from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.operation.control import broadcast, new_session
+from rhot.rig import BusConfig
+
+
+async def _control(
+    config: BusConfig, action: Literal["start", "stop"], session: str, delay_s: float, wait_s: float
+) -> None:
+    async with await Bus.open(config, timeout_s=max(wait_s, 2.0)) as bus:
+        sent = await broadcast(bus, action, session, delay_s, wait_s)
+        alive = sorted({reply.key.removeprefix("rhot/alive/") for reply in await bus.who_is_alive()})
+        click.echo(
+            f"{action} {sent.session or '(any session)'} sent to {len(alive)} services: {', '.join(alive) or 'none'}"
+        )
+
+
+@click.command()
+@click.option("--session", help="Name of the session.  [default: date and time]")
+@click.option(
+    "--delay",
+    "delay_s",
+    type=click.FloatRange(0, 30),
+    default=0.5,
+    show_default=True,
+    help="Start this many seconds from now, so that all cameras start together.",
+)
+@click.option(
+    "--wait",
+    "wait_s",
+    type=click.FloatRange(0, 3600),
+    default=2.0,
+    show_default=True,
+    help="Wait this many seconds for the rig to come up.",
+)
+@rig_option
+@bus_options
+def start(
+    session: str | None, delay_s: float, wait_s: float, rig_path: Path, connect: tuple[str, ...], namespace: str | None
+) -> None:
+    """Tell every service of the rig to start at one moment; those that join later follow by themselves."""
+    config = tool_bus(rig_path, connect, namespace)
+    asyncio.run(_control(config, "start", session or new_session(), delay_s, wait_s))
+
+
+@click.command()
+@click.option("--session", default="", help="Stop only this session.")
+@rig_option
+@bus_options
+def stop(session: str, rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> None:
+    """Tell every service of the rig to stop and wait for the next start."""
+    asyncio.run(_control(tool_bus(rig_path, connect, namespace), "stop", session, 0.0, 2.0))

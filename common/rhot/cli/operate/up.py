@@ -1,0 +1,89 @@
+"""`rhot up`: everything that runs on the PC, in one terminal."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rhot.bus import Bus
+from rhot.cli.options import rig_option, tool_bus
+from rhot.cli.page import free_page_port, page_command, page_options
+from rhot.errors import BusError
+from rhot.operation.control import broadcast, new_session
+from rhot.operation.supervisor import Supervisor
+from rhot.rig import BusConfig, load_rig
+from rhot.service.stop import install_stop
+
+logger = logging.getLogger(__name__)
+
+_ROUTER_TRY_S = 0.3
+_RIG_TIMEOUT_S = 20.0
+
+
+@click.command()
+@click.option("--no-start", is_flag=True, help="Do not send the start signal; wait for `rhot start`.")
+@page_options
+@rig_option
+def up(no_start: bool, viewer: bool, page_port: int, rig_path: Path) -> int:
+    """Run router, fusion, ik, objects, feet and the web page on this machine, and start the rig. Ctrl-C stops all.
+
+    The capture services run on the Pis (rhot capture --camera NAME) and join by themselves. If a router already
+    answers, it is used instead of a second one.
+    """
+    port = free_page_port(page_port) if viewer else None
+    return asyncio.run(_up(rig_path, port, start=not no_start))
+
+
+async def _up(rig_path: Path, page_port: int | None, *, start: bool) -> int:
+    rig = load_rig(rig_path)
+    bus_config = tool_bus(rig_path, (), None)
+    stop = install_stop()
+    supervisor = Supervisor()
+    # On its own: the page is for looking, and tracking goes on without it.
+    beside = Supervisor()
+    watching: list[asyncio.Task[Any]] = []
+    try:
+        if not await _answers(bus_config):
+            await supervisor.start("router", ["router", "--rig", str(rig_path)])
+        names = {"fusion": rig.config.cameras, "ik": True, "objects": rig.config.objects, "feet": rig.config.feet}
+        for name in (name for name, wanted in names.items() if wanted):
+            await supervisor.start(name, [name, "--rig", str(rig_path)])
+        if page_port is not None:
+            await beside.start("viewer", [*page_command(page_port), "--rig", str(rig_path)])
+        failed = asyncio.create_task(supervisor.wait_for_failure())
+        asked = asyncio.create_task(stop.requested.wait())
+        watching += [failed, asked]
+        if start:
+            # Ctrl-C and a service that ends at once count during the start, too.
+            starting = asyncio.create_task(_start(bus_config))
+            watching.append(starting)
+            await asyncio.wait((failed, asked, starting), return_when=asyncio.FIRST_COMPLETED)
+            if starting.done():
+                starting.result()
+        await asyncio.wait((failed, asked), return_when=asyncio.FIRST_COMPLETED)
+        if not asked.done():
+            raise supervisor.failure(failed.result())
+    finally:
+        for task in watching:
+            task.cancel()
+        await asyncio.gather(*watching, return_exceptions=True)
+        await asyncio.gather(supervisor.stop(), beside.stop())
+    return stop.exit_code
+
+
+async def _start(bus_config: BusConfig) -> None:
+    async with await Bus.open(bus_config, timeout_s=_RIG_TIMEOUT_S) as bus:
+        control = await broadcast(bus, "start", new_session(), 0.5, _RIG_TIMEOUT_S)
+        logger.info("session %s started; look with `rhot status`, end with Ctrl-C", control.session)
+
+
+async def _answers(bus_config: BusConfig) -> bool:
+    try:
+        async with await Bus.open(bus_config, timeout_s=_ROUTER_TRY_S):
+            return True
+    except BusError:
+        return False

@@ -1,0 +1,98 @@
+"""`rhot process`: the whole tracker over a recording, with the very cores that run live."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import click
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from rhot.atomic_file import replacing
+from rhot.cli.options import rig_option
+from rhot.messages import MarkerFrame, PointSet
+from rhot.offline import marker_frames, rig_timing, track, track_smoothly
+from rhot.recording import Recording, load_recording
+from rhot.rig import load_rig
+
+
+def _frame_count(recording: Recording) -> int:
+    return sum(len(np.unique(track.frames)) for track in recording.cameras.values())
+
+
+@contextlib.contextmanager
+def _output(file: Path) -> Iterator[IO[str]]:
+    """Write a file that appears only when it is complete; `-` is standard output."""
+    if str(file) == "-":
+        yield sys.stdout
+        return
+    with replacing(file) as part, part.open("w", encoding="utf-8") as stream:
+        yield stream
+
+
+@click.command()
+@click.argument("recording_path", metavar="RECORDING", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    "out_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    help="JSON Lines file to write; - for standard output.",
+)
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="KEY",
+    help="Write only keys that begin with this, such as rhot/hand. May be repeated.",
+)
+@click.option(
+    "--smooth",
+    is_flag=True,
+    help="Use the frames after each moment too, for the best paths; a live rig cannot do that. Marker frames are "
+    "written first, then points and hands.",
+)
+@rig_option
+def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth: bool, rig_path: Path) -> None:
+    """Track a recording and write every published message as one JSON object a line.
+
+    RECORDING is a folder that holds, per camera of the rig, pictures with timestamps.csv, a video, or marker tracks
+    (markers.csv). Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it.
+    """
+    rig = load_rig(rig_path)
+    recording = load_recording(recording_path, rig_timing(rig))
+    counts: Counter[str] = Counter()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("frames"),
+        TimeRemainingColumn(),
+    )
+    console = Console(stderr=True, soft_wrap=True)
+    if not rig.calibrated:
+        console.print(
+            f"[yellow]{rig_path} is not calibrated (no cameras.json): cameras are taken as parallel, at the positions "
+            "and with the field of view of rig.toml[/]"
+        )
+    with _output(out_path) as stream, Progress(*columns, console=console) as progress:
+        task = progress.add_task("tracking", total=_frame_count(recording))
+        for key, message in (track_smoothly if smooth else track)(rig, marker_frames(rig, recording)):
+            counts[key] += 1
+            if isinstance(message, MarkerFrame):
+                progress.advance(task)
+            elif smooth and isinstance(message, PointSet):
+                progress.update(task, description="looking back")
+            if not only or key.startswith(only):
+                value = message.model_dump_json(exclude_none=True)
+                stream.write(f'{{"key": {json.dumps(key)}, "value": {value}}}\n')
+    for key, number in sorted(counts.items()):
+        console.print(f"{key:<24} {number:>8} messages")
+    if not any(key.startswith("rhot/hand/") for key in counts):
+        console.print("[yellow]no hand was found: are the cameras named as in rig.toml, and colours calibrated?[/]")

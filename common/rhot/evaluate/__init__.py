@@ -1,1 +1,0 @@
-"""Comparing what was tracked with what was true."""

@@ -1,0 +1,137 @@
+"""The camera model: OpenCV's pinhole with lens distortion, between the rig frame and raw pixels.
+
+With X_camera = inv(T_rig_camera) · X_rig and (x, y) = (X/Z, Y/Z), the lens bends (x, y) by the rational
+Brown–Conrady model of OpenCV (`calib3d`, `projectPoints`) and (u, v) = K · (x', y', 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.geometry.rotations import cross_matrix
+from rhot.geometry.transforms import rigid
+from rhot.rig.calibration import CameraCalibration, matrix3, matrix4
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """A calibrated camera.
+
+    Attributes:
+        width, height: pixels.
+        K: (3, 3) intrinsics, pixels.
+        distortion: (n,) OpenCV's coefficients; empty = none.
+        R_camera_rig: (3, 3) rotates rig directions into the camera frame.
+        t_camera_rig: (3,) metres; X_camera = R_camera_rig · X_rig + t_camera_rig.
+        center: (3,) optical centre, metres, rig frame.
+    """
+
+    width: int
+    height: int
+    K: FloatArray
+    distortion: FloatArray
+    R_camera_rig: FloatArray
+    t_camera_rig: FloatArray
+    center: FloatArray
+
+    @classmethod
+    def from_calibration(cls, calibration: CameraCalibration) -> CameraModel:
+        """Build the model of a camera in `cameras.json`."""
+        T = np.array(calibration.T_rig_camera)
+        return cls.from_arrays(
+            calibration.width,
+            calibration.height,
+            np.array(calibration.K),
+            np.array(calibration.distortion),
+            T,
+        )
+
+    @classmethod
+    def from_arrays(
+        cls, width: int, height: int, K: FloatArray, distortion: FloatArray, T_rig_camera: FloatArray
+    ) -> CameraModel:
+        """Build a model from plain arrays: K (3, 3), distortion (n,), T_rig_camera (4, 4)."""
+        R_camera_rig = T_rig_camera[:3, :3].T.copy()
+        center = np.array(T_rig_camera[:3, 3], dtype=np.float64)
+        t = -R_camera_rig @ center
+        arrays = [np.array(K, float), np.array(distortion, float).reshape(-1), R_camera_rig, t, center]
+        for array in arrays:
+            array.setflags(write=False)
+        return cls(width, height, *arrays)
+
+    def to_calibration(self) -> CameraCalibration:
+        """Return the entry of `cameras.json`."""
+        return CameraCalibration(
+            width=self.width,
+            height=self.height,
+            K=matrix3(self.K),
+            distortion=tuple(self.distortion.tolist()),
+            T_rig_camera=matrix4(self.T_rig_camera),
+        )
+
+    @property
+    def T_rig_camera(self) -> FloatArray:
+        """(4, 4), maps camera coordinates to rig coordinates."""
+        return rigid(self.R_camera_rig.T, self.center)
+
+    def to_camera(self, points: FloatArray) -> FloatArray:
+        """Return rig points (N, 3) in the camera frame, metres."""
+        transformed: FloatArray = points @ self.R_camera_rig.T + self.t_camera_rig
+        return transformed
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """Return raw pixels (N, 2) of rig points (N, 3), metres; NaN where a point is not in front of the camera."""
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        if len(points) == 0:
+            return np.empty((0, 2))
+        camera_points = self.to_camera(points)
+        if not self.distortion.any():
+            # OpenCV works out derivatives that nobody asked for, which takes most of the time of a few points.
+            z = np.where(camera_points[:, 2:] > 1e-6, camera_points[:, 2:], np.nan)
+            return camera_points[:, :2] / z * self.K.diagonal()[:2] + self.K[:2, 2]
+        pixels, _ = cv2.projectPoints(camera_points, np.zeros(3), np.zeros(3), self.K, self.distortion)
+        uv = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        uv[~(camera_points[:, 2] > 1e-6)] = np.nan
+        return uv
+
+    def undistort(self, pixels: FloatArray) -> FloatArray:
+        """Return normalised image coordinates (N, 2) (x = X/Z, y = Y/Z) of raw pixels (N, 2)."""
+        pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        if not self.distortion.any():
+            return (pixels - self.K[:2, 2]) / self.K.diagonal()[:2]
+        if len(pixels) == 0:
+            return np.empty((0, 2))
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+        normalised = cv2.undistortPoints(pixels[:, None], self.K, self.distortion, criteria=criteria)
+        return np.asarray(normalised, dtype=np.float64).reshape(-1, 2)
+
+    def rays(self, pixels: FloatArray) -> FloatArray:
+        """Return unit viewing directions (N, 3) of raw pixels (N, 2), rig frame."""
+        xy = self.undistort(pixels)
+        directions = np.column_stack([xy, np.ones(len(xy))])
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        rotated: FloatArray = directions @ self.R_camera_rig
+        return rotated
+
+    def contains(self, pixels: FloatArray) -> NDArray[np.bool_]:
+        """Tell which pixels (N, 2) lie inside the picture."""
+        u, v = pixels[:, 0], pixels[:, 1]
+        inside: NDArray[np.bool_] = (u > -0.5) & (u < self.width - 0.5) & (v > -0.5) & (v < self.height - 0.5)
+        return inside
+
+
+def essential_matrix(first: CameraModel, second: CameraModel) -> FloatArray:
+    """Return E (3, 3): normalised views x1, x2 (x, y, 1) of one point meet x2ᵀ · E · x1 = 0.
+
+    With X_second = R · X_first + t: E = [t]× · R (Hartley and Zisserman, "Multiple View Geometry", 2nd ed., eq. 9.12).
+    """
+    R = second.R_camera_rig @ first.R_camera_rig.T
+    t = second.to_camera(first.center[None])[0]
+    E: FloatArray = cross_matrix(t) @ R
+    return E

@@ -1,0 +1,79 @@
+"""The whole tracker over a recording, with the very cores that run live."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from rhot.errors import ConfigError
+from rhot.messages import MarkerFrame, Message
+from rhot.plugins import load_plugin
+from rhot.recording import Recording, TrackTiming, marker_track_frames
+from rhot.rig import Rig
+
+
+def core(name: str) -> Callable[..., Any]:
+    """Return a service's core by its entry point.
+
+    Raises:
+        ConfigError: it is not installed here.
+    """
+    loaded: Callable[..., Any] = load_plugin("rhot.stages", name, "offline tracking", name)
+    return loaded
+
+
+def track(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[str, Message]]:
+    """Yield every message that a live rig would have published for these marker frames, in order."""
+    yield from track_with(core("fusion")(rig), core("ik")(rig), frames)
+
+
+def track_with(fusion: Any, ik: Any, frames: Iterable[MarkerFrame]) -> Iterator[tuple[str, Message]]:
+    """Yield what cores make of marker frames, as `track` does."""
+    for frame in frames:
+        yield f"rhot/markers/{frame.camera}", frame
+        for points_key, points in fusion.feed(frame):
+            yield points_key, points
+            hands = ik.feed(points)
+            yield from hands
+            for _, hand in hands:
+                fusion.feed(hand)
+
+
+def track_smoothly(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[str, Message]]:
+    """Yield all marker frames, then all points as the whole recording shows them, and the hands from those.
+
+    Raises:
+        ConfigError: the rig's method keeps no paths to smooth.
+    """
+    method = rig.config.fusion.method
+    if method != "filter":
+        raise ConfigError(
+            f'{rig.path / "rig.toml"}: --smooth looks back at the paths of [fusion] method = "filter", '
+            f'it is "{method}"; set it to "filter" or leave --smooth out'
+        )
+    fusion, ik = core("fusion")(rig, record=True), core("ik")(rig)
+    for frame in frames:
+        yield f"rhot/markers/{frame.camera}", frame
+        for _, points in fusion.feed(frame):
+            for _, hand in ik.feed(points):
+                fusion.feed(hand)
+    ik = core("ik")(rig)
+    for points in fusion.smoothed():
+        yield "rhot/points", points
+        yield from ik.feed(points)
+
+
+def rig_timing(rig: Rig) -> dict[str, TrackTiming]:
+    """Return read-out and exposure of each camera as `rig.toml` states them, for recordings that do not."""
+    return {
+        name: TrackTiming(exposure_s=camera.exposure_s, readout_s=camera.readout_s)
+        for name, camera in rig.config.cameras.items()
+    }
+
+
+def marker_frames(rig: Rig, recording: Recording) -> Iterator[MarkerFrame]:
+    """Return the marker frames of a recording: read from its tracks, or found in its pictures."""
+    if recording.holds_markers:
+        return iter(marker_track_frames(rig, recording))
+    frames: Iterator[MarkerFrame] = core("capture")(rig, recording)
+    return frames

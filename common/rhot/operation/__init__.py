@@ -1,0 +1,1 @@
+"""Operating a running rig from outside: start and stop, who is alive, its processes."""

@@ -1,0 +1,83 @@
+"""Starting and stopping a running rig: the broadcast that all services follow."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from typing import Literal
+
+from rhot.bus import Bus
+from rhot.clock import Exchange, SystemClock
+from rhot.errors import BusError, WireError
+from rhot.messages import Control, decode
+from rhot.service.clock_sync import exchange_once
+from rhot.service.control_link import CONTROL_KEY
+
+_CLOCK_TRIES = 5
+
+
+async def rig_now_ns(bus: Bus, wait_s: float) -> int:
+    """Return rig time by asking its owner, the quickest of a few exchanges.
+
+    Raises:
+        BusError: nobody answers within `wait_s`.
+    """
+    clock = SystemClock()
+    deadline = time.monotonic() + wait_s
+    exchanges: list[Exchange] = []
+    while len(exchanges) < _CLOCK_TRIES:
+        answered = await exchange_once(bus, clock, timeout_s=0.5)
+        if answered is not None:
+            exchanges.append(answered[0])
+        elif time.monotonic() >= deadline:
+            raise BusError(
+                "no service answers rhot/clock, so there is no rig time to start at; start fusion first "
+                "(`rhot up`, `rhot fusion`, or systemctl start rhot.target), or wait for it with --wait SECONDS"
+            )
+        else:
+            await asyncio.sleep(0.1)
+    best = min(exchanges, key=lambda exchange: exchange.round_trip_ns)
+    return clock.now_ns() + best.offset_ns
+
+
+async def broadcast(bus: Bus, action: Literal["start", "stop"], session: str, delay_s: float, wait_s: float) -> Control:
+    """Publish a control message and return it as sent.
+
+    Raises:
+        BusError: a start, and nobody owns the rig clock; a stop needs no clock.
+    """
+    try:
+        now_ns = await rig_now_ns(bus, wait_s)
+    except BusError:
+        if action == "start":
+            raise
+        now_ns = time.time_ns()
+    newest = await newest_control(bus)
+    control = Control(
+        t_ns=now_ns,
+        action=action,
+        session=session,
+        start_t_ns=now_ns + round(delay_s * 1e9) if action == "start" else 0,
+        revision=0 if newest is None else newest.revision + 1,
+    )
+    publisher = bus.publisher(CONTROL_KEY, Control, reliable=True)
+    await publisher.wait_for_reader(2.0)
+    # Reliable: it waits where the network is full, so not on the event loop.
+    return await asyncio.to_thread(publisher.put, control)
+
+
+async def newest_control(bus: Bus) -> Control | None:
+    """Return the newest control message that any service knows; None when the rig was never started."""
+    newest: Control | None = None
+    for reply in await bus.get(CONTROL_KEY, timeout_s=1.0):
+        with contextlib.suppress(WireError):
+            control = decode(reply.payload, Control)
+            if newest is None or (control.revision, control.t_ns) > (newest.revision, newest.t_ns):
+                newest = control
+    return newest
+
+
+def new_session() -> str:
+    """Return a name for a session that begins now."""
+    return time.strftime("%Y%m%d-%H%M%S")

@@ -1,0 +1,1 @@
+"""Messages of a running rig in MCAP files."""

@@ -1,0 +1,82 @@
+"""What belongs to a recording of messages: the pictures beside it, the rig folder inside it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from rhot.errors import ConfigError
+from rhot.recording.folder import load_recording
+from rhot.recording.mcap.writer import RIG_PREFIX
+from rhot.recording.model import PictureTrack, Recording
+
+_PART: Final = re.compile(r"-\d{3}$")
+_RIG_NAME: Final = re.compile(r"[A-Za-z0-9_.-]+")
+
+
+@dataclass(frozen=True, slots=True)
+class StoredPicture:
+    """One picture of a recording folder.
+
+    Attributes:
+        camera: its camera.
+        frame: its number.
+        t_ns: mid-exposure of the middle row: the time of the markers found in it.
+        file: where it is.
+    """
+
+    camera: str
+    frame: int
+    t_ns: int
+    file: Path
+
+
+def pictures_beside(file: Path) -> Recording | None:
+    """Return the pictures that `rhot record --frames` wrote beside an MCAP file; none where there is no such folder.
+
+    Raises:
+        ConfigError: the folder is there and is no recording.
+    """
+    stem = file.with_suffix("")
+    for folder in (stem, stem.with_name(_PART.sub("", stem.name))):
+        if folder != file and folder.is_dir():
+            return load_recording(folder)
+    return None
+
+
+def stored_pictures(recording: Recording) -> Iterator[StoredPicture]:
+    """Yield the pictures with times of a recording, camera by camera."""
+    for name, track in recording.cameras.items():
+        if isinstance(track, PictureTrack) and track.has_times:
+            mid_ns = round(5e8 * (track.timing.exposure_s + track.timing.readout_s))
+            for picture, frame, t_ns in zip(track.files, track.frames.tolist(), track.t_ns.tolist(), strict=True):
+                yield StoredPicture(name, frame, t_ns + mid_ns, picture)
+
+
+def unpack_rig(attachments: Mapping[str, bytes], folder: Path, recording: Path) -> Path:
+    """Write the rig folder that a recording has attached and return its path.
+
+    Args:
+        attachments: of the recording.
+        folder: to write it into.
+        recording: for messages.
+
+    Raises:
+        ConfigError: nothing is attached, or it cannot be written.
+    """
+    found = {name.removeprefix(RIG_PREFIX): data for name, data in attachments.items() if name.startswith(RIG_PREFIX)}
+    if not found:
+        raise ConfigError(f"{recording}: no rig folder is attached; name the rig with --rig")
+    path = folder / "rig"
+    try:
+        path.mkdir()
+        for name, data in found.items():
+            # A recording may come from anybody: nothing is written outside the folder.
+            if _RIG_NAME.fullmatch(name) and name.strip("."):
+                (path / name).write_bytes(data)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from error
+    return path

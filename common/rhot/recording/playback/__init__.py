@@ -1,0 +1,1 @@
+"""Recorded messages put back on the bus."""

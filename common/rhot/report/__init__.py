@@ -1,0 +1,1 @@
+"""What reports are made of: HTML pages and SVG plots in one file."""

@@ -1,0 +1,138 @@
+"""Which blobs may be a marker, and how much each is like it."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, Literal, NamedTuple
+
+import cv2
+import numpy as np
+
+from rhot_capture.detection.blob import Blob
+from rhot_capture.detection.color_table import ImageArray
+from rhot_capture.detection.cutouts import Cutouts
+from rhot_capture.detection.score import Evidence
+from rhot_capture.detection.track import MarkerTrack
+
+MIN_PLAUSIBILITY: Final = 0.1
+"""A blob that is less like a marker than this is not reported."""
+MIN_SOLIDITY: Final = 0.5
+MIN_FILL: Final = 0.5
+"""Share of a blob that must have the marker's own colour; holes may be shine."""
+_TYPICAL_LIKELIHOOD: Final = 0.35
+"""Mean of exp(−d²/2) over samples of a three-dimensional normal distribution: 2^(−3/2)."""
+_TYPICAL_SOLIDITY: Final = 0.85
+_MAX_ADJACENCY: Final = 0.4
+_CLING_RATIO: Final = 1.5
+_SLIVER_SCORE: Final = 0.5
+_BOX_3: Final = np.ones((3, 3), np.uint8)
+_BOX_5: Final = np.ones((5, 5), np.uint8)
+
+
+Reason = Literal["too small", "too large", "ragged", "hollow", "thin", "rim", "unlike", "cut"]
+"""Why a blob is no candidate: outside of the marker's areas; not solid; too little of the marker's own colour; no core;
+hanging on a larger blob of another marker; not like the marker at all; not wholly in the region that was searched."""
+
+
+class Candidate(NamedTuple):
+    """A blob that may be a marker.
+
+    Attributes:
+        blob: where it is.
+        plausibility: 0 to 1, how much it is like the marker; decides which blob is chosen and whether one is.
+        evidence: for its score, but for what tracks and other blobs add.
+        fill: share of it that has the marker's own colour.
+    """
+
+    blob: Blob
+    plausibility: float
+    evidence: Evidence
+    fill: float
+
+
+class Refusal(NamedTuple):
+    """A blob that is no candidate.
+
+    Attributes:
+        blob: where it is.
+        reason: the first that applied; what comes after it was not looked at.
+        fill: share of it that has the marker's own colour; NaN where that was not looked at.
+    """
+
+    blob: Blob
+    reason: Reason
+    fill: float = math.nan
+
+
+def judge(
+    cutouts: Cutouts, blob: Blob, label: int, least_px: float, track: MarkerTrack, alone: bool
+) -> Candidate | Refusal:
+    """Return a blob as candidate for a marker, or why it is none.
+
+    Args:
+        cutouts: where it was found.
+        blob: it.
+        label: of the marker.
+        least_px: smallest area of the marker, square pixels.
+        track: of the marker.
+        alone: whether it is the only one; its plausibility may then be stated too low, as long as it is enough.
+    """
+    window = blob.cut
+    own, own_pixels = blob.seen, int(blob.area)
+    if blob.has_holes:
+        own = cutouts.own[window] & blob.seen
+        own_pixels = cv2.countNonZero(own)
+    fill = own_pixels / max(blob.area, 1.0)
+    if fill < MIN_FILL:
+        return Refusal(blob, "hollow", fill)
+    # A thin line or a ring is the mixed rim of another marker, not paint of its own; unless the marker was just
+    # here and is being covered.
+    thin = not _has_core(blob, own, own_pixels)
+    if thin and not track.continues(*blob.middle):
+        return Refusal(blob, "thin", fill)
+    # In most frames the first of these decides.
+    larger = _CLING_RATIO * blob.area
+    surrounded = cutouts.foreign_pixels > larger and cutouts.foreign_in(window) > larger
+    if surrounded and clings(blob, cutouts.labels[window], label):
+        return Refusal(blob, "rim", fill)
+    colour = min(1.0, cv2.mean(cutouts.likelihoods[window], own)[0] / (255.0 * _TYPICAL_LIKELIHOOD))
+    size = blob.area / (blob.area + least_px)
+    # A sliver is all rim: none of its pixels is pure paint.
+    pure = colour * (_SLIVER_SCORE if thin else 1.0)
+    likeness = pure * size * (1.0 - blob.border_share)
+    # The box holds the convex hull; the hull itself takes long to find.
+    solidity = blob.box_fill
+    plausibility = likeness * min(1.0, solidity / _TYPICAL_SOLIDITY)
+    if not alone or solidity < MIN_SOLIDITY or plausibility < MIN_PLAUSIBILITY:
+        solidity = blob.solidity
+        plausibility = likeness * min(1.0, solidity / _TYPICAL_SOLIDITY)
+    if solidity < MIN_SOLIDITY:
+        return Refusal(blob, "ragged", fill)
+    if plausibility <= 0.0:
+        return Refusal(blob, "unlike", fill)
+    return Candidate(blob, plausibility, Evidence(math.log(pure), -blob.border_share, 0.0), fill)
+
+
+def _has_core(blob: Blob, own: ImageArray, own_pixels: int) -> bool:
+    """Tell whether some pixel of a blob has all its eight neighbours in it; `own` is 1 or more in its `own_pixels`."""
+    # Without holes, more than two pixels to each point of the outline leave no doubt.
+    if own_pixels == blob.area and own_pixels > 2 * sum(map(len, blob.contours)):
+        return True
+    return cv2.countNonZero(cv2.erode(own, _BOX_3, borderType=cv2.BORDER_CONSTANT, borderValue=0)) > 0
+
+
+def clings(blob: Blob, labels: ImageArray, label: int) -> bool:
+    """Tell whether a blob hangs on a larger blob of another marker, as the stained rim of that marker does.
+
+    Args:
+        blob: it.
+        labels: (h, w) uint8, label of every pixel in its window, as far as it is seen.
+        label: of its marker.
+    """
+    ring = labels[(cv2.dilate(blob.seen, _BOX_5) > 0) & (blob.seen == 0)]
+    counts = np.bincount(ring, minlength=label + 1)
+    counts[0] = counts[label] = 0
+    other = int(np.argmax(counts))
+    if counts[other] <= _MAX_ADJACENCY * len(ring):
+        return False
+    return bool(np.count_nonzero(labels == other) > _CLING_RATIO * blob.area)

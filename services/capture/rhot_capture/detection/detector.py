@@ -1,0 +1,283 @@
+"""All markers of a frame in one pass.
+
+While every marker is where it was expected, only these windows are searched. As soon as one is not there, and every
+`_SURVEY_FRAMES` frames anyway, the whole frame is searched, so a lost marker is found again wherever it turns up; where
+a marker was before only decides between several blobs of its colour. Either way all windows are classified together
+and measured alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.errors import ConfigError
+from rhot.rig.config import MarkerConfig
+from rhot_capture.detection.blob import Blob, Outsized, blobs_of
+from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Reason, Refusal, judge
+from rhot_capture.detection.color_table import ColorTable, ImageArray
+from rhot_capture.detection.corners import find_corners
+from rhot_capture.detection.cutouts import Cutouts, Region
+from rhot_capture.detection.score import probability
+from rhot_capture.detection.search import find_regions
+from rhot_capture.detection.subpixel.centers import find_centres
+from rhot_capture.detection.subpixel.windows import Window
+from rhot_capture.detection.track import MarkerTrack
+
+FloatArray = NDArray[np.float64]
+
+_SURVEY_FRAMES: Final = 30
+
+
+class Detection(NamedTuple):
+    """One marker in one frame; a tuple, as those of each frame are made in a quarter of the time of dataclasses.
+
+    Attributes:
+        u, v: sub-pixel centre of the visible painted area, pixels, pixel centres on integers.
+        area: visible painted area, square pixels.
+        score: the probability that this is the marker and its centre within a pixel of the truth; see
+            `rhot_capture.detection.score`.
+        corners: (4, 2) of a patch, pixels, clockwise as seen; None when they could not be found.
+        blob: the painted area.
+    """
+
+    u: float
+    v: float
+    area: float
+    score: float
+    corners: FloatArray | None
+    blob: Blob
+
+    @property
+    def outline(self) -> FloatArray:
+        """(n, 2) pixels on the rim of the painted area."""
+        return self.blob.rim
+
+
+class Decisions(NamedTuple):
+    """What was decided about the blobs of one frame.
+
+    Attributes:
+        looks: label and region of every part of the frame that was looked at.
+        judged: name of the marker and candidate or refusal of every blob of a marker's colour in these.
+        chosen: the candidates that were taken, with the evidence of all blobs.
+    """
+
+    looks: Sequence[tuple[int, Region]]
+    judged: Sequence[tuple[str, Candidate | Refusal]]
+    chosen: Mapping[str, Candidate]
+
+
+class MarkerDetector:
+    """Finds all markers of one camera, frame after frame."""
+
+    def __init__(self, markers: Mapping[str, MarkerConfig], table: ColorTable, width: int, height: int) -> None:
+        """Prepare for frames of one size.
+
+        Args:
+            markers: by name.
+            table: built for these markers, in this order.
+            width: of the frames, pixels.
+            height: of the frames, pixels.
+
+        Raises:
+            ConfigError: the table was built for other markers.
+        """
+        self._markers = dict(markers)
+        self._names = tuple(markers)
+        self._gates = [(marker.min_area_px, marker.max_area_px) for marker in markers.values()]
+        self._size = (height, width)
+        self._tracks = {name: MarkerTrack() for name in markers}
+        # Corners of patches in the last frame, from their centres.
+        self._shapes: dict[str, list[tuple[float, float]]] = {}
+        self._image: ImageArray = np.zeros((height, width, 3), np.uint8)
+        self._since_survey = 0
+        self._looks: Sequence[tuple[int, Region]] = ()
+        self._judged: list[tuple[str, Candidate | Refusal]] = []
+        self._outsized: list[Outsized] = []
+        self._chosen: Mapping[str, Candidate] = {}
+        self.table = table
+
+    @property
+    def table(self) -> ColorTable:
+        """The colours in use; may be replaced between frames."""
+        return self._table
+
+    @table.setter
+    def table(self, table: ColorTable) -> None:
+        if table.names != tuple(self._markers):
+            raise ConfigError(
+                f"colour table is for {', '.join(table.names)}, the detector looks for {', '.join(self._markers)}"
+            )
+        self._table = table
+
+    @property
+    def decisions(self) -> Decisions:
+        """What was decided about the blobs of the last frame; put together only when asked for."""
+        judged = list(self._judged)
+        for each in self._outsized:
+            label, blob = each.cutout.label, each.blob
+            reason: Reason = "too small" if blob.area < self._gates[label - 1][0] else "too large"
+            judged.append((self._names[label - 1], Refusal(blob, reason)))
+        return Decisions(self._looks, judged, self._chosen)
+
+    def expected(self, name: str) -> tuple[float, float] | None:
+        """Return where a marker is expected in the next frame, u and v in pixels; None when it was not in the last."""
+        return self._tracks[name].expected
+
+    def reset(self) -> None:
+        """Forget where the markers were."""
+        self._shapes.clear()
+        self._tracks = {name: MarkerTrack() for name in self._markers}
+
+    def detect(self, image: ImageArray) -> dict[str, Detection]:
+        """Return the markers seen in a frame; one that is not seen is absent.
+
+        Args:
+            image: (H, W, 3) uint8 BGR.
+
+        Raises:
+            ConfigError: the frame is not of the detector's size.
+        """
+        self._require_size(image)
+        self._image = image
+        chosen = self._follow()
+        if chosen is None:
+            chosen = self._survey()
+        for name in self._markers:
+            if name not in chosen:
+                self._tracks[name].miss()
+                self._shapes.pop(name, None)
+        return self._measure(image, chosen)
+
+    def decide_everywhere(self, image: ImageArray) -> Decisions:
+        """Return what would be decided about a frame if all of it was searched; changes no track.
+
+        Args:
+            image: (H, W, 3) uint8 BGR.
+
+        Raises:
+            ConfigError: the frame is not of the detector's size.
+        """
+        self._require_size(image)
+        self._image = image
+        self._survey()
+        return self.decisions
+
+    def _require_size(self, image: ImageArray) -> None:
+        if image.shape != (*self._size, 3) or image.dtype != np.uint8:
+            raise ConfigError(
+                f"frame is {image.shape} {image.dtype}, the detector was made for {(*self._size, 3)} uint8; "
+                "set width and height of the camera in rig.toml to what it delivers"
+            )
+
+    def _follow(self) -> dict[str, Candidate] | None:
+        """Look for each marker where it is expected; None when one of them is not wholly there."""
+        self._since_survey += 1
+        if self._since_survey >= _SURVEY_FRAMES:
+            return None
+        looks: list[tuple[int, Region]] = []
+        for label, track in enumerate(self._tracks.values(), start=1):
+            region = track.region(track.margin_px, *self._size)
+            if region is None:
+                return None
+            looks.append((label, region))
+        candidates = self._candidates(looks, every=True) if looks else {}
+        if candidates is None or len(candidates) < len(looks):
+            return None
+        chosen = self._best(candidates)
+        return chosen if len(chosen) == len(looks) else None
+
+    def _survey(self) -> dict[str, Candidate]:
+        """Look for every marker in the whole frame."""
+        self._since_survey = 0
+        looks = find_regions(self._image, self._table)
+        self._looks, self._judged, self._outsized = looks, [], []
+        return self._best(self._candidates(looks, every=False) or {}) if looks else self._best({})
+
+    def _candidates(self, looks: Sequence[tuple[int, Region]], every: bool) -> dict[str, list[Candidate]] | None:
+        """Return the candidates for each marker in some regions of the frame; markers without one are absent.
+
+        Args:
+            looks: label and region.
+            every: return None as soon as some blob is not wholly in its region.
+        """
+        cutouts = Cutouts(self._image, self._table, looks)
+        candidates: dict[str, list[Candidate]] = {}
+        self._looks, self._judged, self._outsized = looks, [], []
+        gates = [self._gates[label - 1] for label, _ in looks]
+        found = blobs_of(cutouts.own, cutouts.parts, gates, self._size, self._outsized)
+        count = [0] * (len(self._names) + 1)
+        for cutout, blobs in zip(cutouts.parts, found, strict=True):
+            count[cutout.label] += len(blobs)
+        for cutout, blobs in zip(cutouts.parts, found, strict=True):
+            name = self._names[cutout.label - 1]
+            track, alone = self._tracks[name], count[cutout.label] == 1
+            for blob in blobs:
+                if not blob.inside(cutout.region, self._size):
+                    if every:
+                        return None
+                    self._judged.append((name, Refusal(blob, "cut")))
+                    continue
+                verdict = judge(cutouts, blob, cutout.label, self._gates[cutout.label - 1][0], track, alone)
+                self._judged.append((name, verdict))
+                if isinstance(verdict, Candidate):
+                    candidates.setdefault(name, []).append(verdict)
+        return candidates
+
+    def _best(self, candidates: Mapping[str, list[Candidate]]) -> dict[str, Candidate]:
+        """Return for each marker the candidate that is most surely it; none where none is surely enough."""
+        chosen: dict[str, Candidate] = {}
+        for name in self._names:
+            each = candidates.get(name)
+            if each is None:
+                continue
+            best = each[0]
+            if len(each) > 1:
+                track = self._tracks[name]
+                # How much it is like the marker, times how well it continues the track, times area.
+                weights = [
+                    one.plausibility * track.preference(*one.blob.middle, one.blob.area) * one.blob.area for one in each
+                ]
+                first, second = sorted(range(len(each)), key=weights.__getitem__, reverse=True)[:2]
+                share = weights[first] / (weights[first] + weights[second])
+                best = each[first]
+                best = best._replace(
+                    plausibility=best.plausibility * share, evidence=best.evidence._replace(alone=math.log(share))
+                )
+            if best.plausibility >= MIN_PLAUSIBILITY:
+                chosen[name] = best
+        self._chosen = chosen
+        return chosen
+
+    def _measure(self, image: ImageArray, chosen: Mapping[str, Candidate]) -> dict[str, Detection]:
+        """Measure the chosen blobs of a frame."""
+        windows = []
+        for name, one in chosen.items():
+            # At the picture's border a rim is missing, and what the gain does on the other side would not cancel.
+            blob, is_cap = one.blob, self._markers[name].kind == "cap"
+            whole = blob.border_share == 0.0
+            windows.append(Window(image[blob.window], blob.mask, is_cap and whole, not is_cap and whole))
+        found = {}
+        for (name, one), centre in zip(chosen.items(), find_centres(windows), strict=True):
+            blob = one.blob
+            corners = None
+            u, v = blob.x0 + centre.u, blob.y0 + centre.v
+            if centre.shares is not None:
+                shift = blob.shift[0] - blob.x0, blob.shift[1] - blob.y0
+                shape = self._shapes.get(name)
+                expected = None if shape is None else [(centre.u + x, centre.v + y) for x, y in shape]
+                corners = find_corners(centre.shares, blob.points, shift, centre.area, expected)
+                if corners is None:
+                    self._shapes.pop(name, None)
+                else:
+                    self._shapes[name] = (corners - (centre.u, centre.v)).tolist()
+                    corners += (blob.x0, blob.y0)
+                    corners.setflags(write=False)
+            found[name] = Detection(u, v, centre.area, probability(one.evidence), corners, blob)
+            self._tracks[name].update(u, v, centre.area, (0.5 * blob.box[2], 0.5 * blob.box[3]))
+        return found

@@ -1,0 +1,1 @@
+"""Sub-pixel centres from how much of each pixel is paint."""

@@ -1,0 +1,1 @@
+"""Feet in the depth image."""

@@ -1,0 +1,1 @@
+"""One foot out of everything that is known of it."""

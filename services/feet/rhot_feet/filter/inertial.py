@@ -1,0 +1,237 @@
+"""The foot by its inertial sensor, corrected by pictures and zero velocity: `FootModel` over `strapdown`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.geometry.covariances import squared_distance
+from rhot.geometry.rotations import cross_matrix, rotation_between, rotation_z
+from rhot_feet.filter.model import FootMotion, Observation
+from rhot_feet.filter.strapdown import (
+    ACCELEROMETER,
+    ATTITUDE,
+    GYROSCOPE,
+    LEVER,
+    MOUNTING,
+    POSITION,
+    SIZE,
+    VELOCITY,
+    InertialState,
+    Strapdown,
+    correct,
+)
+from rhot_feet.filter.zero_velocity_update import ZUPT
+from rhot_feet.imu.alignment.equations import Alignment
+from rhot_feet.imu.track import InertialStep
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class InertialSettings:
+    """What the inertial model starts from, standard deviations per axis; chosen on `rhot evaluate feet`.
+
+    Attributes:
+        tilt_rad: of a sensor's own idea of up.
+        rate_bias_rad_s: of the gyroscope; a BNO080 has removed its bias, a raw sensor has been still at some time.
+        position_m, lever_m, bias_m_s2: added to what the alignment states.
+        mounting_rad, unknown_mounting_rad: of the mounting, when the marker showed it and when not.
+        speed_at_rest_m_s, speed_in_motion_m_s: of the velocity.
+        restart_position_m, restart_speed_m_s, restart_tilt_rad: after a restart.
+        kept_mounting_rad: a mounting known better than this, over all axes, serves a sensor that comes back.
+        zero_rate_rad_s: noise of the rate as a measure of its bias at rest, for one sample of 5 ms.
+        most_bias_rad_s: a sensor that measures more than this beyond its bias does rotate, however evenly.
+    """
+
+    tilt_rad: float = math.radians(1.5)
+    rate_bias_rad_s: float = math.radians(0.3)
+    position_m: float = 0.01
+    lever_m: float = 0.01
+    bias_m_s2: float = 0.03
+    mounting_rad: float = math.radians(3.0)
+    unknown_mounting_rad: float = math.radians(90.0)
+    speed_at_rest_m_s: float = 0.02
+    speed_in_motion_m_s: float = 1.5
+    restart_position_m: float = 0.02
+    restart_speed_m_s: float = 1.0
+    restart_tilt_rad: float = math.radians(3.0)
+    kept_mounting_rad: float = math.radians(20.0)
+    zero_rate_rad_s: float = math.radians(3.0)
+    most_bias_rad_s: float = math.radians(1.0)
+
+
+_UNIT: Final = np.eye(3)
+
+
+class InertialModel:
+    """The error-state filter of a foot whose sensor is aligned."""
+
+    def __init__(self, strapdown: Strapdown, C: FloatArray, settings: InertialSettings | None = None) -> None:
+        """Set the frame.
+
+        Args:
+            strapdown: of the sensor.
+            C: (3, 3) from level axes (z up) to the rig frame.
+            settings: initial uncertainty.
+        """
+        self._settings = settings or InertialSettings()
+        self._strapdown = strapdown
+        self._C = C
+
+    def start(
+        self,
+        alignment: Alignment,
+        R_world_sensor: FloatArray,
+        motion: FootMotion,
+        angular_rate: FloatArray,
+        *,
+        stands: bool,
+    ) -> InertialState:
+        """Return the first state.
+
+        Args:
+            alignment: of the sensor.
+            R_world_sensor: (3, 3) its orientation at the moment, by itself.
+            motion: the foot at the moment.
+            angular_rate: (3,) rad/s at the moment, sensor frame.
+            stands: the sensor shows zero velocity.
+        """
+        R = self._C @ rotation_z(alignment.yaw_rad) @ R_world_sensor
+        arm = R @ alignment.lever
+        up = self._C[:, 2]
+        settings = self._settings
+        speed = settings.speed_at_rest_m_s if stands else settings.speed_in_motion_m_s
+        mounting = settings.mounting_rad if alignment.mounting_known else settings.unknown_mounting_rad
+        # Errors that are independent of each other.
+        source = np.zeros((SIZE, SIZE))
+        source[POSITION, POSITION] = motion.covariance + settings.position_m**2 * _UNIT
+        source[VELOCITY, VELOCITY] = speed**2 * _UNIT
+        source[ATTITUDE, ATTITUDE] = settings.tilt_rad**2 * _UNIT + alignment.yaw_sigma_rad**2 * np.outer(up, up)
+        source[LEVER, LEVER] = alignment.covariance[:3, :3] + settings.lever_m**2 * _UNIT
+        source[ACCELEROMETER, ACCELEROMETER] = alignment.covariance[3:, 3:] + settings.bias_m_s2**2 * _UNIT
+        source[GYROSCOPE, GYROSCOPE] = settings.rate_bias_rad_s**2 * _UNIT
+        source[MOUNTING, MOUNTING] = mounting**2 * _UNIT
+        # What follows from them: lever and bias from the yaw; the sensor's position from the lever, for the foot's is
+        # known; and the mounting from the attitude, for the foot's orientation is known.
+        follows = np.eye(SIZE)
+        follows[LEVER, ATTITUDE] = np.outer(alignment.d_yaw[:3], up)
+        follows[ACCELEROMETER, ATTITUDE] = np.outer(alignment.d_yaw[3:], up)
+        follows[POSITION, LEVER] = -R
+        follows[POSITION, ATTITUDE] = cross_matrix(arm) - R @ follows[LEVER, ATTITUDE]
+        if alignment.mounting_known:
+            follows[MOUNTING, ATTITUDE] = -R.T
+        return InertialState(
+            motion.position - arm,
+            np.zeros(3) if stands else motion.velocity - R @ np.cross(angular_rate, alignment.lever),
+            R,
+            alignment.bias.copy(),
+            np.zeros(3),
+            alignment.lever.copy(),
+            alignment.M if alignment.mounting_known else R.T @ motion.rotation,
+            follows @ source @ follows.T,
+        )
+
+    def restart(self, state: InertialState, observation: Observation) -> InertialState:
+        """Return a state at an observed position that keeps what is known of the sensor."""
+        R = state.R
+        P = state.P.copy()
+        settings = self._settings
+        for part, sigma in ((POSITION, settings.restart_position_m), (VELOCITY, settings.restart_speed_m_s)):
+            P[part, :], P[:, part] = 0.0, 0.0
+            P[part, part] = sigma**2 * _UNIT
+        P[ATTITUDE, ATTITUDE] += settings.restart_tilt_rad**2 * _UNIT
+        P[POSITION, POSITION] += observation.covariance
+        return InertialState(
+            observation.position - R @ state.lever,
+            np.zeros(3),
+            R,
+            state.acceleration_bias,
+            state.rate_bias,
+            state.lever,
+            state.M,
+            P,
+        )
+
+    def alignment(self, state: InertialState) -> Alignment:
+        """Return the lever and mounting of a sensor that goes away; its yaw may be another afterwards."""
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3], covariance[3:, 3:] = state.P[LEVER, LEVER], state.P[ACCELEROMETER, ACCELEROMETER]
+        mounting_known = float(np.trace(state.P[MOUNTING, MOUNTING])) < self._settings.kept_mounting_rad**2
+        lever, bias, M = state.lever.copy(), state.acceleration_bias.copy(), state.M.copy()
+        return Alignment(0.0, np.pi, lever, bias, covariance, np.zeros(6), M, mounting_known)
+
+    def predict(self, state: InertialState, duration_s: float, step: InertialStep | None) -> InertialState:
+        """Return the state after what the sensor measured; without a step it floats on evenly."""
+        if step is None:
+            still = state.R.T @ (-self._strapdown.gravity) + state.acceleration_bias
+            step = InertialStep(duration_s, still, still, duration_s * state.rate_bias, dropout=True)
+        return self._strapdown.predict(state, step)
+
+    def nis(self, state: InertialState, observation: Observation) -> tuple[float, float]:
+        """Return the squared normalised innovations of position and rotation."""
+        H, residual, noise = self._linearised(state, observation)
+        S = H @ state.P @ H.T + noise
+        position = squared_distance(residual[:3], S[:3, :3])
+        if observation.rotation is None:
+            return position, 0.0
+        return position, squared_distance(residual[3:], S[3:, 3:])
+
+    def update(self, state: InertialState, observation: Observation) -> InertialState:
+        """Return the state after an observation of its moment."""
+        return correct(state, *self._linearised(state, observation))
+
+    def zero_velocity_update(self, state: InertialState, speed_sigma: float, gate_nis: float | None) -> InertialState:
+        """Return the state after the sensor's velocity was measured to be zero; unchanged when its NIS is too high."""
+        noise = speed_sigma**2 * _UNIT
+        if gate_nis is not None and squared_distance(state.velocity, state.P[VELOCITY, VELOCITY] + noise) > gate_nis:
+            return state
+        return correct(state, _H_VELOCITY, -state.velocity, noise)
+
+    def zero_rate_update(self, state: InertialState, angular_rate: FloatArray, duration_s: float) -> InertialState:
+        """Return the state after the sensor was measured not to rotate: its rate is its bias."""
+        residual = angular_rate - state.rate_bias
+        if residual @ residual > self._settings.most_bias_rad_s**2:
+            return state
+        noise = (self._settings.zero_rate_rad_s**2 * ZUPT.sample_s / duration_s) * _UNIT
+        return correct(state, _H_RATE_BIAS, residual, noise)
+
+    def motion(self, state: InertialState, angular_rate: FloatArray) -> FootMotion:
+        """Return where the foot is."""
+        arm = state.R @ state.lever
+        H = np.zeros((3, SIZE))
+        H[:, POSITION], H[:, ATTITUDE], H[:, LEVER] = _UNIT, -cross_matrix(arm), state.R
+        rate = state.R @ (angular_rate - state.rate_bias)
+        G = np.zeros((3, SIZE))
+        G[:, ATTITUDE], G[:, MOUNTING] = _UNIT, state.R
+        return FootMotion(
+            state.position + arm,
+            state.velocity + cross_matrix(rate) @ arm,
+            state.foot_rotation,
+            H @ state.P @ H.T,
+            G @ state.P @ G.T,
+        )
+
+    @staticmethod
+    def _linearised(state: InertialState, observation: Observation) -> tuple[FloatArray, FloatArray, FloatArray]:
+        rows = 3 if observation.rotation is None else 6
+        H, residual, noise = np.zeros((rows, SIZE)), np.empty(rows), np.zeros((rows, rows))
+        arm = state.R @ state.lever
+        H[:3, POSITION], H[:3, ATTITUDE], H[:3, LEVER] = _UNIT, -cross_matrix(arm), state.R
+        residual[:3] = observation.position - state.position - arm
+        noise[:3, :3] = observation.covariance
+        if observation.rotation is not None:
+            H[3:, ATTITUDE], H[3:, MOUNTING] = _UNIT, state.R
+            residual[3:] = rotation_between(state.foot_rotation, observation.rotation)
+            noise[3:, 3:] = observation.rotation_covariance
+        return H, residual, noise
+
+
+_H_VELOCITY: Final = np.zeros((3, SIZE))
+_H_VELOCITY[:, VELOCITY] = _UNIT
+_H_RATE_BIAS: Final = np.zeros((3, SIZE))
+_H_RATE_BIAS[:, GYROSCOPE] = _UNIT

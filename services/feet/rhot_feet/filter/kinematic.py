@@ -1,0 +1,273 @@
+"""The foot without an inertial sensor, or before it is aligned: `FootModel` of a body that accelerates at random.
+
+Position, velocity and acceleration, the last fading exponentially (Singer 1970, "Estimating optimal tracking filter
+performance for manned maneuvering targets", IEEE Transactions on Aerospace and Electronic Systems 6 (4)). Its strength
+follows the NIS of the observations, so that a standing foot is smoothed and a swinging one is followed; a sensor on the
+foot, aligned or not, shows at once when it is accelerated. Orientation goes on at a random rate that fades likewise.
+Unseen for longer than `seen_s` the foot comes to rest instead of flying off.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.geometry.covariances import squared_distance
+from rhot.geometry.rotations import orthonormal, rotation_between, rotation_from_vector
+from rhot_feet.filter.model import FootMotion, Observation
+from rhot_feet.imu.samples import GRAVITY_M_S2
+from rhot_feet.imu.track import InertialStep
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class KinematicSettings:
+    """How feet move; values without another source were chosen on `rhot evaluate feet`.
+
+    Attributes:
+        correlation_s: time constant of acceleration and angular rate.
+        seen_s: after so long without an observation the foot comes to rest.
+        stop_s: time constant of the velocity from then on.
+        min_acceleration_m_s2, max_acceleration_m_s2: bounds of the standard deviation of the acceleration.
+        lever_m_s: acceleration that goes with a rate of rotation, m/s² per rad/s: a heel is lifted slowly before the
+            foot swings.
+        adaptation: how fast the standard deviation of the acceleration follows the NIS of the observations.
+        calm_nis: mean squared normalised innovation per axis below which it falls; above 1, so that noise alone calms.
+        most_nis: more than this per axis raises it no faster.
+        rate_rad_s: standard deviation of the rate of rotation.
+        rate_at_rest_rad_s, acceleration_at_rest_m_s2: what is left of rate and acceleration at zero velocity.
+        most_rotation_rad: a foot whose orientation was seen does not rotate by more unseen, per axis, one sigma.
+        start_speed_m_s, start_acceleration_m_s2, start_rate_rad_s: standard deviations at the start.
+        start_rotation_rad, unknown_rotation_rad: of the orientation at the start, seen and not seen.
+        start_liveliness_m_s2: standard deviation of the acceleration that a track starts with.
+        gate_floor_m: model error that the gate leaves room for.
+        set_off_m_s2: acceleration with which a standing foot sets off, one sigma; only the gate allows for it.
+        unseen_speed_m_s: how fast a foot that is not seen moves, one sigma.
+    """
+
+    correlation_s: float = 0.12
+    seen_s: float = 0.1
+    stop_s: float = 0.06
+    min_acceleration_m_s2: float = 0.5
+    max_acceleration_m_s2: float = 25.0
+    lever_m_s: float = 3.0
+    adaptation: float = 0.25
+    calm_nis: float = 1.25
+    most_nis: float = 5.0
+    rate_rad_s: float = 6.0
+    rate_at_rest_rad_s: float = 0.01
+    acceleration_at_rest_m_s2: float = 0.5
+    most_rotation_rad: float = math.radians(45.0)
+    start_speed_m_s: float = 1.0
+    start_acceleration_m_s2: float = 2.0
+    start_rate_rad_s: float = 1.0
+    start_rotation_rad: float = math.radians(5.0)
+    unknown_rotation_rad: float = math.radians(90.0)
+    start_liveliness_m_s2: float = 5.0
+    gate_floor_m: float = 0.01
+    set_off_m_s2: float = 20.0
+    unseen_speed_m_s: float = 1.5
+
+    def unseen_error_m(self, unseen_s: float) -> float:
+        """Return how far a foot may have left its course since it was seen: one that stood may set off at any time."""
+        bend_s = min(unseen_s, self.seen_s)
+        return self.gate_floor_m + 0.5 * self.set_off_m_s2 * bend_s**2 + self.unseen_speed_m_s * (unseen_s - bend_s)
+
+
+KINEMATIC: Final = KinematicSettings()
+_UNIT: Final = np.eye(3)
+_H_POSITION: Final = np.concatenate([_UNIT, np.zeros((3, 6))], axis=1)
+_H_REST: Final = np.concatenate([np.zeros((6, 3)), np.eye(6)], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class KinematicState:
+    """A foot at one moment.
+
+    Attributes:
+        motion: (9,) position, velocity and acceleration, metres and seconds, rig frame.
+        P: (9, 9) their covariance.
+        R: R_rig_foot (3, 3).
+        rate: (3,) rad/s, rig frame.
+        rotation_covariance: (2, 2) covariance of orientation and rate, the same for each axis.
+        acceleration_sigma: standard deviation of the acceleration, m/s².
+        unseen_s: since the last observation or stand-still.
+    """
+
+    motion: FloatArray
+    P: FloatArray
+    R: FloatArray
+    rate: FloatArray
+    rotation_covariance: FloatArray
+    acceleration_sigma: float
+    unseen_s: float
+
+
+class KinematicModel:
+    """The filter of a foot that only pictures show."""
+
+    def start(self, position: FloatArray, covariance: FloatArray, rotation: FloatArray | None) -> KinematicState:
+        """Return a state of which only the position, and perhaps the orientation, is known."""
+        P = np.zeros((9, 9))
+        P[:3, :3], P[3:6, 3:6] = covariance, KINEMATIC.start_speed_m_s**2 * _UNIT
+        P[6:, 6:] = KINEMATIC.start_acceleration_m_s2**2 * _UNIT
+        start_rad = KINEMATIC.unknown_rotation_rad if rotation is None else KINEMATIC.start_rotation_rad
+        rotation_covariance = np.diag([start_rad**2, KINEMATIC.start_rate_rad_s**2])
+        R = _UNIT if rotation is None else rotation
+        return KinematicState(
+            np.r_[position, np.zeros(6)], P, R, np.zeros(3), rotation_covariance, KINEMATIC.start_liveliness_m_s2, 0.0
+        )
+
+    def follow(self, motion: FootMotion) -> KinematicState:
+        """Return the state that continues a motion."""
+        state = self.start(motion.position, motion.covariance, motion.rotation)
+        state.motion[3:6] = motion.velocity
+        return state
+
+    def predict(self, state: KinematicState, duration_s: float, step: InertialStep | None) -> KinematicState:
+        """Return the state `duration_s` later; a sensor only shows how strongly the foot is accelerated at least."""
+        if step is not None:
+            force = math.sqrt(float(step.force_after @ step.force_after))
+            rate = math.sqrt(float(step.rotation_rad @ step.rotation_rad)) / step.duration_s
+            acceleration_sigma = min(
+                max(abs(force - GRAVITY_M_S2), KINEMATIC.lever_m_s * rate), KINEMATIC.max_acceleration_m_s2
+            )
+            if acceleration_sigma > state.acceleration_sigma:
+                state = replace(state, acceleration_sigma=acceleration_sigma)
+        seen_s = KINEMATIC.seen_s - state.unseen_s
+        if 0.0 < seen_s < duration_s:
+            state, duration_s = self.predict(state, seen_s, step), duration_s - seen_s
+        h = duration_s
+        fades = math.exp(-h / KINEMATIC.correlation_s)
+        path = KINEMATIC.correlation_s * (1.0 - fades)
+        keeps, glides = 1.0, h
+        if state.unseen_s >= KINEMATIC.seen_s:
+            keeps = math.exp(-h / KINEMATIC.stop_s)
+            glides = KINEMATIC.stop_s * (1.0 - keeps)
+        F = np.array(
+            [
+                [1.0, glides, KINEMATIC.correlation_s * (h - path) if keeps == 1.0 else 0.0],
+                [0.0, keeps, path if keeps == 1.0 else 0.0],
+                [0.0, 0.0, fades],
+            ]
+        )
+        q = 2.0 * state.acceleration_sigma**2 / KINEMATIC.correlation_s
+        Q = q * np.array(
+            [
+                [h**5 / 20.0, h**4 / 8.0, h**3 / 6.0],
+                [h**4 / 8.0, h**3 / 3.0, h**2 / 2.0],
+                [h**3 / 6.0, h**2 / 2.0, h],
+            ]
+        )
+        G = _on_each_axis(F)
+        P = G @ state.P @ G.T + _on_each_axis(Q)
+        if state.unseen_s >= KINEMATIC.seen_s:
+            P[:3, :3] += KINEMATIC.unseen_speed_m_s**2 * (2.0 * state.unseen_s + h) * h * _UNIT
+        A = np.array([[1.0, path], [0.0, fades]])
+        w = 2.0 * KINEMATIC.rate_rad_s**2 / KINEMATIC.correlation_s
+        rotation_covariance = A @ state.rotation_covariance @ A.T + w * np.array(
+            [[h**3 / 3.0, h**2 / 2.0], [h**2 / 2.0, h]]
+        )
+        most = max(KINEMATIC.most_rotation_rad**2, float(state.rotation_covariance[0, 0]))
+        if rotation_covariance[0, 0] > most:
+            within = np.array([math.sqrt(most / rotation_covariance[0, 0]), 1.0])
+            rotation_covariance *= np.outer(within, within)
+        return KinematicState(
+            G @ state.motion,
+            P,
+            orthonormal(rotation_from_vector(path * state.rate) @ state.R),
+            fades * state.rate,
+            rotation_covariance,
+            state.acceleration_sigma,
+            max(state.unseen_s + h, KINEMATIC.seen_s) if h == seen_s else state.unseen_s + h,
+        )
+
+    def nis(self, state: KinematicState, observation: Observation) -> tuple[float, float]:
+        """Return the squared normalised innovations of position and rotation."""
+        residual = observation.position - state.motion[:3]
+        S = state.P[:3, :3] + observation.covariance + KINEMATIC.unseen_error_m(state.unseen_s) ** 2 * _UNIT
+        position = squared_distance(residual, S)
+        if observation.rotation is None:
+            return position, 0.0
+        residual = rotation_between(state.R, observation.rotation)
+        S = state.rotation_covariance[0, 0] * _UNIT + observation.rotation_covariance
+        return position, squared_distance(residual, S)
+
+    def update(self, state: KinematicState, observation: Observation) -> KinematicState:
+        """Return the state after an observation of its moment."""
+        residual = observation.position - state.motion[:3]
+        S = state.P[:3, :3] + observation.covariance
+        nis = squared_distance(residual, S) / 3.0
+        motion, P = _correct(state.motion, state.P, _H_POSITION, residual, observation.covariance)
+        R, rate, rotation_covariance = state.R, state.rate, state.rotation_covariance
+        if observation.rotation is not None:
+            # One gain for all axes: an orientation out of a picture is worst about the line of sight's normals, but
+            # without a sensor nothing better is known about any of them.
+            noise = float(np.trace(observation.rotation_covariance)) / 3.0
+            gain = rotation_covariance[:, 0] / (rotation_covariance[0, 0] + noise)
+            residual = rotation_between(R, observation.rotation)
+            R, rate = orthonormal(rotation_from_vector(gain[0] * residual) @ R), rate + gain[1] * residual
+            rotation_covariance = rotation_covariance - np.outer(gain, rotation_covariance[0])
+        acceleration_sigma = state.acceleration_sigma * math.exp(
+            KINEMATIC.adaptation * (min(nis, KINEMATIC.most_nis) - KINEMATIC.calm_nis)
+        )
+        return KinematicState(
+            motion,
+            P,
+            R,
+            rate,
+            rotation_covariance,
+            min(max(acceleration_sigma, KINEMATIC.min_acceleration_m_s2), KINEMATIC.max_acceleration_m_s2),
+            0.0,
+        )
+
+    def zero_velocity_update(self, state: KinematicState, speed_sigma: float, gate_nis: float | None) -> KinematicState:
+        """Return the state after the sensor's velocity was measured to be zero; unchanged when its NIS is too high."""
+        S = state.P[3:6, 3:6] + speed_sigma**2 * _UNIT
+        if gate_nis is not None and squared_distance(state.motion[3:6], S) > gate_nis:
+            return state
+        noise = np.diag(np.repeat([speed_sigma**2, KINEMATIC.acceleration_at_rest_m_s2**2], 3))
+        motion, P = _correct(state.motion, state.P, _H_REST, -state.motion[3:], noise)
+        rotation_covariance = np.diag([state.rotation_covariance[0, 0], KINEMATIC.rate_at_rest_rad_s**2])
+        return replace(
+            state,
+            motion=motion,
+            P=P,
+            rate=np.zeros(3),
+            rotation_covariance=rotation_covariance,
+            acceleration_sigma=KINEMATIC.min_acceleration_m_s2,
+            unseen_s=0.0,
+        )
+
+    def zero_rate_update(self, state: KinematicState, angular_rate: FloatArray, duration_s: float) -> KinematicState:
+        """Return the state as it is: there is no bias to learn."""
+        return state
+
+    def motion(self, state: KinematicState, angular_rate: FloatArray) -> FootMotion:
+        """Return where the foot is; what a sensor measures does not count."""
+        return FootMotion(
+            state.motion[:3].copy(),
+            state.motion[3:6].copy(),
+            state.R,
+            state.P[:3, :3].copy(),
+            state.rotation_covariance[0, 0] * _UNIT,
+        )
+
+
+def _on_each_axis(matrix: FloatArray) -> FloatArray:
+    """Return the Kronecker product (9, 9) of a matrix (3, 3) with the unit matrix; faster than `np.kron`."""
+    return (matrix[:, None, :, None] * _UNIT[None, :, None, :]).reshape(9, 9)
+
+
+def _correct(
+    x: FloatArray, P: FloatArray, H: FloatArray, residual: FloatArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    PHt = P @ H.T
+    K = np.linalg.solve(H @ PHt + noise, PHt.T).T
+    A = np.eye(len(x)) - K @ H
+    return x + K @ residual, A @ P @ A.T + K @ noise @ K.T

@@ -1,0 +1,1 @@
+"""Inertial navigation of a foot: strapdown, zero-velocity detection, alignment."""

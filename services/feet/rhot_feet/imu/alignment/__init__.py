@@ -1,0 +1,1 @@
+"""How an inertial sensor sits on its foot."""

@@ -1,0 +1,205 @@
+"""Estimates how an inertial sensor sits on its foot and where its north lies, while the marker is seen.
+
+A sensor knows up, not where the tracking space's axes lie: with z up in both, R_rig_sensor = C·Rz(ψ)·R_world_sensor,
+where C is known from the direction of up and the yaw ψ is not. Nor is the lever l from the sensor to the marker, nor
+the accelerometer's bias b. Over a stretch of half a second the marker's path x(t), in level axes, is
+
+    x(t) = x₀ + v₀·t + Rz(ψ)·(D(t) − B(t)·b + R_world_sensor(t)·l),   D = ∬(R_world_sensor·f + g),  B = ∬R_world_sensor.
+
+Rotated by Rz(−ψ) and with constant and linear parts removed (˜), this is linear in (cos ψ, sin ψ, l, b):
+
+    cos ψ·(x̃, ỹ, 0) + sin ψ·(ỹ, −x̃, 0) − W̃·l + B̃·b = D̃ − (0, 0, z̃),
+
+`equations` solves them. Stretches in which the foot hardly moves are left out, because of them the left side
+is noise.
+
+A foot that walks is blurred or out of sight while it swings, so there are few such stretches. Its steps from one
+stand-still to the next (`steps`) give the same equations with differences instead of ˜. And heels are lifted
+in front of the camera, which the marker's orientations show.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import itemgetter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot_feet.imu.alignment.equations import PRIOR, SETTINGS, UNKNOWNS, Alignment, AlignmentEquations
+from rhot_feet.imu.alignment.steps import Step, StepTracker
+from rhot_feet.imu.conversion import LONGEST_STEP_S, nearest_sample
+from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Sighting:
+    t_ns: int
+    position: FloatArray
+    sigma_m: float
+
+
+class AlignmentEstimator:
+    """Estimates the alignment of one sensor from its samples and the marker's positions."""
+
+    def __init__(self, C: FloatArray, sensor_m: FloatArray) -> None:
+        """Set the frame.
+
+        Args:
+            C: (3, 3) from level axes (z up) to the rig frame.
+            sensor_m: (3,) about where a sensor is worn, foot frame.
+        """
+        self._C = C
+        self._sensor_m = sensor_m
+        self._samples: deque[tuple[int, FloatArray, FloatArray]] = deque()
+        self._sightings: list[_Sighting] = []
+        self._steps = StepTracker()
+        self.reset()
+
+    def reset(self) -> None:
+        """Start anew: it is another sensor now, or it was restarted."""
+        self._samples.clear()
+        self._sightings.clear()
+        self._steps.reset()
+        self._equations = AlignmentEquations(self._sensor_m)
+        self._alignment: Alignment | None = None
+        self._unsolved = 0
+        self._stood_ns = 0
+
+    def solve(self, *, at_once: bool = False) -> Alignment | None:
+        """Return what is known; None until the yaw is.
+
+        Args:
+            at_once: the newest sightings have to be in it, though solving takes its time.
+        """
+        if self._unsolved >= (1 if at_once else SETTINGS.solve_every):
+            self._alignment, self._unsolved = self._equations.solve() or self._alignment, 0
+        return self._alignment
+
+    def add_imu_samples(
+        self, samples: ImuSamples, rotations: Sequence[FloatArray] | FloatArray, stands: Sequence[bool]
+    ) -> None:
+        """Add samples, their orientations R_world_sensor (3, 3), and whether each shows zero velocity.
+
+        A gap ends stretch and step.
+        """
+        for t_ns, force, R, still in zip(samples.t_ns.tolist(), samples.specific_force, rotations, stands, strict=True):
+            if self._samples and t_ns - self._samples[-1][0] > LONGEST_STEP_S * 1e9:
+                self._samples.clear()
+                self._sightings.clear()
+                self._steps.reset()
+            self._samples.append((t_ns, R @ force, R))
+            self._steps.add_sample(t_ns, force, R, stands=still)
+            if still:
+                self._stood_ns = t_ns
+        while self._samples and self._samples[-1][0] - self._samples[0][0] > 4 * SETTINGS.stretch_ns:
+            self._samples.popleft()
+
+    def add_marker(
+        self, t_ns: int, position: FloatArray, sigma_m: float, rotation: FloatArray | None, orientation_sigma_rad: float
+    ) -> None:
+        """Add an accepted position (3,) and R_rig_foot (3, 3) of the marker, each with its noise per axis."""
+        first_ns = self._sightings[0].t_ns if self._sightings else t_ns
+        if self._sightings and (t_ns <= self._sightings[-1].t_ns or t_ns - first_ns > 2 * SETTINGS.stretch_ns):
+            self._sightings.clear()
+            first_ns = t_ns
+        self._sightings.append(_Sighting(t_ns, position, sigma_m))
+        if rotation is not None:
+            self._add_orientation(t_ns, rotation, orientation_sigma_rad)
+        step = self._steps.add_marker(t_ns, position @ self._C)
+        if step is not None:
+            self._add_step(step, sigma_m)
+        if t_ns - first_ns >= SETTINGS.stretch_ns:
+            stretch, self._sightings = self._sightings, []
+            self._add_stretch(stretch)
+
+    def _add_orientation(self, t_ns: int, rotation: FloatArray, sigma_rad: float) -> None:
+        """Add an orientation."""
+        nearest = nearest_sample(self._samples, t_ns, itemgetter(0))
+        if nearest is None:
+            return
+        leans_rad = min(SETTINGS.lean_rad_s * 1e-9 * max(t_ns - self._stood_ns, 0), SETTINGS.lean_rad)
+        sigma_rad = math.hypot(sigma_rad, leans_rad)
+        self._equations.add_orientation(t_ns, nearest[2], self._C.T @ rotation, sigma_rad)
+        self._unsolved += 1
+
+    def _add_step(self, step: Step, sigma_m: float) -> None:
+        """Add a step."""
+        x, y, z = step.marker_m.tolist()
+        length_m = math.hypot(x, y)
+        room_m = SETTINGS.false_step_m + SETTINGS.false_step_share * length_m
+        imu_m = math.hypot(step.imu_m[0], step.imu_m[1])
+        if length_m < SETTINGS.shortest_step_m or abs(length_m - imu_m) > room_m or abs(z - step.imu_m[2]) > room_m:
+            return
+        rows, values = np.zeros((3, UNKNOWNS)), step.imu_m.copy()
+        rows[:2, :2] = (x, y), (y, -x)
+        rows[:, 2:5], rows[:, 5:] = -step.rotation_change, step.d_bias
+        values[2] -= z
+        self._equations.add_positions(
+            rows, values, math.hypot(SETTINGS.step_m + SETTINGS.step_share * length_m, sigma_m)
+        )
+        self._unsolved = SETTINGS.solve_every
+
+    def _add_stretch(self, stretch: list[_Sighting]) -> None:
+        """Add the positions of a stretch."""
+        path = self._path(stretch) if len(stretch) >= SETTINGS.stretch_positions else None
+        if path is None:
+            return
+        rows, values = path
+        sigma = math.hypot(SETTINGS.model_m, float(np.mean([sighting.sigma_m for sighting in stretch])))
+        if math.sqrt(float(np.mean(rows[:, 0] ** 2))) < SETTINGS.moved_sigmas * sigma / math.sqrt(3.0):
+            return
+        information, moment = rows.T @ rows / sigma**2, rows.T @ values / sigma**2
+        alone = np.linalg.solve(information + PRIOR, moment)
+        if math.sqrt(float(np.mean((values - rows @ alone) ** 2))) <= SETTINGS.worst_fit_m:
+            self._equations.add_positions(rows, values, sigma)
+            self._unsolved = SETTINGS.solve_every
+
+    def _path(self, stretch: list[_Sighting]) -> tuple[FloatArray, FloatArray] | None:
+        """Return the rows (3n, 8) and values (3n,) of the least squares."""
+        if len(self._samples) < 2 or self._samples[0][0] > stretch[0].t_ns:
+            return None
+        times = np.array([sample[0] for sample in self._samples], dtype=np.int64)
+        if times[-1] < stretch[-1].t_ns - LONGEST_STEP_S * 1e9 / 2:
+            return None
+        origin = stretch[0].t_ns
+        t = (times - origin).astype(np.float64) * 1e-9
+        at = np.array([(sighting.t_ns - origin) * 1e-9 for sighting in stretch])
+        R = np.array([sample[2] for sample in self._samples])
+        forces = np.array([sample[1] for sample in self._samples]) - np.array([0.0, 0.0, GRAVITY_M_S2])
+        driven = _twice_integrated(t, np.concatenate([forces, R.reshape(-1, 9)], axis=1), at)
+        nearest = R[np.abs(t[None, :] - at[:, None]).argmin(axis=1)]
+        x = np.array([sighting.position for sighting in stretch]) @ self._C
+        flat = np.zeros((len(at), 3, UNKNOWNS + 1))
+        flat[:, 0, 0], flat[:, 1, 0] = x[:, 0], x[:, 1]
+        flat[:, 0, 1], flat[:, 1, 1] = x[:, 1], -x[:, 0]
+        flat[:, :, 2:5] = -nearest
+        flat[:, :, 5:8] = driven[:, 3:].reshape(-1, 3, 3)
+        flat[:, :, 8] = driven[:, :3]
+        flat[:, 2, 8] -= x[:, 2]
+        columns = flat.reshape(len(at), -1)
+        straight = np.stack([np.ones_like(at), at], axis=1)
+        columns = columns - straight @ np.linalg.lstsq(straight, columns, rcond=None)[0]
+        table = columns.reshape(-1, UNKNOWNS + 1)
+        return table[:, :8], table[:, 8]
+
+
+def _twice_integrated(t: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the double integral (n, k) of values (N, k), straight between times (N,) seconds, at times (n,).
+
+    It starts at the first of the times; what that leaves open is a constant and a linear part.
+    """
+    h = np.diff(t)[:, None]
+    zero = np.zeros((1, values.shape[1]))
+    once = np.concatenate([zero, np.cumsum(0.5 * h * (values[1:] + values[:-1]), axis=0)])
+    steps = h * once[:-1] + h * h * (2.0 * values[:-1] + values[1:]) / 6.0
+    twice = np.concatenate([zero, np.cumsum(steps, axis=0)])
+    index = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 1)
+    s = (at - t[index])[:, None]
+    position: FloatArray = twice[index] + s * once[index] + 0.5 * s * s * values[index]
+    return position

@@ -1,0 +1,1 @@
+"""Feet by their square markers."""

@@ -1,0 +1,186 @@
+"""A square's orientation through time, without any other sensor: several hypotheses, each with its own past.
+
+In every picture each of the two poses may be the right one. A hypothesis is a sequence of such choices; it holds an
+orientation and an angular velocity with their covariance (a Kalman filter about the camera's axes), the sum of what
+spoke for and against it, and the direction in which its marker has mostly looked. The wrong sequence betrays itself
+sooner or later: its pictures fit worse, it turns when the marker only moves (the mirrored pose depends on the line of
+sight), or it has to jump. Hypotheses that have become alike are merged, unlikely ones dropped.
+
+Model: angular acceleration is white noise, angular velocity dies away, R' = exp([ω·Δt]×) · R.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.geometry.rotations import rotation_cosine, rotation_from_vector
+from rhot_feet.imu.conversion import rotation_vectors
+from rhot_feet.marker.pose import MarkerPose
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class OrientationTrackSettings:
+    """Motion model and hypotheses; chosen on d435_qualisys, dev trials (`rhot evaluate steps`).
+
+    Attributes:
+        acceleration: root of the spectral density of the angular acceleration, rad/s^1.5: hands and feet.
+        decay_s: time constant of the angular rate.
+        floor_rad: noise that no reprojection error shows: bowed paper, lens, size.
+        most_nis: a squared Mahalanobis distance counts for no more; measurements farther out pull as if this far.
+        most_evidence: log-likelihood that one picture says at most: its corners share their errors.
+        facing_weight, facing_s: log-likelihood lost per second and square radian away from where the marker has looked
+            over this time constant.
+        hypotheses, merge_cosine, drop: how many are kept, which count as alike, and log-likelihood below the best at
+            which one is dropped.
+        longest_gap_s: a longer pause counts as one of this length.
+        first_rate_rad_s: standard deviation of the angular rate of a new marker.
+    """
+
+    acceleration: float = 8.0
+    decay_s: float = 0.15
+    floor_rad: float = float(np.radians(2.0))
+    most_nis: float = 24.0
+    most_evidence: float = 3.0
+    facing_weight: float = 60.0
+    facing_s: float = 2.0
+    hypotheses: int = 6
+    merge_cosine: float = float(np.cos(np.radians(4.0)))
+    drop: float = 15.0
+    longest_gap_s: float = 0.5
+    first_rate_rad_s: float = 2.0
+
+
+SETTINGS: Final = OrientationTrackSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class _Hypotheses:
+    """N hypotheses, the likeliest first.
+
+    Attributes:
+        t_s: time of the newest picture.
+        R: (N, 3, 3).
+        rate: (N, 3) angular velocity, rad/s, camera axes.
+        P: (N, 6, 6) covariance of rotation and rate.
+        weight: (N,) log-likelihood, 0 for the best.
+        facing: (N, 3) mean of the marker's normal.
+    """
+
+    t_s: float
+    R: FloatArray
+    rate: FloatArray
+    P: FloatArray
+    weight: FloatArray
+    facing: FloatArray
+
+
+class OrientationTrack:
+    """Follows the orientation of one marker."""
+
+    def __init__(self) -> None:
+        self._state: _Hypotheses | None = None
+
+    def reset(self) -> None:
+        """Forget everything: the marker was gone for long."""
+        self._state = None
+
+    @property
+    def orientation(self) -> FloatArray | None:
+        """(3, 3) filtered orientation of the likeliest hypothesis; None before the first picture."""
+        return None if self._state is None else self._state.R[0]
+
+    @property
+    def margin(self) -> float:
+        """Difference of −2·log-likelihood between the two likeliest hypotheses; infinite when one is left."""
+        if self._state is None:
+            return 0.0
+        return float("inf") if len(self._state.weight) == 1 else float(-2.0 * self._state.weight[1])
+
+    def update(self, t_s: float, poses: Sequence[MarkerPose]) -> int:
+        """Update with the poses of one picture and return the index of the one to believe, see `nearest`.
+
+        Args:
+            t_s: time, seconds; later than the picture before.
+            poses: at least one.
+        """
+        R = np.stack([pose.R_camera_marker for pose in poses])
+        noise = np.stack([pose.covariance[:3, :3] for pose in poses]) + SETTINGS.floor_rad**2 * np.eye(3)
+        costs = np.array([pose.cost for pose in poses])
+        evidence = np.maximum(-0.5 * (costs - costs.min()), -SETTINGS.most_evidence)
+        if self._state is None:
+            self._state = _first(t_s, R, noise, evidence)
+        else:
+            self._state = _updated(_predicted(self._state, t_s), self._state.t_s, R, noise, evidence)
+        return self.nearest(R)
+
+    def nearest(self, R: FloatArray) -> int:
+        """Return to which of orientations (M, 3, 3) most of the belief lies nearest; 0 before the first picture.
+
+        That need not be the one nearest to the likeliest hypothesis: several others may outweigh it together.
+        """
+        if self._state is None:
+            return 0
+        nearest = np.argmax(np.einsum("nij,mij->nm", self._state.R, R), axis=1)
+        return int(np.argmax(np.bincount(nearest, weights=np.exp(self._state.weight), minlength=len(R))))
+
+
+def _first(t_s: float, R: FloatArray, noise: FloatArray, evidence: FloatArray) -> _Hypotheses:
+    order = np.argsort(-evidence)
+    P = np.zeros((len(R), 6, 6))
+    P[:, :3, :3], P[:, 3:, 3:] = noise[order], SETTINGS.first_rate_rad_s**2 * np.eye(3)
+    weight = evidence[order] - evidence[order[0]]
+    return _Hypotheses(t_s, R[order], np.zeros((len(R), 3)), P, weight, R[order][:, :, 2].copy())
+
+
+def _predicted(state: _Hypotheses, t_s: float) -> _Hypotheses:
+    dt = min(t_s - state.t_s, SETTINGS.longest_gap_s)
+    keep = float(np.exp(-dt / SETTINGS.decay_s))
+    F = np.eye(6)
+    F[:3, 3:], F[3:, 3:] = dt * np.eye(3), keep * np.eye(3)
+    q = SETTINGS.acceleration**2
+    Q = np.kron(np.array([[q * dt**3 / 3.0, q * dt**2 / 2.0], [q * dt**2 / 2.0, q * dt]]), np.eye(3))
+    rotated = np.stack([rotation_from_vector(rate * dt) @ R for rate, R in zip(state.rate, state.R, strict=True)])
+    return _Hypotheses(t_s, rotated, keep * state.rate, F @ state.P @ F.T + Q, state.weight, state.facing)
+
+
+def _updated(
+    state: _Hypotheses, before_s: float, R: FloatArray, noise: FloatArray, evidence: FloatArray
+) -> _Hypotheses:
+    """Return the best of all pairs of a hypothesis and a pose."""
+    count, poses = len(state.R), len(R)
+    dt = min(state.t_s - before_s, SETTINGS.longest_gap_s)
+    innovation = rotation_vectors(R[None] @ np.swapaxes(state.R, 1, 2)[:, None])
+    S = state.P[:, None, :3, :3] + noise[None]
+    inverse = np.linalg.inv(S)
+    distance = np.einsum("nmi,nmij,nmj->nm", innovation, inverse, innovation)
+    facing = state.facing / np.maximum(np.linalg.norm(state.facing, axis=1, keepdims=True), 1e-9)
+    away = np.arccos(np.clip(facing @ R[:, :, 2].T, -1.0, 1.0))
+    likelihood = -0.5 * (np.minimum(distance, SETTINGS.most_nis) + np.log(np.linalg.det(S)))
+    weight = (state.weight[:, None] + likelihood + evidence - SETTINGS.facing_weight * dt * away**2).ravel()
+    gain = state.P[:, None, :, :3] @ inverse
+    pull = np.sqrt(np.minimum(1.0, SETTINGS.most_nis / np.maximum(distance, 1e-12)))
+    step = np.einsum("nmij,nmj->nmi", gain, innovation * pull[..., None]).reshape(-1, 6)
+    P = (state.P[:, None] - gain @ state.P[:, None, :3, :]).reshape(-1, 6, 6)
+    rate = np.repeat(state.rate, poses, axis=0) + step[:, 3:]
+    parent = np.repeat(np.arange(count), poses)
+    kept: list[int] = []
+    orientations: list[FloatArray] = []
+    best = float(weight.max())
+    for index in np.argsort(-weight).tolist():
+        if weight[index] < best - SETTINGS.drop or len(kept) == SETTINGS.hypotheses:
+            break
+        orientation = rotation_from_vector(step[index, :3]) @ state.R[parent[index]]
+        if all(rotation_cosine(orientation, other) < SETTINGS.merge_cosine for other in orientations):
+            kept.append(index)
+            orientations.append(orientation)
+    chosen = np.stack(orientations)
+    share = min(1.0, dt / SETTINGS.facing_s)
+    mean = (1.0 - share) * state.facing[parent[kept]] + share * chosen[:, :, 2]
+    return _Hypotheses(state.t_s, chosen, rate[kept], P[kept], weight[kept] - best, mean)

@@ -1,0 +1,254 @@
+"""The marker stage: from a picture to a believed pose per foot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.aruco_dictionary import R_FOOT_MARKER
+from rhot.messages import Side
+from rhot_feet.depth.floor import FloorPlane
+from rhot_feet.depth.plane import DepthPlane, fit_depth_plane
+from rhot_feet.frames import DepthFrame
+from rhot_feet.marker.detection import MarkerDetection, MarkerFinder
+from rhot_feet.marker.gates import Refusal, refuse_detection, refuse_pose
+from rhot_feet.marker.orientation_track import OrientationTrack
+from rhot_feet.marker.pose import MarkerPose, marker_poses, view_square
+from rhot_feet.marker.pose_choice import CLEAR_MARGIN, OrientationPrior, PoseChoice, choose_pose
+from rhot_feet.prediction import OTHER_FOOT, FootPrediction, Region, predicted_region
+
+FloatArray = NDArray[np.float64]
+
+_CONFIRM: Final = 3
+"""Pictures in which a marker that nobody expects has to be seen before it is believed."""
+_CONFIRM_GAP_S: Final = 0.15
+_CONFIRM_STEP_M: Final = 0.03
+_CONFIRM_SPEED_M_S: Final = 6.0
+_FORGET_S: Final = 0.5
+"""After so long without its marker a foot's own orientation track begins anew."""
+_WHOLE_NS: Final = 40_000_000
+"""While one foot is expected and the other is not, the whole picture is searched this often."""
+_CROP_SHARE: Final = 0.5
+"""A region that covers more of the picture than this is no quicker to search than the whole."""
+
+
+@dataclass(frozen=True, slots=True)
+class FootMarker:
+    """A foot's marker in one picture, believed.
+
+    Attributes:
+        t_ns: middle of the picture's exposure, rig clock.
+        position: (3,) centre of the marker, the foot's origin, metres, camera frame.
+        R_camera_foot: (3, 3), see `rhot.messages.FootPose`.
+        covariance: (6, 6) of (δ, τ): a rotation about the camera's axes, radians, then the position, metres.
+        orientation_known: the two poses of the square could be told apart; else only the position is worth anything.
+        corners: (4, 2) pixels.
+        with_depth: the depth image took part.
+    """
+
+    t_ns: int
+    position: FloatArray
+    R_camera_foot: FloatArray
+    covariance: FloatArray
+    orientation_known: bool
+    corners: FloatArray
+    with_depth: bool
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerObservations:
+    """What the marker stage made of one picture.
+
+    Attributes:
+        markers: foot to its believed marker.
+        refused: foot to the reason why a detection was not believed.
+    """
+
+    markers: dict[Side, FootMarker]
+    refused: dict[Side, Refusal]
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    choice: PoseChoice
+    poses: tuple[MarkerPose, ...]
+    detection: MarkerDetection
+    plane: DepthPlane | None
+
+
+@dataclass(slots=True)
+class _Memory:
+    """What is remembered of one foot between pictures: its orientation track, and sightings on the way to belief."""
+
+    track: OrientationTrack
+    seen_ns: int = -(1 << 62)
+    streak: int = 0
+    streak_ns: int = 0
+    streak_position: FloatArray | None = None
+
+
+class MarkerTracker:
+    """Finds both feet's markers, near the expected positions first, and believes what passes the gates."""
+
+    def __init__(
+        self,
+        dictionary: cv2.aruco.Dictionary,
+        marker_ids: Mapping[Side, int],
+        size_m: float,
+        depth_range_m: tuple[float, float],
+    ) -> None:
+        """Prepare.
+
+        Args:
+            dictionary: see `rhot.aruco_dictionary.marker_dictionary`.
+            marker_ids: foot to the number of its marker.
+            size_m: side of a marker's black square.
+            depth_range_m: nearest and farthest believable depth.
+        """
+        self._finder = MarkerFinder(dictionary, list(marker_ids.values()))
+        self._ids = dict(marker_ids)
+        self._size_m = size_m
+        self._depth_range_m = depth_range_m
+        self._whole_ns = -(1 << 62)
+        self._memory: dict[Side, _Memory] = {side: _Memory(OrientationTrack()) for side in marker_ids}
+
+    def detect(
+        self,
+        frame: DepthFrame,
+        expected: Mapping[Side, FootPrediction],
+        up_camera: FloatArray | None = None,
+        floor: FloorPlane | None = None,
+    ) -> MarkerObservations:
+        """Take one picture.
+
+        Args:
+            frame: the picture with its depth; later than the one before.
+            expected: foot to what the filter predicts for the picture's time; a foot that is absent is searched
+                everywhere and believed only after several sightings.
+            up_camera: (3,) unit vector against gravity, camera frame, where the head's pose is known.
+            floor: in this picture, see `DepthTracker.find_floor`; a marker that lies on it is nobody's.
+        """
+        found = self._search(frame, expected)
+        markers: dict[Side, FootMarker] = {}
+        refused: dict[Side, Refusal] = {}
+        for side, marker_id in self._ids.items():
+            memory = self._memory[side]
+            if 1e-9 * (frame.t_ns - memory.seen_ns) > _FORGET_S:
+                memory.track.reset()
+            best: _Candidate | None = None
+            for detection in found:
+                if detection.marker_id != marker_id:
+                    continue
+                outcome = self._examine(frame, detection, side, expected, up_camera, floor)
+                if isinstance(outcome, str):
+                    refused[side] = outcome
+                elif best is None or self._closer(outcome, best, expected.get(side)):
+                    best = outcome
+            if best is None or not self._confirmed(frame.t_ns, best, memory, side in expected):
+                continue
+            refused.pop(side, None)
+            markers[side] = self._marker(frame.t_ns, best, memory, expected.get(side))
+            memory.seen_ns = frame.t_ns
+        return MarkerObservations(markers, refused)
+
+    def _search(self, frame: DepthFrame, expected: Mapping[Side, FootPrediction]) -> list[MarkerDetection]:
+        """Return the markers near the expected positions; everywhere, now and then, for a foot that is not expected."""
+        regions: list[Region] = []
+        if not expected or (len(expected) < len(self._ids) and frame.t_ns - self._whole_ns >= _WHOLE_NS):
+            self._whole_ns = frame.t_ns
+            return self._finder.find(frame.color)
+        for side in expected:
+            region = predicted_region(expected[side], self._size_m, frame.camera)
+            if region is not None:
+                regions.append(region)
+        if len(regions) == 2 and regions[0].overlaps(regions[1]):
+            regions = [regions[0].joined(regions[1])]
+        if sum(region.area for region in regions) > _CROP_SHARE * frame.camera.width * frame.camera.height:
+            return self._finder.find(frame.color)
+        return [detection for region in regions for detection in self._finder.find(frame.color, region)]
+
+    def _examine(
+        self,
+        frame: DepthFrame,
+        detection: MarkerDetection,
+        side: Side,
+        expected: Mapping[Side, FootPrediction],
+        up_camera: FloatArray | None,
+        floor: FloorPlane | None,
+    ) -> _Candidate | Refusal:
+        reason = refuse_detection(detection, frame.camera)
+        if reason is not None:
+            return reason
+        plane = None
+        if frame.depth_mm is not None:
+            plane = fit_depth_plane(frame.depth_mm, detection.corners, frame.camera, self._depth_range_m)
+        view = view_square(detection.corners, self._size_m, frame.camera, detection.corner_sigma_px)
+        if view is None:
+            return "shape"
+        poses = marker_poses(view, plane)
+        prior = _prior(expected.get(side))
+        choice = choose_pose(poses, prior=prior, up_camera=up_camera)
+        if choice is None:
+            return "shape"
+        reason = refuse_pose(
+            choice.pose,
+            view,
+            detection,
+            plane,
+            self._depth_range_m,
+            up_camera,
+            floor,
+            expected.get(side),
+            expected.get(OTHER_FOOT[side]),
+            prior,
+        )
+        return reason or _Candidate(choice, poses, detection, plane)
+
+    def _closer(self, candidate: _Candidate, other: _Candidate, expected: FootPrediction | None) -> bool:
+        if expected is None:
+            return candidate.detection.likeness > other.detection.likeness
+        distances = [
+            float(np.linalg.norm(each.choice.pose.t_camera_marker - expected.position)) for each in (candidate, other)
+        ]
+        return distances[0] < distances[1]
+
+    def _confirmed(self, t_ns: int, candidate: _Candidate, memory: _Memory, is_expected: bool) -> bool:
+        """Return whether a marker was seen often enough to be believed: at once where it was expected."""
+        position = candidate.choice.pose.t_camera_marker
+        gap_s = 1e-9 * (t_ns - memory.streak_ns)
+        previous = memory.streak_position
+        continues = (
+            previous is not None
+            and gap_s <= _CONFIRM_GAP_S
+            and float(np.linalg.norm(position - previous)) <= _CONFIRM_STEP_M + _CONFIRM_SPEED_M_S * gap_s
+        )
+        memory.streak = memory.streak + 1 if continues else 1
+        memory.streak_ns, memory.streak_position = t_ns, position
+        return is_expected or memory.streak >= _CONFIRM
+
+    def _marker(self, t_ns: int, candidate: _Candidate, memory: _Memory, expected: FootPrediction | None) -> FootMarker:
+        pose, clear = candidate.choice.pose, candidate.choice.clear
+        if _prior(expected) is None:
+            # The filter does not know the orientation: the marker's own past decides.
+            pose = candidate.poses[memory.track.update(1e-9 * t_ns, candidate.poses)]
+            clear = memory.track.margin >= CLEAR_MARGIN
+        return FootMarker(
+            t_ns,
+            pose.t_camera_marker,
+            pose.R_camera_marker @ R_FOOT_MARKER.T,
+            pose.covariance,
+            clear,
+            candidate.detection.corners,
+            candidate.plane is not None,
+        )
+
+
+def _prior(expected: FootPrediction | None) -> OrientationPrior | None:
+    if expected is None or expected.R_camera_foot is None or expected.orientation_covariance is None:
+        return None
+    return OrientationPrior(expected.R_camera_foot @ R_FOOT_MARKER, expected.orientation_covariance)

@@ -1,0 +1,33 @@
+"""The newest picture of a depth camera; see `rhot.service.grabber`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Final
+
+from rhot.service.grabber import Grabber
+from rhot_feet.frames import DepthFrame, DepthSource
+
+_READ_S: Final = 0.5
+
+
+class DepthGrabber(Grabber[DepthFrame]):
+    """Reads an opened source on its own thread.
+
+    Attributes:
+        busy_s: processor time of the thread: the driver's work and, in a simulation, the drawing.
+    """
+
+    def __init__(self, source: DepthSource) -> None:
+        """Prepare to read a source; `open` opens it."""
+        super().__init__("depth camera", self._read, source.close)
+        self._source = source
+        self.busy_s = 0.0
+
+    def _read(self) -> Iterator[DepthFrame | None]:
+        while not self._source.finished:
+            frame = self._source.read(_READ_S)
+            self.busy_s = time.thread_time()
+            yield frame
+            del frame

@@ -1,0 +1,176 @@
+"""Reading the depth recording of one camera: colour and depth pictures, their times and the lens.
+
+    <camera>/color/NNNNNN.jpg|png      8-bit pictures
+    <camera>/depth/NNNNNN.png          16-bit, millimetres along the optical axis, aligned to colour, 0 = none
+    <camera>/timestamps.csv            `frame,t_ns`: middle of the colour picture's exposure, rig clock
+    <camera>/intrinsics.json           `{"width", "height", "K": 3x3, "distortion": [k1, k2, p1, p2, …]}`
+
+A frame without a depth picture has no depth; a depth picture without a colour picture is an error. Where the recording
+states no times or no lens, the caller may: `rate_hz` and `camera`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from rhot.errors import ConfigError
+from rhot.geometry.camera import CameraModel
+from rhot.messages import first_problem
+from rhot.recording.folder import numbered_pictures
+from rhot.recording.tables import read_times
+from rhot.rig.calibration import Intrinsics
+from rhot_feet.frames import DepthFrame, DepthImage, pinhole
+
+IntArray = NDArray[np.int64]
+
+COLOR_FOLDER = "color"
+DEPTH_FOLDER = "depth"
+TIMES_FILE = "timestamps.csv"
+INTRINSICS_FILE = "intrinsics.json"
+_COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
+_DEPTH_SUFFIXES = (".png",)
+
+
+@dataclass(frozen=True, slots=True)
+class DepthRecording:
+    """What a depth recording holds; its pictures are read one by one.
+
+    Attributes:
+        path: the camera's folder.
+        color: colour pictures in order of their numbers.
+        depth: their depth pictures, None where a frame has none.
+        numbers: (N,) frame numbers.
+        t_ns: (N,) times, nanoseconds, strictly increasing.
+        camera: the lens.
+    """
+
+    path: Path
+    color: tuple[Path, ...]
+    depth: tuple[Path | None, ...]
+    numbers: IntArray
+    t_ns: IntArray
+    camera: CameraModel
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self.color)
+
+    def frame(self, index: int) -> DepthFrame:
+        """Read one frame by its position in the recording, with the recording's own time.
+
+        Raises:
+            ConfigError: a picture cannot be read, or has another size or type; names the file.
+        """
+        file = self.color[index]
+        color = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        if color is None:
+            raise ConfigError(f"{file}: not a picture that OpenCV can read; remove the frame or record it again")
+        self._require_size(file, color.shape)
+        depth_file = self.depth[index]
+        depth = None if depth_file is None else self._read_depth(depth_file)
+        return DepthFrame(
+            int(self.t_ns[index]), np.asarray(color, dtype=np.uint8), depth, self.camera, int(self.numbers[index])
+        )
+
+    def frames(self) -> Iterator[DepthFrame]:
+        """Yield all frames in order, as fast as they are asked for."""
+        return (self.frame(index) for index in range(len(self)))
+
+    def _read_depth(self, file: Path) -> DepthImage:
+        depth = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        if depth is None:
+            raise ConfigError(f"{file}: not a picture that OpenCV can read; remove it or record it again")
+        if depth.dtype != np.uint16 or depth.ndim != 2:
+            kind = f"{depth.dtype} with {1 if depth.ndim == 2 else depth.shape[2]} channel(s)"
+            raise ConfigError(f"{file}: depth must be one channel of 16 bits, millimetres; this is {kind}")
+        self._require_size(file, depth.shape)
+        return np.asarray(depth, dtype=np.uint16)
+
+    def _require_size(self, file: Path, shape: tuple[int, ...]) -> None:
+        if shape[:2] != (self.camera.height, self.camera.width):
+            raise ConfigError(
+                f"{file}: {shape[1]}x{shape[0]} pixels, the lens in use is for {self.camera.width}x"
+                f"{self.camera.height}; colour, aligned depth and {INTRINSICS_FILE} must agree"
+            )
+
+
+def load_depth_recording(
+    path: Path, *, camera: CameraModel | None = None, rate_hz: float | None = None
+) -> DepthRecording:
+    """Load the folder of one camera.
+
+    Args:
+        path: the camera's folder.
+        camera: lens to use where the recording has no `intrinsics.json`.
+        rate_hz: frames per second where the recording has no `timestamps.csv`; the first frame is then at 0.
+
+    Raises:
+        ConfigError: missing, empty or contradictory; names the file and what to do.
+    """
+    if not path.is_dir():
+        raise ConfigError(f"{path}: no such folder; a depth recording is a folder with {COLOR_FOLDER}/ in it")
+    color = _numbered(path / COLOR_FOLDER, _COLOR_SUFFIXES)
+    if not color:
+        raise ConfigError(f"{path / COLOR_FOLDER}: holds no numbered pictures such as 000042.jpg")
+    depth = _numbered(path / DEPTH_FOLDER, _DEPTH_SUFFIXES)
+    orphans = [file for number, file in depth.items() if number not in color]
+    if orphans:
+        raise ConfigError(
+            f"{orphans[0]}: has no picture of its number in {path / COLOR_FOLDER} (and {len(orphans) - 1} more)"
+        )
+    numbers, t_ns = _times(path, list(color), rate_hz)
+    return DepthRecording(
+        path,
+        tuple(color[number] for number in numbers.tolist()),
+        tuple(depth.get(number) for number in numbers.tolist()),
+        numbers,
+        t_ns,
+        _camera(path, camera),
+    )
+
+
+def _numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
+    return numbered_pictures(folder, suffixes) if folder.is_dir() else {}
+
+
+def _times(path: Path, numbers: list[int], rate_hz: float | None) -> tuple[IntArray, IntArray]:
+    table = path / TIMES_FILE
+    if not table.exists():
+        if rate_hz is None:
+            raise ConfigError(f"{path}: has no {TIMES_FILE} (`frame,t_ns`); write one, or state the frame rate")
+        frames = np.array(numbers, dtype=np.int64)
+        return frames, np.round((frames - frames[0]) * (1e9 / rate_hz)).astype(np.int64)
+    frames, t_ns = read_times(table)
+    listed, present = set(frames.tolist()), set(numbers)
+    for frame in frames.tolist():
+        if frame not in present:
+            raise ConfigError(f"{table}: frame {frame} has no picture in {path / COLOR_FOLDER}")
+    for number in numbers:
+        if number not in listed:
+            raise ConfigError(f"{table}: no row for frame {number} of {path / COLOR_FOLDER}")
+    return frames, t_ns
+
+
+def _camera(path: Path, camera: CameraModel | None) -> CameraModel:
+    file = path / INTRINSICS_FILE
+    if not file.exists():
+        if camera is None:
+            raise ConfigError(f"{path}: has no {INTRINSICS_FILE} (width, height, K, distortion); write one")
+        return camera
+    try:
+        lens = Intrinsics.model_validate(json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: cannot be read: {error}") from error
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"{file}: not JSON: {error}") from error
+    except ValidationError as error:
+        raise ConfigError(f"{file}: {first_problem(error)}") from error
+    return pinhole(lens.width, lens.height, np.array(lens.K), np.array(lens.distortion))

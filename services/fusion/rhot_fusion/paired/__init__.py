@@ -1,0 +1,1 @@
+"""The paired methods: triangulation and the 2018 disparity law."""

@@ -1,0 +1,89 @@
+"""The paired methods: all cameras' tracks read at one common moment, and points from there.
+
+The moment is as late as the extrapolation of the other cameras' tracks allows; see `schedule` and `tracks`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rhot.geometry.camera import CameraModel
+from rhot.messages import HandPose
+from rhot.rig import FusionConfig, HandFile, MarkerConfig
+from rhot_fusion.paired.association import Association
+from rhot_fusion.schedule import Schedule
+from rhot_fusion.views.epipolar import EpipolarModel
+from rhot_fusion.views.sightings import Outcome, Sightings
+from rhot_fusion.views.tracks import LONGEST_GAP, ROWS_SHARE, Tracks
+
+
+class PairedTracker:
+    """Triangulation, or the depth law, of tracks read at common moments; see `Tracker`."""
+
+    def __init__(
+        self,
+        cameras: Sequence[CameraModel],
+        markers: Mapping[str, MarkerConfig],
+        hand: HandFile,
+        periods_s: Sequence[float],
+        config: FusionConfig,
+        counts: Counter[str],
+    ) -> None:
+        """Build from the rig's parts; counts takes `measured`, `gated`, `behind_cameras` and `late_marker`.
+
+        Raises:
+            ConfigError: the cameras cannot be used with the method asked for.
+        """
+        self._config = config
+        self._counts = counts
+        self._association = Association(cameras, markers, hand.length_m, config, counts)
+        self._schedule = Schedule(list(periods_s))
+        self._tracks = Tracks(len(cameras), len(markers))
+        self._cameras = len(cameras)
+
+    @property
+    def epipolar(self) -> EpipolarModel:
+        """What was learnt of the cameras since they were calibrated."""
+        return self._association.epipolar
+
+    @epipolar.setter
+    def epipolar(self, model: EpipolarModel) -> None:
+        self._association.epipolar = model
+
+    def configure(self, config: FusionConfig) -> None:
+        """Change the settings.
+
+        Raises:
+            ConfigError: the cameras cannot be used with them; the old settings stay.
+        """
+        self._association.configure(config)
+        self._config = config
+
+    def learn(self, hand: HandPose) -> None:
+        """Nothing: these methods publish what the cameras see."""
+
+    def clear(self) -> None:
+        """Forget all markers; what was learnt of the cameras stays."""
+        self._schedule.clear()
+        self._tracks.clear()
+        self._association.clear()
+
+    def advance(self, sightings: Sightings) -> Outcome | None:
+        """Take one frame; return the markers at the moment that it made possible, if any."""
+        camera, t = sightings.camera, sightings.times_s
+        later = t > self._tracks.last_t_s[camera, sightings.index]
+        self._counts["late_marker"] += int(np.count_nonzero(~later))
+        low, high = self._config.volume_m
+        max_rate = self._config.max_speed_m_s / max(0.5 * (low[2] + high[2]), 0.1)
+        self._tracks.append(camera, sightings.index[later], t[later], sightings.xy[later], max_rate)
+        self._schedule.arrived(camera, sightings.t_s)
+        moment_s = self._schedule.moment(self._config.extrapolation)
+        if moment_s is None:
+            return None
+        period_s = max(self._schedule.period_s(place) for place in range(self._cameras))
+        reach_s = (self._config.extrapolation + ROWS_SHARE) * period_s
+        shot = self._tracks.at(moment_s, reach_s, LONGEST_GAP * period_s)
+        return self._association.advance(shot, moment_s, period_s)

@@ -1,0 +1,302 @@
+"""Have the cameras moved since they were calibrated? What pairs of views of the same markers say.
+
+Camera j sees a marker at the direction y_j = (x, y, 1), camera i the same marker, interpolated to the same moment, at
+y_i. With the essential matrix E of the calibration the signed epipolar residual in camera j is the distance of y_j from
+the line n = E · y_i, and by symmetry it changes with small rotations of both cameras:
+
+    r = n · y_j / |n_xy| ,     r ≈ −(y_j × n / |n_xy|) · ω_j − (y_i × Eᵀ y_j / |n_xy|) · ω_i
+
+where ω_k (rad) is how camera k has been turned, in its own axes: x pitch, y yaw, z roll. The most probable ω under a
+prior of a few degrees says what has moved; what the prior alone settles is not observable. Yaw of a camera beside
+another moves points along their epipolar lines: it changes depth and leaves no trace here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.geometry.camera import CameraModel, essential_matrix
+from rhot.geometry.rotations import FloatArray
+
+PRIOR_SD_RAD = np.radians(2.0)
+"""Cameras that are bumped turn by degrees at most."""
+LEAST_OBSERVATIONS = 50
+"""Two seconds of one marker at 30 Hz, nearly; fewer say nothing about three angles. Chosen."""
+_LONGEST_GAP = 2.0
+"""Observations further apart than this many periods are not interpolated between."""
+_LARGEST_BEND_PX = 0.3
+"""Where the track bends so much that a straight line between two frames errs by more, it is not used."""
+_BLOCK_S = 1.0
+"""Residuals within a block are taken as one for uncertainties: a marker's bias stays for many frames."""
+_CHANGE_BLOCK_S = 0.25
+"""Resolution of the moment of a change."""
+_CHANGE_MARGIN = 8
+"""Blocks at either end within which no change is looked for."""
+_ROBUST_STEPS = 20
+"""Half of them with Huber's weights, half with Tukey's; the fit has settled long before."""
+_HUBER, _TUKEY = 1.345, 4.7
+"""Standard deviations at which the weights fall off: 95 % efficiency on normal noise (Holland and Welsch 1977)."""
+_LEAST_SPREAD_PX = 0.1
+"""Noise of a marker's centre at best; a smaller spread would make outliers of good observations."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One marker as one camera saw it.
+
+    Attributes:
+        t_s: (N,) increasing, seconds.
+        xy: (N, 2) normalised image coordinates.
+    """
+
+    t_s: FloatArray
+    xy: FloatArray
+
+
+Tracks = Mapping[str, Mapping[str, Track]]
+"""Camera to marker to track."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairResiduals:
+    """What two cameras say about each other.
+
+    Attributes:
+        first, second: names; the residual is measured in the second camera's picture.
+        t_s: (N,) moments, increasing.
+        residual_px: (N,) signed distance from the epipolar line, pixels of the second camera.
+        xy: (N, 2) where in the second camera's picture, normalised.
+        J_first, J_second: (N, 3) derivative of the residual by how either camera was turned, px/rad.
+        focal_px: of the second camera.
+    """
+
+    first: str
+    second: str
+    t_s: FloatArray
+    residual_px: FloatArray
+    xy: FloatArray
+    J_first: FloatArray
+    J_second: FloatArray
+    focal_px: float
+
+    @property
+    def name(self) -> str:
+        """`first-second`."""
+        return f"{self.first}-{self.second}"
+
+    def derivative(self, camera: str) -> FloatArray | None:
+        """Return the derivative (N, 3) by how a camera was turned, None for a camera that is not of this pair."""
+        return {self.first: self.J_first, self.second: self.J_second}.get(camera)
+
+
+@dataclass(frozen=True, slots=True)
+class LinearFit:
+    """A robust linear model of residuals.
+
+    Attributes:
+        values: (K,) parameters.
+        sd: (K,) their standard deviations, from the scatter between blocks of time.
+        effect: (K,) pixels RMS that a parameter of 1 adds to the residuals and no other parameter can.
+        systematic_px: root mean square of what the model explains.
+        remaining_px: robust standard deviation of what it does not.
+        weight: (N,) 0 to 1; 0 = an outlier.
+    """
+
+    values: FloatArray
+    sd: FloatArray
+    effect: FloatArray
+    systematic_px: float
+    remaining_px: float
+    weight: FloatArray
+
+
+def pair_residuals(
+    first: str, second: str, tracks: Tracks, cameras: Mapping[str, CameraModel], periods_s: Mapping[str, float]
+) -> PairResiduals:
+    """Return the residuals of all markers that two cameras saw at about the same time.
+
+    Args:
+        first, second: camera names.
+        tracks: of all cameras.
+        cameras: their calibration.
+        periods_s: time between two frames of each camera, seconds.
+    """
+    one, other = cameras[first], cameras[second]
+    E = essential_matrix(one, other)
+    bend = _LARGEST_BEND_PX / float(one.K[0, 0])
+    times, seen, matched = [np.empty(0)], [np.empty((0, 2))], [np.empty((0, 2))]
+    for marker, track in tracks[second].items():
+        partner = tracks[first].get(marker)
+        if partner is not None:
+            xy, valid = interpolate(partner, track.t_s, _LONGEST_GAP * periods_s[first], bend)
+            times.append(track.t_s[valid])
+            seen.append(track.xy[valid])
+            matched.append(xy[valid])
+    t_s = np.concatenate(times)
+    order = np.argsort(t_s, kind="stable")
+    xy = np.concatenate(seen)[order]
+    y_second, y_first = _directions(xy), _directions(np.concatenate(matched)[order])
+    n = y_first @ E.T
+    scale = np.maximum(np.hypot(n[:, 0], n[:, 1]), 1e-12)[:, None]
+    focal_px = float(other.K[0, 0])
+    return PairResiduals(
+        first=first,
+        second=second,
+        t_s=t_s[order],
+        residual_px=focal_px * np.sum(n * y_second, axis=1) / scale[:, 0],
+        xy=xy,
+        J_first=-focal_px * np.cross(y_first, y_second @ E) / scale,
+        J_second=-focal_px * np.cross(y_second, n) / scale,
+        focal_px=focal_px,
+    )
+
+
+def interpolate(track: Track, t_s: FloatArray, gap_s: float, bend: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return a track (N, 2) at moments (N,), on straight lines between its observations, and where that can be done.
+
+    Args:
+        track: two observations or more.
+        t_s: moments.
+        gap_s: observations further apart are not joined.
+        bend: largest error of the straight line that the track's bend may tell of, normalised units.
+    """
+    if len(track.t_s) < 2:
+        return np.full((len(t_s), 2), np.nan), np.zeros(len(t_s), dtype=bool)
+    right = np.clip(np.searchsorted(track.t_s, t_s, side="left"), 1, len(track.t_s) - 1)
+    left = right - 1
+    interval = track.t_s[right] - track.t_s[left]
+    share = (t_s - track.t_s[left]) / interval
+    xy = track.xy[left] + share[:, None] * (track.xy[right] - track.xy[left])
+    inside = (share >= 0.0) & (share <= 1.0)
+    # On an observation nothing is interpolated, whatever lies beside it.
+    exact = inside & (np.minimum(share, 1.0 - share) * interval < 1e-6)
+    second = np.zeros(len(track.t_s))
+    second[1:-1] = np.hypot(*(track.xy[2:] - 2.0 * track.xy[1:-1] + track.xy[:-2]).T) / 8.0
+    straight = np.maximum(second[left], second[right]) <= bend
+    return xy, exact | (inside & (interval <= gap_s) & straight)
+
+
+def fit_linear(J: FloatArray, residual_px: FloatArray, t_s: FloatArray, prior_sd: FloatArray) -> LinearFit:
+    """Fit r = J · v robustly (Huber, then Tukey's biweight), v with mean 0 and the given standard deviations.
+
+    Args:
+        J: (N, K).
+        residual_px: (N,).
+        t_s: (N,) increasing, for the blocks of time.
+        prior_sd: (K,).
+    """
+    prior = np.diag(prior_sd**-2.0)
+    weight: FloatArray = np.ones(len(residual_px))
+    values: FloatArray = np.zeros(J.shape[1])
+    spread = 0.0
+    for step in range(_ROBUST_STEPS):
+        weighted = J * weight[:, None]
+        values = np.asarray(np.linalg.solve(weighted.T @ J + prior, weighted.T @ residual_px), dtype=np.float64)
+        remaining = residual_px - J @ values
+        spread = max(1.4826 * float(np.median(np.abs(remaining))), _LEAST_SPREAD_PX)
+        size = np.abs(remaining) / spread
+        if step < _ROBUST_STEPS // 2:
+            weight = np.minimum(1.0, _HUBER / np.maximum(size, 1e-9))
+        else:
+            weight = np.square(np.maximum(1.0 - np.square(size / _TUKEY), 0.0))
+    remaining = residual_px - J @ values
+    # A small change of the fit moves the biweight's sum by its derivative, not by the weight itself.
+    inside = np.square(np.minimum(np.abs(remaining) / (_TUKEY * spread), 1.0))
+    slope = max(float(np.mean((1.0 - inside) * (1.0 - 5.0 * inside))), 0.1) / float(weight.mean())
+    information = slope * (J * weight[:, None]).T @ J / spread**2 + prior
+    covariance = np.linalg.inv(information)
+    # Sandwich: the gradient's scatter from block to block instead of from residual to residual.
+    blocks = np.floor((t_s - t_s[0]) / _BLOCK_S).astype(np.intp)
+    score = np.zeros((int(blocks[-1]) + 1, J.shape[1]))
+    np.add.at(score, blocks, J * (weight * remaining)[:, None] / spread**2)
+    scatter = covariance @ (score.T @ score) @ covariance
+    variance = np.diag(scatter) + np.diag(covariance @ prior @ covariance)
+    # Of few blocks the scatter says little: never less than if all residuals were on their own.
+    sd = np.sqrt(np.maximum(variance, np.diag(covariance)))
+    alone = np.diag(np.linalg.pinv((J * weight[:, None]).T @ J / weight.sum(), hermitian=True))
+    return LinearFit(
+        values=values,
+        sd=sd,
+        effect=np.asarray(1.0 / np.sqrt(np.maximum(alone, 1e-30)), dtype=np.float64),
+        systematic_px=float(np.sqrt(np.mean(np.square(J @ values)))),
+        remaining_px=spread,
+        weight=weight,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """How the residuals changed within the data.
+
+    Attributes:
+        t_s: the moment that parts before and after best.
+        step_px: root mean square of the difference between before and after, over all of the picture's observations.
+        sudden: whether a step explains the data better than a steady drift of the same residuals.
+    """
+
+    t_s: float
+    step_px: float
+    sudden: bool
+
+
+def find_change(J: FloatArray, residual_px: FloatArray, t_s: FloatArray, fit: LinearFit) -> Change | None:
+    """Return the moment at which a constant fit is best split in two; None for less than six seconds.
+
+    Args:
+        J, residual_px, t_s: as for `fit_linear`.
+        fit: the fit over all of it, for scale and weights.
+    """
+    blocks = np.floor((t_s - t_s[0]) / _CHANGE_BLOCK_S).astype(np.intp)
+    count = int(blocks[-1]) + 1
+    if count < 3 * _CHANGE_MARGIN:
+        return None
+    # A step doubles the tails of a common fit: only what is far off from both halves is an outlier.
+    weight = _weights_about_blocks(residual_px, blocks, count, fit.remaining_px)
+    columns = J.shape[1]
+    normal, moment, square = np.zeros((count, columns, columns)), np.zeros((count, columns)), np.zeros(count)
+    np.add.at(normal, blocks, weight[:, None, None] * J[:, :, None] * J[:, None, :])
+    np.add.at(moment, blocks, (weight * residual_px)[:, None] * J)
+    np.add.at(square, blocks, weight * residual_px**2)
+    ridge = np.eye(columns) / PRIOR_SD_RAD**2
+    cumulative = np.cumsum(normal, axis=0), np.cumsum(moment, axis=0), np.cumsum(square)
+
+    def cost(A: FloatArray, b: FloatArray, c: float) -> tuple[float, FloatArray]:
+        values = np.linalg.solve(A + ridge, b)
+        return float(c - b @ values), values
+
+    whole = [array[-1] for array in cumulative]
+    best, change, before, after = np.inf, 0, np.zeros(columns), np.zeros(columns)
+    for split in range(_CHANGE_MARGIN - 1, count - _CHANGE_MARGIN):
+        early = [array[split] for array in cumulative]
+        late = [total - part for total, part in zip(whole, early, strict=True)]
+        (left, v_left), (right, v_right) = cost(*early), cost(*late)
+        if left + right < best:
+            best, change, before, after = left + right, split, v_left, v_right
+    drift = np.column_stack([J, J * ((t_s - t_s.mean()) / max(np.ptp(t_s), 1e-9))[:, None]])
+    A = (drift * weight[:, None]).T @ drift + np.eye(2 * columns) / PRIOR_SD_RAD**2
+    b = (drift * weight[:, None]).T @ residual_px
+    steady = float(whole[2] - b @ np.linalg.solve(A, b))
+    return Change(
+        t_s=float(t_s[0] + (change + 1) * _CHANGE_BLOCK_S),
+        step_px=float(np.sqrt(np.mean(np.square(J @ (after - before))))),
+        sudden=best < steady,
+    )
+
+
+def _weights_about_blocks(residual_px: FloatArray, blocks: NDArray[np.intp], count: int, spread: float) -> FloatArray:
+    """Return weights (N,), 0 or 1: which residuals lie near the median of their own block of time."""
+    weight = np.zeros(len(residual_px))
+    for block in range(count):
+        chosen = blocks == block
+        if chosen.any():
+            off = np.abs(residual_px[chosen] - np.median(residual_px[chosen]))
+            weight[chosen] = off < _TUKEY * max(spread, 1.4826 * float(np.median(off)))
+    return weight
+
+
+def _directions(xy: FloatArray) -> FloatArray:
+    return np.column_stack([xy, np.ones(len(xy))])

@@ -1,0 +1,148 @@
+"""The epipolar error that a rig has picked up since it was calibrated, learnt while it runs.
+
+Mounts give and cameras turn: the two views of one point then miss each other by some pixels that vary slowly over the
+picture. For each camera but the first, the signed distance of its observation from the epipolar line of the first
+camera's is modelled as
+
+    r(x, y) = a + b·x + c·y        normalised coordinates,
+
+(an offset, and to first order a roll and a change of scale), by recursive least squares with slow forgetting, a prior
+of no error, Huber weights and a bound. Observations are corrected by it across the epipolar lines only; what is wrong
+along them cannot be told from depth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+
+import numpy as np
+
+from rhot.arrays import BoolArray, FloatArray
+from rhot.geometry.camera import CameraModel, essential_matrix
+
+_MEMORY_S = 20.0
+"""Time constant of forgetting: mounts creep over minutes."""
+_PRIOR_OFFSET_PX = 8.0
+"""Standard deviation of a before anything is learnt. Chosen on the 2018 streams, whose rig had moved."""
+_PRIOR_SLOPE = 0.03
+"""Standard deviation of b and c: about 1.7° of roll."""
+_FIRST_SPREAD_PX = 5.0
+"""Noise that is assumed before any was measured. Chosen on the 2018 streams."""
+_SMALLEST_SPREAD_PX = 0.1
+"""Noise of a marker's centre at best."""
+_WINDOW = 256
+"""Latest residuals kept for the figures."""
+
+
+class EpipolarModel:
+    """Residual models of C cameras against the first, and the figures of what remains.
+
+    Attributes:
+        spread_px: robust standard deviation of the corrected residual, pixels.
+    """
+
+    def __init__(self, cameras: Sequence[CameraModel], limit_px: float) -> None:
+        reference = cameras[0]
+        self._focal_px = float(np.mean([camera.K[0, 0] for camera in cameras]))
+        self._limit = limit_px / self._focal_px
+        self._t: FloatArray = np.stack([camera.to_camera(reference.center[None])[0] for camera in cameras])
+        # The line of (x, y, 1) in the first camera is E · (x, y, 1).
+        self._essential: FloatArray = np.stack([essential_matrix(reference, camera) for camera in cameras])
+        prior = np.array([(_PRIOR_OFFSET_PX / self._focal_px) ** -2, _PRIOR_SLOPE**-2, _PRIOR_SLOPE**-2])
+        # In units of an observation's information, which is that of one pixel.
+        self._prior: FloatArray = np.diag(prior) / self._focal_px**2
+        self._information: FloatArray = np.zeros((len(cameras), 3, 3))
+        self._moment: FloatArray = np.zeros((len(cameras), 3))
+        self.coefficients: FloatArray = np.zeros((len(cameras), 3))
+        self.spread_px = _FIRST_SPREAD_PX
+        self._recent: FloatArray = np.full(_WINDOW, np.nan)
+        self._place = 0
+
+    def set_limit(self, limit_px: float) -> None:
+        """Change the bound of the correction, pixels."""
+        self._limit = limit_px / self._focal_px
+
+    def correct(self, xy: FloatArray) -> FloatArray:
+        """Return observations (C, M, 2) moved across their epipolar lines by the modelled error; NaN passes."""
+        return np.stack([self.correct_one(camera, views) for camera, views in enumerate(xy)])
+
+    def correct_one(self, camera: int, xy: FloatArray) -> FloatArray:
+        """Return the observations (N, 2) of one camera moved across their epipolar lines; NaN passes."""
+        if camera == 0:
+            return xy
+        a, b, c = self.coefficients[camera]
+        e0, e1, e2 = self._t[camera]
+        x, y = xy.T
+        error = np.clip(a + b * x + c * y, -self._limit, self._limit)
+        # Normals of the lines through epipole and observations: the first two entries of e × (x, y, 1).
+        normal = np.column_stack([e1 - e2 * y, e2 * x - e0])
+        length = np.maximum(np.sqrt((normal * normal).sum(axis=1)), 1e-9)
+        corrected: FloatArray = xy - normal * (error / length)[:, None]
+        return corrected
+
+    def residual(self, xy: FloatArray) -> FloatArray:
+        """Return the signed distance (C, M) of each observation from the first camera's epipolar line; row 0 is NaN."""
+        count = xy.shape[1]
+        residual = np.full((len(xy), count), np.nan)
+        first = np.ones((count, 3))
+        first[:, :2] = xy[0]
+        for camera in range(1, len(xy)):
+            a, b, c = self._essential[camera] @ first.T
+            x, y = xy[camera].T
+            residual[camera] = (a * x + b * y + c) / np.maximum(np.sqrt(a * a + b * b), 1e-12)
+        return residual
+
+    def learn(self, xy: FloatArray, accepted: BoolArray, interval_s: float) -> None:
+        """Take the uncorrected observations (C, M, 2) that were accepted (C, M) at one moment."""
+        usable = accepted & accepted[0]
+        if not usable[1:].any():
+            return
+        forget = float(np.exp(-min(max(interval_s, 0.0), 1.0) / _MEMORY_S))
+        residual = self.residual(xy)
+        remaining: list[FloatArray] = []
+        for camera in range(1, len(xy)):
+            chosen = usable[camera]
+            if not chosen.any():
+                continue
+            views = xy[camera][chosen]
+            features = np.ones((len(views), 3))
+            features[:, 1:] = views
+            values = residual[camera][chosen]
+            error_px = (values - features @ self.coefficients[camera]) * self._focal_px
+            weight = np.minimum(1.0, 2.0 * self.spread_px / np.maximum(np.abs(error_px), 1e-9))
+            self._information[camera] *= forget
+            self._moment[camera] *= forget
+            weighted = features * weight[:, None]
+            self._information[camera] += weighted.T @ features
+            self._moment[camera] += weighted.T @ values
+            self.coefficients[camera] = np.linalg.solve(self._information[camera] + self._prior, self._moment[camera])
+            remaining.append(error_px)
+        self._measure(np.concatenate(remaining))
+
+    def _measure(self, error_px: FloatArray) -> None:
+        self._recent[(self._place + np.arange(len(error_px))) % _WINDOW] = error_px
+        self._place += len(error_px)
+        # The median of a handful of values is robust against one bad pair; 1.4826 makes it a standard deviation.
+        spread = 1.4826 * median(np.abs(error_px).tolist())
+        gain = 0.2 if self._place < 60 else 0.02
+        self.spread_px = max(_SMALLEST_SPREAD_PX, self.spread_px + gain * (spread - self.spread_px))
+
+    @property
+    def correction_px(self) -> float:
+        """Root mean square of what was learnt over recent observations, pixels, of the camera with most of it.
+
+        It is what the cameras have moved since their calibration, as far as epipolar lines can tell.
+        """
+        largest = 0.0
+        for information, coefficients in zip(self._information, self.coefficients, strict=True):
+            if information[0, 0] > 0.0:
+                # Its entries are weighted sums of the products of 1, x and y.
+                largest = max(largest, float(coefficients @ information @ coefficients) / float(information[0, 0]))
+        return float(np.sqrt(largest)) * self._focal_px
+
+    @property
+    def figures_px(self) -> tuple[float, float]:
+        """Mean and 95th percentile of the size of recent corrected residuals, pixels; 0 before any."""
+        sizes = np.abs(self._recent[np.isfinite(self._recent)])
+        return (float(sizes.mean()), float(np.percentile(sizes, 95))) if len(sizes) else (0.0, 0.0)

@@ -1,0 +1,90 @@
+"""What one frame of one camera says of the markers, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.messages import HandPose, PointState
+from rhot.rig import FusionConfig
+from rhot_fusion.views.epipolar import EpipolarModel
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.intp]
+CountArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """The markers in one frame.
+
+    Attributes:
+        camera: index of the camera.
+        t_s: time of the frame: the median of its markers' times, seconds since the stream's start.
+        index: (N,) markers, ascending.
+        times_s: (N,) when each was seen.
+        xy: (N, 2) normalised image coordinates, finite.
+        area_px: (N,) visible painted area, square pixels.
+    """
+
+    camera: int
+    t_s: float
+    index: IndexArray
+    times_s: FloatArray
+    xy: FloatArray
+    area_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The markers at one moment, in plain numbers.
+
+    Attributes:
+        t_s: the moment, seconds since the stream's start.
+        position: (M, 3) metres, rig frame; NaN = absent.
+        sigma_m: (M,) standard deviation of the position.
+        views: (M,) cameras behind it.
+        measured: (M,) backed by views of this moment that agree.
+        seen: (C, M) which cameras see the marker at this moment.
+        covariance: (M, 3, 3) of the position, square metres; none where the method tells none.
+        state: (M,) of each marker; none where `measured` tells all.
+    """
+
+    t_s: float
+    position: list[list[float]]
+    sigma_m: list[float]
+    views: list[int]
+    measured: list[bool]
+    seen: list[list[bool]]
+    covariance: FloatArray | None = None
+    state: list[PointState] | None = None
+
+
+class Tracker(Protocol):
+    """From sightings to points: the part of fusion in which its methods differ.
+
+    Attributes:
+        epipolar: what was learnt of the cameras since they were calibrated.
+    """
+
+    epipolar: EpipolarModel
+
+    def configure(self, config: FusionConfig) -> None:
+        """Change the settings, within the same method."""
+        ...
+
+    def advance(self, sightings: Sightings) -> Outcome | None:
+        """Take one frame in order of arrival; return the markers at the moment that it made possible, if any."""
+        ...
+
+    def learn(self, hand: HandPose) -> None:
+        """Take what inverse kinematics made of earlier points."""
+        ...
+
+    def clear(self) -> None:
+        """Forget all markers; what was learnt of the cameras stays."""
+        ...

@@ -1,0 +1,1 @@
+"""FABRIK with joint limits."""

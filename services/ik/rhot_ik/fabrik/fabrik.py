@@ -1,0 +1,207 @@
+"""FABRIK with joint limits, for many chains of the same build at once.
+
+Each iteration runs backward from the target on points alone and forward from the base on angles: the forward pass turns
+every joint towards its point, clamps the angles, and places the next point by forward kinematics. What comes out is
+therefore always a legal pose with exact bone lengths, whatever the target.
+
+Joint limits can stall these passes short of a target that is in reach, and coupled hinges slow them down. Chains that
+no longer gain are therefore finished by damped least squares on the angles that are not held at a limit
+(`rhot_ik.fabrik.descent`); the nearest pose seen is returned.
+
+Source: Aristidou & Lasenby, "FABRIK: a fast, iterative solver for the inverse kinematics problem", Graphical Models 73,
+2011; limits as in Aristidou, Chrysanthou & Lasenby, "Extending FABRIK with model constraints", 2016.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.arrays import FloatArray
+from rhot_ik.fabrik.chains import ABDUCTION, FLEXION, TWIST, Chains, joint_rotations
+from rhot_ik.fabrik.descent import descend
+
+_TINY_M: Final = 1e-9
+_STALL: Final = 0.8
+"""An iteration that leaves more than this share of the error is not worth another one."""
+_EASED_SHARES: Final = (0.35, 0.65, 0.15)
+"""Poses to start again from when limits stall a chain: shares of the range of each flexion."""
+_LATERAL_DAMPING_M: Final = 0.003
+"""Abduction of a chain whose target lies this near to the abduction axis is not determined by it any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChainPose:
+    """What the solver found.
+
+    Attributes:
+        angles: (B, n, 3) radians, inside the limits.
+        points: (B, n + 1, 3) metres, base frame; the last is the end of the chain.
+        error: (B,) metres between the end and the target.
+        iterations: how many were run.
+    """
+
+    angles: FloatArray
+    points: FloatArray
+    error: FloatArray
+    iterations: int
+
+
+def solve(
+    chains: Chains, targets: FloatArray, start: FloatArray, tolerance_m: float = 1e-4, max_iterations: int = 24
+) -> ChainPose:
+    """Bring the ends of all chains as near to their targets as the limits allow.
+
+    Args:
+        chains: the build.
+        targets: (B, 3) metres, base frame of each chain; anything, also out of reach or not finite (then the chain
+            keeps its start).
+        start: (B, n, 3) radians, usually the last solution.
+        tolerance_m: stop when all chains are this near.
+        max_iterations: stop then in any case; the best pose seen is returned.
+    """
+    usable = np.asarray(np.isfinite(targets).all(axis=-1))
+    angles = chains.clamp(start)
+    points, axes = chains.forward(angles)
+    # Far beyond the reach only the direction matters; this also keeps huge numbers out of the squares.
+    reach = chains.lengths.sum(axis=1)
+    goal = np.where(usable[:, None], targets, points[:, -1])
+    goal = goal / np.maximum(1.0, np.abs(goal).max(axis=1) / (4.0 * reach))[:, None]
+    best, best_angles = _distance(points, goal), angles
+    iteration = 0
+    while iteration < max_iterations and best.max() > tolerance_m:
+        iteration += 1
+        wanted = _backward(chains, goal, points, axes)
+        angles = _forward(chains, goal, wanted, angles)
+        points, axes = chains.forward(angles)
+        error = _distance(points, goal)
+        gaining = (error < _STALL * best) & (best > tolerance_m)
+        better = error < best
+        best = np.where(better, error, best)
+        best_angles = np.where(better[:, None, None], angles, best_angles)
+        if not gaining.any():
+            break
+    if iteration < max_iterations and best.max() > tolerance_m:
+        best_angles, best, used = descend(chains, goal, best_angles, tolerance_m, max_iterations - iteration)
+        iteration += used
+    for share in _EASED_SHARES:
+        # Limits can hold a chain in a corner that it would have to leave backwards: try from other poses.
+        if iteration >= max_iterations or best.max() <= tolerance_m:
+            break
+        other, error, used = descend(chains, goal, _eased(chains, share), tolerance_m, max_iterations - iteration)
+        iteration += used
+        better = error < best - tolerance_m
+        best = np.where(better, error, best)
+        best_angles = np.where(better[:, None, None], other, best_angles)
+    best_points, _ = chains.forward(best_angles)
+    error = np.where(usable, _distance(best_points, np.where(usable[:, None], targets, 0.0)), 0.0)
+    return ChainPose(best_angles, best_points, error, iteration)
+
+
+def _eased(chains: Chains, share: float) -> FloatArray:
+    """Return angles (B, n, 3) with every flexion at a share of its range and the rest in the middle of theirs."""
+    eased = 0.5 * (chains.lowest + chains.highest)
+    low, high = chains.lowest[..., FLEXION], chains.highest[..., FLEXION]
+    eased[..., FLEXION] = low + share * (high - low)
+    return chains.clamp(eased)
+
+
+def _distance(points: FloatArray, goal: FloatArray) -> FloatArray:
+    gap = points[:, -1] - goal
+    # Scaled, because the square of a huge target does not fit.
+    largest = np.maximum(np.abs(gap).max(axis=1), 1e-300)
+    distance: FloatArray = largest * np.sqrt(((gap / largest[:, None]) ** 2).sum(-1))
+    return distance
+
+
+def _backward(chains: Chains, goal: FloatArray, points: FloatArray, axes: FloatArray) -> FloatArray:
+    """Return where the points (B, n + 1, 3) should go when the end sits on its goal; limits are left to the way back.
+
+    Each joint first moves with the correction of the one after it and is then pulled to its bone's length.
+    """
+    lengths = chains.lengths
+    wanted = points.copy()
+    wanted[:, -1] = goal
+    for joint in range(chains.count - 1, 0, -1):
+        ray = points[:, joint] - wanted[:, joint + 1]
+        distance = np.sqrt((ray * ray).sum(-1, keepdims=True))
+        along = -(axes[:, joint] @ chains.bones[:, joint, :, None])[..., 0] / lengths[:, joint, None]
+        direction = np.where(distance > _TINY_M, ray / np.maximum(distance, _TINY_M), along)
+        wanted[:, joint] = wanted[:, joint + 1] + lengths[:, joint, None] * direction
+    return wanted
+
+
+def _forward(chains: Chains, goal: FloatArray, wanted: FloatArray, previous: FloatArray) -> FloatArray:
+    """Return legal angles (B, n, 3) that turn each joint from the base on towards its wanted point."""
+    angles = previous.copy()
+    origin = np.zeros((len(goal), 3))
+    parent = np.broadcast_to(np.eye(3), (len(goal), 3, 3))
+    for joint in range(chains.count):
+        frame = parent @ chains.rest[:, joint]
+        bone = chains.bones[:, joint]
+        low, high = chains.lowest[:, joint], chains.highest[:, joint]
+        towards = _in_frame(frame, wanted[:, joint + 1] - origin)
+        turn = angles[:, joint]
+        if _is_free(low, high, ABDUCTION):
+            # Hinges behind a knuckle all bend in its plane, so the plane has to hold the target itself.
+            planar = not _is_free(low, high, TWIST) and joint + 1 < chains.count
+            lateral = _in_frame(frame, goal - origin) if planar else towards
+            turn[:, ABDUCTION] = _abduction(lateral, bone[:, 0], low[:, ABDUCTION], high[:, ABDUCTION])
+        cos_a, sin_a = np.cos(turn[:, ABDUCTION]), np.sin(turn[:, ABDUCTION])
+        depth = sin_a * towards[:, 0] + cos_a * towards[:, 2]
+        bend = np.arctan2(-towards[:, 1], -depth) - np.arctan2(-bone[:, 1], -bone[:, 2])
+        turn[:, FLEXION] = _nearest_in_range(bend, low[:, FLEXION], high[:, FLEXION])
+        if _is_free(low, high, TWIST) and joint + 1 < chains.count:
+            swing = turn * (1.0, 1.0, 0.0)
+            beyond = _in_frame(frame @ joint_rotations(swing), wanted[:, joint + 2] - wanted[:, joint + 1])
+            off_axis = np.hypot(beyond[:, 0], beyond[:, 1])
+            twist = np.arctan2(beyond[:, 0], -beyond[:, 1])
+            legal = _nearest_in_range(twist, low[:, TWIST], high[:, TWIST])
+            turn[:, TWIST] = np.where(off_axis > 1e-3 * chains.lengths[:, joint + 1], legal, turn[:, TWIST])
+        if joint > 0:
+            factor = chains.coupling[:, joint]
+            tied = np.isfinite(factor)
+            if tied.any():
+                _couple(angles, joint, np.where(tied, factor, 0.0), tied)
+        parent = frame @ joint_rotations(turn)
+        origin = origin + (parent @ bone[:, :, None])[..., 0]
+    return chains.clamp(angles)
+
+
+def _couple(angles: FloatArray, joint: int, factor: FloatArray, tied: NDArray[np.bool_]) -> None:
+    """Move two coupled hinges to the nearest pair (q, factor · q), in place."""
+    first, second = angles[:, joint - 1, FLEXION], angles[:, joint, FLEXION]
+    common = (first + factor * second) / (1.0 + factor * factor)
+    angles[:, joint - 1, FLEXION] = np.where(tied, common, first)
+    angles[:, joint, FLEXION] = np.where(tied, factor * common, second)
+
+
+def _abduction(towards: FloatArray, offset: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the abduction (B,) whose plane comes nearest to a point, damped where the point is on the axis."""
+    x, z = towards[:, 0], towards[:, 2]
+    angle = np.clip(np.arctan((x - offset) * z / (z * z + _LATERAL_DAMPING_M**2)), low, high)
+    for _ in range(2):
+        cos, sin = np.cos(angle), np.sin(angle)
+        across, along = cos * x - sin * z - offset, sin * x + cos * z
+        angle = np.clip(angle + across * along / (along * along + _LATERAL_DAMPING_M**2), low, high)
+    return angle
+
+
+def _nearest_in_range(angle: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the legal angle (B,) nearest to `angle` on the circle."""
+    middle = 0.5 * (low + high)
+    turned = middle + (angle - middle + np.pi) % (2.0 * np.pi) - np.pi
+    return np.clip(turned, low, high)
+
+
+def _in_frame(frame: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return vectors (B, 3) in frames (B, 3, 3): frameᵀ · vector."""
+    local: FloatArray = (vector[:, None, :] @ frame)[:, 0, :]
+    return local
+
+
+def _is_free(low: FloatArray, high: FloatArray, angle: int) -> bool:
+    return bool((high[:, angle] > low[:, angle]).any())

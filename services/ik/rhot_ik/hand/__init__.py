@@ -1,0 +1,1 @@
+"""The whole hand as one estimate."""

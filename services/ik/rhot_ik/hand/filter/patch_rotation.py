@@ -1,0 +1,73 @@
+"""The rectangle on the back of the hand: from its four corners in space to the wrist's rotation."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from rhot.arrays import FloatArray
+from rhot.geometry.covariances import symmetric_inverse
+from rhot.geometry.rotations import cross_matrix, nearest_rotation, rotation_from_vector
+
+Fitted = tuple[FloatArray, FloatArray]
+
+_MOST_STEPS: Final = 4
+MAX_ERROR_M: Final = 0.006
+"""Corners further than this (root mean square) from any pose of the patch are no such patch."""
+FAR_M: Final = 0.004
+"""Corners further than this (root mean square) from the expected ones: the expected rotation is no place to start."""
+CLOSE_RAD: Final = 0.05
+"""Steps end when the last one was no longer than this; what is left is its square."""
+CORNER_ORDERS: Final = np.array([[(first + way * k) % 4 for k in range(4)] for way in (1, -1) for first in range(4)])
+"""The eight ways to go round a rectangle, (8, 4)."""
+_PLACES: Final = np.arange(4)
+
+
+class PatchRotation:
+    """Turns the four corners of one patch into a rotation.
+
+    Args:
+        outline: (4, 3) metres: corners about the patch's centre, wrist frame.
+    """
+
+    def __init__(self, outline: FloatArray) -> None:
+        self._outline = outline
+        # d(R·exp(δθ)·o) = −R·[o]×·δθ, so Jᵀ·W·J and Jᵀ·W·r are fixed linear maps of Rᵀ·W·R and of its product with r.
+        J = -cross_matrix(outline)
+        self._squares = np.einsum("kia,kjb->abij", J, J).reshape(9, 9)
+        self._arms = J.swapaxes(1, 2).swapaxes(0, 1).reshape(3, 12)
+        self._size = float((outline * outline).sum())
+
+    def fit(self, corners: FloatArray, expected: FloatArray, covariance: FloatArray) -> Fitted | None:
+        """Return the rotation (3, 3), wrist to rig, and the inverse covariance (3, 3) of its error, or None if unfit.
+
+        The error δθ is that of R·exp(δθ). Of the eight ways to go round a rectangle, the one nearest to `expected` is
+        taken: that is turned by far less than a quarter from the truth. Gauss–Newton, from `expected` when that is
+        near, else from the unweighted fit.
+
+        Args:
+            corners: (4, 3) metres, rig frame, cyclic order from an unknown one.
+            expected: (3, 3) wrist to rig.
+            covariance: (3, 3) square metres: of a corner about the patch's centre, rig frame.
+        """
+        if not np.isfinite(corners).all():
+            return None
+        centred = corners - corners.sum(axis=0) / 4.0
+        # Σ |found − R·o|² is least where Σ found·(R·o) is greatest.
+        agree = (centred @ expected @ self._outline.T)[CORNER_ORDERS, _PLACES].sum(axis=1)
+        best = int(agree.argmax())
+        found = centred[CORNER_ORDERS[best]]
+        missed = float((centred * centred).sum()) + self._size - 2.0 * float(agree[best])
+        R = nearest_rotation(found.T @ self._outline) if missed > 4.0 * FAR_M**2 else expected
+        weight = symmetric_inverse(covariance)
+        for _ in range(_MOST_STEPS):
+            local = R.T @ weight @ R
+            information = (self._squares @ local.reshape(9)).reshape(3, 3)
+            step = symmetric_inverse(information) @ (self._arms @ ((found @ R - self._outline) @ local).reshape(12))
+            R = R @ rotation_from_vector(step)
+            if step @ step < CLOSE_RAD**2:
+                break
+        if ((found - self._outline @ R.T) ** 2).sum() > 4.0 * MAX_ERROR_M**2:
+            return None
+        return R, information

@@ -1,0 +1,154 @@
+"""From `rhot/points` to `rhot/hand/<side>`: binds markers to hands and wraps solutions into messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.explain import Explanation
+from rhot.messages import FingerAngles, HandPose, Point, PointSet, Side
+from rhot.rig import IkConfig, MarkerConfig, Rig
+from rhot.stage import Output
+from rhot_ik.hand.explain import solver_tables
+from rhot_ik.hand.filter.evidence import SIGMA_M, HandObservation
+from rhot_ik.hand.fingers.geometry import base_marker
+from rhot_ik.hand.solver import HandSolution, HandSolver
+
+_ANGLES = tuple(FingerAngles.model_fields)
+_REACH = 1.6
+"""No fingertip is further from the back of its hand than this many hand lengths."""
+
+
+class HandStage:
+    """The core of the ik service: one solver per hand that wears a marker on its back.
+
+    Args:
+        rig: marker table, hand sizes and configuration.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._markers: Mapping[str, MarkerConfig] = rig.config.markers
+        self._solvers: dict[Side, HandSolver] = {}
+        self._bases: dict[Side, str] = {}
+        self._counts = {"hands": 0, "no_hand": 0, "outside": 0, "not_of_this_hand": 0}
+        self._volume_m = rig.config.fusion.volume_m
+        self._problems: list[str] = []
+        viewpoints = np.array([np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values()]).reshape(-1, 3)
+        for side in rig.config.sides:
+            model = HandModel.from_file(rig.hand, side)
+            base = base_marker(model, self._markers)
+            if base is None:
+                self._problems.append(f"the {side} hand has no marker on wrist or palm in rig.toml and is not solved")
+                continue
+            self._bases[side] = base
+            self._solvers[side] = HandSolver(model, self._markers, base, rig.config.ik, viewpoints)
+
+    def configure(self, config: IkConfig) -> None:
+        """Switch to another configuration from the next sample on."""
+        for solver in self._solvers.values():
+            solver.config = config
+
+    @property
+    def figures(self) -> Mapping[str, float]:
+        """None beyond the counts."""
+        return {}
+
+    @property
+    def problem(self) -> str:
+        """Hands that cannot be solved because `rig.toml` gives them no marker to hold the palm by."""
+        return "; ".join(self._problems)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What became of the samples.
+
+        `hands` solved and published; `no_hand`: too little of a hand was seen. Points left out: `outside` of where
+        markers can be, or `not_of_this_hand` because they are too far from its palm.
+        """
+        return self._counts
+
+    def feed(self, points: PointSet) -> list[Output]:
+        """Return the `HandPose` of each hand that the points show, with its key."""
+        out: list[Output] = []
+        for side, solver in self._solvers.items():
+            solution = solver.solve(self._observation(points, self._bases[side], solver))
+            if solution is None:
+                self._counts["no_hand"] += 1
+            else:
+                self._counts["hands"] += 1
+                out.append((f"rhot/hand/{side}", hand_pose(points, solver.geometry.model, solution)))
+        return out
+
+    def explain(self) -> list[Explanation]:
+        """Return what is known of each hand after the newest points, and why; see `rhot.explain`."""
+        return [table for side, solver in self._solvers.items() for table in solver_tables(side, solver)]
+
+    def _observation(self, points: PointSet, base_name: str, solver: HandSolver) -> HandObservation:
+        tips, measured = np.full((len(FINGERS), 3), np.nan), np.zeros(len(FINGERS), dtype=np.bool_)
+        sigma = np.full(len(FINGERS), SIGMA_M)
+        base = self._believable(points, base_name)
+        reach_m = _REACH * solver.geometry.model.length_m
+        for place, finger in enumerate(FINGERS):
+            point = self._believable(points, solver.geometry.markers.get(finger, ""))
+            if point is None:
+                continue
+            if base is not None and math.dist(point.position, base.position) > reach_m:
+                self._counts["not_of_this_hand"] += 1
+                continue
+            tips[place] = point.position
+            sigma[place] = point.sigma
+            measured[place] = point.state == "measured"
+        return HandObservation(
+            t_ns=points.t_ns,
+            base=None if base is None else np.array(base.position),
+            base_measured=base is not None and base.state == "measured",
+            corners=None if base is None or base.corners is None else np.array(base.corners),
+            tips=tips,
+            tips_measured=measured,
+            base_sigma=SIGMA_M if base is None else base.sigma,
+            tips_sigma=sigma,
+        )
+
+    def _believable(self, points: PointSet, name: str) -> Point | None:
+        """Return a point of a set if it lies where markers can be; fusion sends no others, but the bus may."""
+        point = points.points.get(name)
+        if point is None:
+            return None
+        x, y, z = point.position
+        (low_x, low_y, low_z), (high_x, high_y, high_z) = self._volume_m
+        if low_x <= x <= high_x and low_y <= y <= high_y and low_z <= z <= high_z:
+            return point
+        self._counts["outside"] += 1
+        return None
+
+
+def hand_pose(points: PointSet, model: HandModel, solution: HandSolution) -> HandPose:
+    """Return the message that carries a solution."""
+    positions = solution.positions.tolist()
+    orientations = solution.orientations.tolist()
+    radii = model.radii.tolist()
+    angles = solution.angles.tolist()
+    residual = solution.residual.tolist()
+    measured = solution.fingers_measured.tolist()
+    # One validation of the whole is a third faster than one of each joint.
+    return HandPose.model_validate(
+        {
+            "t_ns": points.t_ns,
+            "side": model.side,
+            "frame": points.frame,
+            "joints": {
+                name: {"position": tuple(position), "orientation": tuple(orientation), "radius": radius}
+                for name, position, orientation, radius in zip(JOINTS, positions, orientations, radii, strict=True)
+            },
+            "angles": {
+                finger: dict(zip(_ANGLES, values, strict=True)) for finger, values in zip(FINGERS, angles, strict=True)
+            },
+            "residual": {f: error for f, error in zip(FINGERS, residual, strict=True) if not math.isnan(error)},
+            "fingers": {f: "measured" if found else "predicted" for f, found in zip(FINGERS, measured, strict=True)},
+            "state": "measured" if solution.palm_measured and any(measured) else "predicted",
+        }
+    )

@@ -1,0 +1,54 @@
+"""One colour per marker for people: that of its paint, bright enough for a screen."""
+
+from __future__ import annotations
+
+import colorsys
+import logging
+from typing import Final
+
+import numpy as np
+
+from rhot.errors import RhotError
+from rhot.rig import Rig
+from rhot.rig.colors import GaussianColor, HsvRangeColor, MarkerColor, load_colors
+from rhot_viewer.scene.instances import Rgb
+
+logger = logging.getLogger(__name__)
+
+_BRIGHTEST_AT_LEAST: Final = 190.0
+_UNPAINTED_LIGHTNESS: Final = 0.6
+
+
+def marker_colors(rig: Rig) -> dict[str, Rgb]:
+    """Return a colour for each marker of a rig: from `colors.json`, or spread over the colour circle without it."""
+    names = list(rig.config.markers)
+    spread = {
+        name: _bytes(np.array(colorsys.hls_to_rgb(index / len(names), _UNPAINTED_LIGHTNESS, 0.8)) * 255.0)
+        for index, name in enumerate(names)
+    }
+    if not rig.colors_path.exists():
+        return spread
+    try:
+        painted = load_colors(rig.colors_path).markers
+    except RhotError as error:
+        logger.warning("markers are shown in made-up colours: %s", error)
+        return spread
+    return spread | {name: screen_color(color) for name, color in painted.items() if name in spread}
+
+
+def screen_color(color: MarkerColor) -> Rgb:
+    """Return a paint's middle, made so bright that its strongest channel stands out on the page."""
+    if isinstance(color, GaussianColor):
+        rgb = np.array(max(color.components, key=lambda component: component.weight).rgb)
+    elif isinstance(color, HsvRangeColor):
+        start, end = color.hue_deg
+        hue = (start + 0.5 * ((end - start) % 360.0)) % 360.0 / 360.0
+        rgb = np.array(colorsys.hsv_to_rgb(hue, sum(color.saturation) / 2.0, sum(color.value) / 2.0)) * 255.0
+    else:
+        rgb = 0.5 * (np.array(color.low) + np.array(color.high))
+    return _bytes(rgb * max(1.0, _BRIGHTEST_AT_LEAST / max(float(rgb.max()), 1.0)))
+
+
+def _bytes(rgb: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Rgb:
+    red, green, blue = (round(float(np.clip(channel, 0.0, 255.0))) for channel in rgb)
+    return red, green, blue

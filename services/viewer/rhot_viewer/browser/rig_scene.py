@@ -1,0 +1,241 @@
+"""The whole 3D scene of a rig: what stands still is drawn once, what moves with every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import FINGERS
+from rhot.messages import BodyPose, FootPose, HandPose, HeadPose, ObjectPose, PointSet, Side, Truth
+from rhot.rig import Rig
+from rhot_viewer.browser.camera_layer import CameraLayer, PictureClick
+from rhot_viewer.browser.layers import HandLayer, InstanceLayer
+from rhot_viewer.browser.page import Page
+from rhot_viewer.rig.inbox import Inbox
+from rhot_viewer.rig.truth_track import TruthTrack
+from rhot_viewer.scene.hand import fingertips, ghost_shape, hand_shape
+from rhot_viewer.scene.instances import Rgb, turn_of_z, unit_ball, unit_box, unit_rod
+from rhot_viewer.scene.things import UNKNOWN_COLOR, foot_boxes, leg_rods, marker_balls, object_boxes
+from rhot_viewer.scene.trails import Trails
+from rhot_viewer.scene.viewpoint import Viewpoint, close_up, desk_middle, overview, through, up_direction, volume_lines
+
+FloatArray = NDArray[np.float64]
+
+SIDES: Final[tuple[Side, ...]] = ("right", "left")
+_HAND_AGE_S: Final = 0.4
+_SLOW_AGE_S: Final = 1.0
+_TRAIL_S: Final = 2.0
+_BACKGROUND: Final = (18, 20, 24)
+_VOLUME_COLOR: Final = (70, 84, 104)
+_GRID_CELL_M: Final = 0.1
+
+
+@dataclass(slots=True)
+class Shown:
+    """What the scene shows beside hands, markers and objects; each can be switched off in the page."""
+
+    ghost: bool = True
+    trails: bool = True
+    markers: bool = True
+    volume: bool = True
+    cameras: bool = True
+
+
+@dataclass(slots=True)
+class Seen:
+    """What the last frame showed, for the panels.
+
+    Attributes:
+        hands: tracked hands by side.
+        tip_errors_mm: newest distances of fingertips from the truth, by side and finger, since they were last taken.
+    """
+
+    hands: dict[str, HandPose] = field(default_factory=dict)
+    tip_errors_mm: dict[str, list[float]] = field(default_factory=dict)
+
+
+class RigScene:
+    """The scene of one rig in one page."""
+
+    def __init__(self, page: Page, rig: Rig, inbox: Inbox, colors: Mapping[str, Rgb]) -> None:
+        """Draw what stands still: desk, volume, cameras.
+
+        Args:
+            page: an open page.
+            rig: loaded.
+            inbox: where messages arrive.
+            colors: of the markers.
+        """
+        self.shown = Shown()
+        self.seen = Seen()
+        self._page = page
+        self._rig = rig
+        self._inbox = inbox
+        self._colors = colors
+        self._clicked: list[PictureClick] = []
+        self._truth = TruthTrack()
+        tips = [f"{side} {finger}" for side in SIDES for finger in FINGERS]
+        self._trails = Trails(tips, _TRAIL_S)
+        self._radii = {side: HandModel.from_file(rig.hand, side).radii for side in SIDES}
+        scene = page.server.scene
+        scene.set_up_direction(up_direction(rig))
+        scene.configure_default_lights(cast_shadow=False)
+        self._volume = self._draw_desk(scene)
+        self.cameras = CameraLayer(scene, rig.cameras, rig.config.sim.desk_z_m, self._picture_clicked, page.on_loop)
+        self._hands = {side: HandLayer(scene, f"/hands/{side}") for side in SIDES}
+        self._ghosts = {side: HandLayer(scene, f"/truth/{side}", ghost=True) for side in SIDES}
+        self._markers = InstanceLayer(scene, "/markers", unit_ball())
+        self._objects = InstanceLayer(scene, "/objects", unit_box())
+        self._feet = InstanceLayer(scene, "/feet", unit_box())
+        self._leg_joints = InstanceLayer(scene, "/legs/joints", unit_ball())
+        self._leg_bones = InstanceLayer(scene, "/legs/bones", unit_rod())
+        self._labels: dict[str, viser.LabelHandle] = {}
+        self._paths = scene.add_line_segments(
+            "/trails",
+            self._trails.lines.astype(np.float32),
+            self._trails.colors({**dict.fromkeys(tips, UNKNOWN_COLOR), **_tip_colors(rig, colors)}, _BACKGROUND),
+            thickness=0.0022,
+        )
+        self._start_with(overview(rig))
+
+    def _draw_desk(self, scene: viser.SceneApi) -> viser.LineSegmentsHandle:
+        up = up_direction(self._rig)
+        middle = desk_middle(self._rig)
+        if self._rig.config.feet is not None:
+            middle = np.zeros(3)
+        scene.add_grid(
+            "/desk",
+            width=1.6,
+            height=1.2,
+            cell_size=_GRID_CELL_M,
+            section_size=5 * _GRID_CELL_M,
+            cell_color=(52, 58, 66),
+            section_color=(84, 94, 108),
+            plane="xy",
+            position=tuple(middle),
+            wxyz=tuple(turn_of_z(up[None])[0]),
+        )
+        volume = volume_lines(*self._rig.config.fusion.volume_m).astype(np.float32)
+        return scene.add_line_segments("/volume", volume, _VOLUME_COLOR, thickness=0.0016)
+
+    def _start_with(self, view: Viewpoint) -> None:
+        camera = self._page.server.initial_camera
+        camera.up, camera.look_at, camera.position, camera.fov = view.up, view.look_at, view.position, view.fov_rad
+        camera.near = 0.01
+
+    def on_picture_click(self, work: PictureClick) -> None:
+        """Call `work` with camera and raw pixel whenever somebody clicks in a camera's picture."""
+        self._clicked.append(work)
+
+    def _picture_clicked(self, camera: str, u: float, v: float) -> None:
+        for work in self._clicked:
+            work(camera, u, v)
+
+    def fly(self, client: viser.ClientHandle | None, where: str) -> None:
+        """Move one browser's view: to `overview`, to the `hand`, or to a camera by its name."""
+        if client is None:
+            return
+        if where in self.cameras.planes:
+            view = through(self.cameras.planes[where], client.camera.aspect)
+        elif where == "hand":
+            palms = [pose.joints["palm"].position for pose in self.seen.hands.values() if "palm" in pose.joints]
+            view = close_up(self._rig, np.array(palms).reshape(-1, 3))
+        else:
+            view = overview(self._rig)
+        with client.atomic():
+            client.camera.up_direction = view.up
+            client.camera.position = view.position
+            client.camera.look_at = view.look_at
+            client.camera.fov = view.fov_rad
+
+    def set_visible(self) -> None:
+        """Bring the nodes that stand still in line with `shown`."""
+        self._volume.visible = self.shown.volume
+        self._paths.visible = self.shown.trails
+        self.cameras.set_visible(self.shown.cameras)
+
+    def new_session(self, rig: Rig, colors: Mapping[str, Rgb]) -> None:
+        """Forget the paths of an earlier session, and show the rig as it is calibrated now."""
+        self._trails.clear()
+        self._truth = TruthTrack()
+        self._rig, self._colors = rig, colors
+        self._radii = {side: HandModel.from_file(rig.hand, side).radii for side in SIDES}
+        self.cameras.place(rig.cameras)
+
+    def frame(self) -> None:
+        """Send what has moved; all of one frame arrives together."""
+        with self._page.server.atomic():
+            self._show_truth()
+            self._show_hands()
+            points = self._inbox.newest("rhot/points", PointSet, _HAND_AGE_S) if self.shown.markers else None
+            self._markers.show(None if points is None else marker_balls(points, self._colors))
+            self._show_objects()
+            self._show_feet()
+
+    def _show_truth(self) -> None:
+        truth = self._inbox.newest("rhot/truth", Truth, _HAND_AGE_S)
+        if truth is not None:
+            self._truth.add(truth)
+        for side, layer in self._ghosts.items():
+            joints = None if truth is None or not self.shown.ghost else truth.hands.get(side)
+            layer.show(None if joints is None else ghost_shape(joints, self._radii[side]))
+
+    def _show_hands(self) -> None:
+        hands = {side: self._inbox.newest(f"rhot/hand/{side}", HandPose, _HAND_AGE_S) for side in SIDES}
+        before, self.seen.hands = self.seen.hands, {side: pose for side, pose in hands.items() if pose is not None}
+        moved = False
+        for side, layer in self._hands.items():
+            pose = hands[side]
+            layer.show(None if pose is None else hand_shape(pose))
+            if pose is None and side in before:
+                self._trails.clear(side)
+                moved = True
+            if pose is None or pose is before.get(side):
+                continue
+            moved |= self._trails.add(pose.t_ns, fingertips(side, pose))
+            errors = self._truth.fingertip_errors(pose)
+            if errors is not None:
+                for finger, error in zip(FINGERS, errors, strict=True):
+                    self.seen.tip_errors_mm.setdefault(f"{side} {finger}", []).append(1e3 * float(error))
+        if moved and self.shown.trails:
+            self._paths.points = self._trails.lines.astype(np.float32)
+
+    def _show_objects(self) -> None:
+        objects = self._inbox.all_newest("rhot/object/", ObjectPose, _SLOW_AGE_S)
+        head = self._inbox.newest("rhot/head", HeadPose, _SLOW_AGE_S)
+        self._objects.show(object_boxes(objects, head))
+        positions = {name: pose.position for name, pose in objects.items()}
+        if head is not None:
+            positions["head"] = head.position
+        up = up_direction(self._rig)
+        for name, position in positions.items():
+            if name not in self._labels:
+                self._labels[name] = self._page.server.scene.add_label(
+                    f"/labels/{name}", name, anchor="bottom-center", font_screen_scale=0.9
+                )
+            self._labels[name].position = tuple(np.array(position) + 0.06 * up)
+        for name, label in self._labels.items():
+            label.visible = name in positions
+
+    def _show_feet(self) -> None:
+        feet = self._inbox.all_newest("rhot/foot/", FootPose, _SLOW_AGE_S)
+        self._feet.show(foot_boxes(feet) if feet else None)
+        body = self._inbox.newest("rhot/body", BodyPose, _SLOW_AGE_S)
+        joints, bones = (None, None) if body is None else leg_rods(body)
+        self._leg_joints.show(joints)
+        self._leg_bones.show(bones)
+
+
+def _tip_colors(rig: Rig, colors: Mapping[str, Rgb]) -> dict[str, Rgb]:
+    """Return the colour of the marker on each painted fingertip, by `<side> <finger>`."""
+    return {
+        f"{marker.hand} {marker.joint.removesuffix('_tip')}": colors[name]
+        for name, marker in rig.config.markers.items()
+        if marker.joint.endswith("_tip")
+    }

@@ -1,0 +1,1 @@
+"""What the page knows of the running rig, without any web page."""

@@ -1,0 +1,80 @@
+"""Reading and changing the settings of running capture services, through `rhot/config/capture/<camera>`."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from rhot.bus import Bus
+from rhot.errors import BusError
+from rhot_viewer.rig.camera_sliders import merged_change
+
+_TIMEOUT_S: Final = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class CameraState:
+    """What is known of one camera's settings.
+
+    Attributes:
+        settings: fields of `CameraSettings`; empty until the camera has answered.
+        refusal: why the last change was refused; empty when it was not.
+        version: counts the answers.
+    """
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    refusal: str = ""
+    version: int = 0
+
+
+class CaptureSettings:
+    """Settings of all cameras; changes that come faster than a camera answers are put together."""
+
+    def __init__(self, cameras: Iterable[str]) -> None:
+        self.cameras = {name: CameraState() for name in cameras}
+        self._pending: dict[str, dict[str, Any]] = {}
+        self._wake = asyncio.Event()
+
+    def ask(self, camera: str, change: Mapping[str, Any]) -> None:
+        """Change a camera's settings; an empty change reads them."""
+        self._pending[camera] = merged_change(self._pending.get(camera, {}), change)
+        self._wake.set()
+
+    def is_asked(self, camera: str) -> bool:
+        """Tell whether an answer is awaited."""
+        return camera in self._pending
+
+    async def run(self, bus: Bus) -> None:
+        """Send what is asked, until cancelled."""
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            for camera, change in list(self._pending.items()):
+                answered = await self._answer(bus, camera, change)
+                if self._pending.get(camera) is change:
+                    del self._pending[camera]
+                self.cameras[camera] = answered
+
+    async def _answer(self, bus: Bus, camera: str, change: Mapping[str, Any]) -> CameraState:
+        before = self.cameras[camera]
+        key = f"rhot/config/capture/{camera}?format=json"
+        try:
+            replies = await bus.get(key, json.dumps(change).encode() if change else b"", timeout_s=_TIMEOUT_S)
+        except BusError as error:
+            return CameraState(before.settings, str(error), before.version + 1)
+        if not replies:
+            silent = f"nobody answers; is `rhot capture --camera {camera}` running?"
+            return CameraState(before.settings, silent, before.version + 1)
+        if replies[0].error:
+            return CameraState(before.settings, replies[0].error, before.version + 1)
+        try:
+            settings = json.loads(replies[0].payload)
+        except ValueError:
+            settings = None
+        if not isinstance(settings, dict):
+            return CameraState(before.settings, "the answer is not a map of settings", before.version + 1)
+        # A mere reading does not take away the reason why the last change was refused.
+        return CameraState(settings, before.refusal if not change else "", before.version + 1)

@@ -1,0 +1,148 @@
+"""Recording the running rig from the page, over the functions of `rhot record`, and explaining a moment of it."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import time
+from pathlib import Path
+from typing import Final
+
+from rhot.bus import Bus
+from rhot.errors import ConfigError, RhotError
+from rhot.recording.mcap.gaps import Tally
+from rhot.rig import BusConfig
+
+_CONNECT_S: Final = 2.0
+_MIN_ELAPSED_S: Final = 1e-3
+
+
+class LiveRecording:
+    """Records into one file after the other.
+
+    Attributes:
+        file: written now or last; None before the first.
+        megabytes: written into it.
+        tally: of its messages.
+        problem: why the last one could not begin or ended; empty otherwise.
+    """
+
+    def __init__(self, bus: BusConfig, rig_path: Path) -> None:
+        """Prepare; nothing is recorded yet.
+
+        Args:
+            bus: how the running rig is reached.
+            rig_path: its settings are attached.
+        """
+        self.file: Path | None = None
+        self.megabytes = 0.0
+        self.tally = Tally()
+        self.problem = ""
+        self._bus = bus
+        self._rig_path = rig_path
+        self._asked: asyncio.Queue[Path] = asyncio.Queue()
+        self._stop = asyncio.Event()
+        self._begun: float | None = None
+        self._lasted_s = 0.0
+
+    @property
+    def running(self) -> bool:
+        """Whether it records now."""
+        return self._begun is not None
+
+    @property
+    def seconds(self) -> float:
+        """How long it has recorded into `file`."""
+        return self._lasted_s if self._begun is None else time.monotonic() - self._begun
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages a second, over the whole file."""
+        return self.tally.messages / max(self.seconds, _MIN_ELAPSED_S)
+
+    def start(self, folder: Path) -> None:
+        """Begin a file named after date and time in a folder."""
+        if not self.running and self._asked.empty():
+            self._asked.put_nowait(folder / f"rhot-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
+
+    def stop(self) -> None:
+        """End the file."""
+        self._stop.set()
+
+    async def run(self) -> None:
+        """Record what is asked for, until cancelled."""
+        while True:
+            file = await self._asked.get()
+            self.problem = ""
+            self._stop.clear()
+            try:
+                await self._record(file)
+            except ModuleNotFoundError as error:
+                self.problem = f"recording needs the Python module {error.name}: pip install 'rhot[record]'"
+            except RhotError as error:
+                self.problem = str(error)
+            finally:
+                if self._begun is not None:
+                    self._lasted_s = time.monotonic() - self._begun
+                self._begun = None
+
+    async def _record(self, file: Path) -> None:
+        # Only where somebody records: `mcap` is an extra.
+        from rhot.recording.mcap.session import record, subscribe  # noqa: PLC0415
+        from rhot.recording.mcap.writer import McapWriter, rig_files  # noqa: PLC0415
+
+        async with await Bus.open(self._bus, timeout_s=_CONNECT_S) as bus:
+            try:
+                file.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise ConfigError(f"{file.parent}: cannot be made: {error.strerror or error}") from error
+            about = {"connect": ",".join(self._bus.connect), "namespace": self._bus.namespace}
+            with McapWriter(
+                file,
+                now_ns=time.time_ns(),
+                attachments=rig_files(self._rig_path),
+                about={**about, "rig": str(self._rig_path.resolve())},
+            ) as writer:
+                self.file, self.tally, self.megabytes = file, Tally(), 0.0
+                self._begun = time.monotonic()
+
+                def note_size() -> None:
+                    self.megabytes = writer.written_bytes / 1e6
+
+                mailbox = subscribe(bus)
+                await record(mailbox, writer, self.tally, self._stop, on_beat=note_size)
+            self.megabytes = sum(each.stat().st_size for each in writer.files) / 1e6
+        if mailbox.overwritten:
+            self.problem = f"{mailbox.overwritten} samples were lost because the disk was too slow"
+        elif self.tally.left_out:
+            self.problem = f"{self.tally.left_out} samples on more keys than a rig has are left out"
+
+
+async def explain(recording: Path, at: str, rig_path: Path) -> Path:
+    """Run `rhot explain` on a recording and return the page that it has written beside it.
+
+    Args:
+        recording: MCAP file.
+        at: seconds after its first marker frame.
+        rig_path: the rig folder.
+
+    Raises:
+        ConfigError: it cannot be explained; says what the command says.
+    """
+    page = recording.with_suffix(".html")
+    words = ["explain", str(recording), "--at", at, "--out", str(page), "--rig", str(rig_path)]
+    # A process of its own: it tracks ten seconds anew, and the page must go on meanwhile.
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "rhot", "-q", *words),
+        stdout=asyncio.subprocess.DEVNULL,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    try:
+        _, said = await process.communicate()
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+    if process.returncode != 0:
+        raise ConfigError(said.decode(errors="replace").strip().removeprefix("rhot: error: ") or "rhot explain failed")
+    return page

@@ -1,0 +1,48 @@
+"""Restarting the rig from the page, so that its services use the new calibration."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Final
+
+from rhot.bus import Bus
+from rhot.calibration_step import StepContext
+from rhot.operation.control import broadcast, new_session
+from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE
+from rhot.rig.kept_file import file_stamp
+
+_READ_AT_START: Final = (CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE)
+_CONNECT_S: Final = 2.0
+_CLOCK_S: Final = 2.0
+_DELAY_S: Final = 0.5
+
+
+class Sessions:
+    """Begins sessions of the running rig, and knows when its folder holds something that only a new one takes over."""
+
+    def __init__(self, context: StepContext) -> None:
+        self._context = context
+        self._stamps = self._now()
+        self._begun = 0
+        self._one_at_a_time = asyncio.Lock()
+
+    def files_have_changed(self) -> bool:
+        """Tell whether a calibration file that is read at the start of a session has changed since the last look."""
+        before, self._stamps = self._stamps, self._now()
+        return self._stamps != before
+
+    async def start_anew(self) -> str:
+        """Begin a new session and return its name.
+
+        Raises:
+            BusError: no router, or nobody owns the rig clock.
+        """
+        async with self._one_at_a_time, await Bus.open(self._context.bus, timeout_s=_CONNECT_S) as bus:
+            self._begun += 1
+            # Two within a second would bear one name, and services would take them for the same session.
+            name = f"{new_session()}-{self._begun}"
+            control = await broadcast(bus, "start", name, _DELAY_S, _CLOCK_S)
+        return control.session
+
+    def _now(self) -> tuple[tuple[int, int], ...]:
+        return tuple(file_stamp(self._context.rig_path / name) for name in _READ_AT_START)

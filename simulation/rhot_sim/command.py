@@ -1,0 +1,239 @@
+"""`rhot sim`: the whole system on this machine, with simulated cameras, hand and object."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import tempfile
+from collections.abc import Coroutine
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import click
+from rich.console import Console
+
+from rhot.cli.options import rig_option
+from rhot.cli.page import free_page_port, page_command, page_options, page_url
+from rhot.errors import ConfigError
+from rhot.rig import Rig, load_rig
+from rhot.rig.config import WalkProgram
+from rhot.rig.folder import RIG_FILE, write_text_atomic
+from rhot.service.stop import install_stop
+from rhot_sim.comparison.feet_table import feet_summary
+from rhot_sim.comparison.table import summary
+from rhot_sim.rig.folder import DEFAULT_ENDPOINT, with_motion, write_simulated_rig
+from rhot_sim.running.calibration_run import missing_calibration, run_for_calibration
+from rhot_sim.running.run import SimRun, free_endpoint
+from rhot_sim.walker.folder import write_walker_rig
+from rhot_sim.walker.run import WalkerRun
+
+
+@click.command()
+@click.option(
+    "--duration",
+    "duration_s",
+    type=click.FloatRange(1, 86400),
+    default=30.0,
+    show_default=True,
+    help="Seconds to run. With a board or an uncalibrated rig, until Ctrl-C unless you give it.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(0, 2**63 - 1),
+    default=1,
+    show_default=True,
+    help="Seed of the simulated world; the same seed gives the same motion.",
+)
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=click.FloatRange(5, 200),
+    default=60.0,
+    show_default=True,
+    help="Frames per second of each camera.",
+)
+@click.option("--cameras", type=click.IntRange(2, 8), default=2, show_default=True, help="Number of cameras.")
+@click.option(
+    "--hands",
+    type=click.Choice(["right", "left", "both"]),
+    default="right",
+    show_default=True,
+    help="Hands in the simulated world.",
+)
+@click.option(
+    "--motion",
+    type=click.Choice(["script", "still", "board"]),
+    default="script",
+    show_default=True,
+    help="What the cameras see: gestures and grasps, open hands that never move, or a chessboard to calibrate with.",
+)
+@click.option(
+    "--feet",
+    is_flag=True,
+    help="Simulate a walking person, with a depth camera on the head and sensors on the ankles, instead of a hand.",
+)
+@click.option(
+    "--walk",
+    type=click.Choice(get_args(WalkProgram)),
+    default="walk",
+    show_default=True,
+    help="With --feet: what the person does.",
+)
+@click.option(
+    "--height",
+    "height_m",
+    type=click.FloatRange(1.2, 2.2),
+    default=1.75,
+    show_default=True,
+    help="With --feet: height of the person, metres.",
+)
+@click.option(
+    "--headless", is_flag=True, help="Show no web page and no live table, only a line now and then and the summary."
+)
+@page_options
+@click.option(
+    "--report",
+    "report_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Also write every figure to this file, as JSON.",
+)
+@click.option(
+    "--listen",
+    "endpoint",
+    metavar="ENDPOINT",
+    help=f"Where the router listens.  [default: {DEFAULT_ENDPOINT}, or a free port]",
+)
+@rig_option
+@click.pass_context
+def sim(
+    context: click.Context,
+    duration_s: float,
+    seed: int,
+    rate_hz: float,
+    cameras: int,
+    hands: str,
+    motion: Literal["script", "still", "board"],
+    feet: bool,
+    walk: WalkProgram,
+    height_m: float,
+    headless: bool,
+    viewer: bool,
+    page_port: int,
+    report_path: Path | None,
+    endpoint: str | None,
+    rig_path: Path,
+) -> int:
+    """Run a whole simulated rig on this machine and show how well it tracks.
+
+    Every part runs as its own process, as on a real rig: one capture service per camera, fusion, ik, objects and the
+    web page. Each capture service draws what its camera would see, with lens, noise, blur, rolling shutter, lost frames
+    and its own clock. While it runs, open http://localhost:8080, or look at any key from another terminal:
+
+    \b
+    rhot status
+    rhot get 'rhot/**'
+    rhot watch rhot/hand/right
+
+    With --rig, it uses a rig folder made by `rhot init RIG --sim` instead of a temporary one. What moves there is
+    `motion` under [sim] in its rig.toml.
+
+    With --motion board, the cameras see a calibration chessboard in one position after the other, and the rig runs
+    until Ctrl-C: try `rhot calibrate cameras --live` on it.
+
+    A rig made by `rhot init RIG --sim --uncalibrated` also runs until Ctrl-C: the page's tab Calibrate leads you
+    through the calibration.
+
+    With --feet, a person walks. The feet service reads a simulated depth camera on the head and simulated sensors on
+    the ankles, and ik solves the legs. Drawing the pictures takes most of a core. If the summary shows fewer pictures
+    per second than you asked for, try --rate 30.
+    """
+    console = Console()
+    if report_path is not None and not report_path.resolve().parent.is_dir():
+        raise ConfigError(f"--report {report_path}: the folder {report_path.resolve().parent} does not exist")
+    with ExitStack() as stack:
+        work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-sim-")))
+        chosen = endpoint or free_endpoint(DEFAULT_ENDPOINT)
+        if feet:
+            rig = (
+                load_rig(rig_path)
+                if _is_given(context, "rig_path")
+                else write_walker_rig(
+                    work / "rig", endpoint=chosen, program=walk, seed=seed, height_m=height_m, rate_hz=rate_hz
+                )
+            )
+        elif not _is_given(context, "rig_path"):
+            with console.status("preparing the simulated rig: cameras, colours, hand"):
+                rig = write_simulated_rig(
+                    work / "rig",
+                    cameras=cameras,
+                    rate_hz=rate_hz,
+                    seed=seed,
+                    sides=("right", "left") if hands == "both" else ("left",) if hands == "left" else ("right",),
+                    endpoint=chosen,
+                )
+            rig = with_motion(rig, motion)
+        else:
+            rig = _simulated_rig(rig_path)
+            if _is_given(context, "motion") and motion != rig.config.sim.motion:
+                raise ConfigError(
+                    f'--motion {motion}: {rig_path / RIG_FILE} says motion = "{rig.config.sim.motion}"; write '
+                    f'motion = "{motion}" under [sim] there, or leave --rig out'
+                )
+        if chosen != DEFAULT_ENDPOINT:
+            console.print(f"The router listens on {chosen}: give the other commands --connect {chosen}", soft_wrap=True)
+        port = free_page_port(page_port) if viewer and not headless else None
+        page = None if port is None else page_command(port)
+        if port is not None:
+            console.print(f"The page is at {page_url(port)}", soft_wrap=True)
+        if not feet and (rig.config.sim.motion == "board" or missing_calibration(rig)):
+            limit_s = duration_s if _is_given(context, "duration_s") else None
+            calibrating = run_for_calibration(rig, chosen, limit_s, work, console, page)
+            return 128 + signal.SIGINT if asyncio.run(_unless_interrupted(calibrating)) else 0
+        run = (WalkerRun if feet else SimRun)(rig, chosen, duration_s, work, page)
+        interrupted = asyncio.run(_unless_interrupted(run.execute(console, live=not headless and console.is_terminal)))
+        if interrupted:
+            console.print("interrupted; no summary")
+            return 128 + signal.SIGINT
+        if not headless:
+            console.print()
+        with console.status("comparing with the truth"):
+            report = run.report()
+        console.print(feet_summary(report) if feet else summary(report))
+        if report_path is not None:
+            write_text_atomic(report_path, json.dumps(report, indent=1) + "\n")
+            console.print(f"report: {report_path}")
+    return 0
+
+
+def _is_given(context: click.Context, option: str) -> bool:
+    return context.get_parameter_source(option) is not click.core.ParameterSource.DEFAULT
+
+
+async def _unless_interrupted(run: Coroutine[Any, Any, None]) -> bool:
+    """Run to the end (False) or until somebody interrupts (True)."""
+    stop = install_stop()
+    work = asyncio.create_task(run)
+    asked = asyncio.create_task(stop.requested.wait())
+    await asyncio.wait((work, asked), return_when=asyncio.FIRST_COMPLETED)
+    asked.cancel()
+    if work.done():
+        work.result()
+        return False
+    work.cancel()
+    await asyncio.gather(work, return_exceptions=True)
+    return True
+
+
+def _simulated_rig(path: Path) -> Rig:
+    if not (path / RIG_FILE).exists():
+        raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {path} --sim` makes a simulated rig")
+    rig = load_rig(path)
+    real = [name for name, camera in rig.config.cameras.items() if camera.source != "simulated"]
+    if real:
+        raise ConfigError(
+            f"{path / RIG_FILE}: camera {', '.join(real)} is not simulated; `rhot init RIG --sim` makes a simulated "
+            "rig, `rhot up` runs a real one"
+        )
+    return rig

@@ -1,0 +1,1 @@
+"""Comparing a running rig with the simulated truth."""

@@ -1,0 +1,197 @@
+"""The picture of the simulated world in one camera.
+
+Outlines are drawn anti-aliased on a canvas of twice the size, group by group from far to near, and averaged down; only
+the neighbourhood of hands and objects is drawn. Motion blur is the mean of several moments of the exposure, as many as
+the motion needs: a still hand costs one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.geometry.camera import CameraModel
+from rhot.rig.config import CameraConfig, SimConfig
+from rhot_sim.rendering.backdrop import Backdrop, Image, SensorNoise
+from rhot_sim.rendering.board_painter import BoardPainter
+from rhot_sim.rendering.canvas import AA_GROWTH, AA_SEAM, Window, disjoint, far_to_near, paint_groups
+from rhot_sim.rendering.outline import OutlinePaths, Outliner, row_timed
+from rhot_sim.world.board import BOARD
+from rhot_sim.world.body import Body, Group
+from rhot_sim.world.paint import OBJECT, SKIN, Bgr, paints_of, shaded
+from rhot_sim.world.script import seeded
+from rhot_sim.world.world import World
+
+FloatArray = NDArray[np.float64]
+
+SCALE: Final = 2
+VERTICES: Final = 16
+MAX_MOMENTS: Final = 4
+_STILL_PX: Final = 0.3
+
+
+class Renderer:
+    """Renders the world as one simulated camera sees it; the same arguments give the same bytes in any process.
+
+    Args:
+        camera: the true camera.
+        world: what it looks at.
+        config: noise and light.
+        camera_config: exposure and read-out unless given with the frame.
+        seed: of this camera's own noise and desk; cameras differ in it.
+        paints: colours by marker name, `skin` and `object`, in place of the usual ones.
+    """
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        world: World,
+        config: SimConfig,
+        camera_config: CameraConfig,
+        seed: int = 0,
+        *,
+        paints: Mapping[str, Bgr] | None = None,
+    ) -> None:
+        self.camera = camera
+        self.world = world
+        self._config = config
+        self._camera_config = camera_config
+        self._seed = seed
+        self._body = Body(world)
+        self._board = None if world.board is None else BoardPainter(camera, world.board)
+        self._outliner = Outliner(camera, VERTICES, AA_GROWTH / SCALE, AA_SEAM)
+        self._backdrop = Backdrop(camera.width, camera.height, SCALE, config.light_drift, seeded(config.seed, 10, seed))
+        self._noise = SensorNoise(camera.width, camera.height, config.noise_sigma, seeded(config.seed, 11, seed))
+        self._lamp_phase = seeded(config.seed, 12).uniform(0.0, 2.0 * np.pi, 2)
+        # Two sensors of one kind still differ a little in colour.
+        gain = 1.0 + (0.015 if config.light_drift > 0.0 else 0.0) * seeded(config.seed, 13, seed).uniform(-1, 1, 3)
+        colors: dict[str, Bgr] = {"skin": SKIN, "object": OBJECT, **paints_of(world.markers), **(paints or {})}
+        self._paints: dict[str, Bgr] = {
+            name: (color[0] * gain[0], color[1] * gain[1], color[2] * gain[2]) for name, color in colors.items()
+        }
+        self._canvas: Image = self._backdrop.at(1.0)[1].copy()
+
+    def light(self, t_s: float) -> float:
+        """Return the lamp's brightness at a time, 1 on average: a slow drift of `light_drift` at most."""
+        first, second = self._lamp_phase
+        wave = 0.7 * np.sin(2.0 * np.pi * t_s / 23.0 + first) + 0.3 * np.sin(2.0 * np.pi * t_s / 5.3 + second)
+        return 1.0 + self._config.light_drift * float(wave)
+
+    def render(
+        self,
+        t_first_row_s: float,
+        exposure_s: float | None = None,
+        readout_s: float | None = None,
+        *,
+        out: Image | None = None,
+    ) -> Image:
+        """Return the picture (height, width, 3), uint8, blue green red.
+
+        Args:
+            t_first_row_s: start of the first row's exposure, seconds since the world's start.
+            exposure_s: exposure of every row; the camera's own when not given.
+            readout_s: time from the first to the last row; the camera's own when not given.
+            out: where to draw the picture; a new array when not given.
+        """
+        exposure = self._camera_config.exposure_s if exposure_s is None else exposure_s
+        readout = self._camera_config.readout_s if readout_s is None else readout_s
+        span = exposure + readout
+        sample = self.world.sample(t_first_row_s + span * np.array([0.0, 0.5, 1.0]))
+        rings, groups = self._body.rings(sample, self.camera.center)
+        paths = self._outliner.paths(rings)
+        light = self.light(t_first_row_s + span / 2.0)
+        plain, large = self._backdrop.at(light)
+        image: Image = np.empty_like(plain) if out is None else out
+        np.copyto(image, plain)
+        if paths.middle.size:
+            groups = far_to_near(groups, paths.distances)
+            moments = self._moments(paths, exposure, span)
+            drawn = [row_timed(paths, moment, exposure, readout, self.camera.height) for moment in moments]
+            shades = {(part.paint, shade[1]) for group in groups for part in group.parts for shade in part.shades}
+            colors = {(paint, shade): self._color(paint, shade * light) for paint, shade in shades}
+            windows = self._windows(drawn, groups)
+            for window in disjoint(windows.values()):
+                area = (slice(window.top, window.bottom), slice(window.left, window.right))
+                here = [group for group in groups if group.owner in windows and windows[group.owner].overlaps(window)]
+                image[area] = self._exposed(window, drawn, here, colors, large)
+        if self._board is not None:
+            self._paint_board(self._board, image, t_first_row_s, (exposure, readout), light)
+        digest = hashlib.blake2b(f"{self._seed} {round(t_first_row_s * 1e9)}".encode(), digest_size=4).digest()
+        self._noise.add(image, int.from_bytes(digest, "big"))
+        return image
+
+    def _paint_board(
+        self, painter: BoardPainter, image: Image, t_first_row_s: float, spans_s: tuple[float, float], light: float
+    ) -> None:
+        """Paint the board into an image in place; `spans_s` are exposure and read-out."""
+        exposure_s, readout_s = spans_s
+
+        def poses(t_s: FloatArray) -> FloatArray:
+            return self.world.motion.sample(t_s).objects[BOARD]
+
+        begin = t_first_row_s + 0.5 * readout_s
+        moved_px = painter.travel_px(poses(np.array([begin, begin + exposure_s])))
+        moments_s = t_first_row_s + exposure_s * _shares_of_exposure(moved_px)
+        painter.paint(image, poses, moments_s, readout_s, light)
+
+    def _color(self, paint: str, brightness: float) -> Bgr:
+        return shaded(self._paints[paint], brightness)
+
+    def _moments(self, paths: OutlinePaths, exposure_s: float, span_s: float) -> FloatArray:
+        """Return the moments of the exposure to draw, as shares of it: the mean of equal parts."""
+        if span_s <= 0.0:
+            return np.array([0.5])
+        # The forearm's far end swings widely, out of the picture.
+        seen = self.camera.contains(paths.middle.reshape(-1, 2)).reshape(paths.middle.shape[:2])
+        moved_px = float(np.abs(paths.end - paths.start).max(axis=-1)[seen].max(initial=0.0)) * exposure_s / span_s
+        return _shares_of_exposure(moved_px)
+
+    def _windows(self, drawn: list[FloatArray], groups: list[Group]) -> dict[str, Window]:
+        """Return the window around each hand and object that is in the picture."""
+        members: dict[str, set[int]] = {}
+        for group in groups:
+            members.setdefault(group.owner, set()).update(ring for part in group.parts for ring in part.rings)
+        windows: dict[str, Window] = {}
+        for owner, rings in members.items():
+            points = np.stack([points[sorted(rings)] for points in drawn])
+            window = Window.around(points, self.camera.width, self.camera.height)
+            if window is not None:
+                windows[owner] = window
+        return windows
+
+    def _exposed(
+        self,
+        window: Window,
+        drawn: list[FloatArray],
+        groups: list[Group],
+        colors: Mapping[tuple[str, float], Bgr],
+        desk: Image,
+    ) -> Image:
+        """Return the part of the picture in a window: the mean over the drawn moments."""
+        enlarged = (
+            slice(window.top * SCALE, window.bottom * SCALE),
+            slice(window.left * SCALE, window.right * SCALE),
+        )
+        canvas, background = self._canvas[enlarged], desk[enlarged]
+        size = (window.right - window.left, window.bottom - window.top)
+        total = np.zeros((size[1], size[0], 3), dtype=np.float32)
+        for points in drawn:
+            np.copyto(canvas, background)
+            paint_groups(canvas, points, groups, colors, window=window, scale=SCALE)
+            small: Image = np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+            if len(drawn) == 1:
+                return small
+            cv2.accumulate(small, total)
+        return np.asarray(cv2.convertScaleAbs(total, alpha=1.0 / len(drawn)), dtype=np.uint8)
+
+
+def _shares_of_exposure(moved_px: float) -> FloatArray:
+    """Return the moments of an exposure to draw, as shares of it: as many as a motion of so many pixels needs."""
+    count = 1 if moved_px < _STILL_PX else min(MAX_MOMENTS, 1 + int(np.ceil(moved_px / 0.6)))
+    shares: FloatArray = (np.arange(count) + 0.5) / count
+    return shares

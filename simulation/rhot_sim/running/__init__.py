@@ -1,0 +1,1 @@
+"""Running the simulated rig."""

@@ -1,0 +1,78 @@
+"""A simulated rig that runs for as long as somebody calibrates it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+
+from rhot.bus import Bus
+from rhot.operation.control import broadcast
+from rhot.rig import Rig
+from rhot.rig.folder import CAMERAS_FILE
+from rhot_sim.running.processes import service_commands, with_processes
+
+_START_DELAY_S: Final = 0.5
+_BOARD_TEXT: Final = (
+    "The cameras see a chessboard of {columns}x{rows} inner corners, {square_mm:g} mm squares.\nrig folder: {path}\n"
+    "Now, in another terminal:\n\n"
+    "  rhot calibrate cameras --live --rig {path} --board {columns}x{rows} --square-mm {square_mm:g} "
+    "--connect {endpoint}\n"
+)
+_PATH_TEXT: Final = (
+    "This rig is not calibrated yet (no {missing}). In the page, the tab Calibrate leads through it; what stands "
+    "before the simulated cameras is chosen there, too.\n"
+)
+
+
+def missing_calibration(rig: Rig) -> str:
+    """Return which files a simulated rig must have before it tracks and does not; empty when none is missing."""
+    return ", ".join(file.name for file in (rig.colors_path, rig.path / CAMERAS_FILE) if not file.exists())
+
+
+async def run_for_calibration(
+    rig: Rig, endpoint: str, duration_s: float | None, work: Path, console: Console, page: Sequence[str] | None = None
+) -> None:
+    """Run router and all services until the time is over or cancelled, and say what to do.
+
+    Args:
+        rig: a simulated rig, with a board before its cameras or not calibrated.
+        endpoint: where the router listens.
+        duration_s: seconds to run; None = until cancelled.
+        work: folder for logs.
+        console: takes what to do next.
+        page: the command that opens the web page, see `service_commands`.
+
+    Raises:
+        RhotError: the router or a service did not come up, or one ended by itself.
+    """
+    names = ["fusion", "ik", "truth", *(["objects"] if rig.config.objects else [])]
+    services = service_commands(rig, endpoint, names, page)
+    await with_processes(endpoint, services, work, partial(_stay, rig, endpoint, duration_s, console))
+
+
+async def _stay(rig: Rig, endpoint: str, duration_s: float | None, console: Console, bus: Bus) -> None:
+    await broadcast(bus, "start", "calibrate", _START_DELAY_S, wait_s=5.0)
+    sim = rig.config.sim
+    if sim.motion == "board":
+        text = _BOARD_TEXT.format(
+            columns=sim.board_columns,
+            rows=sim.board_rows,
+            square_mm=1e3 * sim.board_square_m,
+            path=rig.path,
+            endpoint=endpoint,
+        )
+    else:
+        text = _PATH_TEXT.format(missing=missing_calibration(rig))
+    ending = "Ctrl-C ends it." if duration_s is None else f"Ends after {duration_s:g} s."
+    console.print(f"{text}\n{ending}", soft_wrap=True, highlight=False, markup=False)
+    if duration_s is None:
+        await asyncio.Event().wait()
+    else:
+        await asyncio.sleep(_START_DELAY_S + duration_s)
+    # Whoever calibrated may have started sessions of their own: all of them end.
+    await broadcast(bus, "stop", "", 0.0, wait_s=5.0)

@@ -1,0 +1,122 @@
+"""A simulated run that somebody watches: processes, start signal, a live table or a line now and then, stop."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Coroutine, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console, RenderableType
+from rich.live import Live
+
+from rhot.bus import Bus
+from rhot.messages import ServiceStatus
+from rhot.operation.control import broadcast
+from rhot.operation.status import fetch_status, status_table
+from rhot.rig import Rig
+from rhot_sim.running.processes import service_commands, with_processes
+
+_START_DELAY_S: Final = 1.0
+_STEADY_FROM_S: Final = 3.0
+"""Figures are taken from here on: caches are warm, every filter has started."""
+_SHOW_EVERY_S: Final = 0.5
+_LIVE_WINDOW_S: Final = 2.0
+_LINE_EVERY_S: Final = 5.0
+
+
+class WatchedRun(ABC):
+    """A simulated rig, run once; what is collected of it and how that is shown is the subclass's."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        endpoint: str,
+        duration_s: float,
+        work: Path,
+        names: Sequence[str],
+        page: Sequence[str] | None,
+    ) -> None:
+        """Prepare a run.
+
+        Args:
+            rig: a simulated rig.
+            endpoint: where the router of this run listens.
+            duration_s: seconds from start to stop.
+            work: folder for logs.
+            names: of the services beside capture.
+            page: the command that opens the web page, see `service_commands`.
+        """
+        self._rig = rig
+        self._endpoint = endpoint
+        self._duration_s = duration_s
+        self._logs = work
+        self._services = service_commands(rig, endpoint, names, page)
+        self._start_t_ns = 0
+        self._before: dict[str, ServiceStatus] = {}
+        self._after: dict[str, ServiceStatus] = {}
+        self._steady_from_s = min(_STEADY_FROM_S, 0.3 * duration_s)
+
+    @abstractmethod
+    def _collect(self, bus: Bus) -> Coroutine[Any, Any, None]:
+        """Keep what arrives, until cancelled."""
+
+    @abstractmethod
+    def _figures(self, from_s: float, to_s: float) -> dict[str, Any]:
+        """Return the figures between two times of the run, seconds since its start."""
+
+    @abstractmethod
+    def _table(self, elapsed_s: float, figures: dict[str, Any], services: RenderableType) -> RenderableType:
+        """Return what is shown of the newest figures where a table can be."""
+
+    @abstractmethod
+    def _line(self, figures: dict[str, Any]) -> str:
+        """Return what is said of the newest figures where a table cannot be shown."""
+
+    @abstractmethod
+    def report(self) -> dict[str, Any]:
+        """Return every figure of the run, JSON-ready."""
+
+    async def execute(self, console: Console, *, live: bool) -> None:
+        """Start everything, run for the duration, end everything.
+
+        Raises:
+            RhotError: the router or a service did not come up, or one ended by itself.
+        """
+        await with_processes(self._endpoint, self._services, self._logs, partial(self._follow, console, live))
+
+    async def _follow(self, console: Console, live: bool, bus: Bus) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            collecting = tasks.create_task(self._collect(bus))
+            control = await broadcast(bus, "start", "sim", _START_DELAY_S, wait_s=5.0)
+            self._start_t_ns = control.start_t_ns
+            if live:
+                with Live(console=console, auto_refresh=False) as display:
+                    await self._show(bus, console, display)
+            else:
+                await self._show(bus, console, None)
+            self._after = (await fetch_status(bus))[1]
+            await broadcast(bus, "stop", "sim", 0.0, wait_s=5.0)
+            collecting.cancel()
+
+    def _elapsed_s(self) -> float:
+        return (time.time_ns() - self._start_t_ns) / 1e9
+
+    async def _show(self, bus: Bus, console: Console, display: Live | None) -> None:
+        """Show how it goes until the duration is over."""
+        next_line_s = _LINE_EVERY_S
+        while (elapsed_s := self._elapsed_s()) < self._duration_s:
+            if not self._before and elapsed_s >= self._steady_from_s:
+                self._before = (await fetch_status(bus, timeout_s=0.5))[1]
+            if display is not None:
+                services = status_table(*await fetch_status(bus, timeout_s=0.5))
+                figures = self._figures(elapsed_s - _LIVE_WINDOW_S, elapsed_s)
+                display.update(self._table(max(elapsed_s, 0.0), figures, services), refresh=True)
+            elif elapsed_s >= next_line_s:
+                line = self._line(self._figures(elapsed_s - _LIVE_WINDOW_S, elapsed_s))
+                console.print(f"{elapsed_s:5.1f} of {self._duration_s:.0f} s   {line}", soft_wrap=True)
+                next_line_s += _LINE_EVERY_S
+            await asyncio.sleep(min(_SHOW_EVERY_S, max(0.0, self._duration_s - self._elapsed_s())))

@@ -1,0 +1,208 @@
+"""A simulated camera: renders the world that every other simulated node knows too, in real time.
+
+Frames are rendered ahead of their time, a few at once, and delivered when a real camera would deliver them. They are
+timed on the camera's own clock, which is off and drifts when it is a `SkewedClock`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Final, Protocol
+
+from rhot.clock import NodeClock, SkewedClock
+from rhot.errors import ConfigError, DeviceError
+from rhot.rig import CameraConfig, Rig
+from rhot_capture.detection.color_table import ImageArray
+from rhot_capture.settings import CameraSettings
+from rhot_capture.sources.frame import Frame
+from rhot_capture.sources.pacing import Pacer
+from rhot_sim.rendering.render_process import AHEAD, RenderProcess
+
+_FORGETTING: Final = 0.1
+"""Share of the newest picture in the mean time that a picture is waited for."""
+
+
+class FrameMoment(Protocol):
+    """When one simulated frame happens, seconds since the world's start."""
+
+    @property
+    def t_first_row_s(self) -> float:
+        """Start of the first row's exposure."""
+        ...
+
+    @property
+    def delivered_s(self) -> float:
+        """When the picture is there."""
+        ...
+
+    @property
+    def dropped(self) -> bool:
+        """Whether it is lost."""
+        ...
+
+
+class Schedule(Protocol):
+    """When the frames of one simulated camera happen."""
+
+    def frame(self, index: int) -> FrameMoment:
+        """Return a frame by its number."""
+        ...
+
+    def first_after(self, t_s: float) -> int:
+        """Return the number of the first frame that does not begin before `t_s`."""
+        ...
+
+
+class FrameRenderer(Protocol):
+    """Renders pictures; `AHEAD` may be begun and not yet taken."""
+
+    def begin(self, t_first_row_s: float) -> None:
+        """Begin the picture whose first row begins at a time, seconds since the world's start."""
+        ...
+
+    def finish(self) -> ImageArray:
+        """Return the picture begun earliest."""
+        ...
+
+    def close(self) -> None:
+        """Let go of everything."""
+        ...
+
+
+class TrueClock:
+    """The machine's wall clock, the true time of the simulation."""
+
+    def now_ns(self) -> int:
+        """Return nanoseconds since the Unix epoch."""
+        return time.time_ns()
+
+
+class SimulatedSource:
+    """Delivers rendered frames at their due time."""
+
+    def __init__(
+        self,
+        name: str,
+        camera: CameraConfig,
+        renderer: FrameRenderer,
+        schedule: Schedule,
+        clock: NodeClock,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            name: of the camera.
+            camera: its configuration.
+            renderer: makes its pictures.
+            schedule: when its frames happen.
+            clock: the node's own clock.
+        """
+        self._name = name
+        self._camera = camera
+        self._renderer = renderer
+        self._schedule = schedule
+        self._clock = clock
+        self._pacer = Pacer(TrueClock())
+        self._world_start_ns = 0
+        self._number = 0
+        self._begun: deque[tuple[int, FrameMoment]] = deque()
+        self._drawing_s = 0.0
+        self._settings: CameraSettings | None = None
+
+    @classmethod
+    def from_rig(cls, name: str, rig: Rig, clock: NodeClock) -> SimulatedSource:
+        """Build the source of a simulated camera: rendered with its true geometry, not with what calibration found."""
+        from rhot_sim.rig.schedule import FrameSchedule  # noqa: PLC0415
+
+        cameras = rig.config.cameras
+        camera = cameras[name]
+        schedule = FrameSchedule(name, list(cameras).index(name), camera, rig.config.sim)
+        return cls(name, camera, RenderProcess(rig.path, name, camera.width, camera.height), schedule, clock)
+
+    def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
+        """Let the world begin at a moment; late, join at the frame that is due next."""
+        self._pacer.restart()
+        # The world begins at the broadcast start time itself where it is known: were it read off the node's clock,
+        # errors of the clock exchange would shift the world along and could not be seen.
+        self._world_start_ns = self._true_ns(start_ns) if start_t_ns is None else start_t_ns
+        passed_s = 1e-9 * (self._pacer.now_ns() - self._world_start_ns)
+        self._number = self._schedule.first_after(passed_s) if passed_s > 0.0 else 0
+
+    def read(self) -> Frame | None:
+        """Wait until the next frame is due and return it; the ones after it are begun by then."""
+        while True:
+            self._begin_ahead()
+            image = self._finish()
+            if image is None:
+                return None
+            number, moment = self._begun.popleft()
+            if self._is_late(moment, 0.0):
+                # The machine was too busy; a camera would have delivered this frame long ago.
+                continue
+            self._begin_ahead()
+            if not self._pacer.wait_until(self._due_ns(moment)):
+                return None
+            break
+        return Frame(
+            image,
+            number,
+            self._node_ns(self._world_start_ns + round(1e9 * moment.t_first_row_s)),
+            self._camera.exposure_s,
+            self._camera.readout_s,
+        )
+
+    def _begin_ahead(self) -> None:
+        """Begin to render the next frames that are not lost and can be ready in time."""
+        while len(self._begun) < AHEAD and not self._pacer.stopped:
+            number, moment = self._number, self._schedule.frame(self._number)
+            self._number += 1
+            # Where rendering does not keep up, frames fall out as they would from a camera that nobody empties.
+            if moment.dropped or self._is_late(moment, len(self._begun) * self._drawing_s):
+                continue
+            self._renderer.begin(moment.t_first_row_s)
+            self._begun.append((number, moment))
+
+    def _finish(self) -> ImageArray | None:
+        since_s = time.monotonic()
+        try:
+            image = self._renderer.finish() if self._begun and not self._pacer.stopped else None
+        except DeviceError:
+            if self._pacer.stopped:
+                return None
+            raise
+        self._drawing_s += _FORGETTING * (time.monotonic() - since_s - self._drawing_s)
+        return image
+
+    def apply(self, settings: CameraSettings) -> None:
+        """Accept settings that leave the optics alone: the simulated light is what it is."""
+        if self._settings is not None and not settings.same_optics(self._settings):
+            raise ConfigError(
+                f"camera {self._name} is simulated: exposure, gain, white balance and focus follow rig.toml; only "
+                "colours can change while it runs"
+            )
+        self._settings = settings
+
+    def close(self) -> None:
+        """Stop; a waiting `read` returns None."""
+        self._pacer.stop()
+        self._renderer.close()
+
+    def _due_ns(self, moment: FrameMoment) -> int:
+        return self._world_start_ns + round(1e9 * moment.delivered_s)
+
+    def _is_late(self, moment: FrameMoment, ready_in_s: float) -> bool:
+        ready_ns = self._pacer.now_ns() + round(1e9 * (ready_in_s - 1.0 / self._camera.rate_hz))
+        return self._due_ns(moment) < ready_ns
+
+    def _node_ns(self, true_ns: int) -> int:
+        if isinstance(self._clock, SkewedClock):
+            return self._clock.from_true_ns(true_ns)
+        return true_ns + self._clock.now_ns() - self._pacer.now_ns()
+
+    def _true_ns(self, node_ns: int) -> int:
+        true_ns = self._pacer.now_ns() + node_ns - self._clock.now_ns()
+        if isinstance(self._clock, SkewedClock):
+            # One correction leaves drift² of the error: nothing.
+            true_ns += node_ns - self._clock.from_true_ns(true_ns)
+        return true_ns

@@ -1,0 +1,76 @@
+"""The ankle sensor of the simulated walking person."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, Protocol
+
+import numpy as np
+
+from rhot.messages import Side
+from rhot.rig import Rig
+from rhot_feet.imu.conversion import FusedImuConverter
+from rhot_feet.imu.samples import FloatArray, ImuSamples
+from rhot_sim.walker.world import WalkerWorld
+
+_BACK_S: Final = 0.05
+"""How far back samples are looked for that were not delivered yet."""
+
+
+class WalkingWorld(Protocol):
+    """What is needed of `rhot_sim.walker.world.WalkerWorld`."""
+
+    def imu(self, side: Side, t0_s: float, t1_s: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return stamps, linear accelerations, orientations and rates from `t0_s` to before `t1_s`."""
+        ...
+
+    def imu_delivered_s(self, side: Side, t_s: FloatArray) -> FloatArray:
+        """Return when samples with these stamps come out of the port."""
+        ...
+
+
+class SimulatedSource:
+    """One ankle's sensor; like everything simulated a function of seed and time."""
+
+    def __init__(self, world: WalkingWorld, side: Side) -> None:
+        """Choose the world and the ankle."""
+        self._world = world
+        self._side: Side = side
+        self._converter = FusedImuConverter()
+        self._start_ns: int | None = None
+        self._last_s = 0.0
+
+    def open(self, start_ns: int) -> None:
+        """Let the world begin at the start of the session."""
+        self._converter.reset()
+        self._start_ns, self._last_s = start_ns, -1.0
+
+    def read(self, now_ns: int) -> ImuSamples:
+        """Return the samples that were delivered since the last call."""
+        start_ns = self._start_ns
+        if start_ns is None or now_ns <= start_ns:
+            return ImuSamples.none()
+        now_s = (now_ns - start_ns) * 1e-9
+        # A converter that was away for longer than this gets what a port would have kept for it.
+        from_s = max(self._last_s - _BACK_S, now_s - 1.0, 0.0)
+        t_s, acceleration, orientation_xyzw, _ = self._world.imu(self._side, from_s, now_s)
+        if not len(t_s):
+            return ImuSamples.none()
+        # Stamps jitter; what comes out of order is left out, because the filter takes samples in order.
+        later = t_s > np.maximum.accumulate(np.concatenate([[self._last_s], t_s[:-1]]))
+        new = later & (self._world.imu_delivered_s(self._side, t_s) <= now_s)
+        if not new.any():
+            return ImuSamples.none()
+        self._last_s = float(t_s[new][-1])
+        t_ns = start_ns + np.rint(t_s[new] * 1e9).astype(np.int64)
+        return self._converter.convert(t_ns, acceleration[new], orientation_xyzw[new])
+
+    def close(self) -> None:
+        """Leave the world."""
+        self._start_ns = None
+
+
+def simulated_sensors(rig: Rig, sides: Sequence[Side]) -> dict[Side, SimulatedSource]:
+    """Return the sensors of a simulated walker by foot, not yet open; they share one world."""
+    world = WalkerWorld.from_rig(rig)
+    return {side: SimulatedSource(world, side) for side in sides}

@@ -1,0 +1,1 @@
+"""What the walker's head-worn camera sees."""

@@ -1,0 +1,293 @@
+"""The programs: what the simulated person can be asked to do.
+
+The first four repeat the stationary tests of the 2021 thesis, the next six its walking tasks (on the spot, forwards and
+back, sideways, along a curve, over obstacles with knee raises and kicks, squatting and kneeling), the last is a seated
+person. Every program ends where it began and is repeated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.anatomy.body_proportions import BodyModel
+from rhot.messages import Side
+from rhot_sim.walker.foot_path import Print, Sole
+from rhot_sim.walker.plan import OUTWARDS, SIDES, Choreographer, Plan, Posture
+from rhot_sim.walker.sway import draw_wave, swaying
+from rhot_sim.world.spline import bump
+
+FloatArray = NDArray[np.float64]
+Bends = list[tuple[float, float, float]]
+
+_STATIONARY_S: Final = 30.0
+
+
+def plan_program(program: str, body: BodyModel, sole: Sole, rng: np.random.Generator) -> Plan:
+    """Return what a person of these lengths does in a program, one of `PROGRAMS`."""
+    return PROGRAMS[program](body, Choreographer(sole, 1.15 * body.hip_width_m, rng))
+
+
+def _still(body: BodyModel, steps: Choreographer) -> Plan:
+    steps.pause(_STATIONARY_S)
+    return steps.plan(swaying(steps.rng, glances=False))
+
+
+def _marker_moving(body: BodyModel, steps: Choreographer) -> Plan:
+    """One foot is moved about over the floor for half a minute, with a rest on the floor now and then."""
+    rng = steps.rng
+    side: Side = "right" if rng.random() < 0.5 else "left"
+    while steps.t_s < _STATIONARY_S:
+        steps.pause(1.0)
+        t_s = steps.t_s + 0.8
+        via = []
+        for _ in range(6):
+            out = OUTWARDS[side] * rng.uniform(-0.02, 0.2)
+            place = np.array([out, rng.uniform(0.05, 0.2), rng.uniform(-0.5, -0.12)])
+            turn = np.radians(rng.uniform((-25.0, -20.0, -8.0), (25.0, 20.0, 8.0)))
+            via.append(steps.off(side, t_s, np.concatenate([place, turn])))
+            t_s += rng.uniform(0.4, 0.9)
+        steps.lift(side, via, 0.8)
+    return steps.plan(swaying(rng, glances=False))
+
+
+def _head_moving(body: BodyModel, steps: Choreographer) -> Plan:
+    """The feet stand; hips and head move about, up to about half a metre and 60 degrees a second."""
+    steps.pause(_STATIONARY_S)
+    sway = swaying(steps.rng, glances=False)
+    waves = [draw_wave(steps.rng, (0.15, 0.9)) for _ in range(7)]
+
+    def posture(t: FloatArray) -> Posture:
+        held = sway(t)
+        begin = bump(t, 0.5, 1e9, 1.0)
+        move = np.stack([begin * wave(t) for wave in waves], axis=-1)
+        return Posture(
+            0.008 * (begin + move[:, 0]),
+            held.shift_m + move[:, 1:3] * [0.07, 0.05],
+            held.lean_rad + 0.05 * begin + 0.12 * move[:, 3],
+            held.head_rad + move[:, 4:7] * np.radians([12.0, 8.0, 7.0]),
+            held.look,
+        )
+
+    return steps.plan(posture)
+
+
+def _sudden(body: BodyModel, steps: Choreographer) -> Plan:
+    """Standing, and suddenly a kick, a lunge or a stamp with one foot."""
+    rng = steps.rng
+    kind = 0
+    while steps.t_s < _STATIONARY_S:
+        steps.pause(rng.uniform(1.2, 2.2))
+        t_s = steps.t_s
+        side = SIDES[int(rng.integers(2))]
+        out = OUTWARDS[side]
+        offset = {
+            0: np.array([0.05 * out, 0.25, -0.45, 0.0, 0.4, 0.0]),
+            1: np.array([0.30 * out, 0.15, -0.05, -0.3 * out, 0.0, 0.1 * out]),
+            2: np.array([0.0, 0.30, -0.20, 0.0, -0.3, 0.0]),
+        }[kind % 3]
+        kind += 1
+        fast_s = rng.uniform(0.24, 0.32)
+        out_s = t_s + 0.12 + fast_s
+        hold_s = out_s + rng.uniform(0.1, 0.4)
+        via = [steps.off(side, out_s, offset), steps.off(side, hold_s, offset)]
+        steps.lift(side, via, fast_s + 0.09, push_s=0.12)
+    return steps.plan(swaying(rng))
+
+
+def _on_spot(body: BodyModel, steps: Choreographer) -> Plan:
+    rng = steps.rng
+    steps.pause(1.0)
+    beat_s = rng.uniform(0.5, 0.62)
+    for _ in range(4):
+        targets: list[tuple[Side, Print]] = [
+            (side, _near(steps.start[side], rng, 0.02)) for _ in range(5) for side in SIDES
+        ]
+        targets[-2:] = [(side, steps.start[side]) for side in SIDES]
+        steps.walk(targets, beat_s, clearance_m=rng.uniform(0.06, 0.13), level=True)
+        steps.pause(rng.uniform(0.4, 1.2))
+    return steps.plan(swaying(rng))
+
+
+def _walk(body: BodyModel, steps: Choreographer) -> Plan:
+    """Forwards, then backwards to where it began, several times."""
+    rng = steps.rng
+    steps.pause(1.0)
+    for _ in range(4):
+        beat_s = rng.uniform(0.54, 0.68)
+        length = rng.uniform(0.24, 0.33) * body.height_m
+        count = int(rng.integers(3, 5))
+        heading = rng.uniform(-0.2, 0.2)
+        steps.walk(_line(steps, 0.0, -length, count, heading), beat_s)
+        steps.pause(rng.uniform(0.3, 0.8))
+        back = rng.uniform(0.5, 0.7) * length
+        number = int(np.ceil(count * length / back))
+        steps.walk(_line(steps, -count * length, count * length / number, number, heading), 1.1 * beat_s, level=True)
+        steps.pause(rng.uniform(0.3, 0.8))
+    steps.walk([(side, steps.start[side]) for side in SIDES], 0.6, level=True)
+    return steps.plan(swaying(rng))
+
+
+def _side_steps(body: BodyModel, steps: Choreographer) -> Plan:
+    rng = steps.rng
+    steps.pause(1.0)
+    for _ in range(3):
+        beat_s = rng.uniform(0.5, 0.65)
+        length = rng.uniform(0.14, 0.2) * body.height_m
+        way: tuple[tuple[Side, Side], tuple[Side, Side]] = (("left", "right"), ("right", "left"))
+        for leading, order in enumerate(way):
+            for number in range(4):
+                x = length * (-(number + 1.0) if leading == 0 else number - 3.0)
+                targets = [(side, _near(steps.place(side, x, 0.0, 0.0), rng, 0.015)) for side in order]
+                steps.walk(targets, beat_s, clearance_m=0.05, level=True)
+            steps.pause(rng.uniform(0.3, 0.8))
+    steps.walk([(side, steps.start[side]) for side in SIDES], 0.6, level=True)
+    return steps.plan(swaying(rng))
+
+
+def _curve(body: BodyModel, steps: Choreographer) -> Plan:
+    """Once around a circle to the left, then a turn on the spot to the right."""
+    rng = steps.rng
+    steps.pause(1.0)
+    radius, count = rng.uniform(0.6, 0.9), int(rng.integers(12, 15))
+    beat_s = rng.uniform(0.52, 0.66)
+    targets = []
+    for number in range(1, count + 1):
+        turn = 2.0 * np.pi * number / count
+        x, z = radius * (np.cos(turn) - 1.0), -radius * np.sin(turn)
+        side = SIDES[number % 2]
+        targets.append((side, _near(steps.place(side, x, z, turn), rng, 0.01)))
+    last = SIDES[(count + 1) % 2]
+    targets.append((last, steps.place(last, 0.0, 0.0, 2.0 * np.pi)))
+    steps.walk(targets, beat_s)
+    steps.pause(1.0)
+    turns = []
+    for number in range(1, 9):
+        side = SIDES[number % 2]
+        turns.append((side, steps.place(side, 0.0, 0.0, 2.0 * np.pi * (1.0 - number / 8.0))))
+    steps.walk([*turns, *((side, steps.start[side]) for side in ("right", "left"))], 0.6, level=True)
+    return steps.plan(swaying(rng))
+
+
+def _step_over(body: BodyModel, steps: Choreographer) -> Plan:
+    """Over an obstacle and back, knee raises, kicks."""
+    rng = steps.rng
+    steps.pause(1.0)
+    for _ in range(2):
+        length = rng.uniform(0.3, 0.36) * body.height_m
+        for way in (-length, 0.0):
+            for side in SIDES:
+                to = steps.place(side, 0.0, way, 0.0)
+                steps.step(side, to, rng.uniform(0.9, 1.1), clearance_m=rng.uniform(0.15, 0.22))
+                steps.pause(0.2)
+        for side in SIDES:
+            up_s, hold_s = steps.t_s + 0.55, steps.t_s + 0.55 + rng.uniform(0.1, 0.5)
+            raised = np.array([0.0, 0.36, -0.22, 0.0, -0.25, 0.0]) * body.height_m / 1.75
+            via = [steps.off(side, up_s, raised), steps.off(side, hold_s, raised)]
+            steps.lift(side, via, 0.6)
+            steps.pause(0.4)
+            out_s = steps.t_s + rng.uniform(0.42, 0.5)
+            kick = np.array([0.0, 0.22, -0.5, 0.0, 0.3, 0.0]) * body.height_m / 1.75
+            via = [steps.off(side, out_s, kick)]
+            steps.lift(side, via, 0.6, push_s=0.15)
+            steps.pause(0.5)
+    return steps.plan(swaying(rng))
+
+
+def _squat(body: BodyModel, steps: Choreographer) -> Plan:
+    """Squats on flat feet, and kneeling on either knee."""
+    rng = steps.rng
+    scale = body.height_m / 1.75
+    squats: Bends = []
+    kneels: Bends = []
+    steps.pause(1.0)
+    for _ in range(2):
+        began_s = steps.pause(rng.uniform(2.4, 3.2))
+        squats.append((began_s, steps.t_s, rng.uniform(0.22, 0.34) * scale))
+        steps.pause(0.6)
+        side = SIDES[int(rng.integers(2))]
+        rear: Side = "left" if side == "right" else "right"
+        steps.step(side, steps.place(side, 0.0, -0.42 * scale, 0.0), 0.9)
+        began_s = steps.t_s
+        via = [steps.on_ball(rear, began_s + 1.0, 1.0), steps.on_ball(rear, began_s + 2.4, 1.0)]
+        steps.lift(rear, via, 0.8, push_rad=0.9, push_s=0.7)
+        kneels.append((began_s + 0.2, steps.t_s - 0.1, 0.46 * scale))
+        steps.step(side, steps.start[side], 1.0, strike_rad=0.05)
+        steps.pause(rng.uniform(0.6, 1.2))
+    sway = swaying(rng)
+
+    def posture(t: FloatArray) -> Posture:
+        held = sway(t)
+        squat = sum((depth * bump(t, start, end, 0.9) for start, end, depth in squats), np.zeros(len(t)))
+        kneel = sum((depth * bump(t, start, end, 0.9) for start, end, depth in kneels), np.zeros(len(t)))
+        # The weight goes backwards over the heels, and the trunk leans forward against it.
+        shift = held.shift_m + np.stack([np.zeros(len(t)), 0.35 * squat], axis=-1)
+        return replace(held, drop_m=squat + kneel, shift_m=shift, lean_rad=1.3 * squat + 0.4 * kneel)
+
+    return steps.plan(posture)
+
+
+def _sitting(body: BodyModel, steps: Choreographer) -> Plan:
+    """On a chair: feet are put forward, raised, tapped, crossed over a little."""
+    rng = steps.rng
+    scale = body.height_m / 1.75
+    while steps.t_s < _STATIONARY_S:
+        steps.pause(rng.uniform(0.6, 1.5))
+        side = SIDES[int(rng.integers(2))]
+        out = OUTWARDS[side]
+        forward = steps.place(side, out * rng.uniform(0.0, 0.08), -rng.uniform(0.05, 0.17) * scale, 0.0)
+        steps.step(side, forward, rng.uniform(0.7, 1.0), clearance_m=0.06, push_rad=0.2, strike_rad=0.2)
+        steps.pause(rng.uniform(0.2, 0.8))
+        up_s = steps.t_s + 0.6
+        raised = np.array([0.0, 0.18, -0.08, 0.0, rng.uniform(0.0, 0.4), 0.0]) * scale
+        via = [steps.off(side, up_s, raised), steps.off(side, up_s + rng.uniform(0.2, 0.6), raised)]
+        steps.lift(side, via, 0.4)
+        steps.step(side, steps.start[side], rng.uniform(0.7, 1.0), clearance_m=0.05, push_rad=0.2, strike_rad=0.1)
+    seat_m = body.leg_m - 1.06 * body.shank_m
+    back_m = 1.25 * body.thigh_m
+    sway = swaying(rng)
+
+    def posture(t: FloatArray) -> Posture:
+        held = sway(t)
+        return replace(held, drop_m=held.drop_m + seat_m, shift_m=held.shift_m + np.array([0.0, back_m]))
+
+    return steps.plan(posture)
+
+
+def _line(steps: Choreographer, z: float, stride: float, count: int, heading: float) -> list[tuple[Side, Print]]:
+    """Return footprints of `count` steps of length `stride` (backwards positive) from `z` on, then feet together.
+
+    `heading` is the direction of the line through the start; the body faces along it, whichever way it walks.
+    """
+    first = int(steps.rng.integers(2))
+    targets = []
+    for number in range(1, count + 2):
+        side = SIDES[(first + number) % 2]
+        far = z + stride * min(number, count)
+        place = steps.place(side, far * np.sin(heading), far * np.cos(heading), heading)
+        targets.append((side, _near(place, steps.rng, 0.012)))
+    return targets
+
+
+def _near(place: Print, rng: np.random.Generator, spread_m: float) -> Print:
+    x, z = rng.normal(0.0, spread_m, 2).clip(-2.0 * spread_m, 2.0 * spread_m)
+    return Print(place.x + x, place.z + z, place.yaw + float(rng.normal(0.0, 0.03)))
+
+
+PROGRAMS: Final[dict[str, Callable[[BodyModel, Choreographer], Plan]]] = {
+    "still": _still,
+    "marker_moving": _marker_moving,
+    "head_moving": _head_moving,
+    "sudden": _sudden,
+    "on_spot": _on_spot,
+    "walk": _walk,
+    "side_steps": _side_steps,
+    "curve": _curve,
+    "step_over": _step_over,
+    "squat": _squat,
+    "sitting": _sitting,
+}

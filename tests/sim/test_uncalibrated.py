@@ -1,0 +1,36 @@
+"""A simulated rig that somebody is about to calibrate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from rhot.cli.init import init
+from rhot.errors import ConfigError
+from rhot.rig.folder import load_rig
+from rhot_sim.rig.folder import with_motion
+from rhot_sim.running.calibration_run import missing_calibration
+from rhot_sim.world.world import World
+
+
+def test_it_holds_no_calibration_and_shows_what_it_is_told_to(tmp_path: Path) -> None:
+    done = CliRunner().invoke(init, [str(tmp_path / "rig"), "--sim", "--uncalibrated"])
+    assert "rhot sim --rig" in done.output
+    rig = load_rig(tmp_path / "rig")
+    assert [file.name for file in rig.path.iterdir()] == ["rig.toml"]
+    assert missing_calibration(rig) == "colors.json, cameras.json"
+    for motion in ("board", "script", "still"):
+        rig = with_motion(rig, motion)
+        assert (World.from_rig(rig).board is not None) == (motion == "board")
+    rig.colors_path.write_text("{}")
+    assert missing_calibration(rig) == "cameras.json"
+
+
+def test_a_rig_of_ones_own_is_uncalibrated_anyway(tmp_path: Path) -> None:
+    refused = CliRunner().invoke(init, [str(tmp_path / "rig"), "--uncalibrated"])
+    assert isinstance(refused.exception, ConfigError)
+    assert not (tmp_path / "rig").exists()
+    with pytest.raises(ConfigError, match="--sim"):
+        raise refused.exception
