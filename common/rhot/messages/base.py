@@ -25,6 +25,8 @@ Quaternion = tuple[float, float, float, float]
 
 State = Literal["measured", "predicted"]
 """`measured`: backed by an observation of this moment; `predicted`: bridged by a model."""
+PointState = Literal["measured", "one_view", "predicted"]
+"""Of a point: `measured` by two cameras or more at this moment, `one_view` a ray with its depth bridged, `predicted`."""
 Side = Literal["left", "right"]
 
 

@@ -12,9 +12,9 @@ from rhot.messages.base import (
     Name,
     Pixel,
     PixelPoint,
+    PointState,
     Position,
     Seconds,
-    State,
     TimeNs,
     Unit,
     WireModel,
@@ -68,14 +68,16 @@ class Point(WireModel):
         position: metres, in the frame that the PointSet names.
         sigma: standard deviation of the position, metres (root of the sum of the three variances).
         views: number of cameras behind it.
-        state: measured or predicted.
+        state: measured (two or more views at this moment), one_view (a ray: long along it, sharp across) or predicted.
+        covariance: of the position, m²: xx, xy, xz, yy, yz, zz; `sigma` in all directions alike where it is absent.
         corners: corners of a rectangular patch, metres, cyclic order.
     """
 
     position: Position
     sigma: Annotated[float, Field(ge=0.0, le=1e3)]
     views: Annotated[int, Field(ge=0, le=255)]
-    state: State
+    state: PointState
+    covariance: tuple[float, float, float, float, float, float] | None = None
     corners: tuple[Position, Position, Position, Position] | None = None
 
 
