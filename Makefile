@@ -9,8 +9,8 @@ READY := $(VENV)/.ready
 
 help:
 	@echo "make sim    set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
-	@echo "make test   set up, then lint, types and all tests"
-	@echo "make lint   only lint and types"
+	@echo "make test   set up, then lint, types, layers and all tests"
+	@echo "make lint   only lint, types and layers"
 	@echo "make clean  remove the environment and caches"
 
 # The environment is made once and again whenever what it is made from changes.
@@ -34,10 +34,11 @@ lint: $(READY)
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-logo
 
 format: $(READY)
 	@$(BIN)/ruff format
 	@$(BIN)/ruff check --fix
 
 clean:
-	rm -rf $(VENV) .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf $(VENV) .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import platform
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
@@ -70,8 +68,7 @@ def bench(quick: bool, parts: tuple[str, ...], json_path: Path | None, rig_path:
             sections = _measure(rig, chosen, quick, progress)
     finally:
         cv2.setNumThreads(threads)
-    about = {"date": datetime.now(UTC).isoformat(timespec="seconds"), "quick": quick, "machine": platform.machine()}
-    show("bench", sections, json_path, **about)
+    show("bench", sections, json_path, quick=quick)
 
 
 def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) -> list[Section]:

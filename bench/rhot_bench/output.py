@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from rhot.rig.folder import write_text_atomic
 from rhot_bench.measures.rows import Section, as_json, missed, section_table
+from rhot_bench.provenance import provenance
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -54,7 +55,7 @@ def show(command: str, sections: Sequence[Section], json_path: Path | None, **ab
         command: that was run, for the file.
         sections: its tables.
         json_path: file to write; None = none.
-        about: how it was run, for the file.
+        about: how it was run, for the file, beside its `provenance`.
     """
     out = Console()
     for section in sections:
@@ -63,5 +64,5 @@ def show(command: str, sections: Sequence[Section], json_path: Path | None, **ab
     targets = sum(bool(row.verdict) for section in sections for row in section.rows)
     out.print(f"{missed(sections)} of {targets} targets missed")
     if json_path is not None:
-        write_text_atomic(json_path, as_json(command, sections, **about))
+        write_text_atomic(json_path, as_json(command, sections, run=provenance(), **about))
         Console(stderr=True, soft_wrap=True).print(f"figures: {json_path}")

@@ -13,7 +13,8 @@ from rhot.messages import decode
 from rhot.recording.camera_picture import CameraPicture
 from rhot.recording.mcap.session import subscribe_pictures
 from rhot.rig import BusConfig
-from rhot_capture.frame_stream import FrameStream, jpeg_of
+from rhot_capture.frame_stream import FrameStream
+from rhot_capture.preview import jpeg_of
 from rhot_capture.sources import Frame
 
 

@@ -8,7 +8,7 @@ from rhot.errors import ConfigError
 from rhot.messages import ObjectPose
 from rhot.rig import Rig, load_rig
 from rhot_objects.assemble import plan_sources
-from rhot_objects.rigid import Pose, angle_between
+from rhot_objects.pose import Pose, angle_between
 from rhot_sim.world.world import World
 
 START = 1_700_000_000_000_000_000

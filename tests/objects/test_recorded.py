@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rhot.errors import ConfigError
-from rhot_objects.rigid import Pose
+from rhot_objects.pose import Pose
 from rhot_objects.sources.recorded import RecordedSource, read_poses
 
 HEADER = "t_ns,x,y,z,qx,qy,qz,qw\n"

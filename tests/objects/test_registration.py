@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from rhot.rig import RegistrationFile, RigidTransform
+from rhot_objects.pose import Pose, angle_between
 from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose, angle_between
 
 POSES = st.builds(
     Pose.from_arrays,

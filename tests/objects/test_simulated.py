@@ -7,8 +7,8 @@ import pytest
 
 from rhot.messages import ObjectPose
 from rhot.rig import RegistrationFile, RigidTransform
+from rhot_objects.pose import Pose, angle_between
 from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose, angle_between
 from rhot_objects.stage import ObjectStage
 from rhot_sim.sources.objects import ORIENTATION_NOISE_RAD, POSITION_NOISE_M, SimulatedSource
 

@@ -6,8 +6,8 @@ import pytest
 from rhot.messages import HeadPose, ObjectPose
 from rhot.rig import RegistrationFile, RigidTransform
 from rhot.stage import Output
+from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose
 from rhot_objects.sources import PoseSample
 from rhot_objects.stage import HOLD_S, ObjectStage
 

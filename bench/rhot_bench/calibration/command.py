@@ -23,6 +23,7 @@ from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import CAMERAS_FILE
 from rhot_bench.calibration.marker_tracks import TrackGatherer, board_tracks
 from rhot_bench.calibration.report import Seen, print_report, report_json
+from rhot_bench.provenance import provenance
 from rhot_calibration.cameras.board.boards import parse_board
 from rhot_calibration.cameras.pictures import read_views
 from rhot_calibration.cameras.solve.views import Board
@@ -94,7 +95,7 @@ def calibration(
         seen = _markers_seen(rig, cameras, recording_path, live_s, tool_bus(rig_path, connect, namespace))
     report = judge_calibration(seen.tracks, cameras, seen.periods_s, file.quality)
     if as_json:
-        click.echo(json.dumps(report_json(report, file, seen)))
+        click.echo(json.dumps({"run": provenance(), **report_json(report, file, seen)}))
     else:
         print_report(report, file, seen, rig_path)
     return 1 if report.verdict == "bumped" else 0

@@ -12,12 +12,12 @@ import click
 from rich.console import Console
 
 from rhot.errors import ConfigError
-from rhot.report.html import html_report
 from rhot.report.svg import line_plot
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import write_text_atomic
 from rhot_bench.feet.runs import SIDES, Played, Run, play
 from rhot_bench.feet.sections import MM, TASKS, feet_sections
+from rhot_bench.measures.html import html_report
 from rhot_bench.measures.rows import check_output
 from rhot_bench.output import counted, json_option, page_option, show
 from rhot_bench.processes import each

@@ -9,7 +9,7 @@ import numpy as np
 
 from rhot.messages import HeadPose
 from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose
+from rhot_objects.pose import Pose
 from rhot_objects.sources import HEAD
 from rhot_objects.stage import ObjectStage
 from rhot_sim.sources.objects import SimulatedSource

@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 
 from rhot.aruco_dictionary import R_FOOT_MARKER, marker_dictionary
-from rhot.geometry.camera_mounting import camera_mounting
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import HeadPose, Side
 from rhot.rig.feet_config import FeetConfig
@@ -28,7 +27,7 @@ class ThesisTracker:
     def __init__(self, config: FeetConfig) -> None:
         ids: dict[Side, int] = {side: foot.marker_id for side, foot in config.feet.items()}
         settings = FootFilterSettings(up=config.up)
-        self._T_head_camera = camera_mounting(config.camera)
+        self._T_head_camera = config.camera.T_head_camera
         self._heads = HeadTrack()
         self._feet = ThesisFeet(marker_dictionary(config.dictionary), ids, config.marker_size_m)
         self._filters = {side: ThesisFilter(settings) for side in ids}

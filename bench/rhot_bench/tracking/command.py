@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from rhot.report.html import html_report
 from rhot.report.svg import histogram, line_plot
 from rhot.rig import Rig
 from rhot.rig.folder import write_text_atomic
+from rhot_bench.measures.html import html_report
 from rhot_bench.measures.rows import check_output
 from rhot_bench.output import counted, json_option, page_option, show
 from rhot_bench.tracking.simulated_rig import simulated_rig

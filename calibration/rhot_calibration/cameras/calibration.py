@@ -24,16 +24,16 @@ from rhot_calibration.cameras.figures import (
     lens_sd_named,
     pair_figures,
 )
-from rhot_calibration.cameras.solve.causes import Cause, contradiction_cause, unfit_cause
-from rhot_calibration.cameras.solve.solve import Solution, solve
-from rhot_calibration.cameras.solve.views import FloatArray, ViewSet
-from rhot_calibration.cameras.verdict import (
+from rhot_calibration.cameras.refusals import (
     Expected,
     accuracy_warnings,
     refuse_contradictions,
     refuse_impossible,
     refuse_poor,
 )
+from rhot_calibration.cameras.solve.causes import Cause, contradiction_cause, unfit_cause
+from rhot_calibration.cameras.solve.solve import Solution, solve
+from rhot_calibration.cameras.solve.views import FloatArray, ViewSet
 
 _FOLDS: Final = 3
 

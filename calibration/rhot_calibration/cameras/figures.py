@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from rhot.geometry.camera import CameraModel, essential_matrix
-from rhot.geometry.rotations import rotation_from_vector
-from rhot.geometry.transforms import cross_matrix, inverse, rigid
+from rhot.geometry.rotations import cross_matrix, rotation_from_vector
+from rhot.geometry.transforms import inverse, rigid
 from rhot_calibration.cameras.bundle.adjustment import Adjusted
 from rhot_calibration.cameras.bundle.lens import LENS_NAMES, LENS_SIZE, camera_matrix
 from rhot_calibration.cameras.bundle.model import BoolArray

@@ -11,8 +11,8 @@ from rhot.rig import Rig
 from rhot.rig.folder import nominal_camera
 from rhot_calibration.cameras.calibration import Calibrated, calibrate
 from rhot_calibration.cameras.pictures import PictureReading
+from rhot_calibration.cameras.refusals import Expected
 from rhot_calibration.cameras.solve.views import ViewSet
-from rhot_calibration.cameras.verdict import Expected
 
 
 def calibrate_rig(

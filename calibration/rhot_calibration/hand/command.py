@@ -20,11 +20,10 @@ from rhot.recording import load_recording
 from rhot.rig import BusConfig, HandFile, Rig, load_rig, write_json_model
 from rhot.rig.calibration import today
 from rhot.rig.folder import HAND_FILE
-from rhot_calibration.hand.measure import Phases, measure_hand
-from rhot_calibration.hand.phases import Window
-from rhot_calibration.hand.prompts import LIVE_PHASES, LIVE_S, prompt_at
+from rhot_calibration.hand.calibration import measure_hand
 from rhot_calibration.hand.proportions import typed_hand
-from rhot_calibration.hand.streams import live_points, recorded_points, stored_points
+from rhot_calibration.hand.samples.phases import LIVE_PHASES, LIVE_S, Phases, Window, prompt_at
+from rhot_calibration.hand.samples.sources import live_points, recorded_points, stored_points
 
 
 class _Stretch(click.ParamType[Window]):

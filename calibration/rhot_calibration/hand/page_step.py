@@ -12,10 +12,10 @@ from rhot.rig import HandFile, load_rig
 from rhot.rig.calibration import today
 from rhot.rig.folder import HAND_FILE
 from rhot.rig.kept_file import KeptFile
-from rhot_calibration.hand.measure import measure_hand
-from rhot_calibration.hand.prompts import LIVE_PHASES, LIVE_S, prompt_at
+from rhot_calibration.hand.calibration import measure_hand
 from rhot_calibration.hand.proportions import typed_hand
-from rhot_calibration.hand.streams import live_points
+from rhot_calibration.hand.samples.phases import LIVE_PHASES, LIVE_S, prompt_at
+from rhot_calibration.hand.samples.sources import live_points
 
 
 class HandStep:

@@ -8,7 +8,7 @@ from rhot.anatomy.hand_proportions import width_across_knuckles
 from rhot.errors import CalibrationError
 from rhot.rig import HandFile
 from rhot.rig.calibration import WIDTH_OVER_LENGTH
-from rhot_calibration.hand.parameters import HUMAN_LENGTH_M
+from rhot_calibration.hand.fit.parameters import HUMAN_LENGTH_M
 
 
 def typed_hand(length_m: float, width_m: float | None) -> HandFile:

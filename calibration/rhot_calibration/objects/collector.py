@@ -9,7 +9,7 @@ import numpy as np
 
 from rhot.geometry.rotations import FloatArray, nearest_rotation, rotation_from_quaternion
 from rhot_calibration.objects.fit import Places
-from rhot_objects.rigid import Pose
+from rhot_objects.pose import Pose
 
 STILL_S = 0.5
 """How long marker and device are held still."""

@@ -17,8 +17,8 @@ from rhot.operation.control import newest_control
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import REGISTRATION_FILE
 from rhot_calibration.objects.collector import Place, PlaceCollector
+from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose
 from rhot_objects.stage import key_of
 
 _CONNECT_TIMEOUT_S: Final = 5.0

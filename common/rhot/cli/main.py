@@ -34,7 +34,7 @@ _COMMANDS: Final = {
         "Show why a recording was tracked as it was at one moment, as one page.", "rhot.cli.explain:explain", "pc"
     ),
     "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
-    "bench": LazyCommand("Measure speed beside the 2018 thesis's algorithms.", extra="sim"),
+    "bench": LazyCommand("Measure speed beside the 2018 thesis's algorithms.", extra="bench"),
     "evaluate": LazyCommand("Measure how well a part of the rig does.", "rhot.cli.main:evaluate"),
     "doctor": LazyCommand(
         "Check this machine, a rig folder and the running rig, and say what to do.", "rhot.cli.doctor:doctor"
@@ -60,14 +60,14 @@ _CALIBRATIONS: Final = {
 }
 
 _EVALUATIONS: Final = {
-    "recording": LazyCommand("Record and replay a session at full rate, and compare.", extra="sim"),
-    "tracking": LazyCommand("Track simulated pictures and compare with the truth.", extra="sim"),
-    "hands": LazyCommand("Predict inner joints of recorded real hands.", extra="sim"),
-    "streams": LazyCommand("Fuse recorded marker tracks: steps, delay, noise at rest.", extra="sim"),
-    "feet": LazyCommand("Track the feet of a simulated person, beside the 2021 thesis's tracker.", extra="sim"),
-    "steps": LazyCommand("Follow feet on recordings of real sensors and cameras.", extra="sim"),
-    "thesis": LazyCommand("The 2018 thesis's tables with ours beside them.", extra="sim"),
-    "calibration": LazyCommand("Tell whether the cameras have moved since they were calibrated.", extra="fusion"),
+    "recording": LazyCommand("Record and replay a session at full rate, and compare.", extra="bench"),
+    "tracking": LazyCommand("Track simulated pictures and compare with the truth.", extra="bench"),
+    "hands": LazyCommand("Predict inner joints of recorded real hands.", extra="bench"),
+    "streams": LazyCommand("Fuse recorded marker tracks: steps, delay, noise at rest.", extra="bench"),
+    "feet": LazyCommand("Track the feet of a simulated person, beside the 2021 thesis's tracker.", extra="bench"),
+    "steps": LazyCommand("Follow feet on recordings of real sensors and cameras.", extra="bench"),
+    "thesis": LazyCommand("The 2018 thesis's tables with ours beside them.", extra="bench"),
+    "calibration": LazyCommand("Tell whether the cameras have moved since they were calibrated.", extra="pc"),
 }
 
 

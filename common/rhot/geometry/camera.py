@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.transforms import cross_matrix, rigid
+from rhot.geometry.rotations import cross_matrix
+from rhot.geometry.transforms import rigid
 from rhot.rig.calibration import CameraCalibration, matrix3, matrix4
 
 FloatArray = NDArray[np.float64]

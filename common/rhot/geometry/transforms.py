@@ -18,13 +18,3 @@ def rigid(R: FloatArray, t: FloatArray) -> FloatArray:
 def inverse(T: FloatArray) -> FloatArray:
     """Return the inverse of a rigid transform (4, 4)."""
     return rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
-
-
-def cross_matrix(vectors: FloatArray) -> FloatArray:
-    """Return [v]× (..., 3, 3) of vectors (..., 3): [v]× · w = v × w."""
-    matrix = np.zeros((*vectors.shape, 3))
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    matrix[..., 0, 1], matrix[..., 0, 2] = -z, y
-    matrix[..., 1, 0], matrix[..., 1, 2] = z, -x
-    matrix[..., 2, 0], matrix[..., 2, 1] = -y, x
-    return matrix

@@ -1,11 +1,8 @@
-"""An evaluation as one HTML file: tables and plots, nothing to load from elsewhere."""
+"""A report as one HTML file: tables and plots, nothing to load from elsewhere."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from html import escape
-
-from rhot_bench.measures.rows import Row, Section
 
 _STYLE = """
 body { font-family: sans-serif; max-width: 800px; margin: 2em auto; color: #222; }
@@ -15,19 +12,6 @@ td.number { text-align: right; white-space: nowrap; }
 .met { color: #2d6a4f; } .missed { color: #b00020; font-weight: bold; } .not-measured { color: #8a6d00; }
 small { color: #666; } svg { margin: 0.5em 0; max-width: 100%; height: auto; }
 """
-
-
-def html_report(title: str, about: str, sections: Sequence[Section], plots: Sequence[str]) -> str:
-    """Return the document.
-
-    Args:
-        title: heading.
-        about: how the figures came about, one paragraph.
-        sections: tables.
-        plots: SVG elements.
-    """
-    tables = "".join(_table(section) for section in sections)
-    return html_page(title, about, f"{''.join(plots)}{tables}")
 
 
 def html_page(title: str, about: str, body: str, style: str = "") -> str:
@@ -43,18 +27,4 @@ def html_page(title: str, about: str, body: str, style: str = "") -> str:
         f"<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'><title>{escape(title)}</title>"
         f"<style>{_STYLE}{style}</style></head><body><h1>{escape(title)}</h1><p>{escape(about)}</p>"
         f"{body}</body></html>\n"
-    )
-
-
-def _table(section: Section) -> str:
-    head = "<tr><th>figure</th><th>value</th><th>target</th><th></th><th>beside it</th></tr>"
-    return f"<h2>{escape(section.title)}</h2><table>{head}{''.join(map(_row, section.rows))}</table>"
-
-
-def _row(row: Row) -> str:
-    note = f"<br/><small>{escape(row.note)}</small>" if row.note else ""
-    return (
-        f"<tr><td>{escape(row.name)}{note}</td><td class='number'>{escape(row.text)}</td>"
-        f"<td class='number'>{escape(row.target)}</td><td class='{row.verdict.replace(' ', '-')}'>{row.verdict}</td>"
-        f"<td>{escape(row.peer)}</td></tr>"
     )

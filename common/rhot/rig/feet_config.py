@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from rhot.geometry.rotations import FloatArray, rotation_x
+from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot.rig.file_model import FileModel, NotNegative, Positive, Vector3
 
@@ -36,6 +40,12 @@ class DepthCameraConfig(FileModel):
     min_depth_m: Positive = 0.3
     max_depth_m: Positive = 4.0
     loop: bool = False
+
+    @property
+    def T_head_camera(self) -> FloatArray:
+        """(4, 4): OpenCV's camera axes in the head's (x right, y up, -z forward), pitched down."""
+        R = rotation_x(-math.radians(self.pitch_deg)) @ np.diag([1.0, -1.0, -1.0])
+        return rigid(R, np.array(self.position_m))
 
     @model_validator(mode="after")
     def _consistent(self) -> DepthCameraConfig:

@@ -18,17 +18,9 @@ from rhot.errors import BusError
 from rhot.messages import MAX_PAYLOAD_BYTES
 from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
 from rhot_capture.detection.color_table import ImageArray
+from rhot_capture.preview import jpeg_of
 from rhot_capture.sources import Frame
 
-_QUALITY: Final = 90
-"""Of simulated noisy pictures it moves marker centres by 0.08 px (root mean square; 95: 0.06, 75: 0.13; 0.19 at half
-colour resolution) and takes 54 kB (114, 20), 26 Mbit/s at 60 Hz."""
-_CODING: Final = (
-    cv2.IMWRITE_JPEG_QUALITY,
-    _QUALITY,
-    cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
-)
 _MOST_WAITING: Final = 8
 """Frames that may wait to be coded: an eighth of a second, 7 MB of 640x480."""
 _ENVELOPE_BYTES: Final = 4096
@@ -89,9 +81,3 @@ class FrameStream:
                 logger.warning("camera %s: pictures are not sent: %s", self._camera, error)
         finally:
             self._room.release()
-
-
-def jpeg_of(image: ImageArray) -> bytes:
-    """Return a frame (H, W, 3), uint8 BGR, as it is recorded."""
-    _, data = cv2.imencode(".jpg", image, _CODING)
-    return bytes(data)

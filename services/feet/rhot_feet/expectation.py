@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.turns import squared_distance
+from rhot.geometry.covariances import squared_distance
 from rhot.messages import Side
 from rhot_feet.region import Region
 

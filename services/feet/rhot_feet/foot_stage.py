@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.aruco_dictionary import marker_dictionary
-from rhot.geometry.camera_mounting import camera_mounting
-from rhot.geometry.turns import quaternion_from_turn, turn_from_quaternion
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.messages import FootPose, HeadPose, Side
 from rhot.messages.vectors import wire_position, wire_quaternion
+from rhot.plugins import load_plugin
 from rhot.rig.feet_config import FeetConfig
 from rhot.stage import Output
-from rhot_bench.thesis.foot_filter import ThesisFilter
 from rhot_feet.depth.tracker import DepthSightings, DepthTracker
 from rhot_feet.expectation import OTHER_FOOT, FootExpectation
 from rhot_feet.filter.filter import FootFilter
@@ -103,7 +102,7 @@ class FootStage:
         depth_range_m = (camera.min_depth_m, camera.max_depth_m)
         up = np.array(config.up) / np.linalg.norm(config.up)
         self._up = up
-        self._T_head_camera = camera_mounting(camera)
+        self._T_head_camera = camera.T_head_camera
         self._hold_ns = round(1e9 * config.hold_s)
         self._predict_ns = round(1e9 * config.predict_s)
         self._heads = HeadTrack()
@@ -240,7 +239,7 @@ class FootStage:
         turning = R @ state.orientation_covariance @ R.T
         if np.trace(turning) > _KNOWN_TURN_RAD**2:
             return FootExpectation(place, covariance)
-        return FootExpectation(place, covariance, R @ turn_from_quaternion(state.orientation_xyzw), turning)
+        return FootExpectation(place, covariance, R @ rotation_from_quaternion(state.orientation_xyzw), turning)
 
     def _is_carried(self, foot: _Foot) -> bool:
         return isinstance(foot.filter, FootFilter) and foot.filter.aligned
@@ -261,7 +260,12 @@ class FootStage:
 
 def _filter(config: FeetConfig, ankle_m: tuple[float, float, float]) -> _Filter:
     settings = FootFilterSettings(up=config.up, sensor_m=ankle_m)
-    return FootFilter(settings) if config.method == "filter" else ThesisFilter(settings)
+    if config.method == "filter":
+        return FootFilter(settings)
+    other: _Filter = load_plugin("rhot.foot_filters", config.method, f"[feet] method = {config.method!r}", "bench")(
+        settings
+    )
+    return other
 
 
 def _put_marker(target: _Filter, marker: FootMarker, view: View) -> bool:
@@ -272,7 +276,7 @@ def _put_marker(target: _Filter, marker: FootMarker, view: View) -> bool:
         return target.marker(marker.t_ns, position, covariance)
     R = T[:3, :3]
     turning = R @ marker.covariance[:3, :3] @ R.T + HEAD_TURN_RAD**2 * np.eye(3)
-    orientation = np.array(quaternion_from_turn(R @ marker.R_camera_foot))
+    orientation = quaternion_from_rotation(R @ marker.R_camera_foot)
     return target.marker(marker.t_ns, position, covariance, orientation, turning)
 
 

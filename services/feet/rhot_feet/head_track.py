@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
 from rhot.geometry.transforms import rigid
-from rhot.geometry.turns import turn_from_quaternion, turn_from_vector, vector_from_turn
 from rhot.messages import HeadPose
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +33,7 @@ class HeadTrack:
         if pose.state != "measured" or pose.t_ns in self._poses:
             return
         insort(self._times, pose.t_ns)
-        rotation = turn_from_quaternion(np.array(pose.orientation))
+        rotation = rotation_from_quaternion(np.array(pose.orientation))
         self._poses[pose.t_ns] = rigid(rotation, np.array(pose.position))
         while self._times[-1] - self._times[0] > _KEPT_NS:
             del self._poses[self._times.pop(0)]
@@ -53,6 +53,6 @@ class HeadTrack:
             return None
         first, second = self._poses[first_ns], self._poses[second_ns]
         share = (t_ns - first_ns) / (second_ns - first_ns)
-        turned = share * vector_from_turn(first[:3, :3].T @ second[:3, :3])
+        turned = share * vector_from_rotation(first[:3, :3].T @ second[:3, :3])
         place = first[:3, 3] + share * (second[:3, 3] - first[:3, 3])
-        return rigid(first[:3, :3] @ turn_from_vector(turned), place)
+        return rigid(first[:3, :3] @ rotation_from_vector(turned), place)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rhot.rig.calibration import RegistrationFile
-from rhot_objects.rigid import Pose
+from rhot_objects.pose import Pose
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ import numpy as np
 from rhot.messages import HeadPose, ObjectPose, State
 from rhot.messages.vectors import wire_position, wire_quaternion
 from rhot.stage import Output
+from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose
 from rhot_objects.sources import HEAD, PoseSample
 
 RIG_FRAME: Final = "rig"

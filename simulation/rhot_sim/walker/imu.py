@@ -24,8 +24,8 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.rotations import nearest_rotation, quaternion_from_rotation
-from rhot.geometry.transforms import cross_matrix, rigid
+from rhot.geometry.rotations import cross_matrix, nearest_rotation, quaternion_from_rotation
+from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot_sim.walker.foot_path import Step
 from rhot_sim.walker.plan import OUTWARDS, SIDES

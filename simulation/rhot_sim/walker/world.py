@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.aruco_dictionary import marker_cells
 from rhot.errors import ConfigError
-from rhot.geometry.camera_mounting import camera_mounting
 from rhot.geometry.rotations import rotation_x
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side, Truth
@@ -85,7 +84,7 @@ class WalkerWorld:
         self.feet_config = feet
         self.person = Person(seed, body, program, np.radians(feet.camera.pitch_deg))
         self.intrinsics = intrinsics(feet.camera)
-        self.T_head_camera = camera_mounting(feet.camera)
+        self.T_head_camera = feet.camera.T_head_camera
         self._mishaps = Mishaps(seed, disturbances or Disturbances())
         rng = seeded(seed, _STREAM)
         self._T_ankle_foot = {side: self._marker_on_foot(side, rng) for side in SIDES}

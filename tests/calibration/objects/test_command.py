@@ -27,8 +27,8 @@ from rhot_calibration.objects.collector import PlaceCollector
 from rhot_calibration.objects.command import objects
 from rhot_calibration.objects.page_step import ObjectStep
 from rhot_calibration.objects.table import COLUMNS, read_places
+from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
-from rhot_objects.rigid import Pose
 
 R = rotation_from_vector(np.array([0.4, -1.2, 0.7]))
 T = np.array([0.3, 0.9, 1.6])

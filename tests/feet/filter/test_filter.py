@@ -9,8 +9,12 @@ import pytest
 from foot_walk import Walk, ns
 from numpy.typing import NDArray
 
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
-from rhot.geometry.turns import rotation_between
+from rhot.geometry.rotations import (
+    quaternion_from_rotation,
+    rotation_between,
+    rotation_from_quaternion,
+    rotation_from_vector,
+)
 from rhot_bench.thesis.foot_filter import ThesisFilter
 from rhot_feet.filter.filter import FootFilter
 from rhot_feet.filter.inertial import InertialModel

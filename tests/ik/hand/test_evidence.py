@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rhot.geometry.rotations import rotation_from_vector
-from rhot.geometry.turns import turn_between
+from rhot.geometry.rotations import rotation_from_vector, shortest_rotation
 from rhot_ik.hand.evidence import EvidenceModel, HandObservation
 from rhot_ik.hand.sight import Sight
 
@@ -31,6 +30,6 @@ def test_the_turn_between_two_directions_takes_one_to_the_other_however_near() -
         start /= np.linalg.norm(start)
         end = start + size * rng.normal(size=3)
         end /= np.linalg.norm(end)
-        R = turn_between(start, end)
+        R = shortest_rotation(start, end)
         assert np.allclose(R @ start, end, atol=1e-9)
         assert np.allclose(R.T @ R, np.eye(3), atol=1e-9)

@@ -6,16 +6,7 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS
-from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
-from rhot.geometry.turns import (
-    orthonormal,
-    quaternion_from_turn,
-    squared_distance,
-    symmetric_inverse,
-    turn_from_quaternion,
-    turn_from_vector,
-    vector_from_turn,
-)
+from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector
 from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
 from rhot_ik.hand.finger_geometry import FingerGeometry
@@ -59,22 +50,3 @@ def test_derivatives_are_those_of_small_differences(side: Side) -> None:
         difference = (kinematics.markers(moved)[0] - tips) / 1e-6
         assert np.allclose(difference[k // 4], J[k // 4, :, k % 4], atol=1e-6)
         assert np.allclose(np.delete(difference, k // 4, axis=0), 0.0, atol=1e-9)
-
-
-@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-5, 1e-3, 0.5, 1.5, 2.5, np.pi - 1e-7])
-def test_turns_in_plain_arithmetic_equal_the_general_ones(size: float) -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        axis = rng.normal(size=3)
-        vector = axis / np.linalg.norm(axis) * size
-        R = turn_from_vector(vector)
-        assert np.allclose(R, rotation_from_vector(vector), atol=1e-12)
-        assert np.allclose(vector_from_turn(R), vector_from_rotation(R), atol=1e-7)
-        assert np.allclose(rotation_from_quaternion(np.array(quaternion_from_turn(R))), R, atol=1e-12)
-        assert np.allclose(orthonormal(R + 1e-7 * rng.normal(size=(3, 3))) @ R.T, np.eye(3), atol=1e-6)
-        M = R @ np.diag([1e-6, 1e-4, 3e-6]) @ R.T
-        assert np.allclose(symmetric_inverse(M) @ M, np.eye(3), atol=1e-9)
-        quaternion = 3.0 * rng.choice([-1.0, 1.0]) * np.array(quaternion_from_turn(R))
-        assert np.allclose(turn_from_quaternion(quaternion), R, atol=1e-12)
-        assert squared_distance(axis, M) == pytest.approx(float(axis @ np.linalg.solve(M, axis)), rel=1e-9)
-        assert squared_distance(np.zeros(3), M) == 0.0

@@ -5,10 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from rhot.geometry.covariances import squared_distance, symmetric_inverse
 from rhot.geometry.rotations import (
+    cross_matrix,
     nearest_rotation,
+    orthonormal,
     quaternion_from_rotation,
+    rotation_from_quaternion,
     rotation_from_vector,
     rotation_x,
     rotation_y,
@@ -71,3 +76,24 @@ def test_nearest_rotation_never_mirrors() -> None:
         assert np.linalg.det(R) == pytest.approx(1.0)
     R = rotation_from_vector(np.array([0.3, -0.5, 0.2]))
     assert np.allclose(nearest_rotation(R + 1e-4 * rng.normal(size=(3, 3))), R, atol=1e-3)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-5, 1e-3, 0.5, 1.5, 2.5, np.pi - 1e-7])
+def test_single_rotations_agree_with_the_general_formulas(size: float) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        axis = rng.normal(size=3)
+        vector = axis / np.linalg.norm(axis) * size
+        R = rotation_from_vector(vector)
+        assert np.allclose(R, Rotation.from_rotvec(vector).as_matrix(), atol=1e-12)
+        assert np.allclose(vector_from_rotation(R), vector, atol=1e-7)
+        assert np.allclose(quaternion_from_rotation(R), quaternion_from_rotation(R[None])[0], atol=1e-12)
+        assert np.allclose(rotation_from_quaternion(quaternion_from_rotation(R)), R, atol=1e-12)
+        assert np.allclose(cross_matrix(vector) @ axis[::-1], np.cross(vector, axis[::-1]), atol=1e-12)
+        assert np.allclose(orthonormal(R + 1e-7 * rng.normal(size=(3, 3))) @ R.T, np.eye(3), atol=1e-6)
+        M = R @ np.diag([1e-6, 1e-4, 3e-6]) @ R.T
+        assert np.allclose(symmetric_inverse(M) @ M, np.eye(3), atol=1e-9)
+        quaternion = 3.0 * rng.choice([-1.0, 1.0]) * quaternion_from_rotation(R)
+        assert np.allclose(rotation_from_quaternion(quaternion), R, atol=1e-12)
+        assert squared_distance(axis, M) == pytest.approx(float(axis @ np.linalg.solve(M, axis)), rel=1e-9)
+        assert squared_distance(np.zeros(3), M) == 0.0

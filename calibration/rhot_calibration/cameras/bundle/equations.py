@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rhot.geometry.rotations import rotation_from_vector
-from rhot.geometry.transforms import cross_matrix
+from rhot.geometry.rotations import cross_matrix, rotation_from_vector
 from rhot_calibration.cameras.bundle.lens import LENS_SIZE, project_with_derivatives
 from rhot_calibration.cameras.bundle.model import Geometry, Observations, Prior
 from rhot_calibration.cameras.solve.views import FloatArray

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from rhot.errors import CalibrationError
-from rhot.geometry.transforms import cross_matrix, inverse, rigid
+from rhot.geometry.rotations import cross_matrix
+from rhot.geometry.transforms import inverse, rigid
 from rhot.rig import CameraCalibration
 from rhot.rig.folder import write_text_atomic
 from rhot_calibration.cameras.interchange.foreign_camera import (

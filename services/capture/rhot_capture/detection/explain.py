@@ -24,7 +24,7 @@ from rhot_capture.detection.blob import Blob, find_blobs
 from rhot_capture.detection.color_table import ImageArray, build_color_table
 from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.detection.track import MarkerTrack
-from rhot_capture.frame_stream import jpeg_of
+from rhot_capture.preview import jpeg_of
 from rhot_capture.sources.pictures import read_pictures
 
 _SMALLEST_PX: Final = 4.0

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.transforms import cross_matrix
+from rhot.geometry.rotations import cross_matrix
 from rhot_feet.depth.points import PointGrid
 from rhot_feet.depth.search import FootBlob
 from rhot_feet.depth.shape import FootShape, ShapeView, shape_of

@@ -20,7 +20,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.turns import quaternion_from_turn, turn_from_quaternion
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot_feet.filter.history import History
 from rhot_feet.filter.inertial import InertialModel
 from rhot_feet.filter.kinematic import KinematicModel, KinematicState
@@ -95,7 +95,7 @@ class FootFilter:
 
     def imu(self, samples: ImuSamples) -> None:
         """Take samples of the sensor, not older than those before."""
-        rotations = [turn_from_quaternion(orientation) for orientation in samples.orientation_xyzw]
+        rotations = [rotation_from_quaternion(orientation) for orientation in samples.orientation_xyzw]
         stands = []
         for t_ns, force, rate, R_world in zip(
             samples.t_ns.tolist(), samples.specific_force, samples.angular_rate, rotations, strict=True
@@ -123,7 +123,7 @@ class FootFilter:
             orientation_xyzw: (4,) foot to rig, if it was seen.
             orientation_covariance: (3, 3) rad², of its error as a rotation vector in the rig frame; 3° when left out.
         """
-        rotation = None if orientation_xyzw is None else turn_from_quaternion(orientation_xyzw)
+        rotation = None if orientation_xyzw is None else rotation_from_quaternion(orientation_xyzw)
         spread = np.radians(3.0) ** 2 * np.eye(3) if orientation_covariance is None else orientation_covariance
         return self._observe(
             Observation(t_ns, position, covariance + _FLOOR, rotation, spread + _ROTATION_FLOOR, "marker")
@@ -145,7 +145,7 @@ class FootFilter:
             t_ns,
             motion.position,
             motion.velocity,
-            np.array(quaternion_from_turn(motion.rotation)),
+            quaternion_from_rotation(motion.rotation),
             motion.covariance,
             motion.rotation_covariance,
             self._stage(t_ns, stands=stands),

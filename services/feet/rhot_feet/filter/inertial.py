@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.rotations import rotation_z
-from rhot.geometry.turns import rotation_between, squared_distance
+from rhot.geometry.covariances import squared_distance
+from rhot.geometry.rotations import cross_matrix, rotation_between, rotation_z
 from rhot_feet.filter.model import FootMotion, Observation
 from rhot_feet.imu.alignment.equations import Alignment
 from rhot_feet.imu.strapdown import (
@@ -24,7 +24,6 @@ from rhot_feet.imu.strapdown import (
     InertialStep,
     Strapdown,
     correct,
-    skew,
 )
 
 FloatArray = NDArray[np.float64]
@@ -96,7 +95,7 @@ class InertialModel:
         follows[LEVER, ATTITUDE] = np.outer(alignment.by_yaw[:3], up)
         follows[ACCELEROMETER, ATTITUDE] = np.outer(alignment.by_yaw[3:], up)
         follows[POSITION, LEVER] = -R
-        follows[POSITION, ATTITUDE] = skew(arm) - R @ follows[LEVER, ATTITUDE]
+        follows[POSITION, ATTITUDE] = cross_matrix(arm) - R @ follows[LEVER, ATTITUDE]
         if alignment.mounted:
             follows[MOUNTING, ATTITUDE] = -R.T
         return InertialState(
@@ -178,13 +177,13 @@ class InertialModel:
         """Return where the foot is."""
         arm = state.R @ state.lever
         H = np.zeros((3, SIZE))
-        H[:, POSITION], H[:, ATTITUDE], H[:, LEVER] = _UNIT, -skew(arm), state.R
+        H[:, POSITION], H[:, ATTITUDE], H[:, LEVER] = _UNIT, -cross_matrix(arm), state.R
         turning = state.R @ (angular_rate - state.rate_bias)
         G = np.zeros((3, SIZE))
         G[:, ATTITUDE], G[:, MOUNTING] = _UNIT, state.R
         return FootMotion(
             state.position + arm,
-            state.velocity + skew(turning) @ arm,
+            state.velocity + cross_matrix(turning) @ arm,
             state.foot_rotation,
             H @ state.P @ H.T,
             G @ state.P @ G.T,
@@ -195,7 +194,7 @@ class InertialModel:
         rows = 3 if observation.rotation is None else 6
         H, residual, noise = np.zeros((rows, SIZE)), np.empty(rows), np.zeros((rows, rows))
         arm = state.R @ state.lever
-        H[:3, POSITION], H[:3, ATTITUDE], H[:3, LEVER] = _UNIT, -skew(arm), state.R
+        H[:3, POSITION], H[:3, ATTITUDE], H[:3, LEVER] = _UNIT, -cross_matrix(arm), state.R
         residual[:3] = observation.position - state.position - arm
         noise[:3, :3] = observation.covariance
         if observation.rotation is not None:

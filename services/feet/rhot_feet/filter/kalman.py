@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.turns import symmetric_inverse
+from rhot.geometry.covariances import symmetric_inverse
 
 FloatArray = NDArray[np.float64]
 

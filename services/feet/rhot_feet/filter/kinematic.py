@@ -16,7 +16,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.turns import orthonormal, rotation_between, squared_distance, turn_from_vector
+from rhot.geometry.covariances import squared_distance
+from rhot.geometry.rotations import orthonormal, rotation_between, rotation_from_vector
 from rhot_feet.filter.kalman import kalman_gain
 from rhot_feet.filter.model import FootMotion, Observation
 from rhot_feet.imu.strapdown import InertialStep
@@ -141,7 +142,7 @@ class KinematicModel:
         return KinematicState(
             G @ state.motion,
             P,
-            orthonormal(turn_from_vector(path * state.rate) @ state.R),
+            orthonormal(rotation_from_vector(path * state.rate) @ state.R),
             fades * state.rate,
             turning,
             state.liveliness,
@@ -172,7 +173,7 @@ class KinematicModel:
             noise = float(np.trace(observation.rotation_covariance)) / 3.0
             gain = turning[:, 0] / (turning[0, 0] + noise)
             turned = rotation_between(R, observation.rotation)
-            R, rate = orthonormal(turn_from_vector(gain[0] * turned) @ R), rate + gain[1] * turned
+            R, rate = orthonormal(rotation_from_vector(gain[0] * turned) @ R), rate + gain[1] * turned
             turning = turning - np.outer(gain, turning[0])
         liveliness = state.liveliness * math.exp(_QUICK * (min(surprise, 5.0) - _CALMS))
         return KinematicState(motion, P, R, rate, turning, min(max(liveliness, _CALMEST), _WILDEST), 0.0)

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.turns import turn_cosine
+from rhot.geometry.rotations import rotation_cosine
 from rhot_feet.filter.history import Felt
 from rhot_feet.imu.inertial import LONGEST_STEP_S, nearest_sample
 from rhot_feet.imu.strapdown import InertialStep
@@ -82,7 +82,7 @@ class SampleTrack:
         if before is None or not before.rest.still or not _GAP_S < 1e-9 * (t_ns - before.t_ns) <= LONGEST_STEP_S:
             return range(0)
         changed = force - before.step.force_after
-        if float(changed @ changed) > _SAME_FORCE**2 or turn_cosine(R_world, before.R_world) < _SAME_TURN_COSINE:
+        if float(changed @ changed) > _SAME_FORCE**2 or rotation_cosine(R_world, before.R_world) < _SAME_TURN_COSINE:
             return range(0)
         return range(before.t_ns + _BRIDGED_NS, t_ns - _BRIDGED_NS // 2, _BRIDGED_NS)
 

@@ -20,8 +20,12 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
-from rhot.geometry.turns import orthonormal, turn_from_vector
+from rhot.geometry.rotations import (
+    orthonormal,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_from_vector,
+)
 from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.imu.zero_velocity import GRAVITY
 
@@ -128,11 +132,11 @@ class RawReader:
         if self._R is None or span_s > LONGEST_STEP_S:
             self._R = level_rotation(force)
             return self._R
-        R = self._R @ turn_from_vector(span_s * rate)
+        R = self._R @ rotation_from_vector(span_s * rate)
         size = math.sqrt(force @ force)
         if abs(size - GRAVITY) < _LEVEL_BAND:
             up = R @ force / size
-            R = turn_from_vector((_LEVELLING * span_s) * np.array([up[1], -up[0], 0.0])) @ R
+            R = rotation_from_vector((_LEVELLING * span_s) * np.array([up[1], -up[0], 0.0])) @ R
         self._R = orthonormal(R)
         return self._R
 

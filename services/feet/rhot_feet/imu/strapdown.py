@@ -23,7 +23,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.turns import orthonormal, turn_from_vector
+from rhot.geometry.rotations import cross_matrix, orthonormal, rotation_from_vector
 from rhot_feet.filter.kalman import kalman_gain
 
 FloatArray = NDArray[np.float64]
@@ -130,12 +130,6 @@ class InertialState:
         return rotation
 
 
-def skew(vector: FloatArray) -> FloatArray:
-    """Return [v]× (3, 3) of one vector (3,); faster than `cross_matrix`."""
-    x, y, z = vector.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 class Strapdown:
     """Predicts and corrects `InertialState`s; stateless after construction."""
 
@@ -159,14 +153,14 @@ class Strapdown:
     def predict(self, state: InertialState, step: InertialStep) -> InertialState:
         """Return the state at the end of a step."""
         h = step.duration_s
-        R = orthonormal(state.R @ turn_from_vector(step.turn_rad - h * state.rate_bias))
+        R = orthonormal(state.R @ rotation_from_vector(step.turn_rad - h * state.rate_bias))
         force = 0.5 * (
             state.R @ (step.force_before - state.acceleration_bias) + R @ (step.force_after - state.acceleration_bias)
         )
         acceleration = force + self.gravity
         F = _UNITS.copy()
         F[POSITION, VELOCITY] = h * _UNIT
-        F[VELOCITY, ATTITUDE] = -h * skew(force)
+        F[VELOCITY, ATTITUDE] = -h * cross_matrix(force)
         F[POSITION, ATTITUDE] = (0.5 * h) * F[VELOCITY, ATTITUDE]
         F[VELOCITY, ACCELEROMETER] = F[ATTITUDE, GYROSCOPE] = -h * state.R
         P = F @ state.P @ F.T
@@ -214,9 +208,9 @@ def inject(state: InertialState, dx: FloatArray, P: FloatArray) -> InertialState
     extended Kalman filter as a stable observer", IEEE Transactions on Automatic Control 62 (4), 2017, choose errors for
     the same reason).
     """
-    R, lever = orthonormal(turn_from_vector(dx[ATTITUDE]) @ state.R), state.lever + dx[LEVER]
+    R, lever = orthonormal(rotation_from_vector(dx[ATTITUDE]) @ state.R), state.lever + dx[LEVER]
     kept = _UNITS.copy()
-    kept[POSITION, ATTITUDE] = skew(R @ lever - state.R @ state.lever)
+    kept[POSITION, ATTITUDE] = cross_matrix(R @ lever - state.R @ state.lever)
     kept[POSITION, LEVER] = state.R - R
     kept[MOUNTING, MOUNTING] = R.T @ state.R
     return InertialState(
@@ -226,6 +220,6 @@ def inject(state: InertialState, dx: FloatArray, P: FloatArray) -> InertialState
         state.acceleration_bias + dx[ACCELEROMETER],
         state.rate_bias + dx[GYROSCOPE],
         lever,
-        orthonormal(turn_from_vector(dx[MOUNTING]) @ state.M),
+        orthonormal(rotation_from_vector(dx[MOUNTING]) @ state.M),
         kept @ P @ kept.T,
     )

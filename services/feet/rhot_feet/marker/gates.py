@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.turns import rotation_between, squared_distance
+from rhot.geometry.covariances import squared_distance
+from rhot.geometry.rotations import rotation_between
 from rhot_feet.depth.floor import FloorPlane
 from rhot_feet.depth.plane import DepthPlane
 from rhot_feet.expectation import GATE_SIGMAS, FootExpectation, innovation_distance

@@ -18,8 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.rotations import quaternion_from_rotation
-from rhot.geometry.turns import turn_cosine, turn_from_vector
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_cosine, rotation_from_vector
 from rhot_feet.marker.pose import MarkerPose
 
 FloatArray = NDArray[np.float64]
@@ -130,7 +129,7 @@ def _predicted(state: _Hypotheses, t_s: float) -> _Hypotheses:
     F[:3, 3:], F[3:, 3:] = dt * np.eye(3), keep * np.eye(3)
     q = _ACCELERATION**2
     Q = np.kron(np.array([[q * dt**3 / 3.0, q * dt**2 / 2.0], [q * dt**2 / 2.0, q * dt]]), np.eye(3))
-    turned = np.stack([turn_from_vector(rate * dt) @ R for rate, R in zip(state.rate, state.R, strict=True)])
+    turned = np.stack([rotation_from_vector(rate * dt) @ R for rate, R in zip(state.rate, state.R, strict=True)])
     return _Hypotheses(t_s, turned, keep * state.rate, F @ state.P @ F.T + Q, state.weight, state.facing)
 
 
@@ -160,8 +159,8 @@ def _updated(
     for place in np.argsort(-weight).tolist():
         if weight[place] < best - _DROP or len(kept) == _HYPOTHESES:
             break
-        orientation = turn_from_vector(step[place, :3]) @ state.R[parent[place]]
-        if all(turn_cosine(orientation, other) < _MERGE_COSINE for other in orientations):
+        orientation = rotation_from_vector(step[place, :3]) @ state.R[parent[place]]
+        if all(rotation_cosine(orientation, other) < _MERGE_COSINE for other in orientations):
             kept.append(place)
             orientations.append(orientation)
     chosen = np.stack(orientations)

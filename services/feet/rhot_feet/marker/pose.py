@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.transforms import cross_matrix
-from rhot.geometry.turns import turn_from_vector
+from rhot.geometry.rotations import cross_matrix, rotation_from_vector
 from rhot_feet.depth.plane import DepthPlane
 
 FloatArray = NDArray[np.float64]
@@ -108,7 +107,7 @@ def view_square(
     usable = np.isfinite(turns).all(axis=1) & np.isfinite(t).all(axis=1) & (t[:, 2] > 0.0)
     if not usable.any():
         return None
-    R = np.stack([turn_from_vector(turn) for turn in turns[usable]])
+    R = np.stack([rotation_from_vector(turn) for turn in turns[usable]])
     focal_px = 0.5 * float(camera.K[0, 0] + camera.K[1, 1])
     # OpenCV's error is the root mean square over all eight coordinates.
     reprojection_px = float(np.sqrt(2.0)) * focal_px * float(np.asarray(errors).ravel()[usable][0])
@@ -130,7 +129,7 @@ def marker_poses(view: SquareView, plane: DepthPlane | None = None) -> tuple[Mar
         H, g = np.swapaxes(J, 1, 2) @ J, np.einsum("sij,si->sj", J, r)
         trace = np.trace(H, axis1=1, axis2=2)[:, None, None]
         step = np.linalg.solve(H + 1e-6 * trace * np.eye(6), g[..., None])[..., 0]
-        turned = np.stack([turn_from_vector(turn) @ old for turn, old in zip(step[:, :3], R, strict=True)])
+        turned = np.stack([rotation_from_vector(turn) @ old for turn, old in zip(step[:, :3], R, strict=True)])
         moved = t + step[:, 3:]
         # A step through the camera, or to where its back would be seen, is the end of a solution.
         sound &= (moved[:, 2] > 0.01) & (np.einsum("si,si->s", turned[:, :, 2], moved) < 0.0)

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.turns import rotation_between, squared_distance
+from rhot.geometry.covariances import squared_distance
+from rhot.geometry.rotations import rotation_between
 from rhot_feet.marker.pose import MarkerPose
 
 FloatArray = NDArray[np.float64]

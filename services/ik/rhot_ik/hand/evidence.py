@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.turns import turn_between
+from rhot.geometry.rotations import shortest_rotation
 from rhot_ik.hand.patch import PatchRotation
 from rhot_ik.hand.sight import Sight
 
@@ -105,7 +105,7 @@ class EvidenceModel:
             covariance = CORNER_SIGMA_M**2 * shape + BASE_SIGMA_M**2 * _UNIT
             turned = self._patch.fit(seen.corners, expected, covariance)
         elif expected is not None and seen.across is not None:
-            turned = turn_between(expected[:, 0], seen.across) @ expected, _ACROSS_INFORMATION
+            turned = shortest_rotation(expected[:, 0], seen.across) @ expected, _ACROSS_INFORMATION
         rotation, information = (None, _UNIT) if turned is None else turned
         floors = TIP_SIGMA_M**2 + np.where(seen.tips_measured, 0.0, PREDICTED_SIGMA_M**2)
         sigma = _SIGMAS if seen.tips_sigma is None else seen.tips_sigma

@@ -17,14 +17,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.turns import symmetric_inverse, turn_from_vector, vector_from_turn
+from rhot.geometry.covariances import symmetric_inverse
+from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
 from rhot_ik.hand.evidence import Evidence
 from rhot_ik.hand.finger_geometry import FingerGeometry
 from rhot_ik.hand.fingers import AnalyticFingers
 from rhot_ik.hand.kinematics import HandKinematics
 from rhot_ik.hand.prior import COUNT
 from rhot_ik.hand.process import ANGLES, POSITION, ROTATION, SIZE, SPEED, TURNING, HandProcess, HandState
-from rhot_ik.hand.skew import CROSS
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -139,7 +139,7 @@ class HandFilter(HandProcess):
             solved = np.linalg.solve(S, wanted)
             posterior = P - PHt @ solved[:, :SIZE]
             about, dx = dx, self._within_limits(PHt @ solved[:, SIZE], prior.angles, posterior)
-            R, p = prior.R @ turn_from_vector(dx[ROTATION]), prior.p + dx[POSITION]
+            R, p = prior.R @ rotation_from_vector(dx[ROTATION]), prior.p + dx[POSITION]
             q = prior.angles + dx[ANGLES]
             moved = np.abs(dx - about)
             if max(moved[ROTATION].max(), moved[ANGLES].max()) < CLOSE_RAD:
@@ -168,7 +168,7 @@ class HandFilter(HandProcess):
             gap = evidence.base - state.p - state.R @ self._on_wrist[5]
             cost += float(gap @ np.linalg.solve(evidence.base_covariance, gap))
         if evidence.rotation is not None:
-            turn = vector_from_turn(state.R.T @ evidence.rotation)
+            turn = vector_from_rotation(state.R.T @ evidence.rotation)
             cost += float(turn @ evidence.rotation_information @ turn)
         return cost
 
@@ -199,10 +199,10 @@ class HandFilter(HandProcess):
         y = np.zeros(_ROWS)
         y[:18] = (rows.points - p - arms).reshape(-1)
         if rows.rotation is not None:
-            y[18:] = vector_from_turn(R.T @ rows.rotation)
+            y[18:] = vector_from_rotation(R.T @ rows.rotation)
         H = self._H.copy()
         # d(R·exp(δθ)·m) = −R·[m]×·δθ = −[R·m]×·R·δθ
-        H[:18, ROTATION] = (arms @ CROSS).reshape(18, 3) @ -R
+        H[:18, ROTATION] = cross_matrix(arms).reshape(18, 3) @ -R
         H.reshape(-1)[_OWN_ANGLES] = R @ J
         return H * rows.counts[:, None], y * rows.counts
 

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.hand import MOVING
-from rhot.geometry.rotations import quaternion_from_rotation
-from rhot.geometry.turns import product_matrix, quaternion_from_turn
+from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
 from rhot_ik.hand.finger_geometry import FingerGeometry
 
 FloatArray = NDArray[np.float64]
@@ -57,7 +56,7 @@ class HandKinematics:
         self._chain = np.concatenate([joints, marker], axis=1)
         rest = model.forward_local(np.zeros((5, 4)))
         self._positions, self._orientations = rest.positions, quaternion_from_rotation(rest.rotations)
-        in_frames = [product_matrix(*quaternion_from_turn(frame)) for frame in model.frames]
+        in_frames = [product_matrix(*quaternion_from_rotation(frame)) for frame in model.frames]
         self._in_frames_t = np.ascontiguousarray(np.swapaxes(np.array(in_frames), 1, 2))
 
     def markers(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -96,7 +95,7 @@ class HandKinematics:
         bent = bent @ self._in_frames_t
         orientations[MOVING[:, :3]] = bent
         orientations[MOVING[:, 3]] = bent[:, 2]
-        orientations = orientations @ product_matrix(*quaternion_from_turn(R)).T
+        orientations = orientations @ product_matrix(*quaternion_from_rotation(R)).T
         return positions @ R.T + p, orientations, chain[:, 3] @ R.T + p
 
     def _vectors(self, q: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
-from rhot.geometry.turns import turn_from_vector, vector_from_turn
+from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 
 FloatArray = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ class PalmLead:
     def begin(self, expected: tuple[FloatArray, FloatArray], now: tuple[FloatArray, FloatArray]) -> None:
         """Set out from the expected pose, itself led, for the pose that is known now; each (3, 3) and (3,)."""
         R, p = self.lead(*expected)
-        self._turn = vector_from_turn(now[0].T @ R)
+        self._turn = vector_from_rotation(now[0].T @ R)
         self._way = p - now[1]
         self._turn_rad_s = max(PALM_RAD_S, float(np.sqrt(self._turn @ self._turn)) / PALM_LONGEST_S)
         self._way_m_s = max(PALM_M_S, float(np.sqrt(self._way @ self._way)) / PALM_LONGEST_S)
@@ -126,4 +126,4 @@ class PalmLead:
         """Return the pose to show of a wrist at R (3, 3), p (3,)."""
         if not self._under_way:
             return R, p
-        return R @ turn_from_vector(self._turn), p + self._way
+        return R @ rotation_from_vector(self._turn), p + self._way

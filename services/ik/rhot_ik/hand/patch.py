@@ -7,9 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.rotations import nearest_rotation
-from rhot.geometry.turns import symmetric_inverse, turn_from_vector
-from rhot_ik.hand.skew import skew
+from rhot.geometry.covariances import symmetric_inverse
+from rhot.geometry.rotations import cross_matrix, nearest_rotation, rotation_from_vector
 
 FloatArray = NDArray[np.float64]
 Fitted = tuple[FloatArray, FloatArray]
@@ -35,7 +34,7 @@ class PatchRotation:
     def __init__(self, outline: FloatArray) -> None:
         self._outline = outline
         # d(R·exp(δθ)·o) = −R·[o]×·δθ, so Jᵀ·W·J and Jᵀ·W·r are fixed linear maps of Rᵀ·W·R and of its product with r.
-        J = -skew(outline)
+        J = -cross_matrix(outline)
         self._squares = np.einsum("kia,kjb->abij", J, J).reshape(9, 9)
         self._arms = J.swapaxes(1, 2).swapaxes(0, 1).reshape(3, 12)
         self._size = float((outline * outline).sum())
@@ -66,7 +65,7 @@ class PatchRotation:
             local = R.T @ weight @ R
             information = (self._squares @ local.reshape(9)).reshape(3, 3)
             step = symmetric_inverse(information) @ (self._arms @ ((found @ R - self._outline) @ local).reshape(12))
-            R = R @ turn_from_vector(step)
+            R = R @ rotation_from_vector(step)
             if step @ step < CLOSE_RAD**2:
                 break
         if ((found - self._outline @ R.T) ** 2).sum() > 4.0 * MAX_ERROR_M**2:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
-from rhot.geometry.turns import orthonormal, turn_from_vector
+from rhot.geometry.rotations import orthonormal, rotation_from_vector
 from rhot_ik.hand.prior import COUNT, angle_covariance, rest_angles
 
 FloatArray = NDArray[np.float64]
@@ -90,7 +90,7 @@ class HandProcess:
         path_s = SPEED_FADES_S * (1.0 - fades)
         keeps = math.exp(-dt_s / ANGLES_REST_S)
         spread = 1.0 - keeps * keeps
-        turn = turn_from_vector(state.turning * path_s)
+        turn = rotation_from_vector(state.turning * path_s)
         F = np.zeros((SIZE, SIZE))
         diagonal = F.reshape(-1)[:: SIZE + 1]
         diagonal[POSITION], diagonal[6:12], diagonal[ANGLES] = 1.0, fades, keeps

@@ -20,9 +20,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.rotations import rotation_from_quaternion
+from rhot.geometry.rotations import (
+    orthonormal,
+    rotation_between,
+    rotation_from_quaternion,
+    rotation_from_vector,
+    shortest_rotation,
+)
 from rhot.geometry.transforms import rigid
-from rhot.geometry.turns import orthonormal, rotation_between, turn_between, turn_from_vector
 from rhot.messages import FootPose, State
 from rhot_ik.legs.ankle import Ankle
 
@@ -76,7 +81,7 @@ class FootLevel:
         if seen[1] < _LEAST_LEVEL:
             return
         self._up = self._up + _LEARNING * (seen - self._up)
-        self.R_foot_level = turn_between(np.array([0.0, 1.0, 0.0]), self._up / np.linalg.norm(self._up))
+        self.R_foot_level = shortest_rotation(np.array([0.0, 1.0, 0.0]), self._up / np.linalg.norm(self._up))
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +182,7 @@ class FootTrack:
             reached = catch_up_m / max(float(np.linalg.norm(seen - place)), catch_up_m)
             trust = min(trust, self._last.trust + elapsed_s / _REGAIN_S, reached)
             R = self._turned(self._last.T_rig_ankle[:3, :3], carrier.T_rig_hips[:3, :3], elapsed_s)
-            R = orthonormal(turn_from_vector(trust * rotation_between(R, sample.R)) @ R)
+            R = orthonormal(rotation_from_vector(trust * rotation_between(R, sample.R)) @ R)
             ankle = Ankle(rigid(R, place + trust * (seen - place)), trust)
             velocity = velocity + trust * (sample.velocity - velocity)
             self._learn_usual(ankle, carrier, elapsed_s)
@@ -201,7 +206,7 @@ class FootTrack:
     def _turned(self, R: FloatArray, R_rig_hips: FloatArray, elapsed_s: float) -> FloatArray:
         """Return a foot's axes a little later: a foot that nobody sees becomes level and straight ahead."""
         share = -math.expm1(-elapsed_s / _LEVELLING_S)
-        return turn_from_vector(share * rotation_between(R, R_rig_hips)) @ R
+        return rotation_from_vector(share * rotation_between(R, R_rig_hips)) @ R
 
     def _learn_usual(self, ankle: Ankle, carrier: Carrier, elapsed_s: float) -> None:
         if ankle.trust < _SURE:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from rhot_objects.rigid import Pose
+from rhot_objects.pose import Pose
 
 HEAD: Final = "head"
 """The object id that stands for the headset: it is published on `rhot/head`."""

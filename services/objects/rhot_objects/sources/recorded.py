@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
-from rhot_objects.rigid import Pose, interpolate
+from rhot_objects.pose import Pose, interpolate
 from rhot_objects.sources import PoseSample
 
 COLUMNS: Final = ("t_ns", "x", "y", "z", "qx", "qy", "qz", "qw")

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from rhot.errors import DeviceError
-from rhot_objects.rigid import Pose
+from rhot_objects.pose import Pose
 from rhot_objects.sources import HEAD, PoseSample
 
 logger = logging.getLogger(__name__)

@@ -16,10 +16,10 @@ from rhot.rig.calibration import CameraCalibration
 from rhot.rig.config import CameraConfig
 from rhot.rig.folder import nominal_camera
 from rhot_calibration.cameras.calibration import Calibrated, bow_mm, calibrate, cameras_file
+from rhot_calibration.cameras.refusals import Expected
 from rhot_calibration.cameras.solve.mistakes import mirrored
 from rhot_calibration.cameras.solve.solve import Solution, solve
 from rhot_calibration.cameras.solve.views import Board, BoardView, FloatArray, ViewSet
-from rhot_calibration.cameras.verdict import Expected
 
 Views = Mapping[tuple[str, int], BoardView]
 

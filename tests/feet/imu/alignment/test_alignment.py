@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from foot_walk import Walk, ns
 
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
-from rhot.geometry.turns import rotation_between
+from rhot.geometry.rotations import (
+    quaternion_from_rotation,
+    rotation_between,
+    rotation_from_quaternion,
+    rotation_from_vector,
+)
 from rhot_feet.imu.alignment.alignment import AlignmentLearner
 from rhot_feet.imu.inertial import FusedReader, up_rotation
 from rhot_feet.sources.imu import ImuSamples

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from rhot_calibration.hand.parameters import BONE_SD, PRIOR_SD, TYPED_SD_M, HandParameters
+from rhot_calibration.hand.fit.parameters import BONE_SD, PRIOR_SD, TYPED_SD_M, HandParameters
 
 FloatArray = NDArray[np.float64]
 Residuals = Callable[[FloatArray], FloatArray]

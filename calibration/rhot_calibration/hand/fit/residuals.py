@@ -9,8 +9,8 @@ samples there are. Each residual is in standard deviations:
     lateral   how far the tip leaves the finger's plane while the knuckle bends, about one mean abduction
     flat      flexion and abduction of the flat hand, zero on average
 
-Without the corners of the patch the palm's turn R is unknown, and only distances of the flat hand between markers are
-compared with those of the model's flat hand.
+Without the corners of the patch the palm's rotation R is unknown, and only distances between markers of the flat hand
+are compared with those of the model.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import rotation_from_vector
-from rhot_calibration.hand.palm import PalmTurns
-from rhot_calibration.hand.parameters import (
+from rhot_calibration.hand.fit.palm_rotations import PalmRotations
+from rhot_calibration.hand.fit.parameters import (
     ABDUCTION,
     SLACK,
     SLACK_BENT,
@@ -31,7 +31,7 @@ from rhot_calibration.hand.parameters import (
     TILT,
     HandParameters,
 )
-from rhot_calibration.hand.samples import HandSamples
+from rhot_calibration.hand.samples.samples import HandSamples
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -46,9 +46,9 @@ _MOMENT_S: Final = 0.3
 """Samples closer in time share what the model leaves out."""
 _DEPTH_OVER_LATERAL: Final = 5.0
 _NOISE_FACTOR: Final = 1.25
-"""On the noise of points and turns: what the linearised fit underrates, judged by simulated hands."""
+"""On the noise of points and rotations: what the linearised fit underrates, judged by simulated hands."""
 _SIXTY_DEG: Final = np.radians(60.0)
-SIGMA_TURNLESS_M: Final = 0.006
+SIGMA_WITHOUT_ROTATION_M: Final = 0.006
 """Of a distance between markers of a hand that is taken for flat because it reached furthest."""
 
 
@@ -90,35 +90,35 @@ class PalmFrame:
     Args:
         parameters: what is unknown of the hand.
         samples: the markers.
-        turns: of the palm.
+        rotations: of the palm.
         viewpoint: (3,) metres, rig frame: about where the cameras stand.
     """
 
     def __init__(
-        self, parameters: HandParameters, samples: HandSamples, turns: PalmTurns, viewpoint: FloatArray
+        self, parameters: HandParameters, samples: HandSamples, rotations: PalmRotations, viewpoint: FloatArray
     ) -> None:
         self.parameters = parameters
         self.seconds = samples.seconds
-        self.sigma_turn_rad = _NOISE_FACTOR * turns.sigma_rad
-        self.local: FloatArray = (samples.tips - samples.base[:, None]) @ turns.R
+        self.sigma_rotation_rad = _NOISE_FACTOR * rotations.sigma_rad
+        self.local: FloatArray = (samples.tips - samples.base[:, None]) @ rotations.R
         self.known: BoolArray = np.asarray(np.isfinite(self.local).all(axis=2))
         toward = samples.base - viewpoint
         toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-        self._sight: FloatArray = (toward[:, None] @ turns.R)[:, 0]
+        self._sight: FloatArray = (toward[:, None] @ rotations.R)[:, 0]
         self._lateral_m = _NOISE_FACTOR * samples.sigma_m / np.sqrt(2.0 + _DEPTH_OVER_LATERAL**2)
 
     def tips(self, x: FloatArray, rows: NDArray[np.intp]) -> Tips:
         """Return the tips of some samples under parameters (COUNT,); NaN where not seen."""
         shape = self.parameters.shape(x)
-        place = self.local[rows] @ rotation_from_vector(x[TILT]).T + shape.base
-        away = np.einsum("nfi,fij->nfj", place - shape.knuckles, shape.frames)
+        position = self.local[rows] @ rotation_from_vector(x[TILT]).T + shape.base
+        away = np.einsum("nfi,fij->nfj", position - shape.knuckles, shape.frames)
         radius = np.linalg.norm(away, axis=2)
         flexion = np.arctan2(-away[..., 1], -away[..., 2])
         slack = SLACK_M + x[SLACK] + x[SLACK_BENT] * flexion / _SIXTY_DEG
         return Tips(away, radius, flexion, shape.straight - slack - radius)
 
     def covariance(self, x: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
-        """Return (N, 5, 5) square metres of the radii: noise of tips, and of base and turn, which all fingers share."""
+        """Return (N, 5, 5) square metres of the radii: noise of tips, and of base and rotation, which are common."""
         tips = self.tips(x, rows)
         radial = np.einsum("nfj,fij->nfi", tips.away / tips.radius[..., None], self.parameters.shape(x).frames)
         radial = np.nan_to_num(radial)
@@ -126,9 +126,9 @@ class PalmFrame:
         depth = np.einsum("nfi,ni->nf", radial, self._sight[rows])
         lateral, far = self._lateral_m**2, (_DEPTH_OVER_LATERAL * self._lateral_m) ** 2
         own = lateral + (far - lateral) * depth**2 + _SIGMA_MODEL_M**2 * crowding(self.seconds[rows])
-        by_turn = np.cross(local, radial) * self.sigma_turn_rad
+        by_rotation = np.cross(local, radial) * self.sigma_rotation_rad
         shared = lateral * radial @ np.swapaxes(radial, 1, 2) + (far - lateral) * depth[:, :, None] * depth[:, None, :]
-        covariance: FloatArray = np.eye(5) * own[:, None, :] + shared + by_turn @ np.swapaxes(by_turn, 1, 2)
+        covariance: FloatArray = np.eye(5) * own[:, None, :] + shared + by_rotation @ np.swapaxes(by_rotation, 1, 2)
         return covariance
 
 
@@ -154,11 +154,6 @@ class StraightFingers:
         self._sigma_lateral_m = self._lateral_sigma(tips)
         self._sigma_flat_m = SIGMA_FLAT_RAD * frame.parameters.shape(x).straight[:, None]
 
-    def radial(self, x: FloatArray) -> FloatArray:
-        """Return (N, 5) whitened radial residuals; zero where unused."""
-        deficit = np.where(self._chosen.use, self._frame.tips(x, self._chosen.rows).deficit, 0.0)
-        return np.asarray((self._whiten @ deficit[..., None])[..., 0])
-
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return all residuals at parameters (COUNT,)."""
         chosen = self._chosen
@@ -169,7 +164,7 @@ class StraightFingers:
 
     def _lateral_sigma(self, tips: Tips) -> FloatArray:
         forward = tips.radius * np.cos(tips.flexion)
-        height = tips.away[..., 1] * self._frame.sigma_turn_rad[2]
+        height = tips.away[..., 1] * self._frame.sigma_rotation_rad[2]
         crowded = crowding(self._frame.seconds[self._chosen.rows])
         sigma: FloatArray = np.sqrt(((forward * _SIGMA_SWAY_RAD) ** 2 + _SIGMA_MODEL_M**2) * crowded + height**2)
         return sigma
@@ -190,7 +185,7 @@ class StraightFingers:
 
 
 class FlatDistances:
-    """Residuals of a hand whose palm's turn is unknown: distances between its markers while it is flat.
+    """Residuals of a hand whose palm's rotation is unknown: distances between its markers while it is flat.
 
     Args:
         parameters: what is unknown of the hand.
@@ -206,14 +201,14 @@ class FlatDistances:
         )
         # A thumb is anywhere, and so far apart as fingers are spread they do not tell their size.
         weak = [3.0 if 0 in pair else 1.0 if 5 in pair else 2.5 for pair in self._pairs]
-        self._sigma: FloatArray = SIGMA_TURNLESS_M * np.array(weak)
+        self._sigma: FloatArray = SIGMA_WITHOUT_ROTATION_M * np.array(weak)
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return the residuals at parameters (COUNT,)."""
         shape = self._parameters.shape(x)
         tips = shape.knuckles - shape.straight[:, None] * shape.frames[..., 2]
-        places = np.array([*tips, shape.base])
-        modelled = np.array([np.linalg.norm(places[a] - places[b]) for a, b in self._pairs])
+        positions = np.array([*tips, shape.base])
+        modelled = np.array([np.linalg.norm(positions[a] - positions[b]) for a, b in self._pairs])
         return np.asarray(np.nan_to_num((self._found - modelled) / self._sigma), dtype=np.float64)
 
 

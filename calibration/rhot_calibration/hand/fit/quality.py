@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import CHAINS, FINGERS
 from rhot.rig import HandFile
-from rhot_calibration.hand.fit import HandFit, fit
-from rhot_calibration.hand.parameters import BONE_SD, COUNT, HandParameters
-from rhot_calibration.hand.phases import Window
+from rhot_calibration.hand.fit.fit import HandFit, fit
+from rhot_calibration.hand.fit.parameters import BONE_SD, COUNT, HandParameters
+from rhot_calibration.hand.samples.phases import Window
 
 FloatArray = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from rhot.errors import CalibrationError
 from rhot.messages import PointSet
 from rhot.recording import load_recording, marker_track_frames
 from rhot.rig import HandFile, Rig
-from rhot_calibration.hand.measure import Phases, measure_hand
-from rhot_calibration.hand.phases import Window
+from rhot_calibration.hand.calibration import measure_hand
+from rhot_calibration.hand.samples.phases import Phases, Window
 from rhot_fusion.stage import FusionStage
 
 SHORTEST_M, LONGEST_M = 0.165, 0.212

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot_calibration.hand.samples import HandSamples
+from rhot_calibration.hand.samples.samples import HandSamples
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -24,12 +24,12 @@ _LEAST_CORNER_SIGMA_M: Final = 0.0003
 
 
 @dataclass(frozen=True, slots=True)
-class PalmTurns:
+class PalmRotations:
     """How the palm is turned in N samples.
 
     Attributes:
         R: (N, 3, 3) patch to rig; NaN = not known.
-        sigma_rad: (3,) standard deviation of a single sample's turn about the patch's X, Y and Z axes, before
+        sigma_rad: (3,) standard deviation of a single sample's rotation about the patch's X, Y and Z axes, before
             smoothing over time.
     """
 
@@ -37,7 +37,7 @@ class PalmTurns:
     sigma_rad: FloatArray
 
 
-def palm_turns(samples: HandSamples, outline: FloatArray, viewpoint: FloatArray) -> PalmTurns:
+def palm_rotations(samples: HandSamples, outline: FloatArray, viewpoint: FloatArray) -> PalmRotations:
     """Return the palm's rotations, lightly smoothed over time.
 
     Each is the least-squares rotation of the four corners (Kabsch 1976). Of the eight ways to go round a rectangle the
@@ -68,7 +68,7 @@ def palm_turns(samples: HandSamples, outline: FloatArray, viewpoint: FloatArray)
     across, along = np.ptp(outline[:, 0]), np.ptp(outline[:, 2])
     # Depth is the noisy direction, and the patch faces the cameras: it turns most about its own two sides.
     sigma_rad = sigma_m / np.array([along, np.hypot(across, along), across])
-    return PalmTurns(_smoothed(R, samples.seconds), sigma_rad)
+    return PalmRotations(_smoothed(R, samples.seconds), sigma_rad)
 
 
 def _expected(samples: HandSamples, viewpoint: FloatArray) -> FloatArray:

@@ -1,9 +1,8 @@
-"""From the point sets of a recording to `hand.json`: phases, fit, and the refusals."""
+"""From the point sets of a recording to `hand.json`: finds the phases and the straight fingers, and fits the hand."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -14,14 +13,28 @@ from rhot.anatomy.skeleton import FINGERS
 from rhot.errors import CalibrationError
 from rhot.messages import PointSet, Side
 from rhot.rig import HandFile, Rig
-from rhot.rig.calibration import WIDTH_OVER_LENGTH
-from rhot_calibration.hand.evidence import Chosen, FlatDistances, PalmFrame, StraightFingers
-from rhot_calibration.hand.fit import HandFit, fit
-from rhot_calibration.hand.palm import palm_turns
-from rhot_calibration.hand.parameters import COUNT, HUMAN_LENGTH_M, HandParameters
-from rhot_calibration.hand.phases import FEWEST_FLAT, STRAIGHT_SHARE, Window, find_flat, reaches, straight_stretch
-from rhot_calibration.hand.quality import Motion, hand_quality
-from rhot_calibration.hand.samples import HandSamples, read_samples
+from rhot_calibration.hand.fit.fit import HandFit, fit
+from rhot_calibration.hand.fit.palm_rotations import palm_rotations
+from rhot_calibration.hand.fit.parameters import COUNT, HandParameters
+from rhot_calibration.hand.fit.quality import Motion, hand_quality
+from rhot_calibration.hand.fit.residuals import Chosen, FlatDistances, PalmFrame, StraightFingers
+from rhot_calibration.hand.refusals import (
+    refuse_bent_flat_hand,
+    refuse_inhuman,
+    refuse_unseen_fingers,
+    refuse_unseen_tips,
+    refuse_wrong_order,
+)
+from rhot_calibration.hand.samples.phases import (
+    FEWEST_FLAT,
+    FIND_PHASES,
+    STRAIGHT_SHARE,
+    Phases,
+    Window,
+    find_flat,
+    straight_stretch,
+)
+from rhot_calibration.hand.samples.samples import read_samples
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -41,21 +54,6 @@ _MOSTLY_STRAIGHT_M: Final = 0.004
 """… and most of the time in the end."""
 _OUTLIER_SIGMAS: Final = 3.5
 _BIN_RAD: Final = np.radians(10.0)
-_BEYOND_M: Final = 0.010
-_BEYOND_SHARE: Final = 0.10
-_ORDER_GAP_M: Final = 0.012
-"""Spread fingertips come so near to crossing, seen a little from the side; swapped paints are 15 mm or more off."""
-
-
-@dataclass(frozen=True, slots=True)
-class Phases:
-    """When a recording shows what, as somebody says; None = to be found."""
-
-    flat: Window | None = None
-    knuckles: Window | None = None
-
-
-FIND_PHASES: Final = Phases()
 
 
 def measure_hand(
@@ -82,23 +80,24 @@ def measure_hand(
     parameters = HandParameters(side, rig.config.markers)
     report("reading points")
     samples = read_samples(points, parameters)
+    refuse_unseen_tips(samples, parameters)
     viewpoint = _viewpoint(rig)
     report(f"looking for the flat hand in {len(samples)} samples")
     flat = phases.flat or find_flat(samples, steady=samples.has_corners)
     flat_rows = np.flatnonzero(flat.holds(samples.seconds))
-    _require_flat(flat, samples.at(flat_rows))
-    _require_order(samples.at(flat_rows), viewpoint, parameters)
+    refuse_unseen_fingers(flat, samples.at(flat_rows))
+    refuse_wrong_order(samples.at(flat_rows), viewpoint, parameters)
     report("fitting the hand")
     if samples.has_corners:
         outline = patch_outline(rig.config.markers[parameters.base])
-        frame = PalmFrame(parameters, samples, palm_turns(samples, outline, viewpoint), viewpoint)
+        frame = PalmFrame(parameters, samples, palm_rotations(samples, outline, viewpoint), viewpoint)
         fitted, motion = _from_straight_fingers(frame, flat, phases.knuckles, typed_length_m)
     else:
         evidence = FlatDistances(parameters, samples.at(flat_rows))
         fitted = fit(evidence, parameters, np.zeros(COUNT), typed_length_m)
         motion = Motion(flat=flat, knuckles=None, frames=len(flat_rows))
     hand = parameters.hand(fitted.x)
-    _require_human(hand)
+    refuse_inhuman(hand)
     quality = hand_quality(parameters, fitted, motion, typed_length_m)
     quality |= {"samples": len(samples), "palm_from_corners": samples.has_corners}
     return hand.model_copy(update={"quality": quality})
@@ -134,7 +133,7 @@ def _from_straight_fingers(
         fitted = _refitted(frame, chosen, _restart(fitted, complied), typed_length_m)
     chosen = _without_outliers(frame, chosen, fitted.x)
     fitted = _refitted(frame, chosen, fitted.x, typed_length_m)
-    _require_reachable(frame, fitted.x)
+    refuse_bent_flat_hand(frame, fitted.x)
     flexion = frame.tips(fitted.x, chosen.rows).flexion
     arcs = {
         finger: _arc(flexion[chosen.use[:, place], place]) if complied[place] else 0.0
@@ -228,62 +227,3 @@ def _viewpoint(rig: Rig) -> FloatArray:
     places: FloatArray = np.array([np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values()])
     middle: FloatArray = places.mean(axis=0)
     return middle
-
-
-def _require_flat(flat: Window, samples: HandSamples) -> None:
-    seen = np.isfinite(reaches(samples)[:, 1:]).sum(axis=0) if len(samples) else np.zeros(4, dtype=np.intp)
-    if (seen < FEWEST_FLAT).any():
-        poor = FINGERS[1 + int(np.argmin(seen))]
-        raise CalibrationError(
-            f"flat phase {flat.start_s:.1f} to {flat.end_s:.1f} s: the {poor} finger is seen in {int(seen.min())} "
-            f"samples, at least {FEWEST_FLAT} are needed; give the right seconds with --flat START-END, or record again"
-        )
-
-
-def _require_order(samples: HandSamples, viewpoint: FloatArray, parameters: HandParameters) -> None:
-    """Refuse a flat hand whose fingertips do not follow one another across the palm."""
-    middle = np.nanmedian(samples.tips[:, 1:], axis=(0, 1))
-    base = np.median(samples.base, axis=0)
-    across = np.cross(viewpoint - base, base - middle)
-    across *= (1.0 if parameters.side == "right" else -1.0) / np.linalg.norm(across)
-    place = np.nanmedian((samples.tips[:, 1:] - base[None, None]) @ across, axis=0)
-    order = [FINGERS[1 + k] for k in np.argsort(place)]
-    if order == list(FINGERS[1:]) or (np.diff(place) > -_ORDER_GAP_M).all():
-        return
-    names = ", ".join(parameters.caps[finger] for finger in order)
-    if order == list(reversed(FINGERS[1:])):
-        remedy = f"is it the {parameters.side} hand, and does its back face the cameras?"
-    else:
-        remedy = "two paints are swapped: bind them to the right joints under [markers] in rig.toml"
-    raise CalibrationError(f"across the flat hand the fingertips come in the order {names}; {remedy}")
-
-
-def _require_reachable(frame: PalmFrame, x: FloatArray) -> None:
-    """Refuse a hand too short for what the rest of the recording shows: then it was not flat when it should be."""
-    deficit = frame.tips(x, np.arange(len(frame.seconds))).deficit[:, 1:]
-    share = np.nanmean(np.where(np.isnan(deficit), np.nan, deficit < -_BEYOND_M), axis=0)
-    worst = int(np.argmax(share))
-    if share[worst] > _BEYOND_SHARE:
-        raise CalibrationError(
-            f"the {FINGERS[1 + worst]} finger reaches more than {1e3 * _BEYOND_M:.0f} mm beyond its length in "
-            f"{100 * share[worst]:.0f} % of the samples (at most {100 * _BEYOND_SHARE:.0f} %): it was not straight "
-            "when the hand should have been flat, or the palm was not seen well; record again with 3 s of the flat "
-            "hand, or say when it was flat with --flat START-END"
-        )
-
-
-def _require_human(hand: HandFile) -> None:
-    low, high = HUMAN_LENGTH_M
-    if not low <= hand.length_m <= high:
-        raise CalibrationError(
-            f"the hand comes out {1e3 * hand.length_m:.0f} mm long, human hands are {1e3 * low:.0f} to "
-            f"{1e3 * high:.0f} mm; check the scale of cameras.json (square size of the board, distance of the cameras) "
-            "and which marker is bound to which joint"
-        )
-    narrow, wide = WIDTH_OVER_LENGTH
-    ratio = (hand.width_m or 0.0) / hand.length_m
-    if not narrow <= ratio <= wide:
-        raise CalibrationError(
-            f"the hand comes out {ratio:.2f} times as wide as long, human hands are {narrow:g} to {wide:g}; let the "
-            "cameras see the corners of the patch on its back, and check which marker is bound to which joint"
-        )

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from rhot.anatomy.skeleton import FINGERS
 from rhot.errors import CalibrationError
 from rhot.messages import Point, PointSet
-from rhot_calibration.hand.parameters import HandParameters
+from rhot_calibration.hand.fit.parameters import HandParameters
 
 FloatArray = NDArray[np.float64]
 
 FEWEST_SAMPLES: Final = 60
 _SMALLEST_SIGMA_M: Final = 0.0003
 """Points are not believed to be better than this, whatever they say."""
-_SEEN_SHARE: Final = 0.10
 _SPIKE_M: Final = 0.008
 _NOWHERE: Final = np.full(3, np.nan)
 
@@ -68,7 +67,7 @@ def read_samples(points: Iterable[PointSet], parameters: HandParameters) -> Hand
     """Return the samples of a hand in which its base marker was measured.
 
     Raises:
-        CalibrationError: too few of them, or a fingertip that was hardly ever seen; says which and what to do.
+        CalibrationError: too few of them; says what to do.
     """
     base_name = parameters.base
     times, bases, corners, tips, sigmas = [], [], [], [], []
@@ -93,9 +92,7 @@ def read_samples(points: Iterable[PointSet], parameters: HandParameters) -> Hand
     sigma_m = max(float(np.median(sigmas)), _SMALLEST_SIGMA_M)
     arrays = np.array(times), np.array(bases), np.array(corners), np.array(tips)
     samples = _without_spikes(HandSamples(*arrays, sigma_m, began_ns))
-    samples = samples.at(np.flatnonzero(np.isfinite(samples.base).all(axis=1)))
-    _require_tips(samples, parameters)
-    return samples
+    return samples.at(np.flatnonzero(np.isfinite(samples.base).all(axis=1)))
 
 
 def _measured(point: Point | None) -> FloatArray:
@@ -109,22 +106,3 @@ def _without_spikes(samples: HandSamples) -> HandSamples:
     spike = np.linalg.norm(points[1:-1] - middle, axis=-1) > _SPIKE_M
     points[1:-1][spike] = np.nan
     return HandSamples(samples.t_ns, points[:, 5], samples.corners, points[:, :5], samples.sigma_m, samples.began_ns)
-
-
-def _require_tips(samples: HandSamples, parameters: HandParameters) -> None:
-    share = np.isfinite(samples.tips).all(axis=2).mean(axis=0)
-    least = max(_SEEN_SHARE, FEWEST_SAMPLES / 2 / len(samples))
-    poor = [place for place in range(len(FINGERS)) if share[place] < least]
-    if not poor:
-        return
-    unpainted = [FINGERS[place] for place in poor if FINGERS[place] not in parameters.caps]
-    if unpainted:
-        raise CalibrationError(
-            f"rig.toml binds no marker to the {', '.join(unpainted)} finger of the {parameters.side} hand; "
-            "add one under [markers] for this calibration"
-        )
-    names = ", ".join(f"{parameters.caps[FINGERS[place]]} ({100 * share[place]:.0f} %)" for place in poor)
-    raise CalibrationError(
-        f"seen in too few samples: {names}, at least {100 * least:.0f} % are needed; keep every painted fingertip in "
-        "view of two cameras, and check its colour with `rhot calibrate colors`"
-    )

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from rhot.geometry.rotations import FloatArray
-from rhot_objects.rigid import Pose, angle_between, interpolate
+from rhot_objects.pose import Pose, angle_between, interpolate
 
 METRES = st.floats(-10.0, 10.0)
 POSES = st.builds(

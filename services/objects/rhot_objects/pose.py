@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhot.geometry.rotations import FloatArray, quaternion_from_rotation
+from rhot.geometry.rotations import FloatArray, product_matrix, quaternion_from_rotation, rotation_from_quaternion
 from rhot.rig.calibration import RigidTransform
 
 _ROTATION_TOLERANCE = 1e-2
+_CONJUGATE = (-1.0, -1.0, -1.0, 1.0)
 _SLERP_LINEAR_ABOVE = 1.0 - 1e-10
 """Cosine of the half angle above which slerp divides by a vanishing sine; the straight line is exact enough there."""
 
@@ -70,36 +71,14 @@ class Pose:
     def __matmul__(self, other: Pose) -> Pose:
         """Return T_a_c = T_a_b · T_b_c."""
         return Pose.from_arrays(
-            self.position + rotate(self.orientation_xyzw, other.position),
-            multiply(self.orientation_xyzw, other.orientation_xyzw),
+            self.position + rotation_from_quaternion(self.orientation_xyzw) @ other.position,
+            product_matrix(*self.orientation_xyzw) @ other.orientation_xyzw,
         )
 
     def inverse(self) -> Pose:
         """Return T_b_a."""
-        conjugate = self.orientation_xyzw * (-1.0, -1.0, -1.0, 1.0)
-        return Pose.from_arrays(-rotate(conjugate, self.position), conjugate)
-
-
-def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the Hamilton product left · right of two quaternions (4,), x, y, z, w."""
-    x1, y1, z1, w1 = left
-    x2, y2, z2, w2 = right
-    return np.array(
-        [
-            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
-            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
-            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
-            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
-        ]
-    )
-
-
-def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return a vector (3,) rotated by a unit quaternion (4,): v + 2·w·(u × v) + 2·u × (u × v)."""
-    u, w = quaternion[:3], quaternion[3]
-    t = 2.0 * np.cross(u, vector)
-    rotated: FloatArray = vector + w * t + np.cross(u, t)
-    return rotated
+        conjugate = self.orientation_xyzw * _CONJUGATE
+        return Pose.from_arrays(-rotation_from_quaternion(conjugate) @ self.position, conjugate)
 
 
 def interpolate(start: Pose, end: Pose, share: float) -> Pose:
@@ -130,5 +109,5 @@ def interpolate(start: Pose, end: Pose, share: float) -> Pose:
 def angle_between(first: Pose, second: Pose) -> float:
     """Return the angle of the rotation from one pose to the other, radians, 0 to π."""
     # atan2 keeps its precision at small angles, where arccos of the dot product loses half of the digits.
-    relative = multiply(first.orientation_xyzw * (-1.0, -1.0, -1.0, 1.0), second.orientation_xyzw)
+    relative = product_matrix(*(first.orientation_xyzw * _CONJUGATE)) @ second.orientation_xyzw
     return float(2.0 * np.arctan2(np.linalg.norm(relative[:3]), abs(relative[3])))

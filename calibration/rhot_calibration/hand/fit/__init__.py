@@ -1,0 +1,1 @@
+"""The unknowns of a hand and the fit of them to its samples."""

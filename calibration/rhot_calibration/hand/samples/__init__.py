@@ -1,0 +1,1 @@
+"""What a calibration keeps of the points of a hand, and where these come from."""
