@@ -26,7 +26,7 @@ Quaternion = tuple[float, float, float, float]
 State = Literal["measured", "predicted"]
 """`measured`: backed by an observation of this moment; `predicted`: bridged by a model."""
 PointState = Literal["measured", "one_view", "predicted"]
-"""Of a point: `measured` by two cameras or more at this moment, `one_view` a ray with its depth bridged, `predicted`."""
+"""`measured`: by two views or more of this moment; `one_view`: on one camera's ray; `predicted`: bridged by a model."""
 Side = Literal["left", "right"]
 
 

@@ -21,6 +21,10 @@ from rhot.messages.base import (
 )
 
 
+SquareMetres = Annotated[float, Field(ge=-1e6, le=1e6)]
+Covariance = tuple[SquareMetres, SquareMetres, SquareMetres, SquareMetres, SquareMetres, SquareMetres]
+
+
 class Marker(WireModel):
     """One marker as one camera saw it.
 
@@ -66,10 +70,11 @@ class Point(WireModel):
 
     Attributes:
         position: metres, in the frame that the PointSet names.
+        covariance: xx, xy, xz, yy, yz, zz of the position's error, square metres; absent where the method tells none.
         sigma: standard deviation of the position, metres (root of the sum of the three variances).
         views: number of cameras behind it.
-        state: measured (two or more views at this moment), one_view (a ray: long along it, sharp across) or predicted.
-        covariance: of the position, m²: xx, xy, xz, yy, yz, zz; `sigma` in all directions alike where it is absent.
+        state: `measured` (two views or more at this moment), `one_view` (on a ray: long along it, sharp across) or
+            `predicted`.
         corners: corners of a rectangular patch, metres, cyclic order.
     """
 
@@ -77,7 +82,7 @@ class Point(WireModel):
     sigma: Annotated[float, Field(ge=0.0, le=1e3)]
     views: Annotated[int, Field(ge=0, le=255)]
     state: PointState
-    covariance: tuple[float, float, float, float, float, float] | None = None
+    covariance: Covariance | None = None
     corners: tuple[Position, Position, Position, Position] | None = None
 
 
