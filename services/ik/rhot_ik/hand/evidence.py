@@ -10,24 +10,10 @@ from numpy.typing import NDArray
 
 from rhot.geometry.rotations import shortest_rotation
 from rhot_ik.hand.patch import PatchRotation
-from rhot_ik.hand.sight import Sight
+from rhot_ik.hand.settings import HandSettings
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-SIGMA_M: Final = 0.0015
-"""Standard deviation of a point that states none (root of the sum of the three variances)."""
-BASE_SIGMA_M: Final = 0.0007
-"""What the marker on the back of a real hand departs from the model, standard deviation per axis."""
-TIP_SIGMA_M: Final = 0.003
-"""The same of a painted fingertip: what the cameras see of it wanders with the finger's bend."""
-PREDICTED_SIGMA_M: Final = 0.006
-"""Further error of a marker that fusion bridged."""
-CORNER_SIGMA_M: Final = 0.003
-"""Of a corner about the centre of its patch (root of the sum of the three variances)."""
-
-ACROSS_RAD: Final = 0.05
-"""Of the direction across the wrist."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +23,12 @@ class HandObservation:
     Attributes:
         t_ns: rig clock.
         base: (3,) centre of the base marker, or not seen.
-        base_measured: whether it was measured at this moment rather than bridged.
+        base_measured: whether it was seen at this moment rather than bridged.
         corners: (4, 3) of its patch, or not seen.
         tips: (5, 3); NaN rows = not seen.
-        tips_measured: (5,) whether each was measured at this moment.
-        base_sigma: standard deviation of the base marker (root of the sum of the three variances).
-        tips_sigma: (5,) those of the tips; 1.5 mm each when not given.
+        tips_measured: (5,) whether each was seen at this moment, by one camera at least.
+        base_covariance: (3, 3) of the base marker; a millimetre or so when not given.
+        tip_covariances: (5, 3, 3) those of the tips.
         across: (3,) unit direction of the wrist's +X axis, where two points of the wrist tell it.
     """
 
@@ -52,8 +38,8 @@ class HandObservation:
     corners: FloatArray | None
     tips: FloatArray
     tips_measured: BoolArray
-    base_sigma: float = 0.0015
-    tips_sigma: FloatArray | None = None
+    base_covariance: FloatArray | None = None
+    tip_covariances: FloatArray | None = None
     across: FloatArray | None = None
 
 
@@ -64,7 +50,7 @@ class Evidence:
     Attributes:
         base: (3,) centre of the base marker; NaN = not seen.
         base_covariance: (3, 3).
-        rotation: (3, 3) wrist to rig, as the corners of the patch say; none where they were not seen.
+        rotation: (3, 3) patch to rig, as its corners say; none where they were not seen.
         rotation_information: (3, 3) inverse covariance of its error δθ.
         tips: (5, 3) fingertip markers; NaN rows = not seen.
         tip_covariances: (5, 3, 3).
@@ -83,45 +69,39 @@ class EvidenceModel:
 
     Args:
         outline: (4, 3) metres: corners of the base patch about its centre, wrist frame; none for a round marker.
-        sight: where the cameras are.
+        settings: numbers of the estimate.
     """
 
-    def __init__(self, outline: FloatArray | None, sight: Sight) -> None:
+    def __init__(self, outline: FloatArray | None, settings: HandSettings) -> None:
         self.outline = outline
-        self.sight = sight
         self._patch = None if outline is None else PatchRotation(outline)
+        self._point = settings.sigma_m**2 / 3.0 * _UNIT
+        self._points = np.tile(self._point, (5, 1, 1))
+        self._floor = settings.model_m**2 * _UNIT
+        self._corner_factor, self._corner_floor = settings.corner_factor, settings.corner_m**2 * _UNIT
+        self._across = np.diag([1e-3, settings.across_rad**-2, settings.across_rad**-2])
 
     def of(self, seen: HandObservation, expected: FloatArray | None) -> Evidence:
-        """Return the evidence of a sample; corners count when the rotation (3, 3) is about known as `expected`."""
-        base = _NOWHERE if seen.base is None else seen.base
-        if seen.base is not None:
-            middle = seen.base
-        else:
-            visible = np.isfinite(seen.tips).all(axis=1)
-            middle = seen.tips[visible].mean(axis=0) if visible.any() else np.zeros(3)
-        shape = self.sight.shape(middle)
+        """Return the evidence of a sample; corners count when the patch's rotation (3, 3) is about `expected`."""
+        base_covariance = self._point if seen.base_covariance is None else seen.base_covariance
+        tip_covariances = self._points if seen.tip_covariances is None else seen.tip_covariances
         turned = None
         if expected is not None and seen.corners is not None and self._patch is not None and seen.base_measured:
-            covariance = CORNER_SIGMA_M**2 * shape + BASE_SIGMA_M**2 * _UNIT
+            covariance = self._corner_factor * base_covariance + self._corner_floor
             turned = self._patch.fit(seen.corners, expected, covariance)
         elif expected is not None and seen.across is not None:
-            turned = shortest_rotation(expected[:, 0], seen.across) @ expected, _ACROSS_INFORMATION
+            # Two points tell nothing of the turn about the line through them.
+            turned = shortest_rotation(expected[:, 0], seen.across) @ expected, self._across
         rotation, information = (None, _UNIT) if turned is None else turned
-        floors = TIP_SIGMA_M**2 + np.where(seen.tips_measured, 0.0, PREDICTED_SIGMA_M**2)
-        sigma = _SIGMAS if seen.tips_sigma is None else seen.tips_sigma
-        base_floor = BASE_SIGMA_M**2 + (0.0 if seen.base_measured else PREDICTED_SIGMA_M**2)
         return Evidence(
-            base=base,
-            base_covariance=seen.base_sigma**2 * shape + base_floor * _UNIT,
+            base=_NOWHERE if seen.base is None else seen.base,
+            base_covariance=base_covariance + self._floor,
             rotation=rotation,
             rotation_information=information,
             tips=seen.tips,
-            tip_covariances=(sigma * sigma)[:, None, None] * shape + floors[:, None, None] * _UNIT,
+            tip_covariances=tip_covariances + self._floor,
         )
 
 
 _UNIT: Final = np.eye(3)
-_ACROSS_INFORMATION: Final = np.diag([1e-3, ACROSS_RAD**-2, ACROSS_RAD**-2])
-"""Two points tell nothing of the turn about the line through them."""
 _NOWHERE: Final = np.full(3, np.nan)
-_SIGMAS: Final = np.full(5, SIGMA_M)

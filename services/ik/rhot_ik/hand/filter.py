@@ -1,16 +1,21 @@
-"""The whole hand as one filter: wrist pose and twenty angles from all points of all samples together.
+"""The whole hand as one estimate: wrist pose, twenty angles and the person from all points of all samples together.
 
 State and prediction are `rhot_ik.hand.process`'s.
 
-Measurements, each with its own 3x3 covariance: the base marker p + R·b; each tip p + R·m(q); and the corners of the
-base patch, which are first made into one rotation with its information matrix. The update is the iterated extended
-Kalman filter, which is Gauss–Newton on the posterior (Bell & Cathey 1993), with analytic derivatives. Limits are hard:
-angles that leave them are set to the limit and all others moved by what that says about them (projection of the
-estimate in the metric of P, Simon & Chia 2002).
+Measurements, each with its own full 3x3 covariance, so that what one camera sees counts as the ray that it is: the base
+marker p + R·(b + shift); each tip p + R·m(q, shift); and the corners of the base patch, which are first made into one
+rotation R·exp(tilt) with its information matrix. The update is the iterated extended Kalman filter, which is
+Gauss–Newton on the posterior (Bell & Cathey 1993), with analytic derivatives. Limits are hard: angles that leave them
+are set to the limit and all others moved by what that says about them (projection of the estimate in the metric of P,
+Simon & Chia 2002).
+
+Points come from fusion's filter, so their errors last over samples. The process is therefore loose where a sample
+tells: pose and seen fingers follow each sample anew, and memory serves what it leaves open.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Final
 
@@ -24,30 +29,37 @@ from rhot_ik.hand.finger_geometry import FingerGeometry
 from rhot_ik.hand.fingers import AnalyticFingers
 from rhot_ik.hand.kinematics import HandKinematics
 from rhot_ik.hand.prior import COUNT
-from rhot_ik.hand.process import ANGLES, POSITION, ROTATION, SIZE, SPEED, TURNING, HandProcess, HandState
+from rhot_ik.hand.process import (
+    ANGLES,
+    BASE_SHIFT,
+    PATCH_TILT,
+    PERSON,
+    POSITION,
+    ROTATION,
+    SIZE,
+    SPEED,
+    TIP_SHIFT,
+    TURNING,
+    HandProcess,
+    HandState,
+)
+from rhot_ik.hand.settings import HandSettings
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-MOST_SURPRISE: Final = 30.0
-"""A finger that moves faster than the process expects gets up to this many times its room."""
-CLOSE_RAD: Final = 0.05
-"""Steps end when the derivatives were taken this near to where they led."""
-FAR_M: Final = 0.015
-"""When a tip lies further than this from where it was expected, the first step sets out from the closed form."""
-OUTLIER: Final = 10.0
-"""A tip this many standard deviations from what was expected loses weight."""
-MISS_M: Final = 0.012
-"""A tip that no legal pose meets within this loses weight."""
 
 _TIPS: Final = np.arange(5)
 _BLOCKS: Final = np.arange(7)
 """Five tips, base and rotation: three rows of a measurement each."""
 _ROWS: Final = 21
-_OWN_ANGLES: Final = (3 * _TIPS[:, None, None] + np.arange(3)[:, None]) * SIZE + (
-    ANGLES.start + 4 * _TIPS[:, None, None] + np.arange(4)
+_OWN: Final = (3 * _TIPS[:, None, None] + np.arange(3)[:, None]) * SIZE + np.concatenate(
+    [ANGLES.start + 4 * _TIPS[:, None, None] + np.arange(4), TIP_SHIFT.start + _TIPS[:, None, None]], axis=2
 )
-"""(5, 3, 4) places of the derivatives of each tip by its own angles in a flat (21, 32) matrix."""
+"""(5, 3, 5) places of the derivatives of each tip by its own angles and shift in a flat (21, 43) matrix."""
+_SHIFT, _TILT, _PAINT = (
+    slice(part.start - PERSON.start, part.stop - PERSON.start) for part in (BASE_SHIFT, PATCH_TILT, TIP_SHIFT)
+)
+_UNIT: Final = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +70,8 @@ class _Rows:
         seen: (7,) which of them were.
         counts: (21,) the same for each row, as 0 or 1.
         points: (6, 3) metres, rig frame: tips and base; 0 where not seen.
-        rotation: (3, 3) wrist to rig, or not seen.
-        noise: (7, 3, 3) covariances.
+        rotation: (3, 3) patch to rig, or not seen.
+        noise: (7, 3, 3) covariances; of what was not seen, any.
     """
 
     seen: BoolArray
@@ -83,75 +95,77 @@ def _rows(evidence: Evidence) -> _Rows | None:
 
 
 class HandFilter(HandProcess):
-    """Predicts and corrects `HandState`s of one hand; stateless after construction."""
+    """Predicts and corrects `HandState`s of one hand; stateless after construction.
 
-    def __init__(self, geometry: FingerGeometry, base_offset: FloatArray) -> None:
+    Args:
+        geometry: the hand and where its markers are painted.
+        base_offset: (3,) metres: where the model has the base marker, wrist frame.
+        settings: numbers of the estimate.
+        known: (6,) of which markers a calibration has measured where they sit.
+    """
+
+    def __init__(
+        self, geometry: FingerGeometry, base_offset: FloatArray, settings: HandSettings, known: BoolArray
+    ) -> None:
         model = geometry.model
-        super().__init__(model)
+        super().__init__(model, settings, known)
         self._kinematics = HandKinematics(geometry)
         self._stationary_inverse = np.linalg.inv(self._stationary)
-        self._own_stationary = self._stationary.reshape(5, 4, 5, 4)[_TIPS, :, _TIPS]
+        self._person_inverse = np.linalg.inv(self._person)
         self._low, self._high = model.angle_min.reshape(COUNT), model.angle_max.reshape(COUNT)
         self._fingers = AnalyticFingers(geometry)
         self._resting = geometry.marker_points(self._rest.reshape(5, 4))
-        self._on_wrist = np.concatenate([np.zeros((5, 3)), base_offset[None]])
+        self._base_offset = base_offset
         self._H = np.zeros((_ROWS, SIZE))
-        self._H[:18, POSITION] = np.tile(np.eye(3), (6, 1))
-        self._H[18:, ROTATION] = np.eye(3)
+        self._H[:18, POSITION] = np.tile(_UNIT, (6, 1))
+        self._H[18:, PATCH_TILT] = _UNIT
+
+    def patch_rotation(self, state: HandState) -> FloatArray:
+        """Return how the patch lies, (3, 3), patch to rig, as a state has it."""
+        return state.R @ rotation_from_vector(state.person[_TILT])
 
     def correct(self, prior: HandState, evidence: Evidence, steps: int = 2) -> HandState:
         """Return the state after a sample, by at most `steps` Gauss–Newton steps."""
         rows = _rows(evidence)
         if rows is None:
             return prior
-        P, weights = prior.P, np.ones(5)
-        R, p, q, dx = prior.R, prior.p, prior.angles, np.zeros(SIZE)
+        P, noise, dx = prior.P, rows.noise, np.zeros(SIZE)
+        learned = min(1.0, prior.dt_s / self.settings.lasts_s) if prior.dt_s > 0.0 else 1.0
+        at = prior
         wanted = np.empty((_ROWS, SIZE + 1))
-        modelled = self._kinematics.markers(q)
+        modelled = self._kinematics.markers(at.angles, at.person[_PAINT])
         if self._is_far(prior, rows, modelled[0]):
-            q = self._closed_form(prior, rows)
-            dx[ANGLES] = q - prior.angles
-            modelled = self._kinematics.markers(q)
+            dx[ANGLES] = self._closed_form(prior, rows) - prior.angles
+            at = dataclasses.replace(prior, angles=prior.angles + dx[ANGLES])
+            modelled = self._kinematics.markers(at.angles, at.person[_PAINT])
         for step in range(steps):
             if step > 0:
-                modelled = self._kinematics.markers(q)
-            used, y = self._linearised(rows, R, p, modelled)
-            innovation = y + used @ dx
-            PHt = P @ used.T
-            S = used @ PHt
-            blocks = S.reshape(7, 3, 7, 3)
-            blocks[_BLOCKS, :, _BLOCKS] += rows.noise
+                modelled = self._kinematics.markers(at.angles, at.person[_PAINT])
+            H, y = self._linearised(rows, at, modelled)
+            innovation = y + H @ dx
             if step == 0:
-                surprise = self._surprise(innovation[:15].reshape(5, 3), blocks[_TIPS, :, _TIPS])
-                weights = np.minimum(1.0, OUTLIER**2 / (3.0 * np.maximum(surprise, 1.0)))
-                if prior.spread > 0.0 and surprise.max() > 1.0:
-                    P = self._with_room(prior, surprise)
-                    PHt = P @ used.T
-                    S = used @ PHt
-                    blocks = S.reshape(7, 3, 7, 3)
-                    blocks[_BLOCKS, :, _BLOCKS] += rows.noise
+                P, noise = self._given_room(prior, rows, H, innovation)
             else:
-                missed = (y[:15].reshape(5, 3) ** 2).sum(-1)
-                weights = np.minimum(weights, 1.0 / (1.0 + missed / MISS_M**2))
-            if weights.min() < 1.0:
-                blocks[_TIPS, :, _TIPS] += rows.noise[:5] * (1.0 / weights - 1.0)[:, None, None]
+                noise = self._doubted(rows, noise, y)
+            PHt = P @ H.T
+            S = H @ PHt
+            S.reshape(7, 3, 7, 3)[_BLOCKS, :, _BLOCKS] += noise
             wanted[:, :SIZE], wanted[:, SIZE] = PHt.T, innovation
             solved = np.linalg.solve(S, wanted)
             posterior = P - PHt @ solved[:, :SIZE]
-            about, dx = dx, self._within_limits(PHt @ solved[:, SIZE], prior.angles, posterior)
-            R, p = prior.R @ rotation_from_vector(dx[ROTATION]), prior.p + dx[POSITION]
-            q = prior.angles + dx[ANGLES]
+            about, (dx, posterior) = dx, self._within_limits(PHt @ solved[:, SIZE], prior.angles, posterior)
+            dx[PERSON] *= learned
+            at = self._moved(prior, dx)
             moved = np.abs(dx - about)
-            if max(moved[ROTATION].max(), moved[ANGLES].max()) < CLOSE_RAD:
+            if max(moved[ROTATION].max(), moved[ANGLES].max()) < self.settings.close_rad:
                 break
-        left = ((innovation - used @ dx)[:15].reshape(5, 3) ** 2).sum(-1)
-        return HandState(
-            R,
-            p,
-            prior.turning + dx[TURNING],
-            prior.speed + dx[SPEED],
-            np.minimum(np.maximum(q, self._low), self._high),
-            0.5 * (posterior + posterior.T),
+        kept = (1.0 - learned) ** 2
+        posterior[PERSON, PERSON] = kept * prior.P[PERSON, PERSON] + (1.0 - kept) * posterior[PERSON, PERSON]
+        left = ((innovation - H @ dx)[:15].reshape(5, 3) ** 2).sum(-1)
+        return dataclasses.replace(
+            at,
+            angles=np.minimum(np.maximum(at.angles, self._low), self._high),
+            P=0.5 * (posterior + posterior.T),
             missed_m=float(np.sqrt(left).sum() / max(1, np.count_nonzero(rows.seen[:5]))),
         )
 
@@ -160,23 +174,35 @@ class HandFilter(HandProcess):
         seen = np.isfinite(evidence.tips).all(axis=1)
         off = state.angles - self._rest
         cost = float(off @ self._stationary_inverse @ off)
-        tips, _ = self._kinematics.markers(state.angles)
+        cost += float(state.person @ self._person_inverse @ state.person)
+        tips, _ = self._kinematics.markers(state.angles, state.person[_PAINT])
         missed = (evidence.tips - state.p - tips @ state.R.T)[seen]
         inverse = np.linalg.inv(evidence.tip_covariances[seen])
         cost += float((missed[:, None] @ inverse @ missed[:, :, None]).sum())
         if np.isfinite(evidence.base[0]):
-            gap = evidence.base - state.p - state.R @ self._on_wrist[5]
+            gap = evidence.base - state.p - state.R @ (self._base_offset + state.person[_SHIFT])
             cost += float(gap @ np.linalg.solve(evidence.base_covariance, gap))
         if evidence.rotation is not None:
-            turn = vector_from_rotation(state.R.T @ evidence.rotation)
+            turn = vector_from_rotation(self.patch_rotation(state).T @ evidence.rotation)
             cost += float(turn @ evidence.rotation_information @ turn)
         return cost
 
     @staticmethod
-    def _is_far(prior: HandState, rows: _Rows, expected: FloatArray) -> bool:
+    def _moved(prior: HandState, dx: FloatArray) -> HandState:
+        return dataclasses.replace(
+            prior,
+            R=prior.R @ rotation_from_vector(dx[ROTATION]),
+            p=prior.p + dx[POSITION],
+            turning=prior.turning + dx[TURNING],
+            speed=prior.speed + dx[SPEED],
+            angles=prior.angles + dx[ANGLES],
+            person=prior.person + dx[PERSON],
+        )
+
+    def _is_far(self, prior: HandState, rows: _Rows, expected: FloatArray) -> bool:
         """Tell whether any seen tip lies so far from the expected ones (5, 3) that derivatives there say little."""
         off = (rows.points[:5] - prior.p) @ prior.R - expected
-        return bool((np.abs(off).max(axis=1) * rows.seen[:5]).max() > FAR_M)
+        return bool((np.abs(off).max(axis=1) * rows.seen[:5]).max() > self.settings.far_m)
 
     def _closed_form(self, prior: HandState, rows: _Rows) -> FloatArray:
         """Return the angles (20,) to linearise about: where the seen tips put their fingers under the expected palm."""
@@ -186,44 +212,64 @@ class HandFilter(HandProcess):
         return angles.reshape(COUNT)
 
     def _linearised(
-        self, rows: _Rows, R: FloatArray, p: FloatArray, modelled: tuple[FloatArray, FloatArray]
+        self, rows: _Rows, at: HandState, modelled: tuple[FloatArray, FloatArray]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return H (21, 32) and what was measured beyond what a pose has, (21,); rows of what was not seen are 0.
+        """Return H (21, 43) and what was measured beyond what a pose has, (21,); rows of what was not seen are 0.
 
         `modelled` are the markers and their derivatives as `HandKinematics.markers` has them.
         """
         tips, J = modelled
-        arms = self._on_wrist.copy()
-        arms[:5] = tips
+        R = at.R
+        arms = np.empty((6, 3))
+        arms[:5], arms[5] = tips, self._base_offset + at.person[_SHIFT]
         arms = arms @ R.T
         y = np.zeros(_ROWS)
-        y[:18] = (rows.points - p - arms).reshape(-1)
-        if rows.rotation is not None:
-            y[18:] = vector_from_rotation(R.T @ rows.rotation)
+        y[:18] = (rows.points - at.p - arms).reshape(-1)
         H = self._H.copy()
         # d(R·exp(δθ)·m) = −R·[m]×·δθ = −[R·m]×·R·δθ
         H[:18, ROTATION] = cross_matrix(arms).reshape(18, 3) @ -R
-        H.reshape(-1)[_OWN_ANGLES] = R @ J
+        H.reshape(-1)[_OWN] = R @ J
+        H[15:18, BASE_SHIFT] = R
+        if rows.rotation is not None:
+            tilt = rotation_from_vector(at.person[_TILT])
+            y[18:] = vector_from_rotation((R @ tilt).T @ rows.rotation)
+            H[18:, ROTATION] = tilt.T
         return H * rows.counts[:, None], y * rows.counts
 
-    @staticmethod
-    def _surprise(innovation: FloatArray, S: FloatArray) -> FloatArray:
-        """Return by how much the errors (5, 3) exceed their expected covariances (5, 3, 3): (5,), 1 on average."""
-        surprise: FloatArray = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(-1) / 3.0
-        return surprise
+    def _given_room(
+        self, prior: HandState, rows: _Rows, H: FloatArray, innovation: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return P with more room for hands that move faster than usual, and the noise (7, 3, 3) of outliers raised."""
+        S = H @ prior.P @ H.T
+        own = S.reshape(7, 3, 7, 3)[_TIPS, :, _TIPS] + rows.noise[:5]
+        off = innovation[:15].reshape(5, 3)
+        surprise = (off * np.linalg.solve(own, off[:, :, None])[:, :, 0]).sum(-1) / 3.0
+        P, noise = prior.P, rows.noise
+        fastest = float(surprise.max())
+        if fastest > 1.0:
+            noise = rows.noise.copy()
+            noise[:5] *= np.maximum(1.0, 3.0 * surprise / self.settings.outlier**2)[:, None, None]
+            if prior.spread > 0.0:
+                times = np.sqrt(np.minimum(np.maximum(surprise, 1.0), self.settings.most_activity) - 1.0)
+                times = np.where(rows.seen[:5], times, times[rows.seen[:5]].mean())
+                more = np.repeat(times, 4)
+                P = prior.P.copy()
+                P[ANGLES, ANGLES] += prior.spread * more[:, None] * self._stationary * more
+        return P, noise
 
-    def _with_room(self, prior: HandState, surprise: FloatArray) -> FloatArray:
-        """Return P with more room for fingers that move faster than the process expects."""
-        P = prior.P.copy()
-        own = P[ANGLES, ANGLES]
-        for finger, times in enumerate(surprise.tolist()):
-            if times > 1.0:
-                mine = slice(4 * finger, 4 * finger + 4)
-                own[mine, mine] += min(times, MOST_SURPRISE) * prior.spread * self._own_stationary[finger]
-        return P
+    def _doubted(self, rows: _Rows, noise: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the noise (7, 3, 3) with that of tips raised that no legal pose meets."""
+        missed = y[:15].reshape(5, 3)
+        miss = self.settings.miss_m**2 * _UNIT
+        share = (missed * np.linalg.solve(rows.noise[:5] + miss, missed[:, :, None])[:, :, 0]).sum(-1)
+        doubted = noise.copy()
+        doubted[:5] *= (1.0 + share)[:, None, None]
+        return doubted
 
-    def _within_limits(self, dx: FloatArray, angles: FloatArray, P: FloatArray) -> FloatArray:
-        """Return the errors with all angles legal, the others moved by what the limits say about them."""
+    def _within_limits(
+        self, dx: FloatArray, angles: FloatArray, P: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the errors with all angles legal, the others moved by what the limits say about them, and then P."""
         for _ in range(3):
             q = angles + dx[ANGLES]
             over = np.minimum(np.maximum(q, self._low), self._high) - q
@@ -231,9 +277,10 @@ class HandFilter(HandProcess):
             if not len(bad):
                 break
             columns = P[:, ANGLES.start + bad]
-            dx = dx + columns @ np.linalg.solve(columns[ANGLES.start + bad] + 1e-9 * np.eye(len(bad)), over[bad])
-        return dx
+            gain = np.linalg.solve(columns[ANGLES.start + bad] + 1e-6 * np.eye(len(bad)), columns.T)
+            dx, P = dx + over[bad] @ gain, P - columns @ gain
+        return dx, P
 
     def tips(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 4) by the finger's angles."""
+        """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 5) by own angles and shift."""
         return self._kinematics.markers(q)

@@ -49,24 +49,33 @@ class HandKinematics:
         for place in range(3):
             by_bends[:, place, _Y[place:]] = marker[:, 0, _Z[place:]]
             by_bends[:, place, _Z[2]] = -ends[:, 1]
+        by_shift = np.zeros((5, 1, _VECTORS))
+        by_shift[:, 0, _Z[2]] = 1.0
         joints = np.zeros((5, 3, _VECTORS))
         for place in range(3):
             joints[:, place, : place + 1] = -bones[:, : place + 1]
-        self._marker = np.concatenate([marker, by_bends], axis=1)
+        self._marker = np.concatenate([marker, by_bends, by_shift], axis=1)
         self._chain = np.concatenate([joints, marker], axis=1)
         rest = model.forward_local(np.zeros((5, 4)))
         self._positions, self._orientations = rest.positions, quaternion_from_rotation(rest.rotations)
         in_frames = [product_matrix(*quaternion_from_rotation(frame)) for frame in model.frames]
         self._in_frames_t = np.ascontiguousarray(np.swapaxes(np.array(in_frames), 1, 2))
 
-    def markers(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 4) by the finger's angles.
+    def markers(self, q: FloatArray, shift: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 5) by angles and shift.
 
         Args:
             q: (20,) radians, finger by finger.
+            shift: (5,) metres: of each marker along +Z of its last bone; 0 when not given.
         """
-        found = self._marker @ self._vectors(q)
-        rows = np.empty((5, 5, 3))
+        table = self._marker
+        if shift is not None:
+            # The marker and, as it depends on where it sits, its derivatives by the bends.
+            table = table.copy()
+            table[:, 0, _Z[2]] += shift
+            table[:, 1:4, _Y[2]] += shift[:, None]
+        found = table @ self._vectors(q)
+        rows = np.empty((5, 6, 3))
         rows[:, 0], rows[:, 1], rows[:, 3:] = found[:, 0], found[:, 1], found[:, 2:]
         # ∂/∂a of (x, y, z) is (z, 0, −x).
         rows[:, 2, 0] = self._handedness * found[:, 0, 2]
@@ -75,13 +84,19 @@ class HandKinematics:
         rows = rows @ self._frames_t
         return rows[:, 0] + self._knuckles, rows[:, 1:].swapaxes(1, 2)
 
-    def pose(self, R: FloatArray, p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def pose(
+        self, R: FloatArray, p: FloatArray, q: FloatArray, shift: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the hand in the rig frame, with its wrist at R (3, 3), p (3,).
 
         Returns:
             Positions (26, 3), metres, and unit quaternions (26, 4), x y z w, of all joints, and the markers (5, 3).
         """
-        chain = (self._chain @ self._vectors(q)) @ self._frames_t + self._knuckles[:, None]
+        table = self._chain
+        if shift is not None:
+            table = table.copy()
+            table[:, 3, _Z[2]] += shift
+        chain = (table @ self._vectors(q)) @ self._frames_t + self._knuckles[:, None]
         positions, orientations = self._positions.copy(), self._orientations.copy()
         positions[MOVING[:, 1:]] = chain[:, :3]
         halves = 0.5 * (self._sums @ q)

@@ -1,11 +1,11 @@
-"""How a hand moves: the state of the filter of a whole hand, and what time does to it.
+"""How a hand moves: the state of the estimate of a whole hand, and what time does to it.
 
-State: the wrist's pose T_rig_wrist = (R, p), how fast it turns and moves, and the angles q of `rhot.anatomy.hand`.
-Errors are R·exp(δθ), p + δp, ω + δω, v + δv, q + δq, in this order (`ROTATION` … `ANGLES`); P is their covariance.
+State: the wrist's pose T_rig_wrist = (R, p), how fast it turns and moves, the angles q of `rhot.anatomy.hand`, and what
+is particular of this person: where patch and paint really sit. Errors are R·exp(δθ), p + δp, ω + δω, v + δv, q + δq,
+c + δc, in this order (`ROTATION` … `PERSON`); P is their covariance.
 
-The wrist turns and moves on steadily, disturbed by random accelerations, its speed fading; the angles are the
-Ornstein–Uhlenbeck process of `rhot_ik.hand.prior`. So a hidden finger goes with its neighbours and slowly back to rest,
-and nothing that is seen is held back.
+The wrist turns and moves on, disturbed by random accelerations, its speed fading; the angles are the Ornstein–Uhlenbeck
+process of `rhot_ik.hand.prior`: what moves one finger moves its neighbours too, and left alone the hand relaxes.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from rhot.anatomy.hand import HandModel
 from rhot.geometry.rotations import orthonormal, rotation_from_vector
 from rhot_ik.hand.prior import COUNT, angle_covariance, rest_angles
+from rhot_ik.hand.settings import HandSettings
 
 FloatArray = NDArray[np.float64]
 
@@ -28,15 +29,14 @@ POSITION: Final = slice(3, 6)
 TURNING: Final = slice(6, 9)
 SPEED: Final = slice(9, 12)
 ANGLES: Final = slice(12, 12 + COUNT)
-SIZE: Final = 12 + COUNT
-
-TURN_ACCELERATION: Final = 6.0
-"""Random angular acceleration of the wrist, rad/s^1.5."""
-ACCELERATION: Final = 1.5
-"""Random acceleration of the wrist, m/s^1.5."""
-SPEED_FADES_S: Final = 0.3
-ANGLES_REST_S: Final = 1.5
-"""Time constant with which the angles return to rest when nothing is seen."""
+BASE_SHIFT: Final = slice(32, 35)
+"""Of the base marker from where the model has it, metres, wrist frame."""
+PATCH_TILT: Final = slice(35, 38)
+"""Rotation vector of the patch against the wrist, radians, wrist frame."""
+TIP_SHIFT: Final = slice(38, 43)
+"""Of each tip's marker along +Z of its last bone, metres: towards the hand."""
+PERSON: Final = slice(32, 43)
+SIZE: Final = 43
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,10 @@ class HandState:
         turning: (3,) rad/s, wrist frame.
         speed: (3,) m/s, rig frame.
         angles: (20,) radians.
-        P: (32, 32) covariance of the errors.
-        spread: share of the angles' stationary covariance that the last prediction added to P.
+        person: (11,) base shift, patch tilt and tip shifts.
+        P: (43, 43) covariance of the errors.
+        dt_s: how far the last prediction reached.
+        spread: share of the angles' stationary covariance that it added to P.
         missed_m: mean distance of the seen tips from where this state has them; 0 when none was seen.
     """
 
@@ -59,18 +61,36 @@ class HandState:
     turning: FloatArray
     speed: FloatArray
     angles: FloatArray
+    person: FloatArray
     P: FloatArray
+    dt_s: float = 0.0
     spread: float = 0.0
     missed_m: float = 0.0
 
+    @property
+    def tip_shift(self) -> FloatArray:
+        """(5,) metres: of each tip's marker along +Z of its last bone."""
+        return self.person[6:]
+
 
 class HandProcess:
-    """Starts and predicts `HandState`s of one hand; stateless after construction."""
+    """Starts and predicts `HandState`s of one hand; stateless after construction.
 
-    def __init__(self, model: HandModel) -> None:
+    Args:
+        model: the hand.
+        settings: numbers of the estimate.
+        known: (6,) of which markers, five tips and base, a calibration has measured where they sit.
+    """
+
+    def __init__(self, model: HandModel, settings: HandSettings, known: NDArray[np.bool_]) -> None:
+        self.settings = settings
         self._rest = rest_angles(model)
         self._stationary = angle_covariance(model)
-        self._noise = _process_noise(self._stationary)
+        shift = np.where(known[5], settings.known_m, settings.base_shift_m)
+        tilt = np.full(3, settings.known_rad if known[5] else settings.patch_tilt_rad)
+        tips = np.where(known[:5], settings.known_m, settings.tip_shift_m)
+        self._person = np.diag(np.concatenate([shift, tilt, tips]) ** 2)
+        self._noise = self._process_noise()
 
     def start(self, R: FloatArray, p: FloatArray, angles: FloatArray | None = None) -> HandState:
         """Return a state of which only the given is known: a turn to 30°, a place to 5 cm, angles as at rest."""
@@ -80,40 +100,56 @@ class HandProcess:
         P[TURNING, TURNING] = np.eye(3) * 2.0**2
         P[SPEED, SPEED] = np.eye(3) * 0.5**2
         P[ANGLES, ANGLES] = self._stationary
-        return HandState(R, p, np.zeros(3), np.zeros(3), self._rest if angles is None else angles, P)
+        P[PERSON, PERSON] = self._person
+        q = self._rest if angles is None else angles
+        return HandState(R, p, np.zeros(3), np.zeros(3), q, np.zeros(PERSON.stop - PERSON.start), P)
 
     def predict(self, state: HandState, dt_s: float) -> HandState:
         """Return the state `dt_s` later."""
         if dt_s <= 0.0:
             return state
-        fades = math.exp(-dt_s / SPEED_FADES_S)
-        path_s = SPEED_FADES_S * (1.0 - fades)
-        keeps = math.exp(-dt_s / ANGLES_REST_S)
+        settings = self.settings
+        fades = math.exp(-dt_s / settings.speed_fades_s)
+        path_s = settings.speed_fades_s * (1.0 - fades)
+        keeps = math.exp(-dt_s / settings.angles_rest_s)
+        learned = math.exp(-dt_s / settings.person_s)
         spread = 1.0 - keeps * keeps
         turn = rotation_from_vector(state.turning * path_s)
-        F = np.zeros((SIZE, SIZE))
-        diagonal = F.reshape(-1)[:: SIZE + 1]
-        diagonal[POSITION], diagonal[6:12], diagonal[ANGLES] = 1.0, fades, keeps
-        F.reshape(-1)[TURNING.start : 6 * SIZE : SIZE + 1] = path_s
-        F[ROTATION, ROTATION] = turn.T
-        strengths = np.array([dt_s**3 / 3.0, dt_s**2 / 2.0, dt_s, spread])
+        # F is block diagonal but for the speeds' part in the pose, so a few rows and columns are all there is to do.
+        scale = np.empty(SIZE)
+        scale[:6], scale[6:12], scale[ANGLES], scale[PERSON] = 1.0, fades, keeps, learned
+        moved = state.P.copy()
+        moved[:6] += path_s * state.P[6:12]
+        moved[ROTATION] = turn.T @ state.P[ROTATION] + path_s * state.P[TURNING]
+        moved[6:] *= scale[6:, None]
+        P = moved.copy()
+        P[:, :6] += path_s * moved[:, 6:12]
+        P[:, ROTATION] = moved[:, ROTATION] @ turn + path_s * moved[:, TURNING]
+        P[:, 6:] *= scale[6:]
+        strengths = np.array([dt_s**3 / 3.0, dt_s**2 / 2.0, dt_s, spread, 1.0 - learned * learned])
+        P += (strengths @ self._noise).reshape(SIZE, SIZE)
         return HandState(
             orthonormal(state.R @ turn),
             state.p + path_s * state.speed,
             fades * state.turning,
             fades * state.speed,
             self._rest + keeps * (state.angles - self._rest),
-            F @ state.P @ F.T + (strengths @ self._noise).reshape(SIZE, SIZE),
+            learned * state.person,
+            P,
+            dt_s,
             spread,
         )
 
-
-def _process_noise(stationary: FloatArray) -> FloatArray:
-    """Return what a prediction by t adds to P, (4, 32·32): the factors of t³/3, t²/2, t and of the angles' spread."""
-    noise = np.zeros((4, SIZE, SIZE))
-    for value, rate, strength in ((ROTATION, TURNING, TURN_ACCELERATION), (POSITION, SPEED, ACCELERATION)):
-        noise[0][value, value] = noise[1][value, rate] = noise[1][rate, value] = noise[2][rate, rate] = (
-            strength** 2 * np.eye(3)
-        )
-    noise[3][ANGLES, ANGLES] = stationary
-    return noise.reshape(4, -1)
+    def _process_noise(self) -> FloatArray:
+        """Return what a prediction by t adds to P, (5, 43·43): factors of t³/3, t²/2, t, of angles and of person."""
+        noise = np.zeros((5, SIZE, SIZE))
+        for value, rate, strength in (
+            (ROTATION, TURNING, self.settings.turn_acceleration),
+            (POSITION, SPEED, self.settings.acceleration),
+        ):
+            noise[0][value, value] = noise[1][value, rate] = noise[1][rate, value] = noise[2][rate, rate] = (
+                strength**2 * np.eye(3)
+            )
+        noise[3][ANGLES, ANGLES] = self._stationary
+        noise[4][PERSON, PERSON] = self._person
+        return noise.reshape(5, -1)

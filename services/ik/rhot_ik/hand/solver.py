@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel, patch_outline
+from rhot.anatomy.skeleton import FINGERS
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.fabrik.finger_chains import FabrikFingers
-from rhot_ik.hand.bend import MeanBend
 from rhot_ik.hand.evidence import EvidenceModel, HandObservation
 from rhot_ik.hand.filter import HandFilter
 from rhot_ik.hand.finger_geometry import FingerGeometry, marker_on_palm
 from rhot_ik.hand.fingers import AnalyticFingers
 from rhot_ik.hand.kinematics import HandKinematics
-from rhot_ik.hand.lead import FingerLead, FingerRoom, PalmLead
 from rhot_ik.hand.process import HandState
-from rhot_ik.hand.sight import Sight
+from rhot_ik.hand.rejoin import Rejoin
+from rhot_ik.hand.settings import HandSettings
 from rhot_ik.hand.start import HandStart
 
 __all__ = ["HandObservation", "HandSolution", "HandSolver"]
@@ -69,8 +69,8 @@ class HandSolver:
         markers: all markers of the rig; those of other hands are ignored.
         base: name of the marker on the back of this hand.
         config: which finger solver, and how long a hand is held.
-        viewpoints: (C, 3) metres, rig frame: the cameras' centres, for the shape of the points' errors; taken as round
-            when not given.
+        viewpoint: (3,) metres, rig frame: where the cameras are, all in all; the rig's origin when not given.
+        settings: numbers of the estimate.
     """
 
     def __init__(
@@ -79,19 +79,22 @@ class HandSolver:
         markers: Mapping[str, MarkerConfig],
         base: str,
         config: IkConfig,
-        viewpoints: FloatArray | None = None,
+        viewpoint: FloatArray | None = None,
+        settings: HandSettings | None = None,
     ) -> None:
+        settings = settings or HandSettings()
         self._geometry = FingerGeometry.of(model, markers)
         marker = markers[base]
         base_offset = marker_on_palm(model, base, marker)
         outline = patch_outline(marker) if marker.kind == "patch" else None
-        sight = Sight(np.empty((0, 3)) if viewpoints is None else viewpoints)
-        self._evidence = EvidenceModel(outline, sight)
+        known = np.array([self._geometry.markers.get(name) in model.marker_offsets_m for name in FINGERS] + [False])
+        known[5] = base in model.marker_offsets_m
+        self._evidence = EvidenceModel(outline, settings)
         self._kinematics = HandKinematics(self._geometry)
-        self._filter = HandFilter(self._geometry, base_offset)
-        self._start = HandStart(self._filter, self._evidence, base_offset)
+        self._filter = HandFilter(self._geometry, base_offset, settings, known)
+        eye = np.zeros(3) if viewpoint is None else viewpoint
+        self._start = HandStart(self._filter, self._evidence, base_offset, eye)
         self._analytic = AnalyticFingers(self._geometry)
-        self._bend = MeanBend(self._analytic)
         self._fabrik = FabrikFingers(self._geometry)
         self.config = config
         self.reset()
@@ -133,14 +136,11 @@ class HandSolver:
         self._measured_ns = 0
         self._state: HandState | None = None
         self._lost_s = 0.0
-        self._finger_lead = FingerLead(self._geometry.model)
-        self._room = FingerRoom()
-        self._palm_lead = PalmLead()
+        self._rejoin = Rejoin(self._geometry.model)
         self._known = np.zeros(5, dtype=np.bool_)
         self._measured = np.zeros(5, dtype=np.bool_)
         self._held_by = (False, False)
         self._shown = np.zeros((5, 4))
-        self._tips = np.full((5, 3), np.nan)
         self._residual = np.full(5, np.nan)
 
     def solve(self, seen: HandObservation) -> HandSolution | None:
@@ -158,44 +158,34 @@ class HandSolver:
             self.reset()
             return None
         if self._state is None:
-            expected = None
             found = self._start.find(seen)
             if found is None:
                 return None
             state, evidence = found
         else:
             expected = self._filter.predict(self._state, dt_s)
-            evidence = self._evidence.of(seen, expected.R)
+            evidence = self._evidence.of(seen, self._filter.patch_rotation(expected))
             state = self._filter.correct(expected, evidence)
             state = self._looked_for_anew(state, seen, visible, dt_s)
         measured = visible & seen.tips_measured
-        held_by = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
-        if expected is not None:
-            if held_by != self._held_by or (measured & ~self._measured).any():
-                self._palm_lead.begin((expected.R, expected.p), (state.R, state.p))
-            self._palm_lead.advance(dt_s)
-        R, p = self._palm_lead.lead(state.R, state.p)
-        angles = self._angles(state, R, p, seen.tips, measured)
-        if expected is not None:
-            changed = (measured != self._measured) & self._known
-            if changed.any():
-                self._finger_lead.begin(changed, angles, self._shown)
-            self._finger_lead.advance(dt_s)
-        shown = self._finger_lead.lead(angles)
-        if expected is not None:
-            shown = self._finger_lead.bounded(shown, self._shown, self._room_m(seen.tips, measured, dt_s))
+        angles = self._angles(state, seen.tips, measured)
+        back = measured & ~self._measured & self._known
+        if self._state is not None and back.any():
+            self._rejoin.begin(back, angles, self._shown)
+        self._rejoin.advance(dt_s)
         model = self._geometry.model
-        self._shown = np.minimum(np.maximum(shown, model.angle_min), model.angle_max)
+        self._shown = np.minimum(np.maximum(self._rejoin.shown(angles), model.angle_min), model.angle_max)
         self._known |= visible
-        self._tips = seen.tips
-        self._t_ns, self._state, self._measured, self._held_by = seen.t_ns, state, measured, held_by
+        self._held_by = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
+        self._t_ns, self._state, self._measured = seen.t_ns, state, measured
+        R, p = state.R, state.p
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R, p
-        positions, orientations, modelled = self._kinematics.pose(R, p, self._shown.reshape(-1))
+        positions, orientations, modelled = self._kinematics.pose(R, p, self._shown.reshape(-1), state.tip_shift)
         gaps = modelled - seen.tips
         # NaN where a tip was not seen, as it came.
         residual = self._residual = np.sqrt((gaps * gaps).sum(-1))
-        return HandSolution(T, self._shown, positions, orientations, residual, measured, held_by[1])
+        return HandSolution(T, self._shown, positions, orientations, residual, measured, self._held_by[1])
 
     def _is_over(self, seen: HandObservation, visible: BoolArray) -> bool:
         """Tell whether the palm, or everything, has been gone for longer than a hand is held."""
@@ -205,12 +195,6 @@ class HandSolver:
             self._measured_ns = seen.t_ns
         oldest_ns = seen.t_ns - round(self.config.hold_s * 1e9)
         return self._base_seen_ns < oldest_ns or self._measured_ns < oldest_ns
-
-    def _room_m(self, tips: FloatArray, measured: BoolArray, dt_s: float) -> FloatArray:
-        """Return how far each finger (5,) may move its joints from one sample to the next, metres."""
-        way = tips - self._tips
-        room = self._room.advance(dt_s, np.sqrt((way * way).sum(-1)), measured)
-        return np.where(self._known, room, np.inf)
 
     def _looked_for_anew(self, state: HandState, seen: HandObservation, visible: BoolArray, dt_s: float) -> HandState:
         """Return the state, or a better one when the tips have missed the model for too long."""
@@ -224,20 +208,17 @@ class HandSolver:
         found = self._start.find(seen)
         if found is None or self._start.cost(*found) > 0.5 * self._start.cost(state, found[1]):
             return state
-        self._held_by = (False, False)
         return found[0]
 
-    def _angles(
-        self, state: HandState, R: FloatArray, p: FloatArray, tips: FloatArray, measured: BoolArray
-    ) -> FloatArray:
-        """Return the angles (5, 4) of the fingers on a palm at R, p; of those not measured as the filter has them."""
-        filtered = self._bend.of(state.angles.reshape(5, 4))
+    def _angles(self, state: HandState, tips: FloatArray, measured: BoolArray) -> FloatArray:
+        """Return the angles (5, 4) of the fingers; of those not measured as the whole hand's estimate has them."""
+        estimated = state.angles.reshape(5, 4)
         if self.config.solver == "filter" or not measured.any():
-            return filtered
-        resting = self._geometry.marker_points(filtered)
-        local = np.where(measured[:, None], (tips - p) @ R, resting)
+            return estimated
+        resting = self._geometry.marker_points(estimated)
+        local = np.where(measured[:, None], (tips - state.p) @ state.R, resting)
         if self.config.solver == "fabrik":
             solved, _ = self._fabrik.solve(local, self._shown, self.config.tolerance_m, self.config.max_iterations)
         else:
             solved = self._analytic.solve(local).angles
-        return np.where(measured[:, None], solved, filtered)
+        return np.where(measured[:, None], solved, estimated)

@@ -31,12 +31,16 @@ class HandStart:
         hand_filter: of the hand.
         evidence: how points are trusted.
         base_offset: (3,) metres: the base marker's centre in the wrist frame.
+        viewpoint: (3,) metres, rig frame: where the cameras are, all in all.
     """
 
-    def __init__(self, hand_filter: HandFilter, evidence: EvidenceModel, base_offset: FloatArray) -> None:
+    def __init__(
+        self, hand_filter: HandFilter, evidence: EvidenceModel, base_offset: FloatArray, viewpoint: FloatArray
+    ) -> None:
         self._filter = hand_filter
         self._evidence = evidence
         self._base_offset = base_offset
+        self._viewpoint = viewpoint
 
     def find(self, seen: HandObservation) -> tuple[HandState, Evidence] | None:
         """Return the best state and the evidence it was judged by; None without the base or without any tip."""
@@ -64,13 +68,19 @@ class HandStart:
         """Return the rotations that show the cameras a flat patch; all when there is none, or none does."""
         if self._evidence.outline is None:
             return rotations
-        sight = self._evidence.sight.direction(at)
+        sight = self._sight(at)
         facing = [R for R in rotations if R[:, 1] @ sight < _MOST_AWAY]
         return facing or rotations
 
+    def _sight(self, at: FloatArray) -> FloatArray:
+        """Return the unit direction (3,) in which the cameras look at a point (3,)."""
+        ray = at - self._viewpoint
+        direction: FloatArray = ray / max(float(np.sqrt(ray @ ray)), 1e-9)
+        return direction
+
     def cost(self, state: HandState, evidence: Evidence) -> float:
         """Return how ill a state explains a sample, the side of the hand that the cameras see included."""
-        away = float(state.R[:, 1] @ self._evidence.sight.direction(state.p))
+        away = float(state.R[:, 1] @ self._sight(state.p))
         cost = self._filter.cost(state, evidence)
         if self._evidence.outline is not None:
             return cost + _TURNED_AWAY_COST * max(0.0, away + 0.1) ** 2

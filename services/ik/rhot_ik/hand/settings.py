@@ -1,0 +1,63 @@
+"""What the estimate of a hand takes for granted: one field per number, with its unit and where it comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class HandSettings:
+    """Numbers of the estimate of one hand.
+
+    Attributes:
+        acceleration: random acceleration of the wrist, m/s² per √Hz. Hands in the recordings reach 5 to 20 m/s² for
+            some 0.1 s (design.md); fusion has smoothed the points already, so the wrist is to follow them.
+        turn_acceleration: the same of its rotation, rad/s² per √Hz: the acceleration at the end of a lever of 0.1 m.
+        speed_fades_s: an unseen wrist stops in this time: voluntary movements are bells of about half a second.
+        angles_rest_s: time constant with which an unseen hand relaxes; people hold a posture for a second or more.
+        most_activity: fingers that move faster than they usually do get up to this many times their diffusion. A
+            finger turns at most at some 20 rad/s, usually at 2 to 4.
+        person_s: in this time what was learned of a person fades: somebody may have changed places or repainted.
+        lasts_s: errors of the points last about so long (fusion's own memory, a posture in which the paint that is seen
+            lies off its middle), so that only one sample in this time tells something new of a person.
+        base_shift_m: how far the patch sits from where the model has it, standard deviations across, above and along
+            the hand. A hand's back is 11 to 18 mm above the wrist's joint, and people paint by eye.
+        patch_tilt_rad: by how much the skin under the patch is tilted against the palm, each axis.
+        tip_shift_m: how far a painted centre sits along its finger from where the model has it: 3 mm for the length of
+            the paint, and 4 % of a finger's length of 80 mm (bones vary so much between people of one hand length;
+            Buryanov & Kotiuk 2010, tables 1 to 3).
+        known_m, known_rad: the same three where `rhot calibrate hand` has measured them: what its quality states.
+        model_m: by how much any marker departs from a rigid model for reasons that come and go, each axis: skin slides
+            over knuckles by millimetres, the middle of the paint that is seen wanders with the view.
+        corner_factor: covariance of a patch's corner about its middle over that of the middle. Corners are found half
+            as surely as centroids (0.2 px beside 0.1, rendered G1) and come unfiltered: (2 · 2)².
+        corner_m: and at least this, each axis: the fitted corners of soft-edged paint.
+        across_rad: error of the direction across the wrist, where two points of the wrist tell it.
+        sigma_m: of a point that states no covariance, root of the sum of the three variances.
+        far_m: a tip further than this from where it was expected is first looked for in closed form.
+        close_rad: steps end when the derivatives were taken this near to where they led.
+        outlier: a tip that many standard deviations off loses weight.
+        miss_m: and one that no legal pose meets within this.
+    """
+
+    acceleration: float = 6.0
+    turn_acceleration: float = 40.0
+    speed_fades_s: float = 0.2
+    angles_rest_s: float = 1.5
+    most_activity: float = 30.0
+    person_s: float = 60.0
+    lasts_s: float = 0.5
+    base_shift_m: tuple[float, float, float] = (0.005, 0.004, 0.008)
+    patch_tilt_rad: float = 0.09
+    tip_shift_m: float = 0.0045
+    known_m: float = 0.001
+    known_rad: float = 0.02
+    model_m: float = 0.0015
+    corner_factor: float = 16.0
+    corner_m: float = 0.001
+    across_rad: float = 0.05
+    sigma_m: float = 0.0015
+    far_m: float = 0.015
+    close_rad: float = 0.05
+    outlier: float = 10.0
+    miss_m: float = 0.012
