@@ -24,26 +24,26 @@ PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "liv
 
 
 @click.command()
-@click.option("--quick", is_flag=True, help="Fewer turns: about a quarter of the time, rougher figures.")
+@click.option("--quick", is_flag=True, help="Repeat less often: half the time, rougher figures.")
 @click.option(
     "--part",
     "parts",
     multiple=True,
     type=click.Choice(PARTS),
-    help="Measure only this; may be repeated. All parts when not given.",
+    help="Measure only this part. May be repeated.  [default: all]",
 )
 @json_option
 @click.option(
     "--rig",
     "rig_path",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Simulated rig to measure on, made by `rhot init RIG --sim`; a temporary one when not given.",
+    help="Simulated rig to measure on, made by `rhot init RIG --sim`.  [default: a temporary one]",
 )
 def bench(quick: bool, parts: tuple[str, ...], json_path: Path | None, rig_path: Path | None) -> None:
-    """Measure how fast each part is on this machine, beside what the 2018 thesis did.
+    """Measure how fast each part is on this machine, and compare with the 2018 thesis.
 
-    The thesis's own algorithms are re-implemented here and run in turns with ours on the same pictures, so that the
-    ratios hold on a busy machine too. Pictures come from the simulated rig, 640x480 with all its faults; OpenCV uses
+    The thesis's algorithms are re-implemented here. They run in turns with ours on the same pictures, so the ratios
+    hold on a busy machine too. The pictures come from the simulated rig: 640x480, with all its faults. OpenCV uses
     one thread.
 
     \b
@@ -51,12 +51,12 @@ def bench(quick: bool, parts: tuple[str, ...], json_path: Path | None, rig_path:
     fusion     one camera's markers into points
     ik         five fingers; a whole hand
     pipeline   picture in memory to encoded pose, in one process
-    scaling    cost as markers, cameras, hands and frame rate grow
-    budget     what capture would take on a Pi 3, 4 and 5: an estimate on paper
+    scaling    how the cost grows with markers, cameras, hands and frame rate
+    budget     what capture would cost on a Pi 3, 4 and 5: an estimate on paper
     live       latency of the whole system, as processes on the bus
     processes  start-up time and memory of each service
 
-    The machine should do nothing else meanwhile. Takes about two minutes, with --quick one.
+    The machine should do nothing else meanwhile. This takes about two minutes, or one with --quick.
     """
     check_output("--json", json_path)
     chosen = parts or PARTS

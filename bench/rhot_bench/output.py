@@ -23,7 +23,7 @@ def json_option(command: F) -> F:
         "--json",
         "json_path",
         type=click.Path(path_type=Path, dir_okay=False),
-        help="Write every figure as JSON to this file.",
+        help="Also write every figure to this file, as JSON.",
     )(command)
 
 
@@ -36,7 +36,7 @@ def page_option(flag: str) -> Callable[[F], F]:
             "page_path",
             type=click.Path(path_type=Path, dir_okay=False),
             metavar="FILE.html",
-            help="Write tables and plots as one HTML file.",
+            help="Also write tables and plots, as one HTML file.",
         )(command)
 
     return add

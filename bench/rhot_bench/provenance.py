@@ -23,8 +23,9 @@ def provenance() -> dict[str, Any]:
     """Return what a file of figures says of its origin.
 
     `command_line` as it was typed, without its output files; `date` in UTC; `machine` with `cpu`, `cores` that this
-    process may use and `system`; `versions` of Python and the packages that matter; `commit` of the source, with
-    `-dirty` where files differ from it, null outside a repository.
+    process may use, `load` (processes that ran or waited during the last minute) and `system`; `versions` of Python and
+    the packages that matter; `commit` of the source, with `-dirty` where files differ from it, null outside a
+    repository.
     """
     return {
         "command_line": command_line(),
@@ -32,6 +33,7 @@ def provenance() -> dict[str, Any]:
         "machine": {
             "cpu": _cpu(),
             "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+            "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
             "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         },
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}},

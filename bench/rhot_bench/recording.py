@@ -96,25 +96,35 @@ class Traffic:
 
 @click.command()
 @click.option(
-    "--duration", "duration_s", type=click.FloatRange(2, 36000), default=600.0, show_default=True, help="Seconds."
+    "--duration",
+    "duration_s",
+    type=click.FloatRange(2, 36000),
+    default=600.0,
+    show_default=True,
+    help="Seconds to record.",
 )
 @click.option(
-    "--rate", "rate_hz", type=click.FloatRange(5, 200), default=60.0, show_default=True, help="Of each camera."
+    "--rate",
+    "rate_hz",
+    type=click.FloatRange(5, 200),
+    default=60.0,
+    show_default=True,
+    help="Frames per second of each camera.",
 )
 @json_option
 def recording(duration_s: float, rate_hz: float, json_path: Path | None) -> None:
     """Record a session of full traffic, replay it at its own pace and ten times as fast, and compare.
 
     The messages are those of a simulated rig with two cameras, made beforehand: marker frames, points, a hand, an
-    object, the truth, the services' status, a start and a change of settings. `rhot record` and `rhot replay` are
-    processes of their own. Takes a little more than twice the duration.
+    object, the truth, the services' status, a start and a change of settings. `rhot record` and `rhot replay` run as
+    processes of their own. This takes a little more than twice the duration.
     """
     check_output("--json", json_path)
     console = Console(stderr=True, soft_wrap=True)
     with tempfile.TemporaryDirectory(prefix="rhot-recording-") as folder:
         rows = asyncio.run(_measure(Path(folder), duration_s, rate_hz, console))
     title = f"Recording and replay, {duration_s:g} s at {rate_hz:g} Hz"
-    show("recording", [Section(title, tuple(rows))], json_path, duration_s=duration_s, rate_hz=rate_hz)
+    show("evaluate recording", [Section(title, tuple(rows))], json_path, duration_s=duration_s, rate_hz=rate_hz)
 
 
 async def _measure(folder: Path, duration_s: float, rate_hz: float, console: Console) -> list[Row]:

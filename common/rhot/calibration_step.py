@@ -30,7 +30,7 @@ Tone = Literal["plain", "good", "warning", "wrong"]
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class StepContext:
     """Where a step works.
 
     Attributes:
@@ -186,17 +186,17 @@ class _Absent:
         return
 
 
-def load_steps(room: Room) -> dict[str, CalibrationStep]:
+def load_steps(context: StepContext) -> dict[str, CalibrationStep]:
     """Return the steps of the path by title, in its order; importing them takes seconds.
 
     Raises:
         RhotError: the rig folder cannot be used.
     """
     found = {point.name: point.value for point in entry_points(group=GROUP)}
-    return {title: _loaded(found.get(name, ""), extra, room) for name, (title, extra) in ORDER.items()}
+    return {title: _loaded(found.get(name, ""), extra, context) for name, (title, extra) in ORDER.items()}
 
 
-def _loaded(target: str, extra: str, room: Room) -> CalibrationStep:
+def _loaded(target: str, extra: str, context: StepContext) -> CalibrationStep:
     hint = f"This step is not installed here: pip install 'rhot[{extra}]'"
     module, _, attribute = target.partition(":")
     if not module:
@@ -205,5 +205,5 @@ def _loaded(target: str, extra: str, room: Room) -> CalibrationStep:
         make = getattr(importlib.import_module(module), attribute)
     except ModuleNotFoundError as error:
         return _Absent(f"{hint} (it needs the Python module {error.name}).")
-    step: CalibrationStep = make(room)
+    step: CalibrationStep = make(context)
     return step

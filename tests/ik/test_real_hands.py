@@ -23,8 +23,8 @@ from rhot_bench.hands.recorded_hands import (
     plain_hand,
 )
 from rhot_ik.fabrik.finger_chains import FabrikFingers
-from rhot_ik.hand.finger_geometry import FingerGeometry
-from rhot_ik.hand.fingers import AnalyticFingers
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 from rhot_ik.hand.solver import HandObservation, HandSolver
 
 FloatArray = NDArray[np.float64]

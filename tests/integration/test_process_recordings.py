@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from rhot.anatomy.skeleton import FINGERS
-from rhot.cli.process import process
+from rhot.cli.recordings.process import process
 from rhot.errors import ConfigError
 from rhot.rig import load_rig
 from rhot_sim.rendering.renderer import Renderer

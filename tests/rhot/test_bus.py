@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
+from types import SimpleNamespace
+from typing import cast
 
 import msgpack
 import pytest
@@ -12,6 +14,7 @@ import zenoh
 from bus_watch import PATIENCE_S, answers, settled
 
 from rhot.bus import Answer, Bus, Request
+from rhot.bus.query import received
 from rhot.errors import BusError, ConfigError
 from rhot.messages import Control, Marker, MarkerFrame, decode
 from rhot.rig import BusConfig
@@ -126,6 +129,18 @@ async def test_who_is_there_but_silent_is_told_from_nobody(router: BusConfig) ->
             assert await asker.get("rhot/preview/right", timeout_s=PATIENCE_S) == []
         finally:
             released.set()
+
+
+def test_one_error_stands_for_the_silent_whoever_notices_first() -> None:
+    """Beside load the router's timer and the session's both fire for one query."""
+
+    def refusal(text: str) -> zenoh.Reply:
+        payload = SimpleNamespace(to_string=lambda: text)
+        return cast(zenoh.Reply, SimpleNamespace(ok=None, err=SimpleNamespace(payload=payload)))
+
+    replies = received([refusal("Timeout"), refusal("no such mask"), refusal("Timeout")], 0.1)
+    assert [reply.error for reply in replies] == ["no such mask", "no answer within 0.1 s"]
+    assert received([], 0.1) == []
 
 
 async def test_liveliness_tells_those_already_there_and_who_leaves(router: BusConfig) -> None:

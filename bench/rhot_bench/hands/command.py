@@ -27,8 +27,8 @@ from rhot_bench.hands.recorded_joints import (
 )
 from rhot_bench.measures.rows import Row, Section, check_output
 from rhot_bench.output import json_option, show
-from rhot_ik.hand.finger_geometry import FingerGeometry
-from rhot_ik.hand.fingers import AnalyticFingers
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 _MIDDLE: Final = slice(1, 3)
 _INNER: Final = slice(0, 3)

@@ -18,7 +18,7 @@ from rhot.errors import ConfigError
 from rhot.rig import HandFile, IkConfig, MarkerConfig
 from rhot_bench.hands.recorded_hands import palm_rotations, plain_hand
 from rhot_bench.number_table import read_table
-from rhot_ik.hand.evidence import HandObservation
+from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.solver import HandSolver
 
 FloatArray = NDArray[np.float64]

@@ -22,19 +22,20 @@ _TABLE: Final = "depth_table.csv"
 
 @click.command()
 @click.argument("data_path", metavar="[DATA]", type=click.Path(path_type=Path), required=False)
-@click.option("--quick", is_flag=True, help="Fewer pictures, rougher figures.")
+@click.option("--quick", is_flag=True, help="Use fewer pictures; rougher figures.")
 @json_option
 @click.option(
     "--rig",
     "rig_path",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Simulated rig, made by `rhot init RIG --sim`; a temporary one when not given.",
+    help="Simulated rig, made by `rhot init RIG --sim`.  [default: a temporary one]",
 )
 def thesis(data_path: Path | None, quick: bool, json_path: Path | None, rig_path: Path | None) -> None:
-    """Answer the 2018 thesis's own questions: time of a frame, jitter of a still hand, depth at 17 distances.
+    """Answer the 2018 thesis's questions: time per frame, jitter of a still hand, depth at 17 distances.
 
-    Ours and the thesis's re-implemented algorithm run on pictures of the simulated rig. DATA is the folder of what the
-    thesis measured on its real rig (depth_table.csv, static_jitter_*.csv); without it those figures are left out.
+    Our algorithm and the thesis's, re-implemented, run on the same pictures of the simulated rig. DATA is the folder
+    with what the thesis measured on its real rig (depth_table.csv, static_jitter_*.csv). Without it, those figures are
+    left out.
     """
     check_output("--json", json_path)
     if data_path is not None and not (data_path / _TABLE).exists():

@@ -32,7 +32,7 @@ _LEAST_S: Final = 0.6
     "chosen",
     multiple=True,
     type=click.Choice(["script", "still", "fast"]),
-    help="Play only this; may be repeated. All three when not given.",
+    help="Play only this scene. May be repeated.  [default: all three]",
 )
 @click.option(
     "--duration",
@@ -46,21 +46,21 @@ _LEAST_S: Final = 0.6
     "--speed", type=click.FloatRange(1, 10), default=3.0, show_default=True, help="How much faster `fast` moves."
 )
 @click.option(
-    "--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Of the temporary rig's world."
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Seed of the simulated world."
 )
 @click.option(
     "--method",
     type=click.Choice(["filter", "triangulate", "disparity"]),
-    help="Fusion method; the rig's own when not given.",
+    help="Fusion method.  [default: the rig's own]",
 )
-@click.option("--quick", is_flag=True, help="A tenth of the time, rougher figures.")
+@click.option("--quick", is_flag=True, help="Take a tenth of the time; rougher figures.")
 @json_option
 @page_option("--report")
 @click.option(
     "--rig",
     "rig_path",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Simulated rig, made by `rhot init RIG --sim`; a temporary one when not given.",
+    help="Simulated rig, made by `rhot init RIG --sim`.  [default: a temporary one]",
 )
 def tracking(
     chosen: tuple[str, ...],
@@ -76,7 +76,7 @@ def tracking(
     """Track simulated pictures and compare every point and joint with the truth.
 
     The pictures have all faults of the simulated rig: lens, noise, blur, rolling shutter, drifting light, lost frames,
-    cameras out of step and a calibration with errors. They run through the very cores of capture, fusion and ik.
+    cameras out of step and a calibration with errors. The cores of capture, fusion and ik that run live track them.
 
     \b
     script  gestures and grasps: accuracy, swaps, false points, occlusions, the whole hand

@@ -8,11 +8,10 @@ from datetime import datetime
 from typing import Final
 
 from rhot.bus import Bus
-from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView, Tone, typed_metres
+from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView, Tone, typed_metres
 from rhot.errors import ConfigError
 from rhot.rig import CamerasFile, load_rig
 from rhot.rig.folder import CAMERAS_FILE
-from rhot.rig.kept_file import KeptFile
 from rhot_calibration.cameras.board.boards import parse_board
 from rhot_calibration.cameras.calibration import Calibrated, cameras_file
 from rhot_calibration.cameras.live.display import state_line
@@ -22,6 +21,7 @@ from rhot_calibration.cameras.page_figures import coverage_jpeg, coverage_table,
 from rhot_calibration.cameras.pictures import PictureReading
 from rhot_calibration.cameras.rig_calibration import calibrate_rig, refuse_other_board
 from rhot_calibration.cameras.solve.views import Board, ViewSet
+from rhot_calibration.page_step import PageStep, trial_buttons
 
 _GOOD: Final = (State.HOLDING, State.ACCEPTED, State.COMPLETE)
 _ADVICE: Final = 4
@@ -30,8 +30,8 @@ _NO_BOARD_S: Final = 8.0
 """So long without a board, the page says what may be the matter."""
 
 
-class CameraStep:
-    """Collects views of a board and solves for all cameras; see `rhot.calibration_step.CalibrationStep`."""
+class CameraStep(PageStep[CamerasFile]):
+    """Collects views of a board and solves for all cameras."""
 
     about = (
         "Print a board (`rhot calibrate board`), glue it to something flat and measure one square. Start, then hold "
@@ -43,16 +43,13 @@ class CameraStep:
         Button("start", "start taking pictures", "Again = from the beginning."),
         Button("back", "forget the last picture"),
         Button("solve", "end and solve", "With the pictures there are."),
-        Button("try", "try", "Write cameras.json; the former one is put aside."),
-        Button("save", "save", "Keep what is tried."),
-        Button("undo", "undo", "Bring the former cameras back."),
+        *trial_buttons(CAMERAS_FILE, "cameras"),
     )
 
-    def __init__(self, room: Room) -> None:
-        self._room = room
-        rig = load_rig(room.rig_path)
+    def __init__(self, context: StepContext) -> None:
+        super().__init__(context, context.rig_path / CAMERAS_FILE, CamerasFile)
+        rig = load_rig(context.rig_path)
         self._cameras = tuple(rig.config.cameras)
-        self._kept = KeptFile(room.rig_path / CAMERAS_FILE, CamerasFile)
         sim = rig.config.sim
         self.fields = (
             Field("board", "board", f"{sim.board_columns}x{sim.board_rows}", (), "Inner corners along and across."),
@@ -68,8 +65,6 @@ class CameraStep:
         self._ended = asyncio.Event()
         self._session: Session | None = None
         self._collector: Collector | None = None
-        self._doing = ""
-        self._found: CamerasFile | None = None
         self._tables: tuple[Figures, ...] = ()
         self._warnings: tuple[Remark, ...] = ()
         self._searching_since = 0.0
@@ -77,20 +72,21 @@ class CameraStep:
 
     def view(self) -> StepView:
         """Return coverage, figures and what is missing."""
-        enabled = set() if self._doing else {"start"}
-        if self._collector is not None:
-            enabled = {"solve"} | ({"back"} if self._session is not None and self._session.progress.sets else set())
-        elif not self._doing:
-            enabled |= {"solve"} if self._session is not None and self._session.progress.sets else set()
-            enabled |= self._kept.enabled(self._found)
         progress = None if self._session is None else self._session.progress
-        stored, done = self._stored()
-        return StepView(
-            self._doing or stored,
-            done and not self._doing,
+        taken = progress is not None and bool(progress.sets)
+        if self._collector is not None:
+            own = {"solve", "back"} if taken else {"solve"}
+        else:
+            own = set() if self._doing else {"start", "solve"} if taken else {"start"}
+        return self._view(
+            self._standing(
+                ("not calibrated: fields of view and positions are those of rig.toml", False),
+                "new cameras on trial",
+                lambda stored: (f"calibrated {stored.date}", set(self._cameras) <= set(stored.cameras)),
+            ),
+            actions=own,
             share=share_of(progress),
             remarks=self._remarks(progress),
-            enabled=frozenset(enabled),
             tables=(*self._tables, *(() if progress is None else (coverage_table(progress),))),
             pictures={} if progress is None else self._pictures(progress),
             # The page need not ask for the very pictures that are looked at here.
@@ -100,17 +96,6 @@ class CameraStep:
     def _jpegs(self, pictures: Mapping[str, bytes]) -> dict[str, bytes]:
         """Return the JPEG pictures in the rig's order: they came in the order in which the cameras answered."""
         return {name: pictures[name] for name in self._cameras if pictures.get(name, b"").startswith(b"\xff\xd8")}
-
-    async def follow(self) -> None:
-        """Nothing happens before the start."""
-
-    def _stored(self) -> tuple[str, bool]:
-        """Return where the rig folder stands, and whether it is calibrated."""
-        return self._kept.standing(
-            ("not calibrated: fields of view and places are those of rig.toml", False),
-            "new cameras on trial",
-            lambda stored: (f"calibrated {stored.date}", set(self._cameras) <= set(stored.cameras)),
-        )
 
     def _remarks(self, progress: Progress | None) -> tuple[Remark, ...]:
         said: list[Remark] = []
@@ -177,29 +162,26 @@ class CameraStep:
         elif button == "solve":
             await self._solve(values)
         else:
-            self._kept.press(button, self._found)
-
-    async def point(self, camera: str, u: float, v: float, values: Mapping[str, str]) -> None:
-        """There is nothing to click at."""
+            await super().press(button, values)
 
     async def _collect(self, board: Board) -> None:
-        folder = self._room.rig_path / f"calibration-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
-        self._doing, self._session, self._found = "waiting for the cameras", None, None
-        self._tables, self._warnings = (), ()
+        folder = self._context.rig_path / f"calibration-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+        self._session, self._found, self._tables, self._warnings = None, None, (), ()
         self._ended.clear()
-        try:
-            async with await Bus.open(self._room.bus, timeout_s=CONNECT_S) as bus:
-                prepare_folder(folder, self._cameras)
-                self._collector = Collector(bus, self._cameras, board, folder)
-                self._session = await self._collector.begin(self._ended, None)
-                if self._session is None:
-                    return
-                self._doing = "taking pictures"
-                self._searching_since = asyncio.get_running_loop().time()
-                async for _ in rounds(self._collector, self._session, self._ended):
-                    pass
-        finally:
-            self._doing, self._collector = "", None
+        with self._busy("waiting for the cameras"):
+            try:
+                async with await Bus.open(self._context.bus, timeout_s=CONNECT_S) as bus:
+                    prepare_folder(folder, self._cameras)
+                    self._collector = Collector(bus, self._cameras, board, folder)
+                    self._session = await self._collector.begin(self._ended, None)
+                    if self._session is None:
+                        return
+                    self._doing = "taking pictures"
+                    self._searching_since = asyncio.get_running_loop().time()
+                    async for _ in rounds(self._collector, self._session, self._ended):
+                        pass
+            finally:
+                self._collector = None
 
     async def _solve(self, values: Mapping[str, str]) -> None:
         if self._session is None:
@@ -207,11 +189,8 @@ class CameraStep:
         views = self._session.view_set
         baseline_m = _metres("lens distance", values["baseline_mm"]) if values["baseline_mm"].strip() else None
         self._found, self._tables, self._warnings = None, (), ()
-        self._doing = "solving"
-        try:
+        with self._busy("solving"):
             found = await asyncio.to_thread(self._solved, views, baseline_m)
-        finally:
-            self._doing = ""
         self._found = cameras_file(found, views)
         self._tables = result_tables(found)
         self._warnings = (
@@ -225,7 +204,7 @@ class CameraStep:
         def told(step: str) -> None:
             self._doing = f"solving: {step}"
 
-        return calibrate_rig(load_rig(self._room.rig_path), views, baseline_m, told)
+        return calibrate_rig(load_rig(self._context.rig_path), views, baseline_m, told)
 
 
 def _board(values: Mapping[str, str]) -> Board:

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping
 from typing import Final
 
-from rhot.calibration_step import Button, Field, Remark, Room, StepView
+from rhot.calibration_step import Button, Field, Remark, StepContext, StepView
 from rhot.errors import CalibrationError, RhotError
 from rhot.rig.colors import ColorsFile
 from rhot.rig.config import MarkerConfig
@@ -39,9 +39,9 @@ class ColorStep:
         Button("undo", "undo", "Bring the former colours back."),
     )
 
-    def __init__(self, room: Room) -> None:
-        self._room = room
-        rig = load_rig(room.rig_path)
+    def __init__(self, context: StepContext) -> None:
+        self._context = context
+        rig = load_rig(context.rig_path)
         self._markers: dict[str, MarkerConfig] = dict(rig.config.markers)
         self._cameras = tuple(rig.config.cameras)
         self._remote = any(camera.source != "simulated" for camera in rig.config.cameras.values())
@@ -168,7 +168,7 @@ class ColorStep:
     async def _take(self) -> None:
         self._doing = "taking pictures"
         try:
-            found = await live_pictures(self._room.bus, self._cameras)
+            found = await live_pictures(self._context.bus, self._cameras)
         finally:
             self._doing = ""
         self._clicks.add(found)

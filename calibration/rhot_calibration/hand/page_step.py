@@ -5,21 +5,21 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 
-from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView, typed_metres
+from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView, typed_metres
 from rhot.errors import ConfigError
-from rhot.messages import PointSet, Side
+from rhot.messages import Side
 from rhot.rig import HandFile, load_rig
 from rhot.rig.calibration import today
 from rhot.rig.folder import HAND_FILE
-from rhot.rig.kept_file import KeptFile
 from rhot_calibration.hand.calibration import measure_hand
 from rhot_calibration.hand.proportions import typed_hand
 from rhot_calibration.hand.samples.phases import LIVE_PHASES, LIVE_S, prompt_at
 from rhot_calibration.hand.samples.sources import live_points
+from rhot_calibration.page_step import PageStep, trial_buttons
 
 
-class HandStep:
-    """Measures a hand by its movements or takes typed lengths; see `rhot.calibration_step.CalibrationStep`."""
+class HandStep(PageStep[HandFile]):
+    """Measures a hand by its movements or takes typed lengths."""
 
     about = (
         "Measure: follow three movements for half a minute, with the back of the hand to the cameras: hold it flat and "
@@ -30,49 +30,32 @@ class HandStep:
         Button("measure", "measure by movements", f"{LIVE_S:.0f} s; says what to do and when."),
         Button("stop", "stop"),
         Button("typed", "take the typed lengths"),
-        Button("try", "try", "Write hand.json; the former one is put aside."),
-        Button("save", "save", "Keep what is tried."),
-        Button("undo", "undo", "Bring the former hand back."),
+        *trial_buttons(HAND_FILE, "hand"),
     )
 
-    def __init__(self, room: Room) -> None:
-        self._room = room
-        self._sides = load_rig(room.rig_path).config.sides
-        self._kept = KeptFile(room.rig_path / HAND_FILE, HandFile)
+    def __init__(self, context: StepContext) -> None:
+        super().__init__(context, context.rig_path / HAND_FILE, HandFile)
+        self._sides = load_rig(context.rig_path).config.sides
         self.fields = (
             Field("length_mm", "length, mm", "", (), "Wrist crease to the tip of the middle finger; optional."),
             Field("width_mm", "width, mm", "", (), "Across the knuckles of the four fingers; optional."),
             *((Field("side", "hand", self._sides[0], self._sides),) if len(self._sides) > 1 else ()),
         )
-        self._found: HandFile | None = None
-        self._doing = ""
         self._share = 0.0
-        self._listening: asyncio.Task[list[PointSet]] | None = None
 
     def view(self) -> StepView:
         """Return what to do now, or what was measured."""
-        enabled = {"stop"} if self._listening is not None else set()
-        if not self._doing:
-            enabled = {"measure", "typed"}
-            enabled |= self._kept.enabled(self._found)
-        stored, done = self._stored()
-        return StepView(
-            self._doing or stored,
-            done and not self._doing,
+        own = {"stop"} if self._can_stop else set() if self._doing else {"measure", "typed"}
+        return self._view(
+            self._standing(
+                ("not measured: a hand of the length in rig.toml", False),
+                "a new hand on trial",
+                lambda stored: (f"{1e3 * stored.length_m:.0f} mm long, saved {stored.date}", True),
+            ),
+            actions=own,
             share=self._share if self._doing else 0.0,
             remarks=self._remarks(),
-            enabled=frozenset(enabled),
             tables=() if self._found is None else (_table(self._found),),
-        )
-
-    async def follow(self) -> None:
-        """Nothing happens before the start."""
-
-    def _stored(self) -> tuple[str, bool]:
-        return self._kept.standing(
-            ("not measured: a hand of the length in rig.toml", False),
-            "a new hand on trial",
-            lambda stored: (f"{1e3 * stored.length_m:.0f} mm long, saved {stored.date}", True),
         )
 
     def _remarks(self) -> tuple[Remark, ...]:
@@ -101,22 +84,19 @@ class HandStep:
         """
         if button == "measure" and not self._doing:
             await self._measure(values)
-        elif button == "stop" and self._listening is not None:
-            self._listening.cancel()
+        elif button == "stop":
+            self._stop()
         elif button == "typed" and not self._doing:
             length_m, width_m = _typed(values)
             if length_m is None:
                 raise ConfigError("type the length of the hand first, such as 189; the width may stay empty")
             self._found = typed_hand(length_m, width_m).model_copy(update={"date": today()})
         else:
-            self._kept.press(button, self._found)
-
-    async def point(self, camera: str, u: float, v: float, values: Mapping[str, str]) -> None:
-        """There is nothing to click at."""
+            await super().press(button, values)
 
     async def _measure(self, values: Mapping[str, str]) -> None:
         length_m, _ = _typed(values)
-        rig = load_rig(self._room.rig_path)
+        rig = load_rig(self._context.rig_path)
         side: Side = "left" if values.get("side", self._sides[0]) == "left" else "right"
         self._found, self._share = None, 0.0
 
@@ -125,22 +105,12 @@ class HandStep:
             self._doing = f"{left_s:.0f} s: {doing} ({count} point sets)"
             self._share = passed_s / LIVE_S
 
-        self._doing = "looking for the rig"
-        try:
-            self._listening = asyncio.create_task(live_points(self._room.bus, LIVE_S, on_time))
-            done, _pending = await asyncio.wait({self._listening})
-            listened = done.pop()
-            self._listening = None
-            if listened.cancelled():
+        with self._busy("looking for the rig"):
+            points = await self._stoppable(live_points(self._context.bus, LIVE_S, on_time))
+            if points is None:
                 return
             self._doing = "fitting the hand"
-            points = listened.result()
             found = await asyncio.to_thread(measure_hand, points, rig, side, LIVE_PHASES, length_m)
-        finally:
-            if self._listening is not None:
-                self._listening.cancel()
-                self._listening = None
-            self._doing = ""
         self._found = found.model_copy(update={"date": today()})
 
 

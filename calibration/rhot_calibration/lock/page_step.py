@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from rhot.bus import Bus
-from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView
+from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView
 from rhot.errors import BusError, ConfigError, RhotError
 from rhot.rig.folder import load_config
 from rhot_calibration.colors.live import decoded
@@ -68,9 +68,9 @@ class LockStep:
         Button("undo", "undo", "Bring back the values before the last saving."),
     )
 
-    def __init__(self, room: Room) -> None:
-        self._room = room
-        self._cameras = tuple(load_config(room.rig_path).cameras)
+    def __init__(self, context: StepContext) -> None:
+        self._context = context
+        self._cameras = tuple(load_config(context.rig_path).cameras)
         self._looks: dict[str, CameraLook] = {}
         self._complete: dict[str, CameraLook] = {}
         self._looking = False
@@ -108,7 +108,7 @@ class LockStep:
     async def _look_again_and_again(self) -> None:
         while True:
             try:
-                async with await Bus.open(self._room.bus, timeout_s=_CONNECT_S) as bus:
+                async with await Bus.open(self._context.bus, timeout_s=_CONNECT_S) as bus:
                     self._problem = ""
                     while True:
                         presses = self._presses
@@ -131,7 +131,7 @@ class LockStep:
         """
         there = [name for name, look in self._looks.items() if not look.problem]
         refused = []
-        async with await Bus.open(self._room.bus, timeout_s=_CONNECT_S) as bus:
+        async with await Bus.open(self._context.bus, timeout_s=_CONNECT_S) as bus:
             # One after the other: those on one machine share a file.
             for name in there:
                 look = self._looks[name]

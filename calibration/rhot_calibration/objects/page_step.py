@@ -8,24 +8,24 @@ from typing import Final
 
 import numpy as np
 
-from rhot.calibration_step import Button, Field, Figures, Remark, Room, StepView
-from rhot.errors import ConfigError, RhotError
+from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView
+from rhot.errors import ConfigError
 from rhot.rig import RegistrationFile, load_rig
 from rhot.rig.folder import REGISTRATION_FILE
-from rhot.rig.kept_file import KeptFile
 from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
 from rhot_calibration.objects.collector import Place, PlaceCollector
 from rhot_calibration.objects.fit import Places, RegistrationFit, first_prior, fit_registration
 from rhot_calibration.objects.live import collect_places
 from rhot_calibration.objects.record import registration_file
+from rhot_calibration.page_step import PageStep, trial_buttons
 
 _WANTED: Final = 10
 _PATIENCE_S: Final = 15.0
 _UNKNOWN_LEVER_SD_M: Final = 0.05
 
 
-class ObjectStep:
-    """Collects places of a tracked device with a marker; see `rhot.calibration_step.CalibrationStep`."""
+class ObjectStep(PageStep[RegistrationFile]):
+    """Collects positions of a tracked device with a marker."""
 
     about = (
         "Fix a painted marker to a tracked device, or touch the device with it, and hold both still before the cameras "
@@ -35,51 +35,33 @@ class ObjectStep:
     buttons = (
         Button("start", "start taking places", "Again = from the beginning."),
         Button("solve", "end and fit", "With the places there are."),
-        Button("try", "try", "Write registration.json; the former one is put aside."),
-        Button("save", "save", "Keep what is tried."),
-        Button("undo", "undo", "Bring the former registration back."),
+        *trial_buttons(REGISTRATION_FILE, "registration"),
     )
 
-    def __init__(self, room: Room) -> None:
-        self._room = room
-        rig = load_rig(room.rig_path)
-        self._objects = tuple(rig.config.objects)
-        self._simulated = all(each.source == "simulated" for each in rig.config.objects.values())
-        self._kept = KeptFile(room.rig_path / REGISTRATION_FILE, RegistrationFile)
-        markers = tuple(rig.config.markers)
+    def __init__(self, context: StepContext) -> None:
+        super().__init__(context, context.rig_path / REGISTRATION_FILE, RegistrationFile)
+        config = load_rig(context.rig_path).config
+        self._objects = tuple(config.objects)
+        self._simulated = all(each.source == "simulated" for each in config.objects.values())
+        markers = tuple(config.markers)
         self.fields = (
             *((Field("object", "device", self._objects[0], self._objects),) if self._objects else ()),
             Field("marker", "marker", markers[0], markers, "The one that is fixed to it."),
         )
         self._collector = PlaceCollector()
-        self._collecting: asyncio.Task[None] | None = None
         self._hint = ""
-        self._doing = ""
-        self._found: RegistrationFile | None = None
         self._fitted: tuple[tuple[Figures, ...], tuple[Remark, ...]] = ((), ())
 
     def view(self) -> StepView:
-        """Return how many places there are, and what came of them."""
-        if self._collecting is not None:
-            enabled = {"solve"}
-        elif self._doing or not self._objects:
-            enabled = set()
-        else:
-            enabled = {"start"}
-            enabled |= self._kept.enabled(self._found)
+        """Return how many positions there are, and what came of them."""
         tables, remarks = self._fitted
-        stored, done = self._stored()
-        return StepView(
-            self._doing or stored,
-            done and not self._doing,
+        return self._view(
+            self._stored(),
+            actions={"solve"} if self._can_stop else set() if self._doing or not self._objects else {"start"},
             share=len(self._collector.places) / _WANTED,
             remarks=(*self._todo(), *remarks),
-            enabled=frozenset(enabled),
             tables=tables,
         )
-
-    async def follow(self) -> None:
-        """Nothing happens before the start."""
 
     def _stored(self) -> tuple[str, bool]:
         if not self._objects:
@@ -87,12 +69,10 @@ class ObjectStep:
         absent = ("not registered: objects stand in their own space", False)
         if self._simulated:
             absent = ("simulated objects stand in the cameras' space; nothing to do", True)
-        return self._kept.standing(
-            absent, "a new registration on trial", lambda stored: (f"registered {stored.date}", True)
-        )
+        return self._standing(absent, "a new registration on trial", lambda stored: (f"registered {stored.date}", True))
 
     def _todo(self) -> tuple[Remark, ...]:
-        if self._collecting is not None:
+        if self._can_stop:
             taken = Remark(f"{len(self._collector.places)} of {_WANTED} places taken.", "good")
             return (taken, Remark(self._hint, "warning")) if self._hint else (taken,)
         if self._kept.on_trial:
@@ -108,25 +88,21 @@ class ObjectStep:
         """
         if button == "start" and not self._doing:
             await self._register(values)
-        elif button == "solve" and self._collecting is not None:
-            self._collecting.cancel()  # whoever pressed start goes on from here
+        elif button == "solve":
+            self._stop()  # whoever pressed start goes on from here
         else:
-            self._kept.press(button, self._found)
-
-    async def point(self, camera: str, u: float, v: float, values: Mapping[str, str]) -> None:
-        """There is nothing to click at."""
+            await super().press(button, values)
 
     async def _register(self, values: Mapping[str, str]) -> None:
         device, marker = values.get("object", ""), values["marker"]
         if not device:
             raise ConfigError("rig.toml names no objects; add [objects.NAME] with source and serial")
         self._collector, self._hint, self._found, self._fitted = PlaceCollector(), "", None, ((), ())
-        rig = load_rig(self._room.rig_path)
-        self._doing = "taking places"
-        try:
-            self._collecting = asyncio.create_task(
+        rig = load_rig(self._context.rig_path)
+        with self._busy("taking places"):
+            await self._stoppable(
                 collect_places(
-                    self._room.bus,
+                    self._context.bus,
                     rig,
                     device,
                     marker,
@@ -137,24 +113,13 @@ class ObjectStep:
                     hint=self._hinted,
                 )
             )
-            await asyncio.wait({self._collecting})
-            ended, self._collecting = self._collecting, None
-            if not ended.cancelled():
-                ended.result()
             self._doing = "fitting"
             places = self._collector.to_places()
             fit = await asyncio.to_thread(_fitted, places)
-            self._found = registration_file(fit, places, rig.registration, object_id=device, marker=marker, prior=None)
+            found = registration_file(fit, places, rig.registration, object_id=device, marker=marker, prior=None)
             self._fitted = _shown(places, fit)
             check_fit(fit)
-        except RhotError:
-            self._found = None
-            raise
-        finally:
-            if self._collecting is not None:
-                self._collecting.cancel()
-                self._collecting = None
-            self._doing = ""
+        self._found = found
 
     def _taken(self, _: Place) -> None:
         self._hint = "go to another place, and turn it"

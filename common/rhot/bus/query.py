@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -100,6 +100,27 @@ def respond(query: zenoh.Query, key: str, answerer: Answerer, arrived_ns: int) -
         except Exception as error:
             logger.exception("%s: answering a query failed", key)
             query.reply_err(f"internal error: {error}".encode(), encoding=zenoh.Encoding("text/plain"))
+
+
+def received(replies: Iterable[zenoh.Reply], timeout_s: float) -> list[Reply]:
+    """Return the replies to a query, and one error at the end when somebody was asked and stayed silent.
+
+    The router and the session of the asker each have a timer for the same query, and either may win, or both, so the
+    number of Zenoh's own `Timeout` replies says nothing.
+    """
+    found: list[Reply] = []
+    silent = False
+    for reply in replies:
+        if reply.ok is not None:
+            sample = reply.ok
+            found.append(Reply(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding)))
+            continue
+        text = reply.err.payload.to_string() if reply.err is not None else "no answer"
+        if text == "Timeout":
+            silent = True
+        else:
+            found.append(Reply("", b"", "", error=text))
+    return [*found, Reply("", b"", "", error=f"no answer within {timeout_s:g} s")] if silent else found
 
 
 def _parameters(text: str) -> list[tuple[str, str]]:

@@ -16,7 +16,7 @@ from typing import Any, Final, Protocol, TypeVar
 import zenoh
 
 from rhot.bus.publisher import Publisher
-from rhot.bus.query import Answerer, Reply, respond
+from rhot.bus.query import Answerer, Reply, received, respond
 from rhot.bus.subscriber import EventSubscriber, LatestSubscriber
 from rhot.errors import BusError
 from rhot.messages import Message
@@ -160,9 +160,7 @@ class Bus:
         """Return the liveliness tokens that match, one reply each."""
 
         def ask() -> list[Reply]:
-            return [
-                _as_reply(reply, timeout_s) for reply in self._session.liveliness().get(key_expr, timeout=timeout_s)
-            ]
+            return received(self._session.liveliness().get(key_expr, timeout=timeout_s), timeout_s)
 
         return await asyncio.to_thread(ask)
 
@@ -192,7 +190,7 @@ class Bus:
     async def get(self, selector: str, payload: bytes = b"", *, timeout_s: float = 2.0) -> list[Reply]:
         """Query everybody who answers a selector (`key?parameters`) and return all replies.
 
-        Who is there but does not answer in time is a reply with an error.
+        One reply with an error stands for all who are there but do not answer in time.
 
         Raises:
             BusError: the selector is not valid, or the session is closed.
@@ -208,7 +206,7 @@ class Bus:
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
             )
-            return [_as_reply(reply, timeout_s) for reply in replies]
+            return received(replies, timeout_s)
         except zenoh.ZError as error:
             raise BusError(f"{selector}: {_reason(error)}") from error
 
@@ -298,13 +296,3 @@ class Bus:
 def _reason(error: zenoh.ZError) -> str:
     """Return Zenoh's words without the places in its own source code."""
     return re.sub(r"( at \S+\.rs:\d+\.?|[\[\]])", "", str(error)).strip()
-
-
-def _as_reply(reply: zenoh.Reply, timeout_s: float) -> Reply:
-    if reply.ok is not None:
-        sample = reply.ok
-        return Reply(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
-    error = reply.err
-    text = error.payload.to_string() if error is not None else "no answer"
-    # Zenoh's own word for somebody who was asked and is silent.
-    return Reply("", b"", "", error=f"no answer within {timeout_s:g} s" if text == "Timeout" else text)

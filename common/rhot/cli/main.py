@@ -13,25 +13,35 @@ from rhot.cli.group import LazyCommand, LazyGroup, MainGroup
 _COMMANDS: Final = {
     "sim": LazyCommand("Run a whole simulated rig on this machine and show how well it tracks.", extra="sim"),
     "init": LazyCommand("Make a new rig folder with a commented rig.toml.", "rhot.cli.init:init"),
-    "up": LazyCommand("Run everything of the PC side: router, fusion, ik, objects, web page.", "rhot.cli.up:up", "pc"),
-    "start": LazyCommand("Tell every service of the rig to start, all at one moment.", "rhot.cli.control:start"),
-    "stop": LazyCommand("Tell every service of the rig to stop.", "rhot.cli.control:stop"),
-    "status": LazyCommand("Show which services are alive and how they do.", "rhot.cli.status:status"),
-    "get": LazyCommand("Print the last value of keys as JSON.", "rhot.cli.inspect:get"),
-    "watch": LazyCommand("Print messages as JSON while they come.", "rhot.cli.inspect:watch"),
-    "config": LazyCommand("Show or change a running service's configuration.", "rhot.cli.configure:config"),
+    "up": LazyCommand(
+        "Run everything of the PC side: router, fusion, ik, objects, web page.", "rhot.cli.operate.up:up", "pc"
+    ),
+    "start": LazyCommand(
+        "Tell every service of the rig to start, all at one moment.", "rhot.cli.operate.start_stop:start"
+    ),
+    "stop": LazyCommand("Tell every service of the rig to stop.", "rhot.cli.operate.start_stop:stop"),
+    "status": LazyCommand("Show which services are alive and how they do.", "rhot.cli.operate.status:status"),
+    "get": LazyCommand("Print the last value of keys as JSON.", "rhot.cli.operate.inspect:get"),
+    "watch": LazyCommand("Print messages as JSON while they come.", "rhot.cli.operate.inspect:watch"),
+    "config": LazyCommand("Show or change a running service's configuration.", "rhot.cli.operate.configure:config"),
     "process": LazyCommand(
-        "Track a recording offline and write the result as JSON Lines.", "rhot.cli.process:process", "pc"
+        "Track a recording offline and write the result as JSON Lines.", "rhot.cli.recordings.process:process", "pc"
     ),
     "record": LazyCommand(
-        "Record everything a running rig publishes into an MCAP file.", "rhot.cli.record:record", "record"
+        "Record everything a running rig publishes into an MCAP file.", "rhot.cli.recordings.record:record", "record"
     ),
-    "replay": LazyCommand("Put a recording back on the bus, as if live.", "rhot.cli.replay:replay", "record"),
+    "replay": LazyCommand(
+        "Put a recording back on the bus, as if live.", "rhot.cli.recordings.replay:replay", "record"
+    ),
     "export": LazyCommand(
-        "Turn a recording into tables (CSV, Parquet) or an animation (BVH).", "rhot.cli.export:export", "record"
+        "Turn a recording into tables (CSV, Parquet) or an animation (BVH).",
+        "rhot.cli.recordings.export:export",
+        "record",
     ),
     "explain": LazyCommand(
-        "Show why a recording was tracked as it was at one moment, as one page.", "rhot.cli.explain:explain", "pc"
+        "Show why a recording was tracked as it was at one moment, as one page.",
+        "rhot.cli.recordings.explain:explain",
+        "pc",
     ),
     "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
     "bench": LazyCommand("Measure speed beside the 2018 thesis's algorithms.", extra="bench"),
@@ -45,7 +55,7 @@ _COMMANDS: Final = {
     "objects": LazyCommand("Service: poses of tracked objects and the headset.", extra="objects"),
     "feet": LazyCommand("Service: track feet with a depth camera on the head and ankle sensors.", extra="feet"),
     "viewer": LazyCommand("Service: the web page that shows the rig while it runs.", extra="viewer"),
-    "router": LazyCommand("Service: the Zenoh router that all others connect to.", "rhot.cli.router:router"),
+    "router": LazyCommand("Service: the Zenoh router that all others connect to.", "rhot.cli.operate.router:router"),
     "truth": LazyCommand("Service: publish what is true in the simulated world.", extra="sim"),
 }
 
@@ -68,6 +78,7 @@ _EVALUATIONS: Final = {
     "steps": LazyCommand("Follow feet on recordings of real sensors and cameras.", extra="bench"),
     "thesis": LazyCommand("The 2018 thesis's tables with ours beside them.", extra="bench"),
     "calibration": LazyCommand("Tell whether the cameras have moved since they were calibrated.", extra="pc"),
+    "page": LazyCommand("Write measured figures as a page of the documentation.", extra="bench"),
 }
 
 

@@ -13,7 +13,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
-from rhot.calibration_step import Room
+from rhot.calibration_step import StepContext
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError
 from rhot.messages import Control, ServiceStatus
@@ -82,7 +82,9 @@ class ViewerService:
         self._scene = RigScene(page, rig, self._inbox, marker_colors(rig))
         pictures = PicturesPanel(page, self._scene, self._inbox, rig.cameras, rig.config.markers)
         self._pictures = pictures.feed
-        self._calibrate = CalibratePanel(page, self._scene, pictures.feed, Room(rig.path, bus_config), rig.config)
+        self._calibrate = CalibratePanel(
+            page, self._scene, pictures.feed, StepContext(rig.path, bus_config), rig.config
+        )
         self._recording = LiveRecording(bus_config, rig.path)
         self._record = RecordPanel(page, self._recording, rig.path)
         self.panels: list[Panel] = [

@@ -15,7 +15,7 @@ from board_views import BOARD, SimulatedViews, simulated_views
 from bus_watch import until
 
 from rhot.bus import Answer, Bus, Request
-from rhot.calibration_step import Room
+from rhot.calibration_step import StepContext
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.rig import BusConfig, load_rig
 from rhot_calibration.cameras import page_step
@@ -70,7 +70,7 @@ async def solved(
     views = Views(simulated_views(3, places=places))
     monkeypatch.setattr(page_step, "Collector", views)
     monkeypatch.setattr(page_step, "rounds", views.rounds)
-    step = CameraStep(Room(rig, router))
+    step = CameraStep(StepContext(rig, router))
     started = asyncio.create_task(step.press("start", values))
     await until(lambda: views.all_shown)
     await step.press("solve", values)
@@ -109,13 +109,13 @@ async def test_what_cannot_be_right_is_refused_in_words(
         (VALUES | {"square_mm": "-25"}, "more than 0"),
     ):
         with pytest.raises((CalibrationError, ConfigError), match=words):
-            await CameraStep(Room(rig_folder, router)).press("start", values)
+            await CameraStep(StepContext(rig_folder, router)).press("start", values)
 
 
 async def test_pictures_are_taken_live_and_wrong_turns_are_answered(
     router: BusConfig, rig_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    step = CameraStep(Room(rig_folder, router))
+    step = CameraStep(StepContext(rig_folder, router))
     monkeypatch.setattr(page_step, "_NO_BOARD_S", 0.3)
     board, _ = board_picture(BOARD)
     shown: dict[str, Any] = {"picture": np.full_like(board, 90)}
@@ -149,7 +149,7 @@ async def test_pictures_are_taken_live_and_wrong_turns_are_answered(
 
 async def test_a_rig_that_is_not_there_is_named(rig_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(page_step, "CONNECT_S", 0.1)
-    step = CameraStep(Room(rig_folder, BusConfig(connect=("tcp/127.0.0.1:1",))))
+    step = CameraStep(StepContext(rig_folder, BusConfig(connect=("tcp/127.0.0.1:1",))))
     with pytest.raises(BusError, match="no Zenoh router answers"):
         await step.press("start", VALUES)
     assert step.view().enabled == {"start"}

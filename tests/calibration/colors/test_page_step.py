@@ -14,7 +14,7 @@ import pytest
 from bus_watch import settled, until
 
 from rhot.bus import Answer, Bus, Request
-from rhot.calibration_step import Room
+from rhot.calibration_step import StepContext
 from rhot.errors import BusError, CalibrationError
 from rhot.rig import BusConfig
 from rhot.rig.colors import load_colors
@@ -52,7 +52,7 @@ async def test_clicks_become_colours_that_can_be_tried_saved_and_undone(
     router: BusConfig, drawn: Any, write_rig: Callable[..., Path]
 ) -> None:
     rig = write_rig({"left": "width = 400\nheight = 300"})
-    step = ColorStep(Room(rig, router))
+    step = ColorStep(StepContext(rig, router))
     assert step.view().state == "no colours yet"
     following = asyncio.create_task(step.follow())
     async with answering(router, drawn.image):
@@ -93,7 +93,7 @@ async def test_wrong_clicks_are_answered_and_taken_back(
 ) -> None:
     twins = [shape("thumb", 100, 150), shape("index", 250, 150, paint=paints["thumb"])]
     drawn = scene(twins, size=SIZE, noise=2.0)
-    step = ColorStep(Room(write_rig({"left": "width = 400\nheight = 300"}), router))
+    step = ColorStep(StepContext(write_rig({"left": "width = 400\nheight = 300"}), router))
     following = asyncio.create_task(step.follow())
     async with answering(router, drawn.image):
         await step.press("take", {})
@@ -116,7 +116,7 @@ async def test_wrong_clicks_are_answered_and_taken_back(
 
 
 async def test_a_camera_that_is_not_there_is_named(router: BusConfig, write_rig: Callable[..., Path]) -> None:
-    step = ColorStep(Room(write_rig({"left": ""}), router))
+    step = ColorStep(StepContext(write_rig({"left": ""}), router))
     with pytest.raises(BusError, match="camera left: no capture service answers"):
         await step.press("take", {})
     assert step.view().state == "no colours yet"

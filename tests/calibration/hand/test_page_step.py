@@ -11,7 +11,7 @@ import pytest
 from bus_watch import PATIENCE_S, until
 
 from rhot.bus import Bus
-from rhot.calibration_step import Room
+from rhot.calibration_step import StepContext
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.messages import PointSet
 from rhot.rig import BusConfig, load_rig
@@ -24,7 +24,7 @@ NOTHING = {"length_mm": "", "width_mm": ""}
 
 
 async def test_typed_lengths_are_tried_saved_and_undone(rig_folder: Path, router: BusConfig) -> None:
-    step = HandStep(Room(rig_folder, router))
+    step = HandStep(StepContext(rig_folder, router))
     for length, width in (("175", ""), ("200,5", "90")):
         await step.press("typed", {"length_mm": length, "width_mm": width})
         await step.press("try", NOTHING)
@@ -36,7 +36,7 @@ async def test_typed_lengths_are_tried_saved_and_undone(rig_folder: Path, router
 
 
 async def test_wrong_lengths_are_refused(rig_folder: Path, router: BusConfig) -> None:
-    step = HandStep(Room(rig_folder, router))
+    step = HandStep(StepContext(rig_folder, router))
     for values, words in (
         (NOTHING, "type the length"),
         ({"length_mm": "long", "width_mm": ""}, "length 'long': not a number"),
@@ -50,7 +50,7 @@ async def test_wrong_lengths_are_refused(rig_folder: Path, router: BusConfig) ->
 async def test_a_measurement_says_what_to_do_and_can_be_stopped(
     rig_folder: Path, router: BusConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    step = HandStep(Room(rig_folder, router))
+    step = HandStep(StepContext(rig_folder, router))
     measuring = asyncio.create_task(step.press("measure", NOTHING))
     await until(lambda: "point sets" in step.view().state)
     assert "get ready" in step.view().state
@@ -67,7 +67,7 @@ async def test_what_is_heard_is_measured(rig_folder: Path, router: BusConfig, mo
     """Points that come become a refusal in words: a hand cannot be measured by one point set."""
     passed_s = 0.0
     monkeypatch.setattr(sources, "time", SimpleNamespace(monotonic=lambda: passed_s))
-    step = HandStep(Room(rig_folder, router))
+    step = HandStep(StepContext(rig_folder, router))
     async with await Bus.open(router) as bus:
         points = bus.publisher("rhot/points", PointSet)
         measuring = asyncio.create_task(step.press("measure", NOTHING))

@@ -14,7 +14,7 @@ from bus_watch import PATIENCE_S, until
 
 from rhot.bus import Answer, Bus, Request
 from rhot.bus.query import json_answer
-from rhot.calibration_step import Room
+from rhot.calibration_step import StepContext
 from rhot.errors import ConfigError
 from rhot.rig import BusConfig
 from rhot.rig.colors import ColorsFile
@@ -55,7 +55,7 @@ def test_light_is_measured() -> None:
 
 
 async def test_a_capture_service_that_is_not_there_is_named(router: BusConfig, write_rig: Callable[..., Path]) -> None:
-    step = LockStep(Room(write_rig({"left": ""}), router))
+    step = LockStep(StepContext(write_rig({"left": ""}), router))
     following = asyncio.create_task(step.follow())
     await until(lambda: step.view().remarks)
     following.cancel()
@@ -94,7 +94,7 @@ class StubCamera:
 
 async def test_what_the_sliders_set_is_saved_and_undone(router: BusConfig, write_rig: Callable[..., Path]) -> None:
     rig = write_rig({"left": "", "right": ""})
-    step = LockStep(Room(rig, router))
+    step = LockStep(StepContext(rig, router))
     async with await Bus.open(router) as bus:
         cameras = {name: StubCamera(bus, rig, name) for name in ("left", "right")}
         following = asyncio.create_task(step.follow())
@@ -124,7 +124,7 @@ async def test_a_look_from_before_a_press_is_not_shown_after_it(
 ) -> None:
     monkeypatch.setattr(lock_step, "_ANSWER_S", PATIENCE_S)
     rig = write_rig({"left": ""})
-    step = LockStep(Room(rig, router))
+    step = LockStep(StepContext(rig, router))
     async with await Bus.open(router) as bus:
         camera = StubCamera(bus, rig, "left")
         camera.settings = camera.settings.model_copy(update={"gain": 6.5})
@@ -146,7 +146,7 @@ async def test_another_step_does_not_let_the_cameras_look_gone(
     router: BusConfig, write_rig: Callable[..., Path]
 ) -> None:
     rig = write_rig({"left": ""})
-    step = LockStep(Room(rig, router))
+    step = LockStep(StepContext(rig, router))
     async with await Bus.open(router) as bus:
         StubCamera(bus, rig, "left")
         following = asyncio.create_task(step.follow())

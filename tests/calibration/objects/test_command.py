@@ -12,7 +12,7 @@ from bus_watch import PATIENCE_S
 from click.testing import CliRunner, Result
 
 from rhot.bus import Bus
-from rhot.calibration_step import Room
+from rhot.calibration_step import StepContext
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.geometry.rotations import (
     FloatArray,
@@ -334,7 +334,7 @@ async def test_silence_says_which_service_is_missing(
 
 async def test_the_page_takes_places_and_can_end(rig_folder: Path, router: BusConfig) -> None:
     with_cup(rig_folder)
-    step = ObjectStep(Room(rig_folder, router))
+    step = ObjectStep(StepContext(rig_folder, router))
     values = {"object": "cup", "marker": "index"}
     started = asyncio.create_task(step.press("start", values))
     async with asyncio.timeout(PATIENCE_S):

@@ -14,7 +14,7 @@ from rhot.rig import HandFile
 from rhot_ik.fabrik.chains import ABDUCTION, FLEXION, TWIST, Chains
 from rhot_ik.fabrik.fabrik import solve
 from rhot_ik.fabrik.finger_chains import FabrikFingers, finger_chains
-from rhot_ik.hand.finger_geometry import FingerGeometry
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 FloatArray = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from rhot.anatomy.hand import HandJoints, HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.messages import HandPose, PointSet, decode, encode
 from rhot.rig import HandFile, IkConfig, Rig
-from rhot_ik.hand.finger_geometry import FingerGeometry
-from rhot_ik.hand.fingers import AnalyticFingers
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 from rhot_ik.hand.stage import HandStage
 
 FloatArray = NDArray[np.float64]

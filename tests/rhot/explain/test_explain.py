@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 from simulated_take import simulated_rig, write_take
 
-from rhot.cli.explain import explain
+from rhot.cli.recordings.explain import explain
 from rhot.errors import ConfigError
 from rhot.recording import PictureTrack, load_recording
 from rhot.recording.span import between, newest, time_span

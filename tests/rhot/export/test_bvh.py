@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import CHAINS, JOINTS
-from rhot.cli.export import export
+from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
 from rhot.export.bvh import bvh_text, euler_zyx_deg
 from rhot.export.poses import HandMotion, hand_motion

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from hand_messages import hand_pose, marker_frame, object_pose, point_set
 
 from rhot.anatomy.skeleton import JOINTS
-from rhot.cli.export import export
+from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
 from rhot.export.columns import tables
 from rhot.export.source import RecordedMessages

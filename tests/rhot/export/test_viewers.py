@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from hand_messages import hand_pose, marker_frame, object_pose, point_set
 from mcap.reader import make_reader
 
-from rhot.cli.export import export
+from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, Message, ServiceStatus, encode, encoding_of
 from rhot.recording.camera_picture import CameraPicture

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rhot.bus import Bus
-from rhot.calibration_step import Room
+from rhot.calibration_step import StepContext
 from rhot.errors import BusError, ConfigError
 from rhot.rig import BusConfig, HandFile, Rig, write_json_model
 from rhot.rig.folder import load_config
@@ -19,7 +19,7 @@ from rhot_viewer.rig.sessions import Sessions
 
 
 def test_only_files_that_sessions_read_begin_one(rig: Rig) -> None:
-    watched = Sessions(Room(rig.path, rig.config.bus))
+    watched = Sessions(StepContext(rig.path, rig.config.bus))
     assert not watched.files_have_changed()
     write_json_model(rig.path / "hand.json", HandFile(length_m=0.18))
     assert watched.files_have_changed()
@@ -33,7 +33,7 @@ def test_only_files_that_sessions_read_begin_one(rig: Rig) -> None:
 async def test_a_rig_that_is_not_there_is_named(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sessions, "_CONNECT_S", 0.1)
     with pytest.raises(BusError, match="no Zenoh router answers"):
-        await Sessions(Room(rig.path, BusConfig(connect=("tcp/127.0.0.1:1",)))).start_anew()
+        await Sessions(StepContext(rig.path, BusConfig(connect=("tcp/127.0.0.1:1",)))).start_anew()
 
 
 def test_what_stands_before_simulated_cameras_is_written_down(rig: Rig, rig_folder: Path) -> None:
@@ -51,6 +51,6 @@ async def test_two_sessions_within_a_second_are_two(rig: Rig, router: BusConfig)
     """The same name would be the same session, which services go on with."""
     async with await Bus.open(router) as bus:
         serve_clock(bus)
-        page = Sessions(Room(rig.path, router))
+        page = Sessions(StepContext(rig.path, router))
         names = await asyncio.gather(page.start_anew(), page.start_anew())
     assert len(set(names)) == 2

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rhot_ik.fabrik.chains import ABDUCTION, FLEXION, Chains
 from rhot_ik.fabrik.fabrik import ChainPose, solve
-from rhot_ik.hand.finger_geometry import FingerGeometry
+from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 FloatArray = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from rhot.anatomy.skeleton import FINGERS
 from rhot.explain import Explanation, ExplanationRow
-from rhot_ik.hand.prior import angle_covariance, rest_angles
-from rhot_ik.hand.process import ANGLES, POSITION, ROTATION
+from rhot_ik.hand.filter.prior import angle_covariance, rest_angles
+from rhot_ik.hand.filter.process import ANGLES, POSITION, ROTATION
 from rhot_ik.hand.solver import HandSolver
 
 _ANGLES = ("flexion", "abduction", "middle hinge", "last hinge")
@@ -92,7 +92,7 @@ def _angles(side: str, solver: HandSolver) -> Explanation:
             "off rest, sigma",
         ),
         tuple(rows),
-        "Shown is what was published: the filter's angles led in smoothly where something came or went. Marked are "
+        "Shown is what was published: the filter's angles, with smooth transitions between sources. Marked are "
         f"angles at a limit and those more than {_UNUSUAL:g} standard deviations from a hand at rest.",
     )
 
@@ -101,17 +101,17 @@ def _palm(side: str, solver: HandSolver) -> Explanation:
     state = solver.state
     if state is None:
         raise ValueError("asked for the palm of a hand that is not known")
-    by_corners, by_base = solver.held_by
-    turn, place = np.sqrt(np.diag(state.P)[ROTATION]), np.sqrt(np.diag(state.P)[POSITION])
+    by_corners, by_base = solver.palm_sources
+    rotation, position = np.sqrt(np.diag(state.P)[ROTATION]), np.sqrt(np.diag(state.P)[POSITION])
     rows = [
         ("wrist x, y, z, mm", ", ".join(f"{1e3 * value:.1f}" for value in state.p)),
-        ("sigma of its place, mm", " / ".join(f"{1e3 * value:.1f}" for value in place)),
-        ("sigma of its turn, °", " / ".join(f"{np.degrees(value):.1f}" for value in turn)),
-        ("speed, m/s", f"{np.linalg.norm(state.speed):.3f}"),
-        ("turning, °/s", f"{np.degrees(np.linalg.norm(state.turning)):.0f}"),
+        ("sigma of its position, mm", " / ".join(f"{1e3 * value:.1f}" for value in position)),
+        ("sigma of its rotation, °", " / ".join(f"{np.degrees(value):.1f}" for value in rotation)),
+        ("speed, m/s", f"{np.linalg.norm(state.velocity):.3f}"),
+        ("angular velocity, °/s", f"{np.degrees(np.linalg.norm(state.angular_velocity)):.0f}"),
         ("base marker measured", "yes" if by_base else "no"),
-        ("turn measured by the patch's corners", "yes" if by_corners else "no"),
-        ("seen tips miss the model by, mean, mm", f"{1e3 * state.missed_m:.2f}"),
+        ("rotation measured by the patch's corners", "yes" if by_corners else "no"),
+        ("seen tips miss the model by, mean, mm", f"{1e3 * state.mean_residual_m:.2f}"),
         ("solver", solver.config.solver),
     ]
     return Explanation(f"Hand {side}: the palm", ("figure", "value"), tuple(ExplanationRow(row) for row in rows))

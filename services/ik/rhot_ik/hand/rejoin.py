@@ -40,7 +40,7 @@ class Rejoin:
         settings: how fast they are run down.
     """
 
-    def __init__(self, model: HandModel, settings: RejoinSettings = RejoinSettings()) -> None:  # noqa: B008
+    def __init__(self, model: HandModel, settings: RejoinSettings = RejoinSettings()) -> None:
         reach = model.bones[:, ::-1].cumsum(axis=1)[:, ::-1]
         self._arms = reach[:, (0, 0, 1, 2)]
         self._settings = settings

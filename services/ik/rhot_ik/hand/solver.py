@@ -13,15 +13,15 @@ from rhot.anatomy.hand import HandModel, patch_outline
 from rhot.anatomy.skeleton import FINGERS
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.fabrik.finger_chains import FabrikFingers
-from rhot_ik.hand.evidence import EvidenceModel, HandObservation
-from rhot_ik.hand.filter import HandFilter
-from rhot_ik.hand.finger_geometry import FingerGeometry, marker_on_palm
-from rhot_ik.hand.fingers import AnalyticFingers
-from rhot_ik.hand.kinematics import HandKinematics
-from rhot_ik.hand.process import HandState
+from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
+from rhot_ik.hand.filter.filter import HandFilter
+from rhot_ik.hand.filter.initialisation import HandInitialiser
+from rhot_ik.hand.filter.kinematics import HandKinematics
+from rhot_ik.hand.filter.process import HandState
+from rhot_ik.hand.filter.settings import HandSettings
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers
+from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
 from rhot_ik.hand.rejoin import Rejoin
-from rhot_ik.hand.settings import HandSettings
-from rhot_ik.hand.start import HandStart
 
 __all__ = ["HandObservation", "HandSolution", "HandSolver"]
 
@@ -93,7 +93,7 @@ class HandSolver:
         self._kinematics = HandKinematics(self._geometry)
         self._filter = HandFilter(self._geometry, base_offset, settings, known)
         eye = np.zeros(3) if viewpoint is None else viewpoint
-        self._start = HandStart(self._filter, self._evidence, base_offset, eye)
+        self._initialiser = HandInitialiser(self._filter, self._evidence, base_offset, eye)
         self._analytic = AnalyticFingers(self._geometry)
         self._fabrik = FabrikFingers(self._geometry)
         self.config = config
@@ -125,9 +125,9 @@ class HandSolver:
         return self._residual
 
     @property
-    def held_by(self) -> tuple[bool, bool]:
+    def palm_sources(self) -> tuple[bool, bool]:
         """Whether the last sample measured the palm by the corners of its patch, and by its base marker."""
-        return self._held_by
+        return self._palm_sources
 
     def reset(self) -> None:
         """Forget the past; the next sample starts anew."""
@@ -139,7 +139,7 @@ class HandSolver:
         self._rejoin = Rejoin(self._geometry.model)
         self._known = np.zeros(5, dtype=np.bool_)
         self._measured = np.zeros(5, dtype=np.bool_)
-        self._held_by = (False, False)
+        self._palm_sources = (False, False)
         self._shown = np.zeros((5, 4))
         self._residual = np.full(5, np.nan)
 
@@ -158,15 +158,15 @@ class HandSolver:
             self.reset()
             return None
         if self._state is None:
-            found = self._start.find(seen)
+            found = self._initialiser.find(seen)
             if found is None:
                 return None
             state, evidence = found
         else:
             expected = self._filter.predict(self._state, dt_s)
-            evidence = self._evidence.of(seen, self._filter.patch_rotation(expected))
-            state = self._filter.correct(expected, evidence)
-            state = self._looked_for_anew(state, seen, visible, dt_s)
+            evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected))
+            state = self._filter.update(expected, evidence)
+            state = self._reinitialised_if_lost(state, seen, visible, dt_s)
         measured = visible & seen.tips_measured
         angles = self._angles(state, seen.tips, measured)
         back = measured & ~self._measured & self._known
@@ -176,7 +176,7 @@ class HandSolver:
         model = self._geometry.model
         self._shown = np.minimum(np.maximum(self._rejoin.shown(angles), model.angle_min), model.angle_max)
         self._known |= visible
-        self._held_by = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
+        self._palm_sources = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
         self._t_ns, self._state, self._measured = seen.t_ns, state, measured
         R, p = state.R, state.p
         T = np.eye(4)
@@ -185,7 +185,7 @@ class HandSolver:
         gaps = modelled - seen.tips
         # NaN where a tip was not seen, as it came.
         residual = self._residual = np.sqrt((gaps * gaps).sum(-1))
-        return HandSolution(T, self._shown, positions, orientations, residual, measured, self._held_by[1])
+        return HandSolution(T, self._shown, positions, orientations, residual, measured, self._palm_sources[1])
 
     def _is_over(self, seen: HandObservation, visible: BoolArray) -> bool:
         """Tell whether the palm, or everything, has been gone for longer than a hand is held."""
@@ -196,17 +196,19 @@ class HandSolver:
         oldest_ns = seen.t_ns - round(self.config.hold_s * 1e9)
         return self._base_seen_ns < oldest_ns or self._measured_ns < oldest_ns
 
-    def _looked_for_anew(self, state: HandState, seen: HandObservation, visible: BoolArray, dt_s: float) -> HandState:
+    def _reinitialised_if_lost(
+        self, state: HandState, seen: HandObservation, visible: BoolArray, dt_s: float
+    ) -> HandState:
         """Return the state, or a better one when the tips have missed the model for too long."""
-        if state.missed_m < LOST_M or np.count_nonzero(visible) < 3:
+        if state.mean_residual_m < LOST_M or np.count_nonzero(visible) < 3:
             self._lost_s = 0.0
             return state
         self._lost_s += dt_s
         if self._lost_s < LOST_S:
             return state
         self._lost_s = 0.0
-        found = self._start.find(seen)
-        if found is None or self._start.cost(*found) > 0.5 * self._start.cost(state, found[1]):
+        found = self._initialiser.find(seen)
+        if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):
             return state
         return found[0]
 

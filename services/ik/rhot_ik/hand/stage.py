@@ -14,9 +14,9 @@ from rhot.explain import Explanation
 from rhot.messages import FingerAngles, HandPose, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
 from rhot.stage import Output
-from rhot_ik.hand.evidence import HandObservation
 from rhot_ik.hand.explain import solver_tables
-from rhot_ik.hand.finger_geometry import base_marker
+from rhot_ik.hand.filter.evidence import HandObservation
+from rhot_ik.hand.fingers.geometry import base_marker
 from rhot_ik.hand.solver import HandSolution, HandSolver
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import viser
 
-from rhot.calibration_step import CalibrationStep, Room, StepView, load_steps
+from rhot.calibration_step import CalibrationStep, StepContext, StepView, load_steps
 from rhot.errors import RhotError
 from rhot.rig.config import RigConfig
 from rhot_viewer.browser.camera_layer import dark_picture, show_jpeg
@@ -42,7 +42,7 @@ class _StepParts:
     buttons: dict[str, viser.GuiButtonHandle]
     tables: viser.GuiHtmlHandle
     looks: tuple[viser.GuiButtonHandle, ...]
-    room: viser.GuiFolderHandle
+    place: viser.GuiFolderHandle
     pictures: dict[str, viser.GuiImageHandle] = field(default_factory=dict)
     shown: dict[str, bytes] = field(default_factory=dict)
     values: Mapping[str, str] = field(default_factory=dict)
@@ -55,31 +55,31 @@ class CalibratePanel:
 
     title = "Calibrate"
 
-    def __init__(self, page: Page, scene: RigScene, feed: PictureFeed, room: Room, config: RigConfig) -> None:
+    def __init__(self, page: Page, scene: RigScene, feed: PictureFeed, context: StepContext, config: RigConfig) -> None:
         """Prepare the tab.
 
         Args:
             page: an open page.
             scene: its pictures can be clicked in.
             feed: of the pictures; a step may let them stand still.
-            room: where the steps work.
+            context: where the steps work.
             config: of the rig.
         """
         self._page = page
         self._scene = scene
         self._feed = feed
-        self._room = room
+        self._context = context
         self._steps: dict[str, _StepParts] = {}
         self._current = ""
         self._chosen = asyncio.Event()
         self._work: asyncio.Queue[Callable[[], Any]] = asyncio.Queue()
-        self._sessions = Sessions(room)
-        self._world = SimulatedWorld(room.rig_path, config) if is_simulated(config) else None
+        self._sessions = Sessions(context)
+        self._world = SimulatedWorld(context.rig_path, config) if is_simulated(config) else None
         self._gui: viser.GuiApi | None = None
         scene.on_picture_click(self._clicked)
 
     def build(self, gui: viser.GuiApi) -> None:
-        """Make room; the steps follow as soon as they are loaded."""
+        """Make the tab; the steps follow as soon as they are loaded."""
         self._gui = gui
         self._path = gui.add_html(about_html("The steps are being loaded …"))
         self._place = gui.add_folder(None)
@@ -88,7 +88,7 @@ class CalibratePanel:
         """Load the steps once somebody looks, then do what is pressed, until cancelled."""
         await self._page.looked_at()
         try:
-            steps = await asyncio.to_thread(load_steps, self._room)
+            steps = await asyncio.to_thread(load_steps, self._context)
         except RhotError as error:
             self._path.content = remarks_html(str(error), ())
             return
@@ -146,7 +146,7 @@ class CalibratePanel:
         self._chosen.set()
         for name, parts in self._steps.items():
             shown = name == title
-            for part in (parts.about, parts.remarks, parts.tables, parts.room):
+            for part in (parts.about, parts.remarks, parts.tables, parts.place):
                 part.visible = shown
             for handle in (*parts.fields.values(), *parts.buttons.values()):
                 handle.visible = shown
@@ -187,7 +187,7 @@ class CalibratePanel:
             parts.shown.pop(title, None)
         for title, jpeg in pictures.items():
             if title not in parts.pictures:
-                with parts.room:
+                with parts.place:
                     parts.pictures[title] = self._gui.add_image(dark_picture(4, 3), label=title, format="jpeg")
             if parts.shown.get(title) != jpeg:
                 parts.shown[title] = jpeg

@@ -6,7 +6,7 @@ import asyncio
 from typing import Final
 
 from rhot.bus import Bus
-from rhot.calibration_step import Room
+from rhot.calibration_step import StepContext
 from rhot.operation.control import broadcast, new_session
 from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE
 from rhot.rig.kept_file import file_stamp
@@ -20,8 +20,8 @@ _DELAY_S: Final = 0.5
 class Sessions:
     """Begins sessions of the running rig, and knows when its folder holds something that only a new one takes over."""
 
-    def __init__(self, room: Room) -> None:
-        self._room = room
+    def __init__(self, context: StepContext) -> None:
+        self._context = context
         self._stamps = self._now()
         self._begun = 0
         self._one_at_a_time = asyncio.Lock()
@@ -37,7 +37,7 @@ class Sessions:
         Raises:
             BusError: no router, or nobody owns the rig clock.
         """
-        async with self._one_at_a_time, await Bus.open(self._room.bus, timeout_s=_CONNECT_S) as bus:
+        async with self._one_at_a_time, await Bus.open(self._context.bus, timeout_s=_CONNECT_S) as bus:
             self._begun += 1
             # Two within a second would bear one name, and services would take them for the same session.
             name = f"{new_session()}-{self._begun}"
@@ -45,4 +45,4 @@ class Sessions:
         return control.session
 
     def _now(self) -> tuple[tuple[int, int], ...]:
-        return tuple(file_stamp(self._room.rig_path / name) for name in _READ_AT_START)
+        return tuple(file_stamp(self._context.rig_path / name) for name in _READ_AT_START)

@@ -1,8 +1,8 @@
 """Grids of about one size in one array: which pixels are rim, pure paint and surroundings, and the sums over them.
 
 A frame holds a few thousand such pixels, so what costs time is the number of calls and not that of pixels: each step
-is one call for all markers, neighbours are found in sets of pixels that are one number each, sums over places are
-products of matrices, and colours lie in planes, as numpy is several times as fast along long rows.
+is one call for all markers, sums over positions are products of matrices, and colours lie in planes, as numpy is
+several times as fast along long rows.
 """
 
 from __future__ import annotations
@@ -11,34 +11,35 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Final, cast
 
+import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rhot_capture.detection.color_table import ImageArray
-from rhot_capture.detection.subpixel.pixel_sets import (
-    bits_of,
-    grown_by_cross,
-    grown_by_square,
-    pixels_of,
-    shrunk_by_cross,
-    shrunk_by_square,
-)
 from rhot_capture.detection.subpixel.shares import LEAST, MIN_STEP, MOST, CoverageArray
-from rhot_capture.detection.subpixel.unmixing import Levels, Line
 from rhot_capture.detection.subpixel.windows import Grid
 
 Sums = tuple[float, float, float]
 
+# How these were chosen is not recorded; tests/capture/test_simulated_accuracy.py limits the error that they leave.
 ROUND_GAIN: Final = 1.4
+"""Times a share of something round, whose shaded edge looks like a mixture with a dark background."""
 _MARGIN_PX: Final = 3
 """Below and beside each window, so that none is within reach of the next one's blob."""
-_UNKNOWN: Final = 1
 _MIN_CORE_SHARE: Final = 0.08
+"""Of a blob's pixels: with fewer pure ones, the core reaches closer to the rim."""
 _LARGE_PX: Final = 64
 """From this many pixels on unlabelled paint beside a blob is taken back."""
 _TAKEN_BACK: Final = np.float32(0.4)
 """t from which an unlabelled pixel beside a large blob is paint: the darkest shadow that is still told from a rim."""
 _GROWN_MUCH: Final = 1.15
 """Only what motion smears or shade hides would grow by more, by what is taken back; else the mask is left as it is."""
+
+# Neighbourhoods: the next pixel, up to 2.5 pixels away, and by 2 steps away.
+_SQUARE: Final = np.ones((3, 3), np.uint8)
+_CROSS: Final = np.asarray(cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), dtype=np.uint8)
+_WITHIN_2_5: Final = np.asarray(cv2.dilate(np.pad(_CROSS, 1), _SQUARE), dtype=np.uint8)
+_TWO_STEPS: Final = np.asarray(cv2.dilate(np.pad(_CROSS, 1), _CROSS), dtype=np.uint8)
 
 
 class Batch:
@@ -51,7 +52,7 @@ class Batch:
         area: (N,) pixels inside the blobs.
         weights: (N, 2, H·W) float32, 1 in the surroundings, which hold no paint, and in the core. The core is where
             paint is pure; the whole blob where it is too small for rim and core.
-        sums: (N, 2, 6), of `places` by `weights`.
+        sums: (N, 2, 6) float32, of `places` by `weights`.
     """
 
     def __init__(self, grids: Sequence[Grid]) -> None:
@@ -60,12 +61,16 @@ class Batch:
         height = max([size[0] for size in sizes]) + _MARGIN_PX
         width = max([size[1] for size in sizes]) + _MARGIN_PX
         self.shape = count, height, width
-        masks: ImageArray = np.full(self.shape, _UNKNOWN, np.uint8)
+        # 1 inside the blobs, and 1 where a window is.
+        self._inside: ImageArray = np.zeros(self.shape, np.uint8)
+        self._known: ImageArray = np.zeros(self.shape, np.uint8)
         # What no window fills counts nowhere, whatever it is.
         pixels: ImageArray = np.empty((count, height, width, 3), np.uint8)
-        for place, (grid, (rows, columns)) in enumerate(zip(grids, sizes, strict=True)):
-            masks[place, :rows, :columns] = grid.mask
-            pixels[place, :rows, :columns] = grid.image
+        for k, (grid, (rows, columns)) in enumerate(zip(grids, sizes, strict=True)):
+            self._inside[k, :rows, :columns] = grid.mask
+            self._known[k, :rows, :columns] = 1
+            pixels[k, :rows, :columns] = grid.image
+        self._inside &= 1
         size = height * width
         self.colours: CoverageArray = np.empty((count, 4, size), np.float32)
         self.colours[:, 3] = 1.0
@@ -73,15 +78,7 @@ class Batch:
         self._weighted: CoverageArray = np.empty((count, 5, size), np.float32)
         self.places = _places(height, width)
         self._gain, self._most = _gains(tuple([grid.window.round_part for grid in grids]))
-        # Sets of pixels; those of window k begin at bit k · H · W.
-        self._starts = range(0, count * size, size)
-        self._whole = (1 << size) - 1
-        self._coarse = sum(
-            [self._whole << start for grid, start in zip(grids, self._starts, strict=True) if grid.scale > 1]
-        )
-        self._inside = bits_of(masks > _UNKNOWN)
-        # What is not 0 is inside or not known.
-        self._known = self._inside | (((1 << count * size) - 1) ^ bits_of(masks))
+        self._coarse = [k for k, grid in enumerate(grids) if grid.scale > 1]
         self._look_around()
 
     @property
@@ -90,71 +87,56 @@ class Batch:
         _, height, width = self.shape
         return 0.5 * (width - 1), 0.5 * (height - 1)
 
-    def _counts(self, bits: int) -> list[int]:
-        """Return how many pixels of each window are in a set."""
-        return [(bits >> start & self._whole).bit_count() for start in self._starts]
-
     def _look_around(self) -> None:
         """Find core and surroundings of the blobs as they are now."""
-        width = self.shape[2]
-        inside, coarse = self._inside, self._coarse
+        count, height, width = self.shape
+        stacked = self._inside.reshape(-1, width)
         # Up to 2.5 pixels from the blob there may be paint, and 2 pixels from what is not the blob it is pure; on a
         # coarser grid 2 of its pixels, and 1.5.
-        near = grown_by_cross(inside, width)
-        deep = shrunk_by_cross(inside, width)
-        reach, pure = grown_by_square(near, width), shrunk_by_cross(deep, width)
-        if coarse:
-            reach ^= (reach ^ grown_by_cross(near, width)) & coarse
-            pure ^= (pure ^ shrunk_by_square(inside, width)) & coarse
-        reach &= self._known
-        core = pure
-        self.area = self._counts(inside)
-        for start, area, pixels in zip(self._starts, self.area, self._counts(pure), strict=True):
+        self._near: ImageArray = np.asarray(cv2.dilate(stacked, _WITHIN_2_5), dtype=np.uint8).reshape(self.shape)
+        reach = self._near & self._known
+        pure = _eroded(stacked, _TWO_STEPS).reshape(self.shape)
+        for k in self._coarse:
+            reach[k] = cv2.dilate(self._inside[k], _TWO_STEPS) & self._known[k]
+            pure[k] = _eroded(self._inside[k], _SQUARE)
+        core = pure.copy()
+        self.area = [cv2.countNonZero(inside) for inside in self._inside]
+        for k, area in enumerate(self.area):
             # A blob large enough has a core that is.
-            if area < _LARGE_PX and pixels <= _MIN_CORE_SHARE * area:
-                own = self._whole << start
-                narrow = deep & own
-                if narrow.bit_count() <= _MIN_CORE_SHARE * area:
-                    narrow = 0
-                pure ^= (pure & own) ^ narrow
-                core ^= (core & own) ^ (narrow or inside & own)
-        planes = self._planes(self._known ^ reach, core, reach ^ pure, pure)
+            if area < _LARGE_PX and cv2.countNonZero(pure[k]) <= _MIN_CORE_SHARE * area:
+                narrow = _eroded(self._inside[k], _CROSS)
+                if cv2.countNonZero(narrow) > _MIN_CORE_SHARE * area:
+                    core[k] = pure[k] = narrow
+                else:
+                    core[k], pure[k] = self._inside[k], 0
+        sets = np.array([self._known ^ reach, core, reach ^ pure, pure])
+        planes: CoverageArray = sets.reshape(4, count, height * width).astype(np.float32)
         self.weights: CoverageArray = self._weighted[:, :2]
         self.weights[:] = planes[:2].transpose(1, 0, 2)
         self._rim, self._pure = planes[2:]
-        self.sums: list[list[list[float]]] = (self.weights @ self.places.T).tolist()
-
-    def _planes(self, *sets: int) -> CoverageArray:
-        """Return for each set of pixels (N, H·W) float32, 1 in it, else 0."""
-        count, height, width = self.shape
-        size = count * height * width
-        bits = sum([each << place * size for place, each in enumerate(sets)])
-        planes: CoverageArray = pixels_of(bits, len(sets) * size).astype(np.float32)
-        return planes.reshape((len(sets), count, height * width))
+        self.sums: CoverageArray = self.weights @ self.places.T
 
     @property
     def insides(self) -> CoverageArray:
         """(N, H·W) float32, 1 inside the blobs."""
-        planes = self._planes(self._inside)
-        insides: CoverageArray = planes[0]
-        return insides
+        return self._inside.reshape(self.shape[0], -1).astype(np.float32)
 
-    def color_sums(self) -> list[list[list[float]]]:
-        """Return the sums that `rhot_capture.detection.subpixel.unmixing.projection` asks for.
+    def color_sums(self) -> CoverageArray:
+        """Return the sums that `rhot_capture.detection.subpixel.unmixing.projections` asks for.
 
         Returns:
-            (N, 5, 4) of blue, green, red, 1: over the surroundings, over the core, and times blue, green, red over
-            the surroundings.
+            (N, 5, 4) float32, of blue, green, red, 1: over the surroundings, over the core, and times blue, green, red
+            over the surroundings.
         """
         np.multiply(self.colours[:, :3], self._weighted[:, :1], out=self._weighted[:, 2:])
-        sums: list[list[list[float]]] = (self._weighted @ self.colours.transpose(0, 2, 1)).tolist()
+        sums: CoverageArray = self._weighted @ self.colours.transpose(0, 2, 1)
         return sums
 
-    def projected(self, lines: Sequence[Line]) -> CoverageArray:
+    def projected(self, lines: ArrayLike) -> CoverageArray:
         """Return t of every pixel, (N, H·W).
 
         Args:
-            lines: N times t of blue, green, red, 1.
+            lines: (N, 4), t of blue, green, red, 1.
         """
         t: CoverageArray = (np.array(lines, np.float32)[:, None] @ self.colours)[:, 0]
         return t
@@ -167,39 +149,47 @@ class Batch:
         """
         if max(self.area) < _LARGE_PX:
             return False
-        width = self.shape[2]
+        taken = (t > _TAKEN_BACK).view(np.uint8).reshape(self.shape) & self._known | self._inside
+        if not self._grown_much(taken):
+            return False
         # Three pixels around; more than the rim, as it is no rim.
-        near = grown_by_cross(grown_by_square(grown_by_cross(self._inside, width), width), width)
-        taken = bits_of(t > _TAKEN_BACK) & near & self._known | self._inside
-        has_grown = False
-        for start, area, pixels in zip(self._starts, self.area, self._counts(taken), strict=True):
-            if area >= _LARGE_PX and pixels >= _GROWN_MUCH * area:
-                self._inside |= taken & self._whole << start
-                has_grown = True
-        if has_grown:
+        near = cv2.dilate(self._near.reshape(-1, self.shape[2]), _CROSS).reshape(self.shape)
+        taken = taken & near | self._inside
+        grown = self._grown_much(taken)
+        if grown:
+            self._inside[grown] = taken[grown]
             self._look_around()
-        return has_grown
+        return bool(grown)
 
-    def products(self, t: CoverageArray) -> tuple[list[list[list[float]]], list[float]]:
+    def _grown_much(self, taken: ImageArray) -> list[int]:
+        """Return the large blobs that (N, H, W) masks would let grow by much."""
+        return [
+            k
+            for k, area in enumerate(self.area)
+            if area >= _LARGE_PX and cv2.countNonZero(taken[k]) >= _GROWN_MUCH * area
+        ]
+
+    def products(self, t: CoverageArray) -> tuple[CoverageArray, CoverageArray]:
         """Return the sums that `rhot_capture.detection.subpixel.unmixing.fitted_levels` asks for.
 
         Args:
             t: (N, H·W).
 
         Returns:
-            (N, 2, 3) sums of the products of t with 1, x, y over surroundings and core; (N,) of t² over the core.
+            (N, 2, 3) float32 sums of the products of t with 1, x, y over surroundings and core; (N,) of t² over the
+            core.
         """
-        weighted = self.weights * t[:, None]
-        return (weighted @ self.places[:3].T).tolist(), np.vecdot(weighted[:, 1], t).tolist()
+        weighted: CoverageArray = self.weights * t[:, None]
+        products: CoverageArray = weighted @ self.places[:3].T
+        return products, np.vecdot(weighted[:, 1], t)
 
-    def shares(self, t: CoverageArray, levels: Sequence[Levels]) -> CoverageArray:
+    def shares(self, t: CoverageArray, planes: ArrayLike) -> CoverageArray:
         """Return the painted share of every pixel as it comes out, (N, H·W).
 
         Args:
             t: (N, H·W).
-            levels: N planes outside and inside.
+            planes: (2·N, 3), coefficients of 1, x, y: first N levels outside, then N inside.
         """
-        planes = [each.outside for each in levels] + [each.inside for each in levels]
         found = np.array(planes, np.float32) @ self.places[:3]
         outside, step = found[: len(t)], found[len(t) :]
         step -= outside
@@ -224,6 +214,11 @@ class Batch:
         np.minimum(counted, self._most, out=counted)
         sums = cast(list[Sums], (counted @ self.places[:3].T).tolist())
         return list(zip((share @ self.places[0]).tolist(), sums, strict=True))
+
+
+def _eroded(mask: ImageArray, kernel: ImageArray) -> ImageArray:
+    """Return a mask without the pixels that have one outside of it, or of the picture, in their neighbourhood."""
+    return np.asarray(cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
 
 
 @lru_cache(maxsize=256)

@@ -23,10 +23,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from rhot_capture.detection.subpixel import unmixing
 from rhot_capture.detection.subpixel.batch import Batch
-from rhot_capture.detection.subpixel.local_levels import local_share
-from rhot_capture.detection.subpixel.shares import Shares
-from rhot_capture.detection.subpixel.unmixing import fitted_levels, projection
+from rhot_capture.detection.subpixel.shares import Shares, local_share
 from rhot_capture.detection.subpixel.windows import Centre, Grid, Window, grid_of
 
 _ALIKE: Final = 2.0
@@ -61,49 +60,45 @@ def find_centres(windows: Sequence[Window]) -> list[Centre]:
 def _measure(grids: Sequence[Grid]) -> list[Centre]:
     """Return the centres of the blobs on grids of about one size."""
     batch = Batch(grids)
-    found = [projection(*sums) for sums in batch.color_sums()]
-    t = batch.projected([line for line, _ in found])
+    lines, usable = unmixing.projections(batch.color_sums())
+    t = batch.projected(lines)
     for _ in range(_ROUNDS):
         if not batch.take_back(t):
             break
-    products, deviations = batch.products(t)
-    levels = [
-        fitted_levels(line, place, product, deviation)
-        for (line, _), place, product, deviation in zip(found, batch.sums, products, deviations, strict=True)
-    ]
-    share = batch.shares(t, levels)
+    planes, misfits = unmixing.fitted_levels(lines, batch.sums, *batch.products(t))
+    share = batch.shares(t, planes)
     finer: list[int] = []
-    for place, ((_, usable), level) in enumerate(zip(found, levels, strict=True)):
-        if not usable:
-            share[place] = batch.insides[place]
-        elif level.misfit and grids[place].window.mask.size >= _LOCAL_FROM_PX:
-            if grids[place].scale > 1:
-                finer.append(place)
+    for k, (is_usable, misfit) in enumerate(zip(usable, misfits, strict=True)):
+        if not is_usable:
+            share[k] = batch.insides[k]
+        elif misfit and grids[k].window.mask.size >= _LOCAL_FROM_PX:
+            if grids[k].scale > 1:
+                finer.append(k)
             else:
-                share[place] = local_share(t[place], batch.weights[place], batch.shape[1:])
+                share[k] = local_share(t[k], batch.weights[k], batch.shape[1:])
     batch.tidy(share)
     totals = batch.totals(share)
     x, y = batch.middle
     doubtful = [
-        place
-        for place, (painted, (m00, m10, m01)) in enumerate(totals)
-        if painted < _MIN_SHARE_OF_MASK * batch.area[place] or abs(m10) > x * m00 or abs(m01) > y * m00
+        k
+        for k, (painted, (m00, m10, m01)) in enumerate(totals)
+        if painted < _MIN_SHARE_OF_MASK * batch.area[k] or abs(m10) > x * m00 or abs(m01) > y * m00
     ]
     if doubtful:
         share[doubtful] = batch.insides[doubtful]
         totals = batch.totals(share)
     centres = []
-    for place, (grid, (painted, (m00, m10, m01))) in enumerate(zip(grids, totals, strict=True)):
+    for k, (grid, (painted, (m00, m10, m01))) in enumerate(zip(grids, totals, strict=True)):
         window, scale, left, top = grid[:4]
         shares: Shares | None = None
         if window.shared:
             height, width = grid.mask.shape
-            own = share[place].reshape(batch.shape[1:])[:height, :width]
+            own = share[k].reshape(batch.shape[1:])[:height, :width]
             shares = Shares(own, scale, left, top)
         u = left + scale * (m10 / m00 + x + 0.5) - 0.5
         v = top + scale * (m01 / m00 + y + 0.5) - 0.5
         centres.append(Centre(u, v, painted * scale**2, shares))
-    for place in finer:
+    for k in finer:
         # Local means reach over a few pixels: on a coarser grid too far.
-        (centres[place],) = _measure([grid_of(grids[place].window, coarse=False)])
+        (centres[k],) = _measure([grid_of(grids[k].window, coarse=False)])
     return centres

@@ -1,4 +1,4 @@
-"""The painted share of a window's pixels, asked for at places between them."""
+"""The painted share of a window's pixels: between local levels, and at positions between pixels."""
 
 from __future__ import annotations
 
@@ -16,6 +16,12 @@ OVERSHOOT: Final = np.float32(0.25)
 """Noise may push a share this far below 0 or above 1; clipping tighter would favour one side of the rim."""
 LEAST: Final = -OVERSHOOT
 MOST: Final = np.float32(1.0) + OVERSHOOT
+
+
+_LOCAL_PX: Final = 1.7
+"""σ of the weights of pure paint and surroundings by distance, pixels; how it was chosen is not recorded."""
+_LOCAL_SIZE: Final = (11, 11)
+"""Pixels, ± 3 σ."""
 
 
 class Shares(NamedTuple):
@@ -51,3 +57,25 @@ class Shares(NamedTuple):
         """
         found = cv2.remap(self.share, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
         return np.asarray(found, dtype=np.float32)
+
+
+def local_share(t: CoverageArray, weights: CoverageArray, shape: tuple[int, int]) -> CoverageArray:
+    """Return the painted share of a window's pixels between local means, where no plane describes the levels, (H·W,).
+
+    Args:
+        t: (H·W,), see `rhot_capture.detection.subpixel.centers`.
+        weights: (2, H·W), 1 in the surroundings and in the pure paint.
+        shape: H and W.
+    """
+    levels = []
+    for weight, default in zip(weights, (0.0, 1.0), strict=True):
+        near, total = (
+            cv2.GaussianBlur(values.reshape(shape), _LOCAL_SIZE, _LOCAL_PX, borderType=cv2.BORDER_CONSTANT)
+            for values in (weight, weight * t)
+        )
+        level: CoverageArray = np.full(shape, default, np.float32)
+        np.divide(total, near, out=level, where=near > 1e-6)
+        levels.append(level.reshape(-1))
+    outside, inside = levels
+    share: CoverageArray = (t - outside) / np.maximum(inside - outside, MIN_STEP)
+    return share

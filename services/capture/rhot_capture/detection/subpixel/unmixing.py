@@ -1,56 +1,52 @@
 """What of a pixel's colour is paint: the algebra of `subpixel.centers`, on sums over pixels alone.
 
-In plain numbers: for a handful of markers twenty calls of numpy on arrays of three by three cost twice as much.
+In plain numbers: on a handful of 3x3 systems numpy spends its time on calls. `rhot bench --part capture` measures what
+that saves of a frame; a tenth is what it must save to stay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final, cast
+
+from rhot_capture.detection.subpixel.shares import CoverageArray
 
 Vector = tuple[float, float, float]
 Line = tuple[float, float, float, float]
 
-_NOISE: Final = 5.0
+# How these were chosen is not recorded; tests/capture/test_simulated_accuracy.py limits the error that they leave.
+NOISE: Final = 5.0
 """σ, grey levels: variation of the surroundings that is no reason to avoid a direction."""
-_MIN_CONTRAST: Final = 12.0
-"""Grey levels between paint and surroundings below which their mixture cannot be told."""
-_MIN_SURROUNDINGS: Final = 8
-_RIDGE: Final = 30.0
-"""Holds the slopes of a level against noise where there are few pixels; measured."""
-_TINY: Final = 1e-6
-_MISFIT: Final = 1.6
+MIN_CONTRAST: Final = 12.0
+"""Grey levels between paint and surroundings below which their mixture cannot be told; 2.4 times `NOISE`."""
+MIN_SURROUNDINGS: Final = 8
+"""Pixels, for the nine numbers of a mean and a covariance."""
+RIDGE: Final = 30.0
+"""Square pixels: holds the slopes of a level against noise where there are few pixels."""
+TINY: Final = 1e-6
+"""Pixels: keeps the matrix regular where there are none."""
+MISFIT: Final = 1.6
 """Deviation of pure paint from its plane, in units of the noise, from which on the levels are local means."""
 
 
-class Levels(NamedTuple):
-    """Planes of t over a window: coefficients of 1, x, y.
+def projections(sums: CoverageArray) -> tuple[list[Line], list[bool]]:
+    """Return t as a function of blue, green, red, 1, and whether paint and surroundings can be told apart.
 
-    Attributes:
-        outside: of the surroundings.
-        inside: of the pure paint.
-        misfit: whether a plane describes the pure paint badly.
+    Args:
+        sums: (N, 5, 4) of blue, green, red, 1: over the surroundings, over the pure paint, and over the surroundings
+            times blue, green or red.
     """
-
-    outside: Vector
-    inside: Vector
-    misfit: bool
+    found = [_projection(*each) for each in cast(list[list[list[float]]], sums.tolist())]
+    return [line for line, _ in found], [usable for _, usable in found]
 
 
-def projection(
+def _projection(
     outside: Sequence[float],
     inside: Sequence[float],
     blue: Sequence[float],
     green: Sequence[float],
     red: Sequence[float],
 ) -> tuple[Line, bool]:
-    """Return t as a function of blue, green, red, 1, and whether paint and surroundings can be told apart.
-
-    Args:
-        outside: sums of blue, green, red, 1 over the surroundings.
-        inside: the same over the pure paint.
-        blue, green, red: the same over the surroundings, times blue, green or red.
-    """
     b, g, r, total = outside
     share = 1.0 / max(total, 1.0)
     b, g, r = b * share, g * share, r * share
@@ -59,38 +55,48 @@ def projection(
     bb, bg, br, _ = blue
     gg, gr, rr = green[1], green[2], red[2]
     u, v, w = _solved(
-        (bb * share - b * b + _NOISE**2, bg * share - b * g, br * share - b * r),
-        (gg * share - g * g + _NOISE**2, gr * share - g * r, rr * share - r * r + _NOISE**2),
+        (bb * share - b * b + NOISE**2, bg * share - b * g, br * share - b * r),
+        (gg * share - g * g + NOISE**2, gr * share - g * r, rr * share - r * r + NOISE**2),
         (x, y, z),
     )
     scale = 1.0 / max(u * x + v * y + w * z, 1e-9)
     u, v, w = u * scale, v * scale, w * scale
-    usable = total >= _MIN_SURROUNDINGS and x * x + y * y + z * z >= _MIN_CONTRAST**2
+    usable = total >= MIN_SURROUNDINGS and x * x + y * y + z * z >= MIN_CONTRAST**2
     return (u, v, w, -(u * b + v * g + w * r)), usable
 
 
 def fitted_levels(
-    line: Line, places: Sequence[Sequence[float]], products: Sequence[Sequence[float]], squares: float
-) -> Levels:
-    """Return the planes that fit t best.
+    lines: Sequence[Line], places: CoverageArray, products: CoverageArray, squares: CoverageArray
+) -> tuple[list[Vector], list[bool]]:
+    """Return the planes that fit t best, and whether they describe the pure paint badly.
 
     Args:
-        line: t of blue, green, red, 1.
-        places: sums of 1, x, y, x², xy, y² over the surroundings and over the pure paint.
-        products: sums of the products of t with 1, x, y over both.
-        squares: sum of t² over the pure paint.
+        lines: N times t of blue, green, red, 1.
+        places: (N, 2, 6) sums of 1, x, y, x², xy, y² over the surroundings and over the pure paint.
+        products: (N, 2, 3) sums of the products of t with 1, x, y over both.
+        squares: (N,) sum of t² over the pure paint.
+
+    Returns:
+        2·N coefficients of 1, x, y: the planes of the surroundings, then those of the pure paint; N misfits.
     """
-    n, x, y, xx, xy, yy = places[0]
-    outside = _solved((n + _TINY, x, y), (xx + _RIDGE, xy, yy + _RIDGE), products[0])
-    n, x, y, xx, xy, yy = places[1]
-    inside = _solved((n + _TINY, x, y), (xx + _RIDGE, xy, yy + _RIDGE), products[1])
-    # What a least-squares fit leaves over of the pure paint's t, against what noise alone would.
-    level, slope_x, slope_y = inside
-    t, tx, ty = products[1]
-    left_over = squares - level * t - slope_x * tx - slope_y * ty
-    u, v, w, _ = line
-    noise = (_MISFIT * _NOISE) ** 2 * (u * u + v * v + w * w) * n
-    return Levels(outside, inside, left_over > noise)
+    outside, inside, misfits = [], [], []
+    for line, (around, core), (t_around, t_core), square in zip(
+        lines, places.tolist(), products.tolist(), squares.tolist(), strict=True
+    ):
+        outside.append(_plane(around, t_around))
+        inside.append(_plane(core, t_core))
+        # What a least-squares fit leaves over of the pure paint's t, against what noise alone would.
+        level, slope_x, slope_y = inside[-1]
+        t, tx, ty = t_core
+        u, v, w, _ = line
+        noise = (MISFIT * NOISE) ** 2 * (u * u + v * v + w * w) * core[0]
+        misfits.append(square - level * t - slope_x * tx - slope_y * ty > noise)
+    return outside + inside, misfits
+
+
+def _plane(sums: Sequence[float], products: Sequence[float]) -> Vector:
+    n, x, y, xx, xy, yy = sums
+    return _solved((n + TINY, x, y), (xx + RIDGE, xy, yy + RIDGE), products)
 
 
 def _solved(first: Vector, rest: Vector, right: Sequence[float]) -> Vector:

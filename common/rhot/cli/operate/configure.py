@@ -1,0 +1,76 @@
+"""`rhot config`: show or change what a running service is configured to do."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rhot.bus import Bus
+from rhot.cli.operate.inspect import plain_value
+from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.errors import BusError, ConfigError
+from rhot.rig import BusConfig
+from rhot.service.configuration import parse_change
+
+
+async def _config(bus_config: BusConfig, service: str, change: dict[str, Any]) -> Any:
+    key = f"rhot/config/{service}"
+    async with await Bus.open(bus_config, timeout_s=2.0) as bus:
+        if change:
+            # Asked with the change as payload, the service answers with its new configuration or with its refusal.
+            replies = await bus.get(f"{key}?format=json", json.dumps(change).encode())
+        else:
+            replies = await bus.get(f"{key}?format=json")
+    if not replies:
+        raise BusError(f"{service}: no such service is running; `rhot status` shows who is there")
+    if replies[0].error:
+        raise ConfigError(f"{service}: {replies[0].error}")
+    return plain_value(replies[0].payload, replies[0].encoding)
+
+
+def parse_assignments(words: tuple[str, ...]) -> dict[str, Any]:
+    """Return the change that words like `thumb.threshold=0.4` ask for; values are JSON, or else plain text.
+
+    Raises:
+        ConfigError: a word has no `=`.
+    """
+    change: dict[str, Any] = {}
+    for word in words:
+        path, equals, text = word.partition("=")
+        if not equals or not path:
+            raise ConfigError(f"'{word}' is not FIELD=VALUE")
+        try:
+            value: Any = json.loads(text)
+        except ValueError:
+            value = text
+        place = change
+        *parents, last = path.split(".")
+        for parent in parents:
+            place = place.setdefault(parent, {})
+        place[last] = value
+    return parse_change(json.dumps(change).encode())
+
+
+@click.command()
+@click.argument("service", metavar="SERVICE/INSTANCE")
+@click.argument("changes", nargs=-1, metavar="[FIELD=VALUE]...")
+@rig_option
+@bus_options
+def config(
+    service: str, changes: tuple[str, ...], rig_path: Path, connect: tuple[str, ...], namespace: str | None
+) -> None:
+    """Show the configuration of a running service, or change fields of it.
+
+    \b
+    rhot config fusion/main
+    rhot config fusion/main method=disparity
+    rhot config capture/left exposure_s=0.003 gain=6
+
+    The change lasts until the service restarts; rig.toml is not written.
+    """
+    value = asyncio.run(_config(tool_bus(rig_path, connect, namespace), service, parse_assignments(changes)))
+    click.echo(json.dumps(value, indent=1))

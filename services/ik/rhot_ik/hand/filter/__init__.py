@@ -1,0 +1,1 @@
+"""The filter of the whole hand: state, prediction, measurement, update and start."""

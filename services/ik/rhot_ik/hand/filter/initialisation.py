@@ -1,0 +1,104 @@
+"""Where a hand is when nothing is known of it but one sample."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.geometry.rotations import rotation_x, rotation_z
+from rhot_ik.hand.filter.evidence import Evidence, EvidenceModel, HandObservation
+from rhot_ik.hand.filter.filter import HandFilter
+from rhot_ik.hand.filter.process import HandState
+
+FloatArray = NDArray[np.float64]
+
+_ROLLS_DEG: Final = (0.0, 60.0, -60.0, 120.0, -120.0, 180.0)
+_PITCHES_DEG: Final = (5.0, 40.0)
+"""The tips usually hang below the plane of the palm, so the palm is pitched up from their direction."""
+_MOST_AWAY: Final = 0.3
+"""Guesses whose back points further away from the cameras than this (cosine) are not tried: the steps turn little."""
+_REFINED: Final = 3
+_TURNED_AWAY_COST: Final = 1e4
+"""A flat patch that is seen faces the cameras: cost of the square of how far its normal points away."""
+
+
+class HandInitialiser:
+    """Finds the state that explains one sample best: many guesses, each refined.
+
+    Args:
+        hand_filter: of the hand.
+        evidence: how points are trusted.
+        base_offset: (3,) metres: the base marker's centre in the wrist frame.
+        viewpoint: (3,) metres, rig frame: where the cameras are, all in all.
+    """
+
+    def __init__(
+        self, hand_filter: HandFilter, evidence: EvidenceModel, base_offset: FloatArray, viewpoint: FloatArray
+    ) -> None:
+        self._filter = hand_filter
+        self._evidence = evidence
+        self._base_offset = base_offset
+        self._viewpoint = viewpoint
+
+    def find(self, seen: HandObservation) -> tuple[HandState, Evidence] | None:
+        """Return the best state and the evidence it was judged by; None without the base or without any tip."""
+        visible = np.isfinite(seen.tips).all(axis=1)
+        if seen.base is None or not visible.any():
+            return None
+        direction = seen.tips[visible].mean(axis=0) - seen.base
+        if direction @ direction < 1e-6:
+            return None
+        points = self._evidence.assess(seen, None)
+        tried = []
+        for R in self._facing(guesses(direction), seen.base):
+            state = self._filter.update(self._filter.start(R, seen.base - R @ self._base_offset), points)
+            tried.append((self.cost(state, points), state))
+        refined = []
+        for _, state in sorted(tried, key=lambda item: item[0])[:_REFINED]:
+            # The corners of a patch fit two ways round; the tips have told by now which one it is.
+            evidence = self._evidence.assess(seen, state.R)
+            final = self._filter.update(self._filter.start(state.R, state.p, state.angles), evidence, steps=5)
+            refined.append((self.cost(final, evidence), final, evidence))
+        _, best, evidence = min(refined, key=lambda item: item[0])
+        return best, evidence
+
+    def _facing(self, rotations: list[FloatArray], at: FloatArray) -> list[FloatArray]:
+        """Return the rotations that show the cameras a flat patch; all when there is none, or none does."""
+        if self._evidence.outline is None:
+            return rotations
+        sight = self._sight(at)
+        facing = [R for R in rotations if R[:, 1] @ sight < _MOST_AWAY]
+        return facing or rotations
+
+    def _sight(self, at: FloatArray) -> FloatArray:
+        """Return the unit direction (3,) in which the cameras look at a point (3,)."""
+        ray = at - self._viewpoint
+        direction: FloatArray = ray / max(float(np.sqrt(ray @ ray)), 1e-9)
+        return direction
+
+    def cost(self, state: HandState, evidence: Evidence) -> float:
+        """Return how ill a state explains a sample, the side of the hand that the cameras see included."""
+        away = float(state.R[:, 1] @ self._sight(state.p))
+        cost = self._filter.cost(state, evidence)
+        if self._evidence.outline is not None:
+            return cost + _TURNED_AWAY_COST * max(0.0, away + 0.1) ** 2
+        # Nothing tells the sides apart but the hand itself; the back is a little likelier.
+        return cost + away
+
+
+def guesses(direction: FloatArray) -> list[FloatArray]:
+    """Return rotations (3, 3), wrist to rig, of hands whose tips lie in a direction (3,) from the wrist."""
+    back = -direction / np.sqrt(direction @ direction)
+    up = np.array([0.0, 0.0, -1.0])
+    if abs(up @ back) > 0.95:
+        up = np.array([0.0, -1.0, 0.0])
+    side = np.cross(up, back)
+    side /= np.sqrt(side @ side)
+    towards_tips = np.column_stack([side, np.cross(back, side), back])
+    return [
+        towards_tips @ rotation_z(np.radians(roll)) @ rotation_x(np.radians(pitch))
+        for roll in _ROLLS_DEG
+        for pitch in _PITCHES_DEG
+    ]

@@ -1,0 +1,155 @@
+"""How a hand moves: the state of the estimate of a whole hand, and what time does to it.
+
+State: the wrist's pose T_rig_wrist = (R, p), how fast it turns and moves, the angles q of `rhot.anatomy.hand`, and what
+is particular of this person: where patch and paint really sit. Errors are R·exp(δθ), p + δp, ω + δω, v + δv, q + δq,
+c + δc, in this order (`ROTATION` … `PERSON`); P is their covariance.
+
+The wrist turns and moves on, disturbed by random accelerations, its speed fading; the angles are the Ornstein–Uhlenbeck
+process of `rhot_ik.hand.filter.prior`: what moves one finger moves its neighbours too, and left alone the hand relaxes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.anatomy.hand import HandModel
+from rhot.geometry.rotations import orthonormal, rotation_from_vector
+from rhot_ik.hand.filter.prior import COUNT, angle_covariance, rest_angles
+from rhot_ik.hand.filter.settings import HandSettings
+
+FloatArray = NDArray[np.float64]
+
+ROTATION: Final = slice(0, 3)
+POSITION: Final = slice(3, 6)
+ANGULAR_VELOCITY: Final = slice(6, 9)
+VELOCITY: Final = slice(9, 12)
+ANGLES: Final = slice(12, 12 + COUNT)
+BASE_SHIFT: Final = slice(32, 35)
+"""Of the base marker from where the model has it, metres, wrist frame."""
+PATCH_TILT: Final = slice(35, 38)
+"""Rotation vector of the patch against the wrist, radians, wrist frame."""
+TIP_SHIFT: Final = slice(38, 43)
+"""Of each tip's marker along +Z of its last bone, metres: towards the hand."""
+PERSON: Final = slice(32, 43)
+SIZE: Final = 43
+
+
+@dataclass(frozen=True, slots=True)
+class HandState:
+    """The hand at one moment.
+
+    Attributes:
+        R: (3, 3) wrist to rig.
+        p: (3,) wrist, metres, rig frame.
+        angular_velocity: (3,) rad/s, wrist frame.
+        velocity: (3,) m/s, rig frame.
+        angles: (20,) radians.
+        person: (11,) base shift, patch tilt and tip shifts.
+        P: (43, 43) covariance of the errors.
+        dt_s: how far the last prediction reached.
+        stationary_share: share of the angles' stationary covariance that it added to P.
+        mean_residual_m: mean distance of the seen tips from where this state has them; 0 when none was seen.
+    """
+
+    R: FloatArray
+    p: FloatArray
+    angular_velocity: FloatArray
+    velocity: FloatArray
+    angles: FloatArray
+    person: FloatArray
+    P: FloatArray
+    dt_s: float = 0.0
+    stationary_share: float = 0.0
+    mean_residual_m: float = 0.0
+
+    @property
+    def tip_shift(self) -> FloatArray:
+        """(5,) metres: of each tip's marker along +Z of its last bone."""
+        return self.person[6:]
+
+
+class HandProcess:
+    """Starts and predicts `HandState`s of one hand; stateless after construction.
+
+    Args:
+        model: the hand.
+        settings: numbers of the estimate.
+        known: (6,) of which markers, five tips and base, a calibration has measured where they sit.
+    """
+
+    def __init__(self, model: HandModel, settings: HandSettings, known: NDArray[np.bool_]) -> None:
+        self.settings = settings
+        self._rest = rest_angles(model)
+        self._stationary = angle_covariance(model)
+        shift = np.where(known[5], settings.known_m, settings.base_shift_m)
+        tilt = np.full(3, settings.known_rad if known[5] else settings.patch_tilt_rad)
+        tips = np.where(known[:5], settings.known_m, settings.tip_shift_m)
+        self._person = np.diag(np.concatenate([shift, tilt, tips]) ** 2)
+        self._noise = self._process_noise()
+
+    def start(self, R: FloatArray, p: FloatArray, angles: FloatArray | None = None) -> HandState:
+        """Return a state of which only the given is known: a turn to 30°, a place to 5 cm, angles as at rest."""
+        P = np.zeros((SIZE, SIZE))
+        P[ROTATION, ROTATION] = np.eye(3) * np.radians(30.0) ** 2
+        P[POSITION, POSITION] = np.eye(3) * 0.05**2
+        P[ANGULAR_VELOCITY, ANGULAR_VELOCITY] = np.eye(3) * 2.0**2
+        P[VELOCITY, VELOCITY] = np.eye(3) * 0.5**2
+        P[ANGLES, ANGLES] = self._stationary
+        P[PERSON, PERSON] = self._person
+        q = self._rest if angles is None else angles
+        return HandState(R, p, np.zeros(3), np.zeros(3), q, np.zeros(PERSON.stop - PERSON.start), P)
+
+    def predict(self, state: HandState, dt_s: float) -> HandState:
+        """Return the state `dt_s` later."""
+        if dt_s <= 0.0:
+            return state
+        settings = self.settings
+        fades = math.exp(-dt_s / settings.speed_fades_s)
+        path_s = settings.speed_fades_s * (1.0 - fades)
+        keeps = math.exp(-dt_s / settings.angles_rest_s)
+        learned = math.exp(-dt_s / settings.person_s)
+        spread = 1.0 - keeps * keeps
+        turn = rotation_from_vector(state.angular_velocity * path_s)
+        # F is block diagonal but for the speeds' part in the pose, so a few rows and columns are all there is to do.
+        scale = np.empty(SIZE)
+        scale[:6], scale[6:12], scale[ANGLES], scale[PERSON] = 1.0, fades, keeps, learned
+        moved = state.P.copy()
+        moved[:6] += path_s * state.P[6:12]
+        moved[ROTATION] = turn.T @ state.P[ROTATION] + path_s * state.P[ANGULAR_VELOCITY]
+        moved[6:] *= scale[6:, None]
+        P = moved.copy()
+        P[:, :6] += path_s * moved[:, 6:12]
+        P[:, ROTATION] = moved[:, ROTATION] @ turn + path_s * moved[:, ANGULAR_VELOCITY]
+        P[:, 6:] *= scale[6:]
+        strengths = np.array([dt_s**3 / 3.0, dt_s**2 / 2.0, dt_s, spread, 1.0 - learned * learned])
+        P += (strengths @ self._noise).reshape(SIZE, SIZE)
+        return HandState(
+            orthonormal(state.R @ turn),
+            state.p + path_s * state.velocity,
+            fades * state.angular_velocity,
+            fades * state.velocity,
+            self._rest + keeps * (state.angles - self._rest),
+            learned * state.person,
+            P,
+            dt_s,
+            spread,
+        )
+
+    def _process_noise(self) -> FloatArray:
+        """Return what a prediction by t adds to P, (5, 43·43): factors of t³/3, t²/2, t, of angles and of person."""
+        noise = np.zeros((5, SIZE, SIZE))
+        for value, rate, strength in (
+            (ROTATION, ANGULAR_VELOCITY, self.settings.turn_acceleration),
+            (POSITION, VELOCITY, self.settings.acceleration),
+        ):
+            noise[0][value, value] = noise[1][value, rate] = noise[1][rate, value] = noise[2][rate, rate] = (
+                strength** 2 * np.eye(3)
+            )
+        noise[3][ANGLES, ANGLES] = self._stationary
+        noise[4][PERSON, PERSON] = self._person
+        return noise.reshape(5, -1)

@@ -1,0 +1,170 @@
+"""Fingers in closed form: from marker centres in the wrist frame to joint angles.
+
+A finger whose only measurement is its marker has three free angles once its last hinge follows the middle one
+(DIP = coupling · PIP). The finger bends in a plane that holds its abduction axis y: that plane through the marker
+gives abduction; in it, the distance from knuckle to marker falls steadily as the finger curls, which fixes PIP by a
+one-dimensional root (tabulated once per hand); what is left to the marker's direction is flexion. Where flexion would
+leave its range it stays at the limit and the curl that comes nearest to the marker is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.anatomy.hand import HandModel
+from rhot_ik.hand.fingers.geometry import FingerGeometry
+
+FloatArray = NDArray[np.float64]
+
+_TABLE: Final = 512
+_CURVE: Final = 128
+_LATERAL_DAMPING_M: Final = 0.003
+"""Abduction fades when the marker comes this near to the abduction axis, where it is not determined any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class FingerPose:
+    """Angles that bring the markers as near to their targets as the limits allow.
+
+    Attributes:
+        angles: (..., 5, 4) radians, inside the limits.
+        miss: (..., 5, 3) metres: modelled minus wanted marker, in the plane of the finger: across, up, along.
+        free_flexion: (..., 5) radians: flexion of the knuckle as if it had no limits.
+        lateral: (..., 5) metres: how far the target lies from the plane of the finger without abduction.
+        depth: (..., 5) metres: distance of the target from the abduction axis.
+    """
+
+    angles: FloatArray
+    miss: FloatArray
+    free_flexion: FloatArray
+    lateral: FloatArray
+    depth: FloatArray
+
+
+class AnalyticFingers:
+    """The closed-form solver of one hand; stateless after construction."""
+
+    def __init__(self, geometry: FingerGeometry) -> None:
+        model = geometry.model
+        self._geometry = geometry
+        self._end = geometry.mirrored_ends
+        self._first, self._second = model.bones[:, 0], model.bones[:, 1]
+        self._coupling = model.coupling
+        self._low, self._high = model.angle_min, model.angle_max
+        self._curl = np.linspace(self._low[:, 2], self._high[:, 2], _CURVE, axis=-1)
+        y, z = self._curled(self._curl.T)
+        self._curve = np.stack([y.T, z.T], axis=-1)
+        squared = np.minimum.accumulate((self._curve**2).sum(-1), axis=1)
+        # A straight finger is longest, with zero slope: √(longest² − d²) is nearly linear in the curl, d² is not.
+        self._longest = squared[:, :1]
+        shortening = np.sqrt(np.maximum(self._longest - squared, 0.0))
+        self._step = np.maximum(shortening[:, -1], 1e-9) / (_TABLE - 1)
+        self._inverse = np.stack(
+            [
+                np.interp(np.arange(_TABLE) * step, row, curl)
+                for step, row, curl in zip(self._step, shortening, self._curl, strict=True)
+            ]
+        )
+        self._rows = np.arange(len(self._step))
+
+    @property
+    def model(self) -> HandModel:
+        """The hand."""
+        return self._geometry.model
+
+    def reach(self, curl: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far (5, N), metres, and in which direction (5, N), radians, a marker lies from its knuckle.
+
+        Args:
+            curl: (5, N) radians: angles of the middle hinge, the last one following; knuckle unbent. Directions are
+                positive towards the palm.
+        """
+        y, z = self._curled(curl.T)
+        return np.hypot(y, z).T, np.arctan2(-y, -z).T
+
+    def last_hinge(self, curl: FloatArray) -> FloatArray:
+        """Return the last hinge (5, N) that follows the middle one (5, N), radians."""
+        return self._last_hinge(curl.T).T
+
+    def solve(self, targets: FloatArray) -> FingerPose:
+        """Return the pose for marker centres (..., 5, 3), metres, wrist frame; they must be finite."""
+        local = self._geometry.in_finger_frames(targets)
+        x, y, z = local[..., 0], local[..., 1], local[..., 2]
+        across = x - self._end[:, 0]
+        damping = _LATERAL_DAMPING_M**2
+        low, high = self._low[:, 1], self._high[:, 1]
+        abduction = np.minimum(np.maximum(np.arctan(across * z / (z * z + damping)), low), high)
+        for _ in range(2):
+            cos, sin = np.cos(abduction), np.sin(abduction)
+            off, along = cos * x - sin * z - self._end[:, 0], sin * x + cos * z
+            abduction = np.minimum(np.maximum(abduction + off * along / (along * along + damping), low), high)
+        cos, sin = np.cos(abduction), np.sin(abduction)
+        off, along = cos * x - sin * z - self._end[:, 0], sin * x + cos * z
+
+        curl = self._curl_at(y * y + along * along)
+        curled_y, curled_z = self._curled(curl)
+        flexion = np.arctan2(-y, -along) - np.arctan2(-curled_y, -curled_z)
+        middle = 0.5 * (self._low[:, 0] + self._high[:, 0])
+        flexion = middle + (flexion - middle + np.pi) % (2.0 * np.pi) - np.pi
+        legal = np.minimum(np.maximum(flexion, self._low[:, 0]), self._high[:, 0])
+        at_limit = legal != flexion
+        if at_limit.any():
+            legal, curl = self._at_limits(at_limit, legal, curl, y, along)
+            curled_y, curled_z = self._curled(curl)
+        cos, sin = np.cos(legal), np.sin(legal)
+        angles = np.stack([legal, abduction, curl, self._last_hinge(curl)], axis=-1)
+        miss = np.stack([-off, cos * curled_y + sin * curled_z - y, -sin * curled_y + cos * curled_z - along], axis=-1)
+        return FingerPose(angles, miss, flexion, across, -z)
+
+    def _last_hinge(self, curl: FloatArray) -> FloatArray:
+        return np.minimum(np.maximum(self._coupling * curl, self._low[:, 3]), self._high[:, 3])
+
+    def _curled(self, curl: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return y and z (..., 5), metres, of the marker with unbent knuckle and middle hinge `curl` (..., 5)."""
+        total = curl + self._last_hinge(curl)
+        cos, sin = np.cos(total), np.sin(total)
+        end_y, end_z = self._end[:, 1], self._end[:, 2]
+        y = -self._second * np.sin(curl) + cos * end_y + sin * end_z
+        z = -self._first - self._second * np.cos(curl) - sin * end_y + cos * end_z
+        return y, z
+
+    def _curl_at(self, squared_distance: FloatArray) -> FloatArray:
+        """Return the curl (..., 5) at which the marker has this squared distance from the knuckle."""
+        shortening = np.sqrt(np.maximum(self._longest[:, 0] - squared_distance, 0.0))
+        place = np.minimum(shortening / self._step, _TABLE - 1.001)
+        index = place.astype(np.intp)
+        below = self._inverse[self._rows, index]
+        curl: FloatArray = below + (place - index) * (self._inverse[self._rows, index + 1] - below)
+        return curl
+
+    def _at_limits(
+        self, at_limit: NDArray[np.bool_], flexion: FloatArray, curl: FloatArray, y: FloatArray, along: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return flexion and curl (..., 5) with the fingers that are `at_limit` at the better end of their range."""
+        least: FloatArray = np.full(flexion.shape, np.inf)
+        flexion, curl = flexion.copy(), curl.copy()
+        for limit in (self._low[:, 0], self._high[:, 0]):
+            # The wanted point as the curling curve of a finger with unbent knuckle sees it.
+            cos, sin = np.cos(limit), np.sin(limit)
+            nearest, gap = self._nearest_curl(cos * y - sin * along, sin * y + cos * along)
+            better = at_limit & (gap < least)
+            flexion = np.where(better, limit, flexion)
+            curl = np.where(better, nearest, curl)
+            least = np.where(better, gap, least)
+        return flexion, curl
+
+    def _nearest_curl(self, y: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the curl (..., 5) nearest to a point of the plane of an unbent knuckle, and about the gap squared."""
+        gap = (self._curve[..., 0] - y[..., None]) ** 2 + (self._curve[..., 1] - z[..., None]) ** 2
+        index = np.clip(np.argmin(gap, axis=-1), 1, _CURVE - 2)[..., None]
+        before, at, after = (np.take_along_axis(gap, index + shift, axis=-1)[..., 0] for shift in (-1, 0, 1))
+        # Vertex of the parabola through the three squared distances around the least one.
+        bend = before - 2.0 * at + after
+        shift = np.clip(np.where(bend > 1e-15, 0.5 * (before - after) / np.maximum(bend, 1e-15), 0.0), -1.0, 1.0)
+        step = self._curl[:, 1] - self._curl[:, 0]
+        nearest: FloatArray = self._curl[:, 0] + (index[..., 0] + shift) * step
+        return nearest, at

@@ -1,0 +1,35 @@
+from __future__ import annotations
+
+import numpy as np
+
+from rhot.geometry.rotations import rotation_from_vector, shortest_rotation
+from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
+from rhot_ik.hand.filter.point_covariance import PointCovariances
+
+
+def test_two_points_of_the_wrist_turn_it_the_shortest_way_and_leave_the_turn_about_their_line() -> None:
+    truth = rotation_from_vector(np.array([0.3, -0.2, 0.4]))
+    expected = truth @ rotation_from_vector(np.array([0.5, 0.1, -0.15]))
+    seen = HandObservation(
+        10**18, np.array([0.0, 0.0, 0.8]), True, None, np.full((5, 3), np.nan), np.zeros(5, dtype=np.bool_)
+    )
+    model = EvidenceModel(None, PointCovariances(np.empty((0, 3))))
+    assert model.assess(seen, expected).rotation is None
+    across = HandObservation(seen.t_ns, seen.base, True, None, seen.tips, seen.tips_measured, across=truth[:, 0])
+    evidence = model.assess(across, expected)
+    assert evidence.rotation is not None
+    assert np.allclose(evidence.rotation[:, 0], truth[:, 0])
+    assert evidence.rotation_information[0, 0] < 1e-4 * evidence.rotation_information[1, 1]
+    assert model.assess(across, None).rotation is None
+
+
+def test_the_turn_between_two_directions_takes_one_to_the_other_however_near() -> None:
+    rng = np.random.default_rng(2)
+    for size in (1.0, 1e-3, 1e-9, 0.0):
+        start = rng.normal(size=3)
+        start /= np.linalg.norm(start)
+        end = start + size * rng.normal(size=3)
+        end /= np.linalg.norm(end)
+        R = shortest_rotation(start, end)
+        assert np.allclose(R @ start, end, atol=1e-9)
+        assert np.allclose(R.T @ R, np.eye(3), atol=1e-9)

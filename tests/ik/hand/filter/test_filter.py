@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.anatomy.hand import HandModel
+from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
+from rhot.messages import Side
+from rhot.rig import HandFile
+from rhot_ik.hand.filter.evidence import Evidence
+from rhot_ik.hand.filter.filter import HandFilter
+from rhot_ik.hand.filter.prior import angle_covariance, rest_angles
+from rhot_ik.hand.filter.process import ANGLES, HandState
+from rhot_ik.hand.fingers.geometry import FingerGeometry
+
+FloatArray = NDArray[np.float64]
+
+BASE_OFFSET = np.array([0.0, 0.014, -0.025])
+R_TRUE = rotation_from_vector(np.array([0.4, -0.3, 0.2]))
+P_TRUE = np.array([0.02, 0.05, 0.8])
+
+
+def filter_of(side: Side = "right") -> HandFilter:
+    return HandFilter(FingerGeometry.of(HandModel.from_file(HandFile(), side), {}), BASE_OFFSET)
+
+
+def coupled(model: HandModel, mcp_deg: float, pip_deg: float) -> FloatArray:
+    angles = np.zeros((5, 4))
+    angles[:, 0], angles[:, 2] = np.radians(mcp_deg), np.radians(pip_deg)
+    angles[:, 3] = model.coupling * angles[:, 2]
+    return model.clamp(angles).reshape(-1)
+
+
+def evidence_of(hand: HandFilter, angles: FloatArray, *, hidden: tuple[int, ...] = (), turned: bool = True) -> Evidence:
+    tips = hand.tips(angles)[0] @ R_TRUE.T + P_TRUE
+    tips[list(hidden)] = np.nan
+    return Evidence(
+        base=P_TRUE + R_TRUE @ BASE_OFFSET,
+        base_covariance=np.eye(3) * 0.0005**2,
+        rotation=R_TRUE if turned else None,
+        rotation_information=np.eye(3) / np.radians(1.0) ** 2,
+        tips=tips,
+        tip_covariances=np.tile(np.eye(3) * 0.001**2, (5, 1, 1)),
+    )
+
+
+def degrees_off(state: HandState) -> float:
+    return float(np.degrees(np.linalg.norm(vector_from_rotation(state.R.T @ R_TRUE))))
+
+
+def test_one_sample_of_all_points_gives_pose_and_angles() -> None:
+    hand = filter_of()
+    model = HandModel.from_file(HandFile(), "right")
+    truth = coupled(model, 30.0, 50.0)
+    start = hand.start(R_TRUE @ rotation_from_vector(np.array([0.2, 0.1, -0.2])), P_TRUE + 0.01)
+    state = hand.update(start, evidence_of(hand, truth), steps=6)
+    assert degrees_off(state) < 1.0
+    assert np.linalg.norm(state.p - P_TRUE) < 0.001
+    missed = np.linalg.norm(hand.tips(state.angles)[0] @ state.R.T + state.p - evidence_of(hand, truth).tips, axis=1)
+    assert missed.max() < 0.0005
+    assert np.degrees(np.abs(state.angles - truth).reshape(5, 4)[1:, 2]).max() < 4.0
+
+
+def test_angles_never_leave_their_limits_and_the_tips_still_fit() -> None:
+    hand = filter_of()
+    model = HandModel.from_file(HandFile(), "right")
+    flat = model.clamp(np.zeros((5, 4))).reshape(-1)
+    state = hand.start(R_TRUE, P_TRUE)
+    for _ in range(30):
+        state = hand.update(hand.predict(state, 1 / 60), evidence_of(hand, flat))
+        angles = state.angles.reshape(5, 4)
+        assert (angles >= model.angle_min).all()
+        assert (angles <= model.angle_max).all()
+    missed = np.linalg.norm(hand.tips(state.angles)[0] @ state.R.T + state.p - evidence_of(hand, flat).tips, axis=1)
+    assert missed[1:].max() < 0.002
+
+
+def test_a_hidden_finger_goes_with_its_neighbours() -> None:
+    hand = filter_of()
+    model = HandModel.from_file(HandFile(), "right")
+    state = hand.start(R_TRUE, P_TRUE)
+    for share in np.linspace(0.0, 1.0, 60):
+        angles = coupled(model, 10.0 + 50.0 * share, 10.0 + 70.0 * share)
+        hidden = (3,) if share > 0.2 else ()
+        state = hand.update(hand.predict(state, 1 / 60), evidence_of(hand, angles, hidden=hidden))
+    ring = np.degrees(state.angles.reshape(5, 4)[3])
+    assert ring[0] > 35.0
+    assert ring[2] > 50.0
+
+
+def test_left_alone_the_angles_go_back_to_rest_and_doubt_grows_to_what_is_known_beforehand() -> None:
+    hand = filter_of()
+    model = HandModel.from_file(HandFile(), "right")
+    state = hand.update(hand.start(R_TRUE, P_TRUE), evidence_of(hand, coupled(model, 50.0, 80.0)), steps=4)
+    before = np.trace(state.P[ANGLES, ANGLES])
+    for _ in range(100):
+        state = hand.predict(state, 0.1)
+    assert np.allclose(state.angles, rest_angles(model), atol=np.radians(0.5))
+    assert np.allclose(state.P[ANGLES, ANGLES], angle_covariance(model), rtol=0.02, atol=1e-4)
+    assert np.trace(state.P[ANGLES, ANGLES]) > 2.0 * before
+
+
+def test_covariance_stays_symmetric_and_positive() -> None:
+    hand = filter_of()
+    model = HandModel.from_file(HandFile(), "right")
+    state = hand.start(R_TRUE, P_TRUE)
+    for k in range(200):
+        angles = coupled(model, 20.0 + 20.0 * np.sin(0.1 * k), 30.0 + 30.0 * np.sin(0.13 * k))
+        state = hand.update(hand.predict(state, 1 / 120), evidence_of(hand, angles, turned=k % 3 == 0))
+    assert np.array_equal(state.P, state.P.T)
+    assert np.linalg.eigvalsh(state.P).min() > -1e-12
+
+
+def test_one_wild_tip_does_not_turn_the_palm() -> None:
+    hand = filter_of()
+    model = HandModel.from_file(HandFile(), "right")
+    angles = coupled(model, 20.0, 30.0)
+    state = hand.start(R_TRUE, P_TRUE)
+    for _ in range(30):
+        state = hand.update(hand.predict(state, 1 / 60), evidence_of(hand, angles))
+    wild = evidence_of(hand, angles)
+    tips = wild.tips.copy()
+    tips[2] += np.array([0.0, 0.0, 0.08])
+    for _ in range(5):
+        state = hand.update(hand.predict(state, 1 / 60), dataclasses.replace(wild, tips=tips))
+    assert degrees_off(state) < 5.0

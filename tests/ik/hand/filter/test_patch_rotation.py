@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
+from rhot_ik.hand.filter.patch_rotation import PatchRotation
+from rhot_ik.hand.filter.point_covariance import PointCovariances
+
+OUTLINE = np.array([[-0.02, 0.0, -0.015], [0.02, 0.0, -0.015], [0.02, 0.0, 0.015], [-0.02, 0.0, 0.015]])
+R_TRUE = rotation_from_vector(np.array([1.2, 0.3, -0.2]))
+AT = np.array([0.05, -0.02, 0.8])
+
+
+@pytest.mark.parametrize("first", range(4))
+@pytest.mark.parametrize("way", [1, -1])
+def test_corners_in_any_order_give_the_rotation(first: int, way: int) -> None:
+    corners = (OUTLINE @ R_TRUE.T + AT)[[(first + way * k) % 4 for k in range(4)]]
+    expected = R_TRUE @ rotation_from_vector(np.array([0.2, -0.3, 0.2]))
+    found = PatchRotation(OUTLINE).fit(corners, expected, np.eye(3) * 1e-6)
+    assert found is not None
+    assert np.allclose(found[0], R_TRUE, atol=1e-9)
+
+
+def test_information_says_how_far_the_rotation_scatters() -> None:
+    covariances = PointCovariances(np.array([[0.0, 0.0, 0.0], [0.075, 0.0, 0.0]]))
+    covariance = 0.002**2 * covariances.shape(AT) + 0.0003**2 * np.eye(3)
+    rng = np.random.default_rng(2)
+    errors = []
+    for _ in range(400):
+        corners = OUTLINE @ R_TRUE.T + AT + rng.multivariate_normal(np.zeros(3), covariance, 4)
+        found = PatchRotation(OUTLINE).fit(corners, R_TRUE, covariance)
+        assert found is not None
+        errors.append(np.linalg.cholesky(found[1]).T @ vector_from_rotation(R_TRUE.T @ found[0]))
+    assert 0.8 < np.array(errors).std() < 1.25
+
+
+def test_something_else_than_the_patch_is_refused() -> None:
+    assert PatchRotation(OUTLINE).fit(2.0 * OUTLINE + AT, np.eye(3), np.eye(3)) is None
+    assert PatchRotation(OUTLINE).fit(np.full((4, 3), np.nan), np.eye(3), np.eye(3)) is None
+
+
+def test_errors_of_a_narrow_pair_are_long_in_depth() -> None:
+    shape = PointCovariances(np.array([[0.0, 0.0, 0.0], [0.075, 0.0, 0.0]])).shape(np.array([0.0375, 0.0, 0.8]))
+    assert np.trace(shape) == pytest.approx(1.0)
+    # Depth is about 2 · distance / baseline = 21 times less certain than the plane across.
+    assert np.sqrt(shape[2, 2] / shape[0, 0]) == pytest.approx(21.0, rel=0.35)
+    assert np.allclose(PointCovariances(np.empty((0, 3))).shape(AT), np.eye(3) / 3.0)

@@ -1,0 +1,130 @@
+"""The command line: help for everybody, one clear error for every mistake, no traceback."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from rhot.cli import main
+from rhot.cli.operate.configure import parse_assignments
+from rhot.cli.operate.inspect import plain_value
+from rhot.cli.options import tool_bus
+from rhot.errors import ConfigError
+
+NOBODY = "unixsock-stream//nonexistent/z.sock"
+
+
+def rhot(*arguments: str, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "rhot", *arguments], capture_output=True, text=True, timeout=timeout_s, check=False
+    )
+
+
+def commands() -> list[str]:
+    return main.list_commands(click.Context(main))
+
+
+@pytest.mark.parametrize("name", commands())
+def test_every_command_has_a_help_for_newcomers(name: str) -> None:
+    command = main.get_command(click.Context(main, info_name="rhot"), name)
+    assert command is not None
+    result = CliRunner().invoke(command, ["--help"])
+    assert result.exit_code == 0
+    assert len(result.output.split()) > 15
+    for parameter in command.params:
+        if isinstance(parameter, click.Option):
+            assert parameter.help, f"{name} {parameter.opts[0]} is not explained"
+
+
+def test_the_overview_imports_no_command() -> None:
+    code = (
+        "import sys; from click.testing import CliRunner; from rhot.cli import main;"
+        "CliRunner().invoke(main, ['--help']); print(sorted(m for m in ('cv2', 'zenoh', 'numpy') if m in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["bogus"], "No such command"),
+        (["fusion", "--rig", "/nonexistent"], "rhot init"),
+        (["capture", "--camera", "middle", "--rig", "RIG"], "it has left, right"),
+        (["objects", "--rig", "RIG"], "names no objects"),
+        (["get", "rhot/**", "--connect", NOBODY], "no Zenoh router answers"),
+        (["get", "rhot/**", "--connect", "nonsense"], "not a usable Zenoh configuration"),
+        (["status", "--connect", NOBODY], "rhot sim"),
+        (["start", "--connect", NOBODY], "no Zenoh router answers"),
+        (["process", "/nonexistent", "--rig", "RIG", "--out", "OUT"], "/nonexistent"),
+        (["process", "RIG", "--rig", "/nonexistent", "--out", "OUT"], "rhot init"),
+        (["init", "RIG"], "is there already"),
+        (["init", "/proc/rig"], "cannot be made"),
+        (["sim", "--rig", "RIG"], "not simulated"),
+        (["router", "--listen", "tcp/203.0.113.1:9"], "cannot open a Zenoh router"),
+        (["truth", "--rig", "/nonexistent"], "rhot init"),
+    ],
+)
+def test_mistakes_end_in_one_error_that_helps(
+    arguments: list[str], says: str, rig_folder: Path, tmp_path: Path
+) -> None:
+    words = [word.replace("RIG", str(rig_folder)).replace("OUT", str(tmp_path / "out.jsonl")) for word in arguments]
+    done = rhot(*words)
+    assert done.returncode in (1, 2)
+    assert says in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out.jsonl").exists()
+
+
+def test_init_makes_a_rig_that_doctor_understands(tmp_path: Path) -> None:
+    assert rhot("init", str(tmp_path / "desk")).returncode == 0
+    done = rhot("doctor", "--rig", str(tmp_path / "desk"), "--connect", NOBODY)
+    assert done.returncode == 1, "without colours nothing can be found, which is BAD"
+    assert "colors.json is missing" in done.stdout
+    assert "calibrate the cameras" in done.stdout
+
+
+def test_a_service_whose_packages_are_missing_says_what_to_install() -> None:
+    code = "import sys; sys.modules['cv2'] = None\nfrom rhot.cli import main\nmain(['capture', '--help'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert "pip install 'rhot[capture]'" in done.stderr
+
+
+def test_a_reader_that_goes_away_is_no_error_worth_a_traceback() -> None:
+    done = subprocess.run(
+        f"{sys.executable} -m rhot --help | true", shell=True, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.stderr == ""
+
+
+def test_assignments_are_json_or_text() -> None:
+    assert parse_assignments(("a=1", "b.c=true", "b.d=slow")) == {"a": 1, "b": {"c": True, "d": "slow"}}
+    with pytest.raises(ConfigError, match="FIELD=VALUE"):
+        parse_assignments(("a",))
+
+
+def test_values_of_any_encoding_can_be_shown() -> None:
+    assert plain_value(b'{"a":1}', "application/json") == {"a": 1}
+    assert plain_value(b"\x81\xa1a\x01", "application/msgpack;X") == {"a": 1}
+    assert plain_value(b"\xff\xd8", "image/jpeg") == {"encoding": "image/jpeg", "bytes": 2}
+    assert "invalid" in plain_value(b"\xc1", "application/msgpack")
+    json.dumps(plain_value(b"\x81\xa1a\xc4\x01x", "application/msgpack"), default=repr)
+
+
+def test_tools_reach_the_router_of_the_rig(rig_folder: Path) -> None:
+    bus = tool_bus(rig_folder, (), None)
+    assert (bus.connect, bus.listen) == (("tcp/127.0.0.1:7447",), ()), "listening is the router's"
+    assert tool_bus(rig_folder, ("tcp/10.0.0.1:7447,tcp/10.0.0.2:7447",), "desk").connect == (
+        "tcp/10.0.0.1:7447",
+        "tcp/10.0.0.2:7447",
+    )
+    text = (rig_folder / "rig.toml").read_text().replace('mode = "client"', 'mode = "router"')
+    (rig_folder / "rig.toml").write_text(text)
+    assert tool_bus(rig_folder, (), None).mode == "client"
