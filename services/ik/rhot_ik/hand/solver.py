@@ -13,7 +13,7 @@ from rhot.anatomy.hand import HandModel, patch_outline
 from rhot.anatomy.skeleton import FINGERS
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.fabrik.finger_chains import FabrikFingers
-from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
+from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.initialisation import HandInitialiser
 from rhot_ik.hand.filter.kinematics import HandKinematics
@@ -91,7 +91,7 @@ class HandSolver:
         known[5] = base in model.marker_offsets_m
         self._evidence = EvidenceModel(outline, settings)
         self._kinematics = HandKinematics(self._geometry)
-        self._filter = HandFilter(self._geometry, base_offset, settings, known)
+        self._filter = HandFilter(self._geometry, base_offset, settings, known, viewpoint)
         eye = np.zeros(3) if viewpoint is None else viewpoint
         self._initialiser = HandInitialiser(self._filter, self._evidence, base_offset, eye)
         self._analytic = AnalyticFingers(self._geometry)
@@ -136,7 +136,8 @@ class HandSolver:
         self._measured_ns = 0
         self._state: HandState | None = None
         self._lost_s = 0.0
-        self._rejoin = Rejoin(self._geometry.model)
+        self._rejoin = Rejoin(self._geometry)
+        self._corner_noise: CornerNoise | None = None
         self._known = np.zeros(5, dtype=np.bool_)
         self._measured = np.zeros(5, dtype=np.bool_)
         self._palm_sources = (False, False)
@@ -164,7 +165,7 @@ class HandSolver:
             state, evidence = found
         else:
             expected = self._filter.predict(self._state, dt_s)
-            evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected))
+            evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), self._corner_noise)
             state = self._filter.update(expected, evidence)
             state = self._reinitialised_if_lost(state, seen, visible, dt_s)
         measured = visible & seen.tips_measured
@@ -172,10 +173,11 @@ class HandSolver:
         back = measured & ~self._measured & self._known
         if self._state is not None and back.any():
             self._rejoin.begin(back, angles, self._shown)
-        self._rejoin.advance(dt_s)
+        self._rejoin.advance(dt_s, angles)
         model = self._geometry.model
         self._shown = np.minimum(np.maximum(self._rejoin.shown(angles), model.angle_min), model.angle_max)
         self._known |= visible
+        self._corner_noise = evidence.corner_noise
         self._palm_sources = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
         self._t_ns, self._state, self._measured = seen.t_ns, state, measured
         R, p = state.R, state.p

@@ -44,6 +44,31 @@ class HandObservation:
 
 
 @dataclass(frozen=True, slots=True)
+class CornerNoise:
+    """How much noisier the corners of a patch are than its middle, learned from how far they leave their plane.
+
+    Four corners of a flat patch have one direction to go that no pose explains: (c0 − c1 + c2 − c3)/2 along the line of
+    sight, whose variance is that of one corner.
+
+    Attributes:
+        factor: a corner's covariance over that of the middle.
+        samples: how many it rests on.
+    """
+
+    factor: float
+    samples: float
+
+    def after(self, corners: FloatArray, covariance: FloatArray, most: float) -> CornerNoise:
+        """Return what is known after corners (4, 3) of a middle with a covariance (3, 3)."""
+        warp = 0.5 * (corners[0] - corners[1] + corners[2] - corners[3])
+        # Along the direction in which points are known worst; the others tell more of the paint's rim than of noise.
+        seen = covariance @ covariance @ np.ones(3)
+        seen /= max(float(np.sqrt(seen @ seen)), 1e-30)
+        factor = float(warp @ seen) ** 2 / max(float(seen @ covariance @ seen), 1e-12)
+        return CornerNoise(self.factor + (factor - self.factor) / self.samples, min(self.samples + 1.0, most))
+
+
+@dataclass(frozen=True, slots=True)
 class Evidence:
     """What one sample says, rig frame, metres.
 
@@ -54,6 +79,7 @@ class Evidence:
         rotation_information: (3, 3) inverse covariance of its error δθ.
         tips: (5, 3) fingertip markers; NaN rows = not seen.
         tip_covariances: (5, 3, 3).
+        corner_noise: what is known by now of the corners' noise.
     """
 
     base: FloatArray
@@ -62,6 +88,7 @@ class Evidence:
     rotation_information: FloatArray
     tips: FloatArray
     tip_covariances: FloatArray
+    corner_noise: CornerNoise
 
 
 class EvidenceModel:
@@ -78,16 +105,20 @@ class EvidenceModel:
         self._point = settings.sigma_m**2 / 3.0 * _UNIT
         self._points = np.tile(self._point, (5, 1, 1))
         self._floor = settings.model_m**2 * _UNIT
-        self._corner_factor, self._corner_floor = settings.corner_factor, settings.corner_m**2 * _UNIT
+        self._corner_noise = CornerNoise(settings.corner_factor, settings.corner_samples[0])
+        self._most_samples, self._corner_floor = settings.corner_samples[1], settings.corner_m**2 * _UNIT
         self._across = np.diag([1e-3, settings.across_rad**-2, settings.across_rad**-2])
 
-    def assess(self, seen: HandObservation, expected: FloatArray | None) -> Evidence:
+    def assess(
+        self, seen: HandObservation, expected: FloatArray | None, corner_noise: CornerNoise | None = None
+    ) -> Evidence:
         """Return the evidence of a sample; corners count when the patch's rotation (3, 3) is about `expected`."""
         base_covariance = self._point if seen.base_covariance is None else seen.base_covariance
         tip_covariances = self._points if seen.tip_covariances is None else seen.tip_covariances
-        turned = None
+        turned, noise = None, corner_noise or self._corner_noise
         if expected is not None and seen.corners is not None and self._patch is not None and seen.base_measured:
-            covariance = self._corner_factor * base_covariance + self._corner_floor
+            noise = noise.after(seen.corners, base_covariance, self._most_samples)
+            covariance = noise.factor * base_covariance + self._corner_floor
             turned = self._patch.fit(seen.corners, expected, covariance)
         elif expected is not None and seen.across is not None:
             # Two points tell nothing of the turn about the line through them.
@@ -100,6 +131,7 @@ class EvidenceModel:
             rotation_information=information,
             tips=seen.tips,
             tip_covariances=tip_covariances + self._floor,
+            corner_noise=noise,
         )
 
 

@@ -22,10 +22,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.anatomy.hand import MOVING
 from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
 from rhot_ik.hand.filter.evidence import Evidence
 from rhot_ik.hand.filter.kinematics import HandKinematics
+from rhot_ik.hand.filter.occlusion import Occlusion, OcclusionSettings
 from rhot_ik.hand.filter.prior import COUNT
 from rhot_ik.hand.filter.process import (
     ANGLES,
@@ -102,10 +104,16 @@ class HandFilter(HandProcess):
         base_offset: (3,) metres: where the model has the base marker, wrist frame.
         settings: numbers of the estimate.
         known: (6,) of which markers a calibration has measured where they sit.
+        viewpoint: (3,) metres, rig frame: where the cameras are; none when nothing is known of what hides a tip.
     """
 
     def __init__(
-        self, geometry: FingerGeometry, base_offset: FloatArray, settings: HandSettings, known: BoolArray
+        self,
+        geometry: FingerGeometry,
+        base_offset: FloatArray,
+        settings: HandSettings,
+        known: BoolArray,
+        viewpoint: FloatArray | None = None,
     ) -> None:
         model = geometry.model
         super().__init__(model, settings, known)
@@ -116,6 +124,11 @@ class HandFilter(HandProcess):
         self._fingers = AnalyticFingers(geometry)
         self._resting = geometry.marker_points(self._rest.reshape(5, 4))
         self._base_offset = base_offset
+        self._model = model
+        self._viewpoint = viewpoint
+        radii = model.radii[MOVING]
+        flesh = np.concatenate([radii[:, 0], 0.5 * (radii[:, 0] + radii[:, 1]), 0.5 * (radii[:, 1] + radii[:, 2])])
+        self._occlusion = Occlusion(flesh, OcclusionSettings())
         self._H = np.zeros((_ROWS, SIZE))
         self._H[:18, POSITION] = np.tile(_UNIT, (6, 1))
         self._H[18:, PATCH_TILT] = _UNIT
@@ -134,6 +147,8 @@ class HandFilter(HandProcess):
         at = prior
         wanted = np.empty((_ROWS, SIZE + 1))
         modelled = self._kinematics.markers(at.angles, at.person[_PAINT])
+        if prior.dt_s > 0.0 and not rows.seen[:5].all() and self._viewpoint is not None:
+            self._expect_hidden(rows, prior, modelled[0])
         if self._is_far(prior, rows, modelled[0]):
             dx[ANGLES] = self._closed_form(prior, rows) - prior.angles
             at = dataclasses.replace(prior, angles=prior.angles + dx[ANGLES])
@@ -203,6 +218,18 @@ class HandFilter(HandProcess):
         """Tell whether any seen tip lies so far from the expected ones (5, 3) that derivatives there say little."""
         off = (rows.points[:5] - prior.p) @ prior.R - expected
         return bool((np.abs(off).max(axis=1) * rows.seen[:5]).max() > self.settings.far_m)
+
+    def _expect_hidden(self, rows: _Rows, prior: HandState, markers: FloatArray) -> None:
+        """Add to the rows where the tips that nobody sees are expected."""
+        chain = self._model.finger_chains(prior.angles.reshape(5, 4))[0]
+        starts = np.concatenate([np.zeros((5, 3)), chain[:, 0], chain[:, 1]])
+        ends = np.concatenate([chain[:, 0], chain[:, 1], chain[:, 2]])
+        viewpoint = (self._viewpoint - prior.p) @ prior.R
+        would, points, covariances = self._occlusion.expected(markers, starts, ends, viewpoint)
+        would &= ~rows.seen[:5]
+        rows.points[:5][would] = points[would] @ prior.R.T + prior.p
+        rows.noise[:5][would] = prior.R @ covariances[would] @ prior.R.T
+        rows.counts[:15].reshape(5, 3)[would] = 1.0
 
     def _closed_form(self, prior: HandState, rows: _Rows) -> FloatArray:
         """Return the angles (20,) to linearise about: where the seen tips put their fingers under the expected palm."""

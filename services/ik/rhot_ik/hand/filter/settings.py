@@ -12,7 +12,7 @@ class HandSettings:
     Attributes:
         acceleration: random acceleration of the wrist, m/s² per √Hz. Hands in the recordings reach 5 to 20 m/s² for
             some 0.1 s (design.md); fusion has smoothed the points already, so the wrist is to follow them.
-        turn_acceleration: the same of its rotation, rad/s² per √Hz: the acceleration at the end of a lever of 0.1 m.
+        turn_acceleration: the same of its rotation, rad/s² per √Hz: 50 rad/s² for 0.1 s.
         speed_fades_s: an unseen wrist stops in this time: voluntary movements are bells of about half a second.
         angles_rest_s: time constant with which an unseen hand relaxes; people hold a posture for a second or more.
         most_activity: fingers that move faster than they usually do get up to this many times their diffusion. A
@@ -29,8 +29,10 @@ class HandSettings:
         known_m, known_rad: the same three where `rhot calibrate hand` has measured them: what its quality states.
         model_m: by how much any marker departs from a rigid model for reasons that come and go, each axis: skin slides
             over knuckles by millimetres, the middle of the paint that is seen wanders with the view.
-        corner_factor: covariance of a patch's corner about its middle over that of the middle. Corners are found half
-            as surely as centroids (0.2 px beside 0.1, rendered G1) and come unfiltered: (2 · 2)².
+        corner_factor: covariance of a patch's corner about its middle over that of the middle, before anything is
+            known. Corners are found half as surely as centroids (0.2 px beside 0.1, rendered G1) and come
+            unfiltered: (2 · 2)².
+        corner_samples: how many samples that first guess is worth, and how many are remembered.
         corner_m: and at least this, each axis: the fitted corners of soft-edged paint.
         across_rad: error of the direction across the wrist, where two points of the wrist tell it.
         sigma_m: of a point that states no covariance, root of the sum of the three variances.
@@ -41,7 +43,7 @@ class HandSettings:
     """
 
     acceleration: float = 6.0
-    turn_acceleration: float = 40.0
+    turn_acceleration: float = 15.0
     speed_fades_s: float = 0.2
     angles_rest_s: float = 1.5
     most_activity: float = 30.0
@@ -54,6 +56,7 @@ class HandSettings:
     known_rad: float = 0.02
     model_m: float = 0.0015
     corner_factor: float = 16.0
+    corner_samples: tuple[float, float] = (8.0, 100.0)
     corner_m: float = 0.001
     across_rad: float = 0.05
     sigma_m: float = 0.0015

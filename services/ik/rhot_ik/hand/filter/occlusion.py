@@ -1,0 +1,78 @@
+"""A tip that no camera sees is behind something: behind the hand's own flesh, as far as a hand alone can tell.
+
+Seen from the cameras, flesh is a set of segments with a radius: metacarpals, first and second bones of all fingers. A
+tip that lies beside all of them would be seen; it is therefore expected within the outline of the nearest one. That is
+one direction of one point, known to `sigma_m`; the other two stay open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class OcclusionSettings:
+    """What hides a tip.
+
+    Attributes:
+        inside_m: a hidden tip lies at least this far inside an outline: half its own radius, for more than half of its
+            paint has to be covered.
+        sigma_m: flesh is no capsule, and cameras differ from their mean in where they look from.
+        open_m: standard deviation of the directions that are left open.
+    """
+
+    inside_m: float = 0.004
+    sigma_m: float = 0.006
+    open_m: float = 0.5
+
+
+class Occlusion:
+    """Where hidden tips are expected; stateless.
+
+    Args:
+        radii: (15,) metres: of the five metacarpals, the five first and the five second bones.
+        settings: what hides a tip.
+    """
+
+    def __init__(self, radii: FloatArray, settings: OcclusionSettings) -> None:
+        self._radii, self._settings = radii, settings
+
+    def expected(
+        self, tips: FloatArray, starts: FloatArray, ends: FloatArray, viewpoint: FloatArray
+    ) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """Return which tips (5,) would be seen, where they are expected then (5, 3), and with what covariance.
+
+        Args:
+            tips: (5, 3) metres: markers.
+            starts, ends: (15, 3) metres: ends of the bones, in the order of `radii`.
+            viewpoint: (3,) metres, in the same frame: where the cameras are.
+        """
+        settings = self._settings
+        bones = ends - starts
+        sight = starts.mean(axis=0) - viewpoint
+        sight /= np.sqrt(sight @ sight)
+        across = np.eye(3) - np.outer(sight, sight)
+        flat = bones @ across
+        reach = np.maximum((flat * flat).sum(-1), 1e-9)
+        off = tips[:, None] - starts
+        along = np.clip((off @ across * flat).sum(-1) / reach, 0.0, 1.0)
+        gap = off - along[..., None] * bones
+        behind = gap @ sight
+        gap = gap @ across
+        distance = np.sqrt((gap * gap).sum(-1))
+        excess = distance - self._radii + settings.inside_m
+        # What is not behind a bone is not hidden by it, and would have to go round it first.
+        excess += np.maximum(0.0, self._radii - behind)
+        nearest = np.argmin(excess, axis=1)
+        rows = np.arange(len(tips))
+        by = excess[rows, nearest]
+        towards = -gap[rows, nearest] / np.maximum(distance[rows, nearest], 1e-6)[:, None]
+        outer = towards[:, :, None] * towards[:, None, :]
+        covariances = settings.open_m**2 * np.eye(3) + (settings.sigma_m**2 - settings.open_m**2) * outer
+        return by > 0.0, tips + by[:, None] * towards, covariances
