@@ -114,7 +114,7 @@ class Newcomer:
         self.browser.click(*place)
         text_shows(self.browser, "found the same patch of colour", STEP_S)
         self.done("one paint for two markers is refused")
-        self.browser.click_text("take the last click back")
+        self.browser.click_text("undo last click")
         self.turn_of(marker)
 
     def turn_of(self, marker: str) -> None:
@@ -134,7 +134,7 @@ class Newcomer:
                 pictured = True
                 self.done("half of the board's places", "calibrate-cameras")
             if taken and int(taken[1]) >= ENOUGH:
-                press_until(self.browser, "end and solve", "The cameras are solved", PRESS_S)
+                press_until(self.browser, "finish and solve", "The cameras are solved", PRESS_S)
             time.sleep(0.5)
         self.done("cameras solved")
         press_until(self.browser, "try", "The rig tracks with the new cameras now", PRESS_S)

@@ -27,11 +27,13 @@ This page is written by a command from the files in [results](results); please d
 {command}
 ```
 
-Each part names the command that measured it, the day and the machine; run the same command with `--json FILE` for your
-own figures. *Load* is how many processes ran or waited during the last minute, this one included: where it exceeds the
-cores, others used the machine too, and times come out longer than on a quiet one. *Beside it* stands the same figure of
-the 2018 or 2021 thesis or of another tracker. Where a target is missed, the table says so. Figures that tests assert,
-and older ones that no command writes, are in [tested.md](tested.md).
+Each part names the command that measured it, the day and the machine. For your own figures, `pip install 'rhot[bench]'`
+and run the same command with `--json FILE`.
+
+*Load* is how many processes ran or waited during the last minute, this one included. Where it exceeds the cores, others
+used the machine too, and times come out longer than on a quiet one. *Beside it* stands the same figure of the 2018 or
+2021 thesis or of another tracker. Where a target is missed, the table says so. Figures that tests assert, and older
+ones that no command writes, are in [tested.md](tested.md).
 """
 
 

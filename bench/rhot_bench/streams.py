@@ -10,7 +10,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import Progress
 
 from rhot.errors import ConfigError
 from rhot.messages import PointSet
@@ -21,7 +21,7 @@ from rhot.rig.template import rig_template
 from rhot_bench.measures.rows import Row, Section, check_output
 from rhot_bench.measures.streams import Stream, lateral_delay, measured_glitches, rest_noise_m, step_p99_m
 from rhot_bench.number_table import read_table
-from rhot_bench.output import json_option, show
+from rhot_bench.output import counted, json_option, show
 from rhot_fusion.stage import FusionStage
 
 _STEP_MM: Final = {"hand_recovered": 40.0, "hand_as_sent": 60.0}
@@ -49,11 +49,10 @@ def streams(data_path: Path, rig_path: Path | None, quick: bool, json_path: Path
     """
     check_output("--json", json_path)
     found = _recordings(data_path)
-    columns = (TextColumn("fusing {task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("frames"))
     sections = []
     with (
         tempfile.TemporaryDirectory(prefix="rhot-streams-") as folder,
-        Progress(*columns, console=Console(stderr=True), transient=True) as progress,
+        counted(Console(stderr=True)) as progress,
     ):
         for path in found:
             recording = load_recording(path)
@@ -104,7 +103,7 @@ def _run(rig: Rig, recording: Recording, limit: int | None, progress: Progress) 
         views=np.zeros((count, len(names)), dtype=np.int64),
     )
     stage = FusionStage(rig)
-    task = progress.add_task(recording.path.name, total=count * len(tracks))
+    task = progress.add_task(f"fusing frames of {recording.path.name}", total=count * len(tracks))
     for frame in marker_track_frames(rig, recording):
         row = row_of.get(frame.frame if frame.frame is not None else -1)
         if row is None:

@@ -20,9 +20,9 @@ T = TypeVar("T")
 def trial_buttons(file: str, what: str, try_hint: str = "") -> tuple[Button, Button, Button]:
     """Return the last three buttons of a step that brings `file`, which holds `what` in words for people."""
     return (
-        Button("try", "try", try_hint or f"Write {file}; the former one is put aside."),
-        Button("save", "save", "Keep what is tried."),
-        Button("undo", "undo", f"Bring the former {what} back."),
+        Button("try", "try", try_hint or f"Write {file} and put the former one aside."),
+        Button("save", "save", "Keep the result you tried."),
+        Button("undo", "undo", f"Bring back the former {what}."),
     )
 
 

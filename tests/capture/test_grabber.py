@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from rhot.errors import ConfigError, DeviceError
-from rhot_capture.grabber import grab
 from rhot_capture.settings import CameraSettings
-from rhot_capture.sources import Frame
+from rhot_capture.sources import Frame, grab
 
 
 class ScriptedSource:

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from rhot.errors import ConfigError
+from rhot_capture.detection.cutouts import marker_mask
 from rhot_capture.detection.detector import MarkerDetector
-from rhot_capture.preview import mark_places, marker_mask, preview_jpeg, preview_png
+from rhot_capture.preview import mark_places, preview_jpeg, preview_png
 
 
 def decoded(data: bytes) -> Any:
@@ -38,11 +39,9 @@ def test_overlay_marks_the_centre_and_leaves_the_frame_alone(scene: Any, shape: 
     assert np.abs(shown.astype(int) - image).mean() > 1.0
 
 
-def test_mask_darkens_everything_else(scene: Any, shape: Any, markers: Any, table: Any) -> None:
+def test_mask_darkens_everything_else(scene: Any, shape: Any, table: Any) -> None:
     image = scene([shape("ring", 60, 60)], size=(121, 121)).image
-    detector = MarkerDetector(markers, table, 121, 121)
-    detector.detect(image)
-    mask = marker_mask(detector.labels, table.names, "ring")
+    mask = marker_mask(image, table, "ring")
     assert set(np.unique(mask)) == {0, 255}
     shown = decoded(preview_jpeg(image, mask=mask))
     assert shown[60, 60, 0] > 150
@@ -51,7 +50,7 @@ def test_mask_darkens_everything_else(scene: Any, shape: Any, markers: Any, tabl
 
 def test_unknown_marker_is_named(table: Any) -> None:
     with pytest.raises(ConfigError, match=r"mask=nose.*thumb"):
-        marker_mask(np.zeros((2, 2), np.uint8), table.names, "nose")
+        marker_mask(np.zeros((2, 2, 3), np.uint8), table, "nose")
 
 
 def test_texts_do_not_cover_one_another() -> None:

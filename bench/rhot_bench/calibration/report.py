@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from rhot.report.tables import figures_table
 from rhot.rig import CamerasFile
 from rhot_fusion.views.calibration_check import Tracks
 from rhot_fusion.views.calibration_verdict import AXES, CalibrationReport, PairReport, Turn
@@ -83,10 +83,7 @@ def print_report(report: CalibrationReport, file: CamerasFile, seen: Seen, rig_p
 
 
 def _pairs_table(report: CalibrationReport) -> Table:
-    table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("pair")
-    for column in ("seen", "median", "RMS", "p95", "p95 then", "shift", "limit"):
-        table.add_column(column, justify="right")
+    table = figures_table("pair", "seen", "median", "RMS", "p95", "p95 then", "shift", "limit")
     table.add_column("verdict")
     for pair in report.pairs:
         calibrated = "–" if pair.calibrated_p95_px is None else f"{pair.calibrated_p95_px:.2f}"

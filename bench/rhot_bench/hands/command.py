@@ -9,7 +9,6 @@ from typing import Final
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from rhot.anatomy.hand import HandModel
 from rhot.errors import ConfigError
@@ -26,7 +25,7 @@ from rhot_bench.hands.recorded_joints import (
     whole_chains,
 )
 from rhot_bench.measures.rows import Row, Section, check_output
-from rhot_bench.output import json_option, show
+from rhot_bench.output import counted, json_option, show
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 
@@ -61,12 +60,11 @@ def hands(data_path: Path, quick: bool, json_path: Path | None) -> None:
     ]
     if not parts:
         raise ConfigError(f"{data_path}: holds none of {_MSRA}, {_NYU} and {_FPHA}/; name the folder that does")
-    columns = (TextColumn("solving {task.description}"), BarColumn(), MofNCompleteColumn())
     sections = []
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    with counted(Console(stderr=True)) as progress:
         task = progress.add_task("", total=2 * len(parts) + (len(_PERSONS) - 2) * any(n == _FPHA for n, _ in parts))
         for name, make in parts:
-            progress.update(task, description=name)
+            progress.update(task, description=f"solving {name}")
             sections.append(make(data_path / name, quick, lambda: progress.advance(task)))
     show("evaluate hands", sections, json_path, quick=quick)
 

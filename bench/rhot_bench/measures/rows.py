@@ -9,12 +9,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from rich import box
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from rhot.errors import ConfigError
+from rhot.report.tables import figures_table
 
 _COLORS: Final = {"met": "green", "missed": "red", "not measured": "yellow", "": "default"}
 
@@ -86,14 +85,7 @@ class Section:
 
 def section_table(section: Section) -> RenderableType:
     """Return a section as a table for the terminal; notes stand below it, by number."""
-    table = Table(
-        title=section.title,
-        title_justify="left",
-        header_style="bold",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        padding=(0, 1, 0, 0),
-    )
+    table = figures_table(title=section.title)
     columns = ["figure", "value", "target", ""]
     columns += ["beside it"] if any(row.peer for row in section.rows) else []
     for column in columns:

@@ -8,11 +8,10 @@ from typing import Final
 import click
 import cv2
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from rhot.errors import ConfigError
 from rhot_bench.measures.rows import check_output
-from rhot_bench.output import json_option, show
+from rhot_bench.output import counted, json_option, show
 from rhot_bench.speed.cores import Scene
 from rhot_bench.thesis.tables import DISTANCES_CM, depth_section, jitter_section, timing_section
 from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
@@ -47,9 +46,8 @@ def thesis(data_path: Path | None, quick: bool, json_path: Path | None, rig_path
     pictures, seconds = (20, 0.15) if quick else (240, 0.5)
     span_s = 0.3 if quick else 3.0
     cv2.setNumThreads(1)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with (
-        Progress(*columns, console=Console(stderr=True), transient=True) as progress,
+        counted(Console(stderr=True)) as progress,
         simulated_rig(rig_path, progress) as rig,
     ):
         rendering = progress.add_task("time of a frame", total=round(2 * span_s * RATE_HZ))

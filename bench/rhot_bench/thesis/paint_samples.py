@@ -9,6 +9,7 @@ import numpy as np
 from rhot.rig import Rig
 from rhot_bench.speed.simulated import Capture, ImageArray
 from rhot_bench.thesis.capture import RgbBox, rgb_boxes
+from rhot_capture.detection.cutouts import marker_mask
 
 _PICTURES = 12
 
@@ -21,10 +22,9 @@ def thesis_boxes(rig: Rig, pictures: Sequence[ImageArray]) -> dict[str, RgbBox]:
     others: list[ImageArray] = []
     for image in pictures[:: max(1, len(pictures) // _PICTURES)]:
         found = detector.detect(image)
-        labels = detector.labels
-        for label, name in enumerate(names, start=1):
-            if name in found:
-                paint[name].append(image[labels == label])
-        others.append(image[labels == 0][::37])
+        masks = {name: marker_mask(image, detector.table, name) > 0 for name in names}
+        for name in found:
+            paint[name].append(image[masks[name]])
+        others.append(image[~np.any(list(masks.values()), axis=0)][::37])
     samples = {name: np.concatenate(colors) for name, colors in paint.items() if colors}
     return rgb_boxes(samples, np.concatenate(others))

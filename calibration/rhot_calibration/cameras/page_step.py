@@ -37,12 +37,12 @@ class CameraStep(PageStep[CamerasFile]):
         "Print a board (`rhot calibrate board`), glue it to something flat and measure one square. Start, then hold "
         "the board still before the cameras, at one place after the other: near and far, in all parts of the pictures, "
         "tilted to all sides. A picture is taken when it stands still for a moment. When nothing is missing, or when "
-        "you think it is enough, the cameras are solved. Try the result, then save."
+        "you finish, the cameras are solved. Try the result, then save."
     )
     buttons = (
-        Button("start", "start taking pictures", "Again = from the beginning."),
-        Button("back", "forget the last picture"),
-        Button("solve", "end and solve", "With the pictures there are."),
+        Button("start", "start taking pictures", "Press again to start over."),
+        Button("back", "discard last picture"),
+        Button("solve", "finish and solve", "Use the pictures taken so far."),
         *trial_buttons(CAMERAS_FILE, "cameras"),
     )
 
@@ -144,7 +144,7 @@ class CameraStep(PageStep[CamerasFile]):
         }
 
     async def press(self, button: str, values: Mapping[str, str]) -> None:
-        """Start, forget the last picture, solve, try, save or undo.
+        """Start, discard the last picture, solve, try, save or undo.
 
         Raises:
             RhotError: it cannot be done.

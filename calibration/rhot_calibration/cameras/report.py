@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from rhot.report.tables import figures_table
 from rhot_calibration.cameras.calibration import Calibrated, bow_mm
 from rhot_calibration.cameras.figures import MARKER_SIGMA_PX
 
@@ -41,17 +41,8 @@ def print_problems(console: Console, problems: Mapping[str, str]) -> None:
         console.print(f"{reason}, {len(labels)} picture(s): {', '.join(labels)}")
 
 
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column(columns[0])
-    for column in columns[1:]:
-        table.add_column(column, justify="right")
-    return table
-
-
 def _cameras(calibrated: Calibrated) -> Table:
-    table = _table(
-        "Cameras",
+    table = figures_table(
         "camera",
         "pictures",
         "RMS px",
@@ -63,6 +54,7 @@ def _cameras(calibrated: Calibrated) -> Table:
         "position mm",
         "± mm",
         "± deg",
+        title="Cameras",
     )
     for name, figures in calibrated.cameras.items():
         model = calibrated.models[name]
@@ -82,8 +74,15 @@ def _cameras(calibrated: Calibrated) -> Table:
 
 
 def _pairs(calibrated: Calibrated) -> Table:
-    table = _table(
-        "Pairs", "cameras", "pictures", "baseline mm", "angle deg", "epipolar RMS px", "p95 px", "p95 px held out"
+    table = figures_table(
+        "cameras",
+        "pictures",
+        "baseline mm",
+        "angle deg",
+        "epipolar RMS px",
+        "p95 px",
+        "p95 px held out",
+        title="Pairs",
     )
     for (first, second), figures in calibrated.pairs.items():
         held_out = calibrated.held_out_px.get((first, second))
@@ -100,12 +99,12 @@ def _pairs(calibrated: Calibrated) -> Table:
 
 
 def _errors(calibrated: Calibrated) -> Table:
-    table = _table(
-        "Error to expect in space",
+    table = figures_table(
         "distance",
         "from the calibration mm",
         f"with {MARKER_SIGMA_PX:g} px of marker noise mm",
         "near the rim mm",
+        title="Error to expect in space",
     )
     for error in calibrated.errors:
         table.add_row(

@@ -17,14 +17,13 @@ from rhot.errors import ConfigError
 from rhot.rig import Rig, load_rig, write_json_model
 from rhot.rig.calibration import today
 from rhot.rig.colors import load_box_calibration
-from rhot_calibration.colors.calibration import calibrate
 from rhot_calibration.colors.import_2018 import load_camera_settings, rig_lines
+from rhot_calibration.colors.learning import learn_colors
 from rhot_calibration.colors.live import live_pictures
 from rhot_calibration.colors.picking.picks import parse_places
-from rhot_calibration.colors.report.console import confusion_table, marker_table, suggestions, warnings
+from rhot_calibration.colors.report.console import confusion_table, marker_table
 from rhot_calibration.colors.report.picture import report_picture
-from rhot_capture.detection.color_table import ColorTable, ImageArray, build_color_table
-from rhot_capture.detection.detector import Detection, MarkerDetector
+from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.preview import preview_jpeg
 
 _PICTURES: Final = (".png", ".jpg", ".jpeg")
@@ -130,18 +129,17 @@ def colors(
         return
     places = parse_places(picks, boxes, titles)
     with Console(stderr=True).status(f"learning colours from {len(pictures)} picture(s)"):
-        result = calibrate(pictures, places, rig.config.markers)
-        table = build_color_table(result.colors, list(rig.config.markers))
-        detections = [_detect(rig, table, picture) for picture in pictures]
-        write_json_model(rig.colors_path, result.colors)
-    remarks = [*warnings(result), *suggestions(result)]
+        learnt = learn_colors(pictures, places, rig.config.markers)
+        write_json_model(rig.colors_path, learnt.calibration.colors)
+    result, detections = learnt.calibration, learnt.detections
+    remarks = [*learnt.warnings, *learnt.suggestions]
     console = Console()
     console.print(marker_table(result, titles, detections))
     console.print(confusion_table(result.separability))
     for remark in remarks:
         console.print(remark, style="yellow" if remark.startswith("warning") else "cyan", markup=False, highlight=False)
     if report_path is not None:
-        _write_image(report_path, report_picture(pictures, titles, result, table, detections, remarks))
+        _write_image(report_path, report_picture(pictures, titles, result, learnt.table, detections, remarks))
     if preview_path is not None:
         _write_bytes(preview_path, preview_jpeg(pictures[0], detections[0]))
     _say_written(console, rig)
@@ -227,11 +225,6 @@ def _write_bytes(path: Path, data: bytes) -> None:
         path.write_bytes(data)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-def _detect(rig: Rig, table: ColorTable, picture: ImageArray) -> dict[str, Detection]:
-    detector = MarkerDetector(rig.config.markers, table, picture.shape[1], picture.shape[0])
-    return detector.detect(picture)
 
 
 def _import(rig: Rig, import_path: Path, settings_path: Path | None) -> None:

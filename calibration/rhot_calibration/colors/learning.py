@@ -1,8 +1,8 @@
-"""What the clicks so far give: colours, how well they do, and pictures that show it."""
+"""Learning colours, for the command and for the page: fitted colours, what the tracker finds with them, advice."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,11 +12,12 @@ from rhot.calibration_step import Figures, Remark
 from rhot.rig.colors import ColorsFile
 from rhot.rig.config import MarkerConfig
 from rhot_calibration.colors.calibration import ColorCalibration, calibrate
+from rhot_calibration.colors.picking.boxes import BoolArray
 from rhot_calibration.colors.picking.clicks import ClickedPicture
 from rhot_calibration.colors.picking.picks import Places
 from rhot_calibration.colors.report.console import suggestions, warnings
 from rhot_calibration.colors.report.picture import overlay_picture
-from rhot_capture.detection.color_table import ColorTable, build_color_table
+from rhot_capture.detection.color_table import ColorTable, ImageArray, build_color_table
 from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.preview import preview_jpeg
 
@@ -24,8 +25,40 @@ _OVERLAY_WIDTH: Final = 480
 
 
 @dataclass(frozen=True, slots=True)
+class LearntColors:
+    """Fitted colours and what the tracker makes of them.
+
+    Attributes:
+        calibration: the colours and their quality.
+        table: of the colours of all markers of the rig.
+        detections: what the tracker finds in each picture with them.
+        warnings: what will be mixed up.
+        suggestions: what to do about it.
+    """
+
+    calibration: ColorCalibration
+    table: ColorTable
+    detections: tuple[dict[str, Detection], ...]
+    warnings: tuple[str, ...]
+    suggestions: tuple[str, ...]
+
+
+def learn_colors(
+    images: Sequence[ImageArray],
+    places: Sequence[Places],
+    markers: Mapping[str, MarkerConfig],
+    region_of: Callable[[int], dict[str, BoolArray]] | None = None,
+) -> LearntColors:
+    """Fit colours and try them on the pictures that they were fitted to; arguments and errors as of `calibrate`."""
+    result = calibrate(images, places, markers, region_of)
+    table = build_color_table(result.colors, list(markers))
+    detections = tuple(MarkerDetector(markers, table, image.shape[1], image.shape[0]).detect(image) for image in images)
+    return LearntColors(result, table, detections, tuple(warnings(result)), tuple(suggestions(result)))
+
+
+@dataclass(frozen=True, slots=True)
 class Learnt:
-    """Colours and how they do.
+    """Colours as the page shows them.
 
     Attributes:
         colors: to be tried.
@@ -52,16 +85,12 @@ def learn(pictures: Sequence[ClickedPicture], places: Sequence[Places], markers:
         CalibrationError: something cannot be learnt from; names marker and picture.
     """
     images = [each.image for each in pictures]
-    result = calibrate(images, places, markers, lambda number: pictures[number].regions(places[number]))
-    table = build_color_table(result.colors, list(markers))
-    detections = [
-        MarkerDetector(dict(markers), table, image.shape[1], image.shape[0]).detect(image) for image in images
-    ]
-    remarks = [Remark(line.removeprefix("warning: "), "warning") for line in warnings(result)]
-    remarks += [Remark(line) for line in suggestions(result)]
+    learnt = learn_colors(images, places, markers, lambda number: pictures[number].regions(places[number]))
+    remarks = [Remark(line.removeprefix("warning: "), "warning") for line in learnt.warnings]
+    remarks += [Remark(line) for line in learnt.suggestions]
     if not remarks:
         remarks = [Remark("The colours can be told apart.", "good")]
-    for each, clicked, found in zip(pictures, places, detections, strict=True):
+    for each, clicked, found in zip(pictures, places, learnt.detections, strict=True):
         unseen = [name for name in clicked if name not in found]
         if unseen:
             text = (
@@ -69,30 +98,24 @@ def learn(pictures: Sequence[ClickedPicture], places: Sequence[Places], markers:
                 "in the picture, and evenly lit?"
             )
             remarks.insert(0, Remark(text, "warning"))
-    return Learnt(
-        result.colors, tuple(remarks), _table(result, detections), _pictures(pictures, result, table, detections)
-    )
+    return Learnt(learnt.calibration.colors, tuple(remarks), _table(learnt), _pictures(pictures, learnt))
 
 
-def _pictures(
-    pictures: Sequence[ClickedPicture],
-    result: ColorCalibration,
-    table: ColorTable,
-    detections: Sequence[Mapping[str, Detection]],
-) -> dict[str, bytes]:
+def _pictures(pictures: Sequence[ClickedPicture], learnt: LearntColors) -> dict[str, bytes]:
     """Return pictures with what is found, and what all colours together take in, by title."""
     shown = {}
     cameras = len({each.camera for each in pictures})
-    for number, (each, found) in enumerate(zip(pictures, detections, strict=True)):
+    for number, (each, found) in enumerate(zip(pictures, learnt.detections, strict=True)):
         title = each.camera if number < cameras else f"{each.camera}, picture {number + 1}"
-        overlay = overlay_picture(each.image, result, number, found, _OVERLAY_WIDTH)
+        overlay = overlay_picture(each.image, learnt.calibration, number, found, _OVERLAY_WIDTH)
         shown[f"{title}: white = learnt from, green = found"] = preview_jpeg(overlay)
-        mask = np.where(table.classify(each.image)[0] > 0, 255, 0).astype(np.uint8)
+        mask = np.where(learnt.table.classify(each.image)[0] > 0, 255, 0).astype(np.uint8)
         shown[f"{title}: what the colours take in"] = preview_jpeg(each.image, None, mask)
     return shown
 
 
-def _table(result: ColorCalibration, detections: Sequence[Mapping[str, Detection]]) -> Figures:
+def _table(learnt: LearntColors) -> Figures:
+    result, detections = learnt.calibration, learnt.detections
     rows = []
     for name, quality in result.markers.items():
         nearest, mixed = result.separability.nearest(name)

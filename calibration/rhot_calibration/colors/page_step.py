@@ -25,18 +25,18 @@ class ColorStep:
     """Clicks set colours; see `rhot.calibration_step.CalibrationStep` for the seam."""
 
     about = (
-        "Hold the painted hand so that both cameras see all markers, and take the pictures; they stand still then. "
+        "Hold the painted hand so that both cameras see all markers, and take the pictures; they do not move then. "
         "Look through a camera, choose a marker and click its paint in the picture; the next one is chosen for you. "
         "Do it for every camera. Masks, and how well the colours can be told apart, appear at once. More pictures, in "
         "another light, make the colours robust. Try them on the running cameras, then save."
     )
     buttons = (
-        Button("take", "take pictures", "One of each camera; hold still. Again = more pictures, the clicks are kept."),
-        Button("unclick", "take the last click back"),
-        Button("anew", "begin anew", "Forget pictures and clicks."),
-        Button("try", "try", "The running cameras take the colours over; nothing is final."),
-        Button("save", "save", "Keep what is tried."),
-        Button("undo", "undo", "Bring the former colours back."),
+        Button("take", "take pictures", "One of each camera; hold still. Press again for more; your clicks stay."),
+        Button("unclick", "undo last click"),
+        Button("anew", "start over", "Forget all pictures and clicks."),
+        Button("try", "try", "The running cameras use the colours; nothing is saved yet."),
+        Button("save", "save", "Keep the colours you tried."),
+        Button("undo", "undo", "Bring back the former colours."),
     )
 
     def __init__(self, context: StepContext) -> None:
@@ -127,7 +127,7 @@ class ColorStep:
         return [Remark(f"Every marker is clicked; {learnt}.", "good")]
 
     async def press(self, button: str, values: Mapping[str, str]) -> None:
-        """Take pictures, begin anew, try, save or undo.
+        """Take pictures, start over, try, save or undo.
 
         Raises:
             RhotError: it cannot be done.
@@ -188,7 +188,7 @@ class ColorStep:
         try:
             learnt = await asyncio.to_thread(learn, clicked, [dict(each.places) for each in clicked], self._markers)
         except RhotError as error:
-            self._problem = f"{error}. Click that marker again, or take the last click back"
+            self._problem = f"{error}. Click that marker again, or undo the last click"
             self._shown = {}
         else:
             if not self._clicked.is_set():

@@ -8,11 +8,11 @@ from pathlib import Path
 import click
 import numpy as np
 from numpy.typing import NDArray
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from rhot.errors import CalibrationError
+from rhot.report.tables import figures_table
 from rhot_calibration.depth.fit import PhysicalLaw, PowerLaw, fit_physical_law, fit_power_law, relative_rms
 
 FloatArray = NDArray[np.float64]
@@ -84,9 +84,7 @@ def depth(table: Path, focal_px: float | None) -> None:
 
 
 def _rows_table(distance_m: FloatArray, disparity_px: FloatArray, power: PowerLaw, physical: PhysicalLaw) -> Table:
-    table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    for column in ("distance cm", "disparity px", "power law cm", "off %", "physical cm", "off %"):
-        table.add_column(column, justify="right")
+    table = figures_table("distance cm", "disparity px", "power law cm", "off %", "physical cm", "off %")
     guesses = power.depth_m(disparity_px), physical.depth_m(disparity_px)
     for row, (distance, disparity) in enumerate(zip(distance_m, disparity_px, strict=True)):
         cells = [f"{100 * distance:.1f}", f"{disparity:.1f}"]

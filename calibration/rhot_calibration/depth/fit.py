@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from rhot.errors import CalibrationError
 
 FloatArray = NDArray[np.float64]
 
 LEAST_ROWS = 3
-_STEPS = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ def fit_power_law(distance_m: FloatArray, disparity_px: FloatArray) -> PowerLaw:
 
 
 def fit_physical_law(distance_m: FloatArray, disparity_px: FloatArray) -> PhysicalLaw:
-    """Fit the physical law by least squares of the relative error (Gauss–Newton from the linear solution in 1/D).
+    """Fit the physical law by least squares of the relative error (started from the linear solution in 1/D).
 
     Args:
         distance_m: (N,) measured, metres.
@@ -87,17 +87,14 @@ def fit_physical_law(distance_m: FloatArray, disparity_px: FloatArray) -> Physic
     """
     check_rows(distance_m, disparity_px)
     A = np.column_stack([1.0 / distance_m, np.ones(len(distance_m))])
-    law, *_ = np.linalg.lstsq(A, disparity_px, rcond=None)
-    for _ in range(_STEPS):
-        a, offset = law
-        reach = disparity_px - offset
-        residual = a / reach / distance_m - 1.0
-        J = np.column_stack([1.0 / reach / distance_m, a / reach**2 / distance_m])
-        step, *_ = np.linalg.lstsq(J, -residual, rcond=None)
-        law = law + step
-        if np.abs(step / np.maximum(np.abs(law), 1e-9)).max() < 1e-12:
-            break
-    a, offset = (float(value) for value in law)
+    start, *_ = np.linalg.lstsq(A, disparity_px, rcond=None)
+
+    def relative_error(law: FloatArray) -> FloatArray:
+        error: FloatArray = law[0] / (disparity_px - law[1]) / distance_m - 1.0
+        return error
+
+    law = least_squares(relative_error, start, x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-12).x
+    a, offset = law.tolist()
     if not np.isfinite(law).all() or a <= 0.0 or (disparity_px - offset).min() <= 0.0:
         raise CalibrationError(
             f"no physical law fits these rows (it would need a = {a:.4g} and an offset of {offset:.4g} px); are "

@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich import box
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.messages import PointSet, Side
 from rhot.recording import load_recording
+from rhot.report.tables import figures_table
 from rhot.rig import BusConfig, HandFile, Rig, load_rig, write_json_model
 from rhot.rig.calibration import today
 from rhot.rig.folder import HAND_FILE
@@ -172,10 +171,7 @@ def _report(found: HandFile, file: Path) -> None:
         console.print(f"hand {quality['length']['mm']:g} mm long, {width['mm']:g} mm wide ({width['source']})")
         console.print("all bones from proportions; a recording measures them: rhot calibrate hand --help")
     else:
-        table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-        table.add_column("length")
-        for heading in ("mm", "± mm"):
-            table.add_column(heading, justify="right")
+        table = figures_table("length", "mm", "± mm")
         table.add_column("source")
         rows = {"hand: wrist crease to middle tip": quality["length"], "hand: across the knuckles": quality["width"]}
         rows |= {f"{finger}: patch to tip marker, straight": figure for finger, figure in quality["reach"].items()}

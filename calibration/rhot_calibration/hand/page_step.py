@@ -27,9 +27,9 @@ class HandStep(PageStep[HandFile]):
         "says: from the wrist crease to the tip of the middle finger, and across the knuckles. Try the hand, then save."
     )
     buttons = (
-        Button("measure", "measure by movements", f"{LIVE_S:.0f} s; says what to do and when."),
+        Button("measure", "measure by movements", f"{LIVE_S:.0f} s; the page tells you what to do and when."),
         Button("stop", "stop"),
-        Button("typed", "take the typed lengths"),
+        Button("typed", "use the typed lengths"),
         *trial_buttons(HAND_FILE, "hand"),
     )
 

@@ -59,13 +59,13 @@ class LockStep:
     about = (
         "Start `rhot capture` for every camera. It locks exposure, gain and white balance by itself; set them with the "
         "sliders of the tab Cameras: first the exposure, so short that fast fingers stay sharp (4 ms), then the gain, "
-        "then both whites, until a sheet of paper looks grey. Save what is good: it is written into rig.toml where the "
-        "camera runs, and is there again after a restart."
+        "then the white balance, until a sheet of paper looks grey. Save when it looks right: the values are written "
+        "to rig.toml on the camera's machine and hold after a restart."
     )
     fields: tuple[Field, ...] = ()
     buttons = (
         Button("save", "save", "Exposure, gain and white balance of all cameras, into rig.toml; comments stay."),
-        Button("undo", "undo", "Bring back the values before the last saving."),
+        Button("undo", "undo", "Bring back the values before the last save."),
     )
 
     def __init__(self, context: StepContext) -> None:
@@ -230,4 +230,4 @@ def _table(looks: Mapping[str, CameraLook]) -> Figures:
         for name, look in looks.items()
         if not look.problem
     )
-    return Figures("Locked at", ("camera", "exposure ms", "gain", "whites", "brightest", "clipped %"), rows)
+    return Figures("Locked at", ("camera", "exposure ms", "gain", "white balance", "brightest", "clipped %"), rows)

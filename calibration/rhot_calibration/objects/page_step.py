@@ -33,8 +33,8 @@ class ObjectStep(PageStep[RegistrationFile]):
         "all sides. A place is taken when both stand still. Try the result, then save."
     )
     buttons = (
-        Button("start", "start taking places", "Again = from the beginning."),
-        Button("solve", "end and fit", "With the places there are."),
+        Button("start", "start taking places", "Press again to start over."),
+        Button("solve", "finish and fit", "Use the places taken so far."),
         *trial_buttons(REGISTRATION_FILE, "registration"),
     )
 

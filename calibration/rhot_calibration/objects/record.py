@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import FloatArray, quaternion_from_rotation, rotation_from_quaternion
 from rhot.messages import first_problem
-from rhot.messages.vectors import wire_position, wire_quaternion
+from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import RegistrationFile, RigidTransform
 from rhot.rig.calibration import today
 from rhot.rig.file_model import FileModel, Vector3

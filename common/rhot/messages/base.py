@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Annotated, Final, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 SCHEMA_VERSION: Final = 1
@@ -64,7 +66,7 @@ def unit_quaternion(value: Quaternion) -> Quaternion:
 
 
 class Pose(WireModel):
-    """A place and an orientation.
+    """A position and an orientation.
 
     Attributes:
         position: metres.
@@ -75,3 +77,15 @@ class Pose(WireModel):
     orientation: Quaternion
 
     _norm = field_validator("orientation")(unit_quaternion)
+
+
+def wire_position(vector: NDArray[np.float64]) -> Position:
+    """Return a position (3,), metres, as a message carries it."""
+    x, y, z = vector.tolist()
+    return x, y, z
+
+
+def wire_quaternion(xyzw: NDArray[np.float64]) -> Quaternion:
+    """Return a unit quaternion (4,), x y z w, as a message carries it."""
+    x, y, z, w = xyzw.tolist()
+    return x, y, z, w

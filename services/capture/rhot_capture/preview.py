@@ -80,22 +80,6 @@ def _coded(
     return bytes(data)
 
 
-def marker_mask(labels: ImageArray, names: Sequence[str], marker: str) -> ImageArray:
-    """Return 255 where a marker's colour was seen.
-
-    Args:
-        labels: (H, W) uint8 as of `MarkerDetector.labels`.
-        names: markers in the order of the labels.
-        marker: one of them.
-
-    Raises:
-        ConfigError: no such marker.
-    """
-    if marker not in names:
-        raise ConfigError(f"mask={marker}: no such marker; one of {', '.join(names)}")
-    return np.where(labels == list(names).index(marker) + 1, 255, 0).astype(np.uint8)
-
-
 def mark_places(canvas: ImageArray, places: Mapping[str, tuple[float, float]]) -> None:
     """Draw a cross at each place (u, v) and its text beside it; texts that would cover one another move down."""
     taken: list[tuple[int, int, int]] = []

@@ -22,14 +22,14 @@ from rhot.rig.colors import ColorsFile, load_colors
 from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.grabber import Grabber
-from rhot_capture.detection.color_table import ImageArray, build_color_table
+from rhot_capture.detection.color_table import ColorTable, ImageArray, build_color_table
+from rhot_capture.detection.cutouts import marker_mask
 from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.frame_stream import FrameStream
-from rhot_capture.grabber import grab
 from rhot_capture.kept_optics import KeptOptics
-from rhot_capture.preview import marker_mask, preview_jpeg, preview_png
+from rhot_capture.preview import preview_jpeg, preview_png
 from rhot_capture.settings import CameraSettings
-from rhot_capture.sources import Frame, Source, open_source
+from rhot_capture.sources import Frame, Source, grab, open_source
 from rhot_capture.timing import marker_frame, row_time_ns
 
 _PREVIEW_WAIT_S: Final = 0.4
@@ -43,10 +43,10 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """A processed frame as the preview shows it; all arrays are our own."""
+    """A processed frame as the preview shows it; the image is our own copy."""
 
     image: ImageArray
-    labels: ImageArray
+    table: ColorTable
     detections: dict[str, Detection]
     index: int
 
@@ -230,7 +230,7 @@ class CaptureService:
         seconds = time.perf_counter() - begun
         if self._wanted.is_set() or begun - self._seen_at > _KEEP_EVERY_S:
             # Copied only for who looks: the image may be the camera's own memory.
-            self._seen = _Seen(frame.image.copy(), self._detector.labels.copy(), detections, frame.index)
+            self._seen = _Seen(frame.image.copy(), self._detector.table, detections, frame.index)
             self._seen_at = begun
             self._wanted.clear()
             self._fresh.set()
@@ -273,7 +273,7 @@ class CaptureService:
         if coding not in ("jpeg", "png"):
             raise ConfigError(f"format={coding}: only format=jpeg, format=png and format=json are known")
         name = request.parameters.get("mask")
-        mask = None if name is None else marker_mask(seen.labels, self._names, name)
+        mask = None if name is None else marker_mask(seen.image, seen.table, name)
         code = preview_png if coding == "png" else preview_jpeg
         return Answer(code(seen.image, seen.detections if overlay else None, mask), f"image/{coding}")
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from rhot.messages import HeadPose, ObjectPose, State
-from rhot.messages.vectors import wire_position, wire_quaternion
+from rhot.messages.base import wire_position, wire_quaternion
 from rhot.stage import Output
 from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration

@@ -9,15 +9,16 @@ import os
 import statistics
 import threading
 import time
-from typing import Final
+from typing import Annotated, Final
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from rhot.calibration_step import StepContext
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError
 from rhot.messages import Control, ServiceStatus
 from rhot.rig import BusConfig, Rig
+from rhot.rig.file_model import FileModel
 from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.runner import serve
@@ -25,7 +26,6 @@ from rhot_viewer.browser.marker_colors import marker_colors
 from rhot_viewer.browser.overview import Problems
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.rig_scene import RigScene
-from rhot_viewer.config import ViewerConfig
 from rhot_viewer.panels import (
     CalibratePanel,
     CamerasPanel,
@@ -50,6 +50,18 @@ _END_LIMIT_S: Final = 0.9
 """From Ctrl-C to the end of the process, at most; with two busy processes beside it that was 12 s without a limit."""
 _NICE: Final = 10
 """Where processors are short, tracking goes first and the page shows fewer frames."""
+
+
+class ViewerConfig(FileModel):
+    """What `rhot/config/viewer/<instance>` shows.
+
+    Attributes:
+        rate_hz: how often moving things are sent to the browsers, at most.
+        picture_rate_hz: how often each camera is asked for its picture while somebody looks.
+    """
+
+    rate_hz: Annotated[float, Field(ge=1.0, le=120.0)] = 60.0
+    picture_rate_hz: Annotated[float, Field(ge=0.2, le=30.0)] = 4.0
 
 
 class ViewerService:

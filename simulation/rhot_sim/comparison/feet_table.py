@@ -8,7 +8,8 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from rhot_sim.comparison.table import figures_table, number_text
+from rhot.report.tables import figures_table
+from rhot_sim.comparison.table import number_text
 
 
 def live_feet_table(

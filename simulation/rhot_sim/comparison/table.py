@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rich import box
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
+
+from rhot.report.tables import figures_table
 
 _NOTHING = "–"
 
@@ -21,21 +21,6 @@ def number_text(figures: Mapping[str, Any], *path: str, digits: int = 1) -> str:
             return _NOTHING
         value = value[name]
     return f"{value:.{digits}f}" if isinstance(value, int | float) else _NOTHING
-
-
-def figures_table(*columns: str, title: str | None = None) -> Table:
-    """Return an empty table for names in the first column and figures in the others."""
-    table = Table(
-        title=title,
-        title_justify="left",
-        header_style="bold",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        padding=(0, 1, 0, 0),
-    )
-    for place, column in enumerate(columns):
-        table.add_column(column, justify="right" if place else "left")
-    return table
 
 
 def live_table(

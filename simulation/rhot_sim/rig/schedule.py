@@ -10,6 +10,7 @@ import hashlib
 import math
 from dataclasses import dataclass
 
+from rhot.clock import SkewedClock
 from rhot.rig.config import CameraConfig, SimConfig
 
 _STEPS = float(1 << 32)
@@ -92,3 +93,9 @@ def uniforms(key: str) -> tuple[float, float, float]:
     digest = hashlib.blake2b(key.encode(), digest_size=12).digest()
     first, second, third = (int.from_bytes(digest[at : at + 4], "big") / _STEPS for at in (0, 4, 8))
     return first, second, third
+
+
+def node_clock_of(config: SimConfig, camera: str) -> SkewedClock:
+    """Return the clock of a simulated camera's node: wrong on purpose, by an amount that follows from seed and name."""
+    error = clock_error(camera, config)
+    return SkewedClock(error.offset_ns, error.drift_ppm)

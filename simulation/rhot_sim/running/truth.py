@@ -1,18 +1,22 @@
-"""The service that publishes what is true in the simulated world."""
+"""`rhot truth`: the service that publishes what is true in the simulated world."""
 
 from __future__ import annotations
 
 import asyncio
+import os
+from pathlib import Path
 from typing import Final
 
+import click
 from pydantic import BaseModel
 
+from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.messages import Control
-from rhot.rig import Rig
+from rhot.rig import Rig, load_rig
 from rhot.rig.config import SimConfig
 from rhot.rig.folder import latest_rig
-from rhot.service import Node
+from rhot.service import Node, run_service
 from rhot_sim.world.world import World
 
 TRUTH_KEY: Final = "rhot/truth"
@@ -55,3 +59,13 @@ class TruthService:
             t_ns = now_ns - elapsed_ns % period_ns
             node.publish(TRUTH_KEY, world.truth((t_ns - start.start_t_ns) / 1e9, t_ns))
             await asyncio.sleep((period_ns - elapsed_ns % period_ns) / 1e9)
+
+
+@click.command()
+@rig_option
+@bus_options
+def truth(rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> int:
+    """Publish rhot/truth, what is true in the simulated world, until Ctrl-C."""
+    # It must not disturb what it is there to judge.
+    os.nice(5)
+    return run_service(TruthService(load_rig(rig_path)), tool_bus(rig_path, connect, namespace))

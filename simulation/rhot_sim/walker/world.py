@@ -31,8 +31,8 @@ from rhot_sim.walker.pictures.depth import DepthImage, DepthRenderer
 from rhot_sim.walker.pictures.disturbances import Disturbances, Mishaps
 from rhot_sim.walker.pictures.solids import CARD_SHARE, limbs_at
 from rhot_sim.walker.plan import SIDES
+from rhot_sim.world.motion import true_pose
 from rhot_sim.world.script import seeded
-from rhot_sim.world.true_pose import true_pose
 
 FloatArray = NDArray[np.float64]
 

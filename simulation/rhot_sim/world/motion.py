@@ -9,7 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.messages import Side
+from rhot.geometry.rotations import quaternion_from_rotation
+from rhot.messages import Side, TruePose
+from rhot.messages.base import wire_position, wire_quaternion
 
 FloatArray = NDArray[np.float64]
 
@@ -115,3 +117,8 @@ def lying_pose(spot: FloatArray, desk_z_m: float) -> FloatArray:
     pose: FloatArray = wrist_poses(np.array([[spot[0], spot[1], 0.0, spot[2], 0.0, 0.0]]))[0]
     pose[:3, 3] = spot[0], spot[1], desk_z_m - OBJECT_SIZE_M[1] / 2.0
     return pose
+
+
+def true_pose(T: NDArray[np.float64]) -> TruePose:
+    """Return the message's form of a transform (4, 4), metres."""
+    return TruePose(position=wire_position(T[:3, 3]), orientation=wire_quaternion(quaternion_from_rotation(T[:3, :3])))

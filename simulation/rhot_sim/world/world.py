@@ -14,15 +14,14 @@ from rhot.anatomy.skeleton import JOINTS
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import Side, TruePose, Truth
-from rhot.messages.vectors import wire_position, wire_quaternion
+from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig.config import MarkerConfig, SimConfig
 from rhot.rig.folder import Rig
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.walker.world import WalkerWorld
 from rhot_sim.world.board import BoardMotion, ChessBoard
-from rhot_sim.world.motion import Motion, StillMotion
+from rhot_sim.world.motion import Motion, StillMotion, true_pose
 from rhot_sim.world.script import ScriptedMotion
-from rhot_sim.world.true_pose import true_pose
 
 FloatArray = NDArray[np.float64]
 

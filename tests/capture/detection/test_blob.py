@@ -33,7 +33,7 @@ def test_only_the_asked_label_counts(labels: ImageArray) -> None:
     ellipse(labels, (52, 40), (8, 10), 2)
     (blob,) = find_blobs(labels, 2, 12, 4000)
     assert blob.area == np.count_nonzero(labels == 2)
-    assert blob.outlines[0][:, 0, 0].min() == np.nonzero(labels == 2)[1].min()
+    assert blob.rim[:, 0].min() == np.nonzero(labels == 2)[1].min()
 
 
 def test_size_gate_is_on_the_area(labels: ImageArray) -> None:
@@ -51,7 +51,7 @@ def test_marker_split_by_a_highlight_is_one_blob(labels: ImageArray) -> None:
     whole = np.count_nonzero(labels)
     labels[59:61] = 0
     (blob,) = find_blobs(labels, 1, 12, 4000)
-    assert len(blob.outlines) == 2
+    assert len(blob.contours) == 2
     assert blob.area == pytest.approx(whole, rel=0.03)
 
 

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 
 from rhot.errors import ConfigError
 from rhot.rig.colors import RgbColor, nominal_colors
+from rhot_capture.detection.candidates import Candidate, Refusal
 from rhot_capture.detection.color_table import build_color_table
+from rhot_capture.detection.cutouts import marker_mask
 from rhot_capture.detection.detector import MarkerDetector
 
 
@@ -157,8 +159,19 @@ def test_the_mixed_rim_of_another_marker_is_no_marker(
     detector = MarkerDetector(markers, build_color_table(nominal_colors(colors), list(colors)), 640, 480)
     drawn = scene([shape("middle", 300, 240, radius=16, on_skin=False)], blur=1.4)
     found = detector.detect(drawn.image)
-    assert np.count_nonzero(detector.labels == 1) > markers["thumb"].min_area_px
+    assert np.count_nonzero(marker_mask(drawn.image, detector.table, "thumb")) > markers["thumb"].min_area_px
     assert set(found) == {"middle"}
+    refused = {each.reason for name, each in detector.decisions.judged if name == "thumb" and isinstance(each, Refusal)}
+    assert refused == {"hollow"}
+
+
+def test_decisions_hold_what_was_taken_and_what_was_not(detector: MarkerDetector, scene: Any, shape: Any) -> None:
+    shapes = [shape("ring", 300, 240), shape("ring", 60, 60, radius=2.0, on_skin=False)]
+    found = detector.detect(scene(shapes).image)["ring"]
+    judged = [each for name, each in detector.decisions.judged if name == "ring"]
+    assert [each.blob for each in judged if isinstance(each, Candidate)] == [found.blob]
+    assert {each.reason for each in judged if isinstance(each, Refusal)} == {"too small"}
+    assert all(each.blob.x0 < 100 for each in judged if isinstance(each, Refusal))
 
 
 def test_marker_below_the_size_gate_is_not_seen(scene: Any, shape: Any, markers: Any, table: Any) -> None:
@@ -265,7 +278,8 @@ def test_followed_and_searched_markers_are_the_same(scene: Any, shape: Any, mark
         assert set(followed) == set(searched)
         for name, one in followed.items():
             assert (one.u, one.v, one.area) == pytest.approx((searched[name].u, searched[name].v, searched[name].area))
-        assert np.array_equal(following.labels, searching.labels)
+        judged = dict(following.decisions.judged)
+        assert all(judged[name].blob is one.blob for name, one in followed.items())
 
 
 def test_a_better_marker_elsewhere_is_found_within_half_a_second(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import BodyPose, FootPose, HeadPose, Position, Quaternion, Side, decode, encode
-from rhot.messages.vectors import wire_position, wire_quaternion
+from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import BodyConfig, load_rig
 from rhot_ik.legs.body_stage import BodyStage
 from rhot_sim.walker.person import person_of

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import base64
 import importlib.util
-import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 from hand_messages import hand_pose, marker_frame, object_pose, point_set
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
@@ -52,13 +52,16 @@ def recording(tmp_path: Path, rig_folder: Path) -> Path:
 def read(file: Path) -> dict[str, tuple[str, int, Any]]:
     found: dict[str, tuple[str, int, Any]] = {}
     with file.open("rb") as stream:
-        for schema, channel, message in make_reader(stream).iter_messages():
+        decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        for schema, channel, message, value in decoded:
             assert schema is not None
-            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
-            assert json.loads(schema.data)["type"] == "object"
-            assert b"$ref" not in schema.data
-            found.setdefault(channel.topic, (schema.name, message.log_time, json.loads(message.data)))
+            assert (schema.encoding, channel.message_encoding) == ("protobuf", "protobuf")
+            found.setdefault(channel.topic, (schema.name, message.log_time, value))
     return found
+
+
+def xyz(vector: Any) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
 
 
 def test_foxglove_sees_hand_points_objects_and_pictures(recording: Path, tmp_path: Path, rig_folder: Path) -> None:
@@ -70,24 +73,34 @@ def test_foxglove_sees_hand_points_objects_and_pictures(recording: Path, tmp_pat
     hand = hand_pose(0.3, T_NS + 2)
     assert isinstance(hand, HandPose)
     assert (name, t_ns) == ("foxglove.SceneUpdate", T_NS + 2)
-    (entity,) = scene["entities"]
-    assert entity["timestamp"] == {"sec": 1_700_000_000, "nsec": 123_456_791}
-    assert entity["frame_id"] == "rig"
-    places = [tuple(ball["pose"]["position"].values()) for ball in entity["spheres"]]
+    (entity,) = scene.entities
+    assert entity.timestamp.ToNanoseconds() == T_NS + 2
+    assert entity.frame_id == "rig"
+    places = [xyz(ball.pose.position) for ball in entity.spheres]
     assert places == [joint.position for joint in hand.joints.values()]
-    assert entity["spheres"][0]["size"]["x"] == 2.0 * hand.joints["palm"].radius
-    assert len(entity["lines"][0]["points"]) == 2 * 25
-    assert found["/points"][2]["entities"][0]["texts"][0]["text"] == "index"
-    assert found["/object/cube"][2]["pose"]["position"] == {"x": 0.25, "y": 0.0, "z": 0.5}
-    circle = found["/markers/left/annotations"][2]["circles"][0]
-    assert circle["position"] == {"x": 320.75, "y": 241.0}, "their pixel centres are on halves"
+    assert entity.spheres[0].size.x == 2.0 * hand.joints["palm"].radius
+    assert len(entity.lines[0].points) == 2 * 25
+    assert found["/points"][2].entities[0].texts[0].text == "index"
+    assert xyz(found["/object/cube"][2].pose.position) == (0.25, 0.0, 0.5)
+    circle = found["/markers/left/annotations"][2].circles[0]
+    assert (circle.position.x, circle.position.y) == (320.75, 241.0), "their pixel centres are on halves"
     name, t_ns, picture = found["/camera/left/image"]
-    assert (name, t_ns, picture["format"]) == ("foxglove.CompressedImage", T_NS, "jpeg")
-    assert base64.b64decode(picture["data"]) == JPEG
+    assert (name, t_ns, picture.format) == ("foxglove.CompressedImage", T_NS, "jpeg")
+    assert picture.data == JPEG
     camera = load_rig(rig_folder).cameras["left"]
     lens = found["/camera/left/calibration"][2]
-    assert (lens["K"], lens["D"]) == (np.ravel(camera.K).tolist(), [0.0] * 5)
+    assert (list(lens.K), list(lens.D)) == (np.ravel(camera.K).tolist(), [0.0] * 5)
     assert not any("status" in topic for topic in found)
+
+
+def test_without_the_sdk_it_is_said_what_to_install(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "foxglove.messages", None)
+    for name in ("file", "scene"):
+        monkeypatch.delitem(sys.modules, f"rhot.export.foxglove.{name}", raising=False)
+    with pytest.raises(ConfigError, match=r"pip install 'rhot\[foxglove\]'"):
+        CliRunner().invoke(export, [str(recording), "--foxglove", str(tmp_path / "x.mcap")], catch_exceptions=False)
 
 
 def test_the_recording_itself_is_not_overwritten(recording: Path) -> None:

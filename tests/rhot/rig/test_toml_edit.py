@@ -36,10 +36,15 @@ def test_only_the_values_change() -> None:
     assert tomllib.loads(with_values(again, ("cameras", "right"), {"gain": 1.5}))["cameras"]["right"] == {"gain": 1.5}
 
 
+def test_what_is_added_stands_before_the_comment_of_the_next_table() -> None:
+    changed = with_values(TEXT, ("cameras", "left"), {"exposure_s": 0.002})
+    assert changed == TEXT.replace("source = 'picamera2'\n", "source = 'picamera2'\nexposure_s = 0.002\n")
+
+
 @pytest.mark.parametrize("ending", ["\n", "\r\n"])
 def test_line_endings_stay(ending: str) -> None:
-    changed = with_values(f"[a]{ending}b = 1{ending}", ("a",), {"b": 2})
-    assert changed == f"[a]{ending}b = 2{ending}"
+    changed = with_values(f"[a]{ending}b = 1{ending}", ("a",), {"b": 2, "c": 3})
+    assert changed == f"[a]{ending}b = 2{ending}c = 3{ending}"
 
 
 @pytest.mark.parametrize(
@@ -48,20 +53,29 @@ def test_line_endings_stay(ending: str) -> None:
         "cameras = {left = {gain = 4.0}}\n",
         "cameras.left.gain = 4.0\n",
         "[cameras]\nleft.gain = 4.0\n",
-        "[cameras.left]\nwhite_balance = [\n1.0,\n2.0]\ngain = [\n1]\n",
+        "[cameras.left]\nwhite_balance = [\n1.0,\n2.0]\ngain = 1\n",
         '[cameras.left]\ngain = """\n4"""\n',
+        "[cameras.left]\ngain = 1 # one\n[sim]\n[cameras.right]\ngain = 1\n",
     ],
 )
-def test_what_cannot_be_changed_in_place_is_refused(text: str) -> None:
-    tomllib.loads(text)
-    with pytest.raises(ConfigError, match="gain"):
-        with_values(text, ("cameras", "left"), {"gain": 2.0})
+def test_every_form_of_a_table_is_changed_and_nothing_else(text: str) -> None:
+    expected = tomllib.loads(text)
+    expected["cameras"]["left"] |= {"gain": 2.0, "rate_hz": 30}
+    changed = with_values(text, ("cameras", "left"), {"gain": 2.0, "rate_hz": 30})
+    assert tomllib.loads(changed) == expected
+    assert changed.count("#") == text.count("#")
 
 
 def test_a_heading_within_a_text_is_no_heading() -> None:
     text = '[a]\nnote = """\n[b]\n"""\nc = 1\n[b]\nc = 2\n'
-    with pytest.raises(ConfigError, match="by hand"):
-        with_values(text, ("b",), {"c": 3})
+    assert with_values(text, ("b",), {"c": 3}) == text.replace("c = 2", "c = 3")
+
+
+def test_what_is_not_there_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"\[cameras.third\] is not there"):
+        with_values(TEXT, ("cameras", "third"), {"gain": 2.0})
+    with pytest.raises(ConfigError, match="line 1"):
+        with_values("[", ("cameras",), {"gain": 2.0})
 
 
 def test_a_rig_file_is_changed_as_a_whole_or_not_at_all(rig_folder: Path) -> None:

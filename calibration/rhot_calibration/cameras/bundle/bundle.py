@@ -5,7 +5,13 @@ Minimised over lenses, camera poses, board poses and corner positions, by Levenb
 
     Σ ρ(|uv − project(lens_c, T_camera_rig,c · T_rig_board,p · X_j)| / σ) + Σ ((q − q_prior) / σ_q)²
 
-with Huber's ρ. The corners are released as Strobl and Hirzinger do ("More Accurate Pinhole Camera Calibration with
+with Huber's ρ. σ is estimated anew in every step.
+
+The normal equations are summed view by view. On the thesis's chessboards one step of `scipy.optimize.least_squares`,
+with the same derivatives, took 35 to 60 ms and a problem 40 steps or more; here a whole problem takes 50 to 100 ms, and
+a calibration solves 41 of them. Both found the same focal lengths to 0.1 %.
+
+The corners are released as Strobl and Hirzinger do ("More Accurate Pinhole Camera Calibration with
 Imperfect Planar Target", ICCV Workshops 2011), held by priors in place of three fixed corners.
 """
 

@@ -13,7 +13,12 @@ from rhot_calibration.cameras.bundle.adjustment import Adjusted, Key, Place, adj
 from rhot_calibration.cameras.solve.consensus import Placement, place_cameras, single_camera
 from rhot_calibration.cameras.solve.joint_fit import fit_together
 from rhot_calibration.cameras.solve.placement import Relation
-from rhot_calibration.cameras.solve.requirements import MIN_VIEWS, require_agreement, require_links, require_views
+from rhot_calibration.cameras.solve.refusals import (
+    MIN_VIEWS,
+    refuse_contradicting,
+    refuse_too_few_views,
+    refuse_unlinked,
+)
 from rhot_calibration.cameras.solve.views import Board, BoardView, FloatArray, ViewSet
 
 _ROUNDS: Final = 6
@@ -63,7 +68,7 @@ def solve(views: ViewSet, lenses: Mapping[str, FloatArray], progress: Progress =
         CalibrationError: too few views, cameras without a link, or parameters that the views do not determine.
     """
     board, widths = views.board, {name: size[0] for name, size in views.sizes.items()}
-    require_views(views, tuple(lenses))
+    refuse_too_few_views(views, tuple(lenses))
     left_out: dict[Key, float] = {}
     alone: dict[str, Adjusted] = {}
     for name, lens in lenses.items():
@@ -74,8 +79,8 @@ def solve(views: ViewSet, lenses: Mapping[str, FloatArray], progress: Progress =
     kept = {key: view for key, view in views.views.items() if key not in left_out}
     progress("how the cameras stand")
     placement = place_cameras(board, kept, alone)
-    require_links(placement)
-    require_agreement(views, alone, placement)
+    refuse_unlinked(placement)
+    refuse_contradicting(views, alone, placement)
     return _refine(board, placement, alone, widths, left_out, progress)
 
 

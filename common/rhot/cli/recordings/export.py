@@ -14,7 +14,6 @@ from rich.console import Console
 from rhot.errors import ConfigError
 from rhot.export.bvh import bvh_text
 from rhot.export.columns import tables
-from rhot.export.foxglove.file import write_foxglove
 from rhot.export.poses import hand_motion
 from rhot.export.rerun_file import write_rerun
 from rhot.export.skeleton_motion import skeleton_motion
@@ -126,6 +125,12 @@ def export(
     if bvh_file is not None:
         _write_bvh(chain.from_iterable(parts), bvh_file, side, rate_hz)
     if foxglove_file is not None:
+        try:
+            from rhot.export.foxglove.file import write_foxglove  # noqa: PLC0415  # its extra may be absent
+        except ModuleNotFoundError as error:
+            raise ConfigError(
+                f"--foxglove needs the Python module {error.name}; pip install 'rhot[foxglove]'"
+            ) from error
         written_topics = write_foxglove(foxglove_file, chain.from_iterable(parts), _cameras(parts), _pictures(parts))
         click.echo(f"{foxglove_file}: {sum(written_topics.values())} messages on {len(written_topics)} topics")
     if rerun_file is not None:

@@ -1,4 +1,4 @@
-"""A recording as an MCAP file that Foxglove and Lichtblick open: their schemas, messages in JSON."""
+"""A recording as an MCAP file that Foxglove and Lichtblick open: their schemas, messages in protobuf."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from mcap.writer import CompressionType, Writer
 
 from rhot import __version__
 from rhot.errors import ConfigError
-from rhot.export.foxglove.messages import FoxgloveModel, schema_json, schema_name
-from rhot.export.foxglove.scene import Topic, picture_topic, rig_topics, topics
+from rhot.export.foxglove.scene import Shown, Topic, picture_topic, rig_topics, topics
 from rhot.messages import Message
 from rhot.recording.mcap.beside import StoredPicture
 from rhot.rig import CameraCalibration
@@ -65,17 +64,17 @@ class _TopicWriter:
     def __init__(self, writer: Writer) -> None:
         self.counts: dict[str, int] = {}
         self._writer = writer
-        self._schemas: dict[type[FoxgloveModel], int] = {}
+        self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         writer.start(profile="", library=f"rhot/{__version__}")
 
     def add_all(self, found: Iterable[Topic], t_ns: int) -> None:
         for topic, value in found:
             self._writer.add_message(
-                self._channel(topic, type(value)),
+                self._channel(topic, value),
                 log_time=t_ns,
                 publish_time=t_ns,
-                data=value.model_dump_json().encode(),
+                data=value.encode(),
                 sequence=self.counts.get(topic, 0),
             )
             self.counts[topic] = self.counts.get(topic, 0) + 1
@@ -83,13 +82,10 @@ class _TopicWriter:
     def finish(self) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]
 
-    def _channel(self, topic: str, model: type[FoxgloveModel]) -> int:
+    def _channel(self, topic: str, message: Shown) -> int:
         if topic not in self._channels:
-            if model not in self._schemas:
-                self._schemas[model] = self._writer.register_schema(
-                    name=schema_name(model), encoding="jsonschema", data=schema_json(model)
-                )
-            self._channels[topic] = self._writer.register_channel(
-                topic=topic, message_encoding="json", schema_id=self._schemas[model]
-            )
+            schema = message.get_schema()
+            if schema.name not in self._schemas:
+                self._schemas[schema.name] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", self._schemas[schema.name])
         return self._channels[topic]

@@ -6,24 +6,23 @@ down is up on the screen, and one frame for each camera and each pose.
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
-
-from rhot.anatomy.skeleton import PARENTS
-from rhot.export.foxglove.messages import (
+from foxglove.messages import (
     CameraCalibration,
     CircleAnnotation,
     Color,
     CompressedImage,
-    FoxgloveModel,
+    Duration,
     FrameTransform,
     FrameTransforms,
     ImageAnnotations,
     LinePrimitive,
+    LinePrimitiveLineType,
     Point2,
+    Point3,
     Pose,
     PoseInFrame,
     Quaternion,
@@ -32,22 +31,25 @@ from rhot.export.foxglove.messages import (
     SpherePrimitive,
     TextAnnotation,
     TextPrimitive,
-    Time,
+    Timestamp,
     Vector3,
 )
+
+from rhot.anatomy.skeleton import PARENTS
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import BodyPose, FootPose, HandPose, MarkerFrame, Message, ObjectPose, PointSet, Truth
 from rhot.rig import CameraCalibration as RigCamera
 
-Topic = tuple[str, FoxgloveModel]
+Shown = CameraCalibration | CompressedImage | FrameTransforms | ImageAnnotations | PoseInFrame | SceneUpdate
+Topic = tuple[str, Shown]
 
 WORLD: Final = "world"
-MEASURED: Final = Color(r=0.16, g=0.62, b=0.56)
-PREDICTED: Final = Color(r=0.91, g=0.55, b=0.16)
+MEASURED: Final = Color(r=0.16, g=0.62, b=0.56, a=1.0)
+PREDICTED: Final = Color(r=0.91, g=0.55, b=0.16, a=1.0)
 _TRUTH: Final = Color(r=0.6, g=0.6, b=0.6, a=0.4)
 _CLEAR: Final = Color(r=0.0, g=0.0, b=0.0, a=0.0)
 _SHADE: Final = Color(r=0.0, g=0.0, b=0.0, a=0.5)
-_LIFETIME_NS: Final = 500_000_000
+_LIFETIME: Final = Duration(sec=0, nsec=500_000_000)
 """What is not seen again within this vanishes."""
 _BONE_M: Final = 0.004
 _POINT_M: Final = 0.010
@@ -58,7 +60,7 @@ _IDENTITY: Final = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 def topics(key: str, message: Message) -> Iterator[Topic]:
     """Yield what a message looks like, by topic; nothing for messages that cannot be seen."""
     path = key.removeprefix("rhot")
-    time = Time.of(message.t_ns)
+    time = _time(message.t_ns)
     match message:
         case HandPose():
             yield path, _scene(time, message.frame, path, _hand_spheres(message), _hand_bones(message))
@@ -68,7 +70,7 @@ def topics(key: str, message: Message) -> Iterator[Topic]:
         case PointSet():
             yield path, _points(time, path, message)
         case ObjectPose() | FootPose():
-            pose = Pose(position=_vector(message.position), orientation=_quaternion(message.orientation))
+            pose = _pose(message.position, message.orientation)
             yield path, PoseInFrame(timestamp=time, frame_id=message.frame, pose=pose)
             name = path.strip("/").replace("/", "_")
             yield "/tf", _transform(time, message.frame, name, message.position, message.orientation)
@@ -86,7 +88,7 @@ def topics(key: str, message: Message) -> Iterator[Topic]:
 
 def rig_topics(cameras: dict[str, RigCamera], t_ns: int) -> Iterator[Topic]:
     """Yield what stands still: which way is up, and where the cameras are and what their lenses do."""
-    time = Time.of(t_ns)
+    time = _time(t_ns)
     yield "/tf", _transform(time, WORLD, "rig", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     for name, camera in cameras.items():
         T = np.array(camera.T_rig_camera)
@@ -111,14 +113,12 @@ def rig_topics(cameras: dict[str, RigCamera], t_ns: int) -> Iterator[Topic]:
 
 def picture_topic(camera: str, t_ns: int, data: bytes, coding: str) -> Topic:
     """Return a picture, coded as `jpeg` or `png`."""
-    image = CompressedImage(
-        timestamp=Time.of(t_ns), frame_id=camera, data=base64.b64encode(data).decode(), format=coding
-    )
+    image = CompressedImage(timestamp=_time(t_ns), frame_id=camera, data=data, format=coding)
     return f"/camera/{camera}/image", image
 
 
 def _scene(
-    time: Time,
+    time: Timestamp,
     frame: str,
     name: str,
     spheres: Sequence[SpherePrimitive],
@@ -129,7 +129,8 @@ def _scene(
         timestamp=time,
         frame_id=frame,
         id=name,
-        lifetime=Time.of(_LIFETIME_NS),
+        lifetime=_LIFETIME,
+        frame_locked=True,
         spheres=list(spheres),
         lines=list(lines),
         texts=list(texts),
@@ -148,35 +149,50 @@ def _hand_bones(hand: HandPose) -> list[LinePrimitive]:
 
 def _bones(places: dict[str, tuple[float, float, float]], color: Color) -> list[LinePrimitive]:
     ends = [
-        _vector(places[end])
+        Point3(x=places[end][0], y=places[end][1], z=places[end][2])
         for joint, parent in PARENTS.items()
         if parent is not None and joint in places and parent in places
         for end in (parent, joint)
     ]
-    return [LinePrimitive(thickness=_BONE_M, points=ends, color=color)] if ends else []
+    if not ends:
+        return []
+    return [
+        LinePrimitive(
+            type=LinePrimitiveLineType.LineList,
+            pose=_pose((0.0, 0.0, 0.0)),
+            thickness=_BONE_M,
+            points=ends,
+            color=color,
+        )
+    ]
 
 
-def _points(time: Time, name: str, points: PointSet) -> SceneUpdate:
+def _points(time: Timestamp, name: str, points: PointSet) -> SceneUpdate:
     spheres = [_sphere(point.position, _POINT_M, _color(point.state)) for point in points.points.values()]
     texts = [
         TextPrimitive(
-            pose=Pose(position=_vector(point.position)), font_size=_LABEL_PX, color=_color(point.state), text=marker
+            pose=_pose(point.position),
+            billboard=True,
+            font_size=_LABEL_PX,
+            scale_invariant=True,
+            color=_color(point.state),
+            text=marker,
         )
         for marker, point in points.points.items()
     ]
     return _scene(time, points.frame, name, spheres, texts=texts)
 
 
-def _annotations(time: Time, frame: MarkerFrame) -> ImageAnnotations:
+def _annotations(time: Timestamp, frame: MarkerFrame) -> ImageAnnotations:
     circles, texts = [], []
     for name, marker in frame.markers.items():
         # Our pixel centres are on integers, theirs on halves.
-        place = Point2(x=marker.u + 0.5, y=marker.v + 0.5)
+        u, v = marker.u + 0.5, marker.v + 0.5
         diameter = max(4.0, 2.0 * float(np.sqrt(marker.area / np.pi)))
         circles.append(
             CircleAnnotation(
                 timestamp=time,
-                position=place,
+                position=Point2(x=u, y=v),
                 diameter=diameter,
                 thickness=1.0,
                 fill_color=_CLEAR,
@@ -186,7 +202,7 @@ def _annotations(time: Time, frame: MarkerFrame) -> ImageAnnotations:
         texts.append(
             TextAnnotation(
                 timestamp=time,
-                position=Point2(x=place.x + 0.5 * diameter, y=place.y),
+                position=Point2(x=u + 0.5 * diameter, y=v),
                 text=f"{name} {marker.score:.2f}",
                 font_size=_LABEL_PX,
                 text_color=MEASURED,
@@ -198,11 +214,11 @@ def _annotations(time: Time, frame: MarkerFrame) -> ImageAnnotations:
 
 def _sphere(position: Sequence[float], diameter_m: float, color: Color) -> SpherePrimitive:
     size = Vector3(x=diameter_m, y=diameter_m, z=diameter_m)
-    return SpherePrimitive(pose=Pose(position=_vector(position)), size=size, color=color)
+    return SpherePrimitive(pose=_pose(position), size=size, color=color)
 
 
 def _transform(
-    time: Time, parent: str, child: str, position: Sequence[float], orientation: Sequence[float]
+    time: Timestamp, parent: str, child: str, position: Sequence[float], orientation: Sequence[float]
 ) -> FrameTransforms:
     transform = FrameTransform(
         timestamp=time,
@@ -216,6 +232,14 @@ def _transform(
 
 def _color(state: str) -> Color:
     return MEASURED if state == "measured" else PREDICTED
+
+
+def _time(t_ns: int) -> Timestamp:
+    return Timestamp(sec=t_ns // 1_000_000_000, nsec=t_ns % 1_000_000_000)
+
+
+def _pose(position: Sequence[float], orientation_xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Pose:
+    return Pose(position=_vector(position), orientation=_quaternion(orientation_xyzw))
 
 
 def _vector(values: Sequence[float]) -> Vector3:

@@ -14,6 +14,7 @@ from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.detection.cutouts import Cutout, Region
 
 ContourArray = NDArray[np.int32]
+FloatArray = NDArray[np.float64]
 
 PADDING_PX: Final = 6
 """Room around a blob for its rim and a strip of what surrounds it."""
@@ -79,9 +80,15 @@ class Blob(NamedTuple):
         return slice(self.y0, self.y0 + height), slice(self.x0, self.x0 + width)
 
     @property
-    def outlines(self) -> tuple[ContourArray, ...]:
-        """The outlines of the blob's parts, each (n, 1, 2) int32, image coordinates."""
-        return tuple(contour + np.array(self.shift, dtype=np.int32) for contour in self.contours)
+    def middle(self) -> tuple[float, float]:
+        """U and v of the middle of the window, pixels."""
+        height, width = self.mask.shape
+        return self.x0 + 0.5 * (width - 1), self.y0 + 0.5 * (height - 1)
+
+    @property
+    def rim(self) -> FloatArray:
+        """(n, 2) float64, points of the outlines of its parts, image coordinates."""
+        return (self.points[:, 0] + self.shift).astype(np.float64)
 
     def inside(self, region: Region, shape: tuple[int, int]) -> bool:
         """Tell whether the blob ends before a region does, but for where the image ends."""
@@ -136,8 +143,31 @@ def find_blobs(
     return blobs_of(own.view(np.uint8), [Cutout(label, region, 0)], [(min_area, max_area)], shape)[0]
 
 
+class Outsized(NamedTuple):
+    """Parts that belong together and are too small or too large for a marker; drawn only for those who ask.
+
+    Attributes:
+        parts: of it.
+        place: where it was found.
+        shape: height and width of the image.
+    """
+
+    parts: list[_Part]
+    place: Cutout
+    shape: tuple[int, int]
+
+    @property
+    def blob(self) -> Blob:
+        """The blob."""
+        return _blob(self.parts, self.place, None, self.shape)
+
+
 def blobs_of(
-    own: ImageArray, places: Sequence[Cutout], gates: Sequence[tuple[float, float]], shape: tuple[int, int]
+    own: ImageArray,
+    places: Sequence[Cutout],
+    gates: Sequence[tuple[float, float]],
+    shape: tuple[int, int],
+    outsized: list[Outsized] | None = None,
 ) -> list[list[Blob]]:
     """Return the blobs of each cutout, largest first; see `find_blobs`.
 
@@ -146,7 +176,9 @@ def blobs_of(
         places: the cutouts, from top to bottom.
         gates: smallest and largest area of a blob in each of them.
         shape: height and width of the image.
+        outsized: what is too small or too large is added here.
     """
+    outsized = [] if outsized is None else outsized
     found, _ = cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     rows = [place.row for place in places]
     parts: list[list[_Part]] = [[] for _ in places]
@@ -157,8 +189,11 @@ def blobs_of(
         if area >= _LEAST_PX:
             box = cv2.boundingRect(outline)
             place = bisect_right(rows, box[1]) - 1
+            part = _Part(area, outline, box)
             if area >= _MERGE_MIN_SHARE * gates[place][0]:
-                parts[place].append(_Part(area, outline, box))
+                parts[place].append(part)
+            else:
+                outsized.append(Outsized([part], places[place], shape))
     alone = [each[0].outline for each in parts if len(each) == 1]
     has_holes = cv2.countNonZero(own) != enclosed
     if has_holes or len(alone) < len(found):
@@ -167,11 +202,16 @@ def blobs_of(
     else:
         filled = own * _INSIDE
     drawing = _Drawing(filled, has_holes)
-    return [_grouped(*each, drawing, shape) for each in zip(parts, places, gates, strict=True)]
+    return [_grouped(*each, drawing, shape, outsized) for each in zip(parts, places, gates, strict=True)]
 
 
 def _grouped(
-    parts: list[_Part], place: Cutout, gate: tuple[float, float], drawing: _Drawing, shape: tuple[int, int]
+    parts: list[_Part],
+    place: Cutout,
+    gate: tuple[float, float],
+    drawing: _Drawing,
+    shape: tuple[int, int],
+    outsized: list[Outsized],
 ) -> list[Blob]:
     """Return the blobs of a cutout.
 
@@ -181,15 +221,21 @@ def _grouped(
         gate: smallest and largest area of a blob.
         drawing: of what is alone in its cutout.
         shape: height and width of the image.
+        outsized: what is too small or too large is added here.
     """
     if len(parts) == 1:
-        return [_blob(parts, place, drawing, shape)] if gate[0] <= parts[0].area <= gate[1] else []
+        if gate[0] <= parts[0].area <= gate[1]:
+            return [_blob(parts, place, drawing, shape)]
+        outsized.append(Outsized(parts, place, shape))
+        return []
     free = sorted(parts, key=lambda part: part.area, reverse=True)[: 4 * _MAX_CANDIDATES]
     blobs: list[Blob] = []
     while free and len(blobs) < _MAX_CANDIDATES:
         group, free = _gather(free)
         if gate[0] <= sum([part.area for part in group]) <= gate[1]:
             blobs.append(_blob(group, place, None, shape))
+        else:
+            outsized.append(Outsized(group, place, shape))
     return blobs
 
 

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
+from rhot.errors import ConfigError
 from rhot_capture.detection.color_table import ColorTable, ImageArray
 
 _GAP_PX: Final = 2
@@ -87,6 +88,25 @@ class Cutouts:
     def foreign_in(self, window: tuple[slice, slice]) -> int:
         """Return how many pixels of a window have the label of another marker."""
         return cv2.countNonZero(self.labels[window]) - cv2.countNonZero(self._matching[window])
+
+
+def marker_mask(image: ImageArray, table: ColorTable, marker: str) -> ImageArray:
+    """Return 255 where the detector would take a pixel for a marker's, 0 elsewhere, (H, W) uint8.
+
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        table: colours in use.
+        marker: name.
+
+    Raises:
+        ConfigError: no such marker.
+    """
+    if marker not in table.names:
+        raise ConfigError(f"mask={marker}: no such marker; one of {', '.join(table.names)}")
+    height, width = image.shape[:2]
+    cutouts = Cutouts(image, table, [(table.names.index(marker) + 1, Region(0, 0, width, height))])
+    row = cutouts.places[0].row
+    return cutouts.own[row : row + height, :width] * np.uint8(255)
 
 
 def _of_most(own: ImageArray) -> ImageArray:

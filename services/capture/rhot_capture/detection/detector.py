@@ -12,14 +12,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
 from rhot.rig.config import MarkerConfig
-from rhot_capture.detection.blob import Blob, blobs_of
-from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, judge, middle_of
+from rhot_capture.detection.blob import Blob, Outsized, blobs_of
+from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Reason, Refusal, judge
 from rhot_capture.detection.color_table import ColorTable, ImageArray
 from rhot_capture.detection.corners import find_corners
 from rhot_capture.detection.cutouts import Cutouts, Region
@@ -56,7 +55,21 @@ class Detection(NamedTuple):
     @property
     def outline(self) -> FloatArray:
         """(n, 2) pixels on the rim of the painted area."""
-        return np.concatenate(self.blob.outlines).reshape(-1, 2).astype(np.float64)
+        return self.blob.rim
+
+
+class Decisions(NamedTuple):
+    """What was decided about the blobs of one frame.
+
+    Attributes:
+        looks: label and region of every part of the frame that was looked at.
+        judged: name of the marker and candidate or refusal of every blob of a marker's colour in these.
+        chosen: the candidates that were taken, with the evidence of all blobs.
+    """
+
+    looks: Sequence[tuple[int, Region]]
+    judged: Sequence[tuple[str, Candidate | Refusal]]
+    chosen: Mapping[str, Candidate]
 
 
 class MarkerDetector:
@@ -83,6 +96,10 @@ class MarkerDetector:
         self._shapes: dict[str, list[tuple[float, float]]] = {}
         self._image: ImageArray = np.zeros((height, width, 3), np.uint8)
         self._since_survey = 0
+        self._looks: Sequence[tuple[int, Region]] = ()
+        self._judged: list[tuple[str, Candidate | Refusal]] = []
+        self._outsized: list[Outsized] = []
+        self._chosen: Mapping[str, Candidate] = {}
         self.table = table
 
     @property
@@ -99,10 +116,18 @@ class MarkerDetector:
         self._table = table
 
     @property
-    def labels(self) -> ImageArray:
-        """Labels of the last frame, (H, W) uint8, 0 = no marker, i = the i-th marker."""
-        labels, _ = self._table.classify(self._image)
-        return np.asarray(cv2.medianBlur(labels, 3), dtype=np.uint8)
+    def decisions(self) -> Decisions:
+        """What was decided about the blobs of the last frame; put together only when asked for."""
+        judged = list(self._judged)
+        for each in self._outsized:
+            label, blob = each.place.label, each.blob
+            reason: Reason = "too small" if blob.area < self._gates[label - 1][0] else "too large"
+            judged.append((self._names[label - 1], Refusal(blob, reason)))
+        return Decisions(self._looks, judged, self._chosen)
+
+    def expected(self, name: str) -> tuple[float, float] | None:
+        """Return where a marker is expected in the next frame, u and v in pixels; None when it was not in the last."""
+        return self._tracks[name].expected
 
     def reset(self) -> None:
         """Forget where the markers were."""
@@ -113,16 +138,12 @@ class MarkerDetector:
         """Return the markers seen in a frame; one that is not seen is absent.
 
         Args:
-            image: (H, W, 3) uint8 BGR; kept until the next frame for `labels`.
+            image: (H, W, 3) uint8 BGR.
 
         Raises:
             ConfigError: the frame is not of the detector's size.
         """
-        if image.shape != (*self._size, 3) or image.dtype != np.uint8:
-            raise ConfigError(
-                f"frame is {image.shape} {image.dtype}, the detector was made for {(*self._size, 3)} uint8; "
-                "set width and height of the camera in rig.toml to what it delivers"
-            )
+        self._require_size(image)
         self._image = image
         chosen = self._follow()
         if chosen is None:
@@ -132,6 +153,27 @@ class MarkerDetector:
                 self._tracks[name].miss()
                 self._shapes.pop(name, None)
         return self._measure(image, chosen)
+
+    def decide_everywhere(self, image: ImageArray) -> Decisions:
+        """Return what would be decided about a frame if all of it was searched; changes no track.
+
+        Args:
+            image: (H, W, 3) uint8 BGR.
+
+        Raises:
+            ConfigError: the frame is not of the detector's size.
+        """
+        self._require_size(image)
+        self._image = image
+        self._survey()
+        return self.decisions
+
+    def _require_size(self, image: ImageArray) -> None:
+        if image.shape != (*self._size, 3) or image.dtype != np.uint8:
+            raise ConfigError(
+                f"frame is {image.shape} {image.dtype}, the detector was made for {(*self._size, 3)} uint8; "
+                "set width and height of the camera in rig.toml to what it delivers"
+            )
 
     def _follow(self) -> dict[str, Candidate] | None:
         """Look for each marker where it is expected; None when one of them is not wholly there."""
@@ -154,7 +196,8 @@ class MarkerDetector:
         """Look for every marker in the whole frame."""
         self._since_survey = 0
         looks = find_regions(self._image, self._table)
-        return self._best(self._candidates(looks, every=False) or {}) if looks else {}
+        self._looks, self._judged, self._outsized = looks, [], []
+        return self._best(self._candidates(looks, every=False) or {}) if looks else self._best({})
 
     def _candidates(self, looks: Sequence[tuple[int, Region]], every: bool) -> dict[str, list[Candidate]] | None:
         """Return the candidates for each marker in some regions of the frame; markers without one are absent.
@@ -165,7 +208,9 @@ class MarkerDetector:
         """
         cutouts = Cutouts(self._image, self._table, looks)
         candidates: dict[str, list[Candidate]] = {}
-        found = blobs_of(cutouts.own, cutouts.places, [self._gates[label - 1] for label, _ in looks], self._size)
+        self._looks, self._judged, self._outsized = looks, [], []
+        gates = [self._gates[label - 1] for label, _ in looks]
+        found = blobs_of(cutouts.own, cutouts.places, gates, self._size, self._outsized)
         count = [0] * (len(self._names) + 1)
         for place, blobs in zip(cutouts.places, found, strict=True):
             count[place.label] += len(blobs)
@@ -176,10 +221,12 @@ class MarkerDetector:
                 if not blob.inside(place.region, self._size):
                     if every:
                         return None
+                    self._judged.append((name, Refusal(blob, "cut")))
                     continue
-                candidate = judge(cutouts, blob, place.label, self._gates[place.label - 1][0], track, alone)
-                if candidate is not None:
-                    candidates.setdefault(name, []).append(candidate)
+                verdict = judge(cutouts, blob, place.label, self._gates[place.label - 1][0], track, alone)
+                self._judged.append((name, verdict))
+                if isinstance(verdict, Candidate):
+                    candidates.setdefault(name, []).append(verdict)
         return candidates
 
     def _best(self, candidates: Mapping[str, list[Candidate]]) -> dict[str, Candidate]:
@@ -194,8 +241,7 @@ class MarkerDetector:
                 track = self._tracks[name]
                 # How much it is like the marker, times how well it continues the track, times area.
                 weights = [
-                    one.plausibility * track.preference(*middle_of(one.blob), one.blob.area) * one.blob.area
-                    for one in each
+                    one.plausibility * track.preference(*one.blob.middle, one.blob.area) * one.blob.area for one in each
                 ]
                 first, second = sorted(range(len(each)), key=weights.__getitem__, reverse=True)[:2]
                 share = weights[first] / (weights[first] + weights[second])
@@ -205,6 +251,7 @@ class MarkerDetector:
                 )
             if best.plausibility >= MIN_PLAUSIBILITY:
                 chosen[name] = best
+        self._chosen = chosen
         return chosen
 
     def _measure(self, image: ImageArray, chosen: Mapping[str, Candidate]) -> dict[str, Detection]:

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 
 RIGHT_PX: Final = 1.0
 
-# Made by `python bench/fit_score.py`, which prints these lines and the reliability on other seeds.
+# Made by `python -m rhot_bench.detection.score_fit`, which prints these lines and the reliability on other seeds.
 BIAS: Final = 3.081
 WEIGHTS: Final = (4.327, 11.682, 5.145)
 

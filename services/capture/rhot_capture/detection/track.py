@@ -38,6 +38,11 @@ class MarkerTrack:
         """Room to leave around where the marker is expected; more the faster it moves."""
         return _MARGIN_PX + _MARGIN_PER_MOTION * max(abs(self._motion_u), abs(self._motion_v))
 
+    @property
+    def expected(self) -> tuple[float, float] | None:
+        """U and v of where the marker is expected, pixels; None when it was not in the last frame."""
+        return None if self._missed > 0 else (self._u + self._motion_u, self._v + self._motion_v)
+
     def region(self, margin_px: float, height: int, width: int) -> Region | None:
         """Return where in the picture the marker is expected; None when it was not in the last frame.
 
@@ -46,10 +51,10 @@ class MarkerTrack:
             height: of the picture, pixels.
             width: of the picture, pixels.
         """
-        if self._missed > 0:
+        if (expected := self.expected) is None:
             return None
+        u, v = expected
         reach_u, reach_v = self._reach[0] + margin_px, self._reach[1] + margin_px
-        u, v = self._u + self._motion_u, self._v + self._motion_v
         left, top = max(0, int(u - reach_u)), max(0, int(v - reach_v))
         right, bottom = min(width, int(u + reach_u) + 1), min(height, int(v + reach_v) + 1)
         return Region(left, top, right, bottom) if left < right and top < bottom else None

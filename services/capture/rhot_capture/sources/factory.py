@@ -1,4 +1,4 @@
-"""Choosing a source by its kind in `rig.toml`; each kind is imported only when it is asked for."""
+"""Choosing a source by its kind in `rig.toml`, each kind imported only when it is asked for, and reading it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from rhot.clock import NodeClock
 from rhot.errors import ConfigError
 from rhot.plugins import load_simulated
 from rhot.rig import Rig
-from rhot_capture.sources.frame import Source
+from rhot.service.grabber import Grabber
+from rhot_capture.sources.frame import Frame, Source
 
 
 def open_source(name: str, rig: Rig, clock: NodeClock) -> Source:
@@ -38,3 +39,13 @@ def open_source(name: str, rig: Rig, clock: NodeClock) -> Source:
     from rhot_capture.sources.picamera2 import Picamera2Source  # noqa: PLC0415
 
     return Picamera2Source(name, camera)
+
+
+def grab(source: Source, name: str = "camera") -> Grabber[Frame]:
+    """Return a grabber of an opened source, which from its start on is read on the grabber's thread only.
+
+    Args:
+        source: to read.
+        name: of the camera, for messages.
+    """
+    return Grabber(f"camera {name}", lambda: iter(source.read, None), source.close)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.messages import PointSet
-from rhot.messages.vectors import wire_position
+from rhot.messages.base import wire_position
 from rhot_fusion.filter.path_smoothing import SmoothedPath
 
 FloatArray = NDArray[np.float64]

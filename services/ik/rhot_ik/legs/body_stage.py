@@ -12,7 +12,7 @@ from rhot.anatomy.body_proportions import BodyModel
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.geometry.transforms import rigid
 from rhot.messages import BodyJoint, BodyPose, FootPose, HeadPose, LegAngles, Position, Quaternion, Side, State
-from rhot.messages.vectors import wire_position, wire_quaternion
+from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import Rig
 from rhot.stage import Output
 from rhot_ik.legs.body_solver import BodySolution, solve_body

@@ -25,8 +25,8 @@ from rhot_viewer.rig.sessions import Sessions
 logger = logging.getLogger(__name__)
 
 _REMARKS_HEIGHT: Final = "5.5em"
-_RESTART: Final = "start the rig anew"
-_RESTART_HINT: Final = "A new session; trying, saving and undoing cameras, hand and objects begin one by themselves."
+_RESTART: Final = "restart the rig"
+_RESTART_HINT: Final = "Begin a new session. Trying, saving and undoing cameras, hand and objects do so by themselves."
 
 _FieldHandle = viser.GuiDropdownHandle[str] | viser.GuiTextHandle
 

@@ -6,19 +6,21 @@ from collections.abc import Callable, Iterable, Mapping
 from html import escape
 from typing import Any, Final
 
+import numpy as np
 import viser
 
 from rhot.messages import MarkerFrame
 from rhot.rig.calibration import CameraCalibration
 from rhot_viewer.browser.camera_layer import dark_picture, show_jpeg
 from rhot_viewer.browser.page import Page
-from rhot_viewer.browser.picking import marker_at
 from rhot_viewer.browser.rig_scene import RigScene
 from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.picture_feed import Picture, PictureFeed
 
 ALL_MARKERS: Final = "all markers"
 _FRAME_AGE_S: Final = 1.0
+_REACH_PX: Final = 14.0
+"""A marker is also meant by a click this far outside it: fingers on a tablet are not sharp."""
 _HELP: Final = (
     "<div style='padding:0.2em 0.8em;font-size:0.85em;opacity:0.75'>Look through a camera, then click a marker in its "
     "picture: its mask is shown, everything that its colour does not take in goes dark. A click beside all markers "
@@ -96,3 +98,13 @@ class PicturesPanel:
 
     def _fly_to(self, camera: str) -> Callable[[viser.GuiEvent[Any]], None]:
         return lambda event: self._scene.fly(event.client, camera)
+
+
+def marker_at(frame: MarkerFrame, u: float, v: float) -> str | None:
+    """Return the marker at a raw pixel, the nearest of those within reach; None when none is there."""
+    within = {
+        name: distance
+        for name, marker in frame.markers.items()
+        if (distance := float(np.hypot(marker.u - u, marker.v - v))) <= np.sqrt(marker.area / np.pi) + _REACH_PX
+    }
+    return min(within, key=within.__getitem__) if within else None

@@ -1,4 +1,4 @@
-"""Starting the rig anew from the page, so that its services take over what was calibrated."""
+"""Restarting the rig from the page, so that its services use the new calibration."""
 
 from __future__ import annotations
 

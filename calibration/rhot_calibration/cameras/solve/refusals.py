@@ -1,4 +1,4 @@
-"""What views have to offer before cameras can be placed by them."""
+"""What views may not lack before cameras can be placed by them: the reasons to refuse them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ENOUGH_AGREE: Final = 0.3
 """Of two cameras' pictures this share has to agree roughly, or their relation is only a guess."""
 
 
-def require_views(views: ViewSet, cameras: tuple[str, ...]) -> None:
+def refuse_too_few_views(views: ViewSet, cameras: tuple[str, ...]) -> None:
     """Refuse fewer views than a lens needs.
 
     Raises:
@@ -35,7 +35,7 @@ def require_views(views: ViewSet, cameras: tuple[str, ...]) -> None:
             )
 
 
-def require_links(placement: Placement) -> None:
+def refuse_unlinked(placement: Placement) -> None:
     """Refuse cameras that no chain of common pictures links.
 
     Raises:
@@ -49,7 +49,7 @@ def require_links(placement: Placement) -> None:
         )
 
 
-def require_agreement(views: ViewSet, alone: Mapping[str, Adjusted], placement: Placement) -> None:
+def refuse_contradicting(views: ViewSet, alone: Mapping[str, Adjusted], placement: Placement) -> None:
     """Refuse pictures of which most contradict each other.
 
     Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rhot.messages import Marker, MarkerFrame
-from rhot_viewer.browser.picking import marker_at
+from rhot_viewer.panels.pictures import marker_at
 
 FRAME = MarkerFrame(
     t_ns=1,

@@ -1,10 +1,10 @@
 """Fit the score of a detection to simulated pictures, and tell on other seeds whether it means what it says.
 
-    python bench/fit_score.py [--bursts 40]
+    python -m rhot_bench.detection.score_fit [--bursts 40]
 
-Prints the two constants of `rhot_capture/score.py` and a table of reliability: of the detections with a score in each
-range, the share that is right, and the expected calibration error (the mean of |score − share right| over the ranges,
-weighted by how many detections fall into each), both for the constants fitted now and for those in the module.
+Prints the two constants of `rhot_capture.detection.score` and a table of reliability: of the detections with a score in
+each range, the share that is right, and the expected calibration error (the mean of |score − share right| over the
+ranges, weighted by how many detections fall into each), both for the constants fitted now and for those in the module.
 """
 
 from __future__ import annotations
@@ -21,11 +21,10 @@ from rich.progress import track
 from rich.table import Table
 from scipy.optimize import minimize
 
-import rhot_capture.detection.detector
-from capture_frames import BURST, rig_colors, simulated_rig, true_frames
+from rhot_bench.detection.true_frames import BURST, rig_colors, simulated_rig, true_frames
 from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.detector import Detection, MarkerDetector
-from rhot_capture.detection.score import BIAS, RIGHT_PX, WEIGHTS, Evidence, probability
+from rhot_capture.detection.score import BIAS, RIGHT_PX, WEIGHTS, Evidence
 from rhot_sim.rendering.coverage import MarkerView
 
 FloatArray = NDArray[np.float64]
@@ -41,27 +40,19 @@ def samples(seeds: Sequence[int], bursts: int) -> tuple[FloatArray, FloatArray]:
     rig = simulated_rig(1)
     names = list(rig.config.markers)
     detector = MarkerDetector(rig.config.markers, build_color_table(rig_colors(rig), names), 640, 480)
-    recorded: list[Evidence] = []
-
-    def record(evidence: Evidence) -> float:
-        recorded.append(evidence)
-        return probability(evidence)
-
+    evidence: list[Evidence] = []
     right: list[bool] = []
-    rhot_capture.detection.detector.probability = record
-    try:
-        for seed in seeds:
-            burst = -1
-            for frame in track(
-                true_frames(seed, bursts), f"seed {seed}", total=BURST * bursts, console=Console(stderr=True)
-            ):
-                if frame.burst != burst:
-                    detector.reset()
-                    burst = frame.burst
-                right += [_right(found, frame.views.get(name)) for name, found in detector.detect(frame.image).items()]
-    finally:
-        rhot_capture.detection.detector.probability = probability
-    return np.array(recorded), np.array(right, dtype=np.float64)
+    for seed in seeds:
+        burst = -1
+        frames = track(true_frames(seed, bursts), f"seed {seed}", total=BURST * bursts, console=Console(stderr=True))
+        for frame in frames:
+            if frame.burst != burst:
+                detector.reset()
+                burst = frame.burst
+            found = detector.detect(frame.image)
+            evidence += [each.evidence for each in detector.decisions.chosen.values()]
+            right += [_right(found[name], frame.views.get(name)) for name in detector.decisions.chosen]
+    return np.array(evidence), np.array(right, dtype=np.float64)
 
 
 def _right(found: Detection, view: MarkerView | None) -> bool:
@@ -116,7 +107,7 @@ def main() -> None:
     console.print(f"BIAS: Final = {parameters[0]:.3f}", highlight=False)
     console.print(f"WEIGHTS: Final = ({', '.join(f'{weight:.3f}' for weight in parameters[1:])})", highlight=False)
     evidence, right = samples(CHECK_SEEDS, bursts)
-    for title, chosen in (("fitted now", parameters), ("rhot_capture/score.py", np.array([BIAS, *WEIGHTS]))):
+    for title, chosen in (("fitted now", parameters), ("rhot_capture.detection.score", np.array([BIAS, *WEIGHTS]))):
         scores = 1.0 / (1.0 + np.exp(-(chosen[0] + evidence @ chosen[1:])))
         shown, error = reliability(scores, right, f"{title}, other seeds")
         console.print(shown)

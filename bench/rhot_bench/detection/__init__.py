@@ -1,0 +1,1 @@
+"""Fitting the score of detections."""

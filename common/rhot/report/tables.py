@@ -1,0 +1,21 @@
+"""Tables of figures on the terminal."""
+
+from __future__ import annotations
+
+from rich import box
+from rich.table import Table
+
+
+def figures_table(*columns: str, title: str | None = None) -> Table:
+    """Return an empty table for names in the first column and figures, to the right, in the others."""
+    table = Table(
+        title=title,
+        title_justify="left",
+        header_style="bold",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        padding=(0, 1, 0, 0),
+    )
+    for place, column in enumerate(columns):
+        table.add_column(column, justify="right" if place else "left")
+    return table
