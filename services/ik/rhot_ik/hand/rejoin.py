@@ -23,13 +23,13 @@ class RejoinSettings:
     """How fast a guess gives way to what is seen.
 
     Attributes:
-        speed_m_s: a tip is led in at this speed: 30 mm, a usual error of a guess, in 40 ms; fingers themselves move at
+        speed_m_s: a tip is led in at this speed: 30 mm, a usual error of a guess, in 25 ms; fingers themselves move at
             up to 1 to 2 m/s.
         step_m: and by no more than this from one sample to the next; the ruler's limit for a step is 10 mm.
     """
 
-    speed_m_s: float = 0.8
-    step_m: float = 0.007
+    speed_m_s: float = 1.2
+    step_m: float = 0.009
 
 
 class Rejoin:

@@ -82,7 +82,7 @@ class HandSolver:
         viewpoint: FloatArray | None = None,
         settings: HandSettings | None = None,
     ) -> None:
-        settings = settings or HandSettings()
+        self._settings = settings = settings or HandSettings()
         self._geometry = FingerGeometry.of(model, markers)
         marker = markers[base]
         base_offset = marker_on_palm(model, base, marker)
@@ -181,9 +181,12 @@ class HandSolver:
         self._palm_sources = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
         self._t_ns, self._state, self._measured = seen.t_ns, state, measured
         R, p = state.R, state.p
+        shorter_palm_m = -self._settings.palm_share * state.person[2]
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = R, p
-        positions, orientations, modelled = self._kinematics.pose(R, p, self._shown.reshape(-1), state.tip_shift)
+        T[:3, :3], T[:3, 3] = R, p - shorter_palm_m * R[:, 2]
+        positions, orientations, modelled = self._kinematics.pose(
+            R, p, self._shown.reshape(-1), state.longer, shorter_palm_m
+        )
         gaps = modelled - seen.tips
         # NaN where a tip was not seen, as it came.
         residual = self._residual = np.sqrt((gaps * gaps).sum(-1))
@@ -220,7 +223,7 @@ class HandSolver:
         if self.config.solver == "filter" or not measured.any():
             return estimated
         resting = self._geometry.marker_points(estimated)
-        local = np.where(measured[:, None], (tips - state.p) @ state.R, resting)
+        local = np.where(measured[:, None], self._filter.in_model((tips - state.p) @ state.R, state.longer), resting)
         if self.config.solver == "fabrik":
             solved, _ = self._fabrik.solve(local, self._shown, self.config.tolerance_m, self.config.max_iterations)
         else:

@@ -3,7 +3,7 @@
 State and prediction are `rhot_ik.hand.filter.process`'s.
 
 Measurements, each with its own full 3x3 covariance, so that what one camera sees counts as the ray that it is: the base
-marker p + R·(b + shift); each tip p + R·m(q, shift); and the corners of the base patch, which are first made into one
+marker p + R·(b + shift); each tip p + R·m(q, length); and the corners of the base patch, which are first made into one
 rotation R·exp(tilt) with its information matrix. The update is the iterated extended Kalman filter, which is
 Gauss–Newton on the posterior (Bell & Cathey 1993), with analytic derivatives. Limits are hard: angles that leave them
 are set to the limit and all others moved by what that says about them (projection of the estimate in the metric of P,
@@ -33,12 +33,12 @@ from rhot_ik.hand.filter.process import (
     ANGLES,
     ANGULAR_VELOCITY,
     BASE_SHIFT,
+    LONGER,
     PATCH_TILT,
     PERSON,
     POSITION,
     ROTATION,
     SIZE,
-    TIP_SHIFT,
     VELOCITY,
     HandProcess,
     HandState,
@@ -55,11 +55,11 @@ _BLOCKS: Final = np.arange(7)
 """Five tips, base and rotation: three rows of a measurement each."""
 _ROWS: Final = 21
 _OWN: Final = (3 * _TIPS[:, None, None] + np.arange(3)[:, None]) * SIZE + np.concatenate(
-    [ANGLES.start + 4 * _TIPS[:, None, None] + np.arange(4), TIP_SHIFT.start + _TIPS[:, None, None]], axis=2
+    [ANGLES.start + 4 * _TIPS[:, None, None] + np.arange(4), LONGER.start + _TIPS[:, None, None]], axis=2
 )
-"""(5, 3, 5) places of the derivatives of each tip by its own angles and shift in a flat (21, 43) matrix."""
-_SHIFT, _TILT, _PAINT = (
-    slice(part.start - PERSON.start, part.stop - PERSON.start) for part in (BASE_SHIFT, PATCH_TILT, TIP_SHIFT)
+"""(5, 3, 5) places of the derivatives of each tip by its own angles and length in a flat (21, 43) matrix."""
+_SHIFT, _TILT, _LENGTHS = (
+    slice(part.start - PERSON.start, part.stop - PERSON.start) for part in (BASE_SHIFT, PATCH_TILT, LONGER)
 )
 _UNIT: Final = np.eye(3)
 
@@ -143,19 +143,19 @@ class HandFilter(HandProcess):
         if rows is None:
             return prior
         P, noise, dx = prior.P, rows.noise, np.zeros(SIZE)
-        learned = min(1.0, prior.dt_s / self.settings.lasts_s) if prior.dt_s > 0.0 else 1.0
+        learned = min(1.0, (prior.dt_s or self.settings.first_lasts_s) / self.settings.lasts_s)
         at = prior
         wanted = np.empty((_ROWS, SIZE + 1))
-        modelled = self._kinematics.markers(at.angles, at.person[_PAINT])
+        modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
         if prior.dt_s > 0.0 and not rows.seen[:5].all() and self._viewpoint is not None:
             self._expect_hidden(rows, prior, modelled[0])
         if self._is_far(prior, rows, modelled[0]):
             dx[ANGLES] = self._closed_form(prior, rows) - prior.angles
             at = dataclasses.replace(prior, angles=prior.angles + dx[ANGLES])
-            modelled = self._kinematics.markers(at.angles, at.person[_PAINT])
+            modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
         for step in range(steps):
             if step > 0:
-                modelled = self._kinematics.markers(at.angles, at.person[_PAINT])
+                modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
             H, y = self._linearise(rows, at, modelled)
             innovation = y + H @ dx
             if step == 0:
@@ -190,7 +190,7 @@ class HandFilter(HandProcess):
         off = state.angles - self._rest
         cost = float(off @ self._stationary_inverse @ off)
         cost += float(state.person @ self._person_inverse @ state.person)
-        tips, _ = self._kinematics.markers(state.angles, state.person[_PAINT])
+        tips, _ = self._kinematics.markers(state.angles, state.person[_LENGTHS])
         missed = (evidence.tips - state.p - tips @ state.R.T)[seen]
         inverse = np.linalg.inv(evidence.tip_covariances[seen])
         cost += float((missed[:, None] @ inverse @ missed[:, :, None]).sum())
@@ -231,10 +231,16 @@ class HandFilter(HandProcess):
         rows.noise[:5][would] = prior.R @ covariances[would] @ prior.R.T
         rows.counts[:15].reshape(5, 3)[would] = 1.0
 
+    def in_model(self, local: FloatArray, longer: FloatArray) -> FloatArray:
+        """Return points (5, 3) of the wrist frame as fingers of the model's lengths would meet them."""
+        knuckles = self._model.knuckles
+        scaled: FloatArray = knuckles + (local - knuckles) / (1.0 + longer)[:, None]
+        return scaled
+
     def _closed_form(self, prior: HandState, rows: _Rows) -> FloatArray:
         """Return the angles (20,) to linearise about: where the seen tips put their fingers under the expected palm."""
         seen = rows.seen[:5, None]
-        local = np.where(seen, (rows.points[:5] - prior.p) @ prior.R, self._resting)
+        local = np.where(seen, self.in_model((rows.points[:5] - prior.p) @ prior.R, prior.longer), self._resting)
         angles: FloatArray = np.where(seen, self._fingers.solve(local).angles, prior.angles.reshape(5, 4))
         return angles.reshape(COUNT)
 
@@ -307,5 +313,5 @@ class HandFilter(HandProcess):
         return dx, P
 
     def tips(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 5) by own angles and shift."""
-        return self._kinematics.markers(q)
+        """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 5) by own angles and length."""
+        return self._kinematics.markers(q, np.zeros(5))

@@ -1,7 +1,7 @@
 """How a hand moves: the state of the estimate of a whole hand, and what time does to it.
 
 State: the wrist's pose T_rig_wrist = (R, p), how fast it turns and moves, the angles q of `rhot.anatomy.hand`, and what
-is particular of this person: where patch and paint really sit. Errors are R·exp(δθ), p + δp, ω + δω, v + δv, q + δq,
+is particular of this person: where the patch really sits and how long the fingers are. Errors are R·exp(δθ), p + δp, ω + δω, v + δv, q + δq,
 c + δc, in this order (`ROTATION` … `PERSON`); P is their covariance.
 
 The wrist turns and moves on, disturbed by random accelerations, its speed fading; the angles are the Ornstein–Uhlenbeck
@@ -33,8 +33,8 @@ BASE_SHIFT: Final = slice(32, 35)
 """Of the base marker from where the model has it, metres, wrist frame."""
 PATCH_TILT: Final = slice(35, 38)
 """Rotation vector of the patch against the wrist, radians, wrist frame."""
-TIP_SHIFT: Final = slice(38, 43)
-"""Of each tip's marker along +Z of its last bone, metres: towards the hand."""
+LONGER: Final = slice(38, 43)
+"""By which share each finger, up to its marker, is longer than the model's."""
 PERSON: Final = slice(32, 43)
 SIZE: Final = 43
 
@@ -49,7 +49,7 @@ class HandState:
         angular_velocity: (3,) rad/s, wrist frame.
         velocity: (3,) m/s, rig frame.
         angles: (20,) radians.
-        person: (11,) base shift, patch tilt and tip shifts.
+        person: (11,) base shift, patch tilt and lengths of the fingers.
         P: (43, 43) covariance of the errors.
         dt_s: how far the last prediction reached.
         stationary_share: share of the angles' stationary covariance that it added to P.
@@ -68,8 +68,8 @@ class HandState:
     mean_residual_m: float = 0.0
 
     @property
-    def tip_shift(self) -> FloatArray:
-        """(5,) metres: of each tip's marker along +Z of its last bone."""
+    def longer(self) -> FloatArray:
+        """(5,) by which share each finger is longer than the model's."""
         return self.person[6:]
 
 
@@ -88,8 +88,8 @@ class HandProcess:
         self._stationary = angle_covariance(model)
         shift = np.where(known[5], settings.known_m, settings.base_shift_m)
         tilt = np.full(3, settings.known_rad if known[5] else settings.patch_tilt_rad)
-        tips = np.where(known[:5], settings.known_m, settings.tip_shift_m)
-        self._person = np.diag(np.concatenate([shift, tilt, tips]) ** 2)
+        lengths = np.where(known[:5], settings.known_share, settings.finger_share)
+        self._person = np.diag(np.concatenate([shift, tilt, lengths]) ** 2)
         self._noise = self._process_noise()
 
     def start(self, R: FloatArray, p: FloatArray, angles: FloatArray | None = None) -> HandState:

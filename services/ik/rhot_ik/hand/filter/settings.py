@@ -20,13 +20,16 @@ class HandSettings:
         person_s: in this time what was learned of a person fades: somebody may have changed places or repainted.
         lasts_s: errors of the points last about so long (fusion's own memory, a posture in which the paint that is seen
             lies off its middle), so that only one sample in this time tells something new of a person.
+        first_lasts_s: what the very first sample tells of a person counts as one that comes this much later.
         base_shift_m: how far the patch sits from where the model has it, standard deviations across, above and along
             the hand. A hand's back is 11 to 18 mm above the wrist's joint, and people paint by eye.
+        palm_share: a patch that seems to sit nearer to the knuckles may as well be on a palm that is shorter than the
+            model's: nothing that is seen tells these apart, and both are as likely (base_shift_m holds both: 8 mm each).
         patch_tilt_rad: by how much the skin under the patch is tilted against the palm, each axis.
-        tip_shift_m: how far a painted centre sits along its finger from where the model has it: 3 mm for the length of
-            the paint, and 4 % of a finger's length of 80 mm (bones vary so much between people of one hand length;
-            Buryanov & Kotiuk 2010, tables 1 to 3).
-        known_m, known_rad: the same three where `rhot calibrate hand` has measured them: what its quality states.
+        finger_share: how much longer or shorter than the model's a finger is up to its marker: 4 mm of 80 mm for the
+            length of the paint, 5 to 8 % for bones of people whose hands have one length (Buryanov & Kotiuk 2010,
+            tables 1 to 3: standard deviations of each bone).
+        known_m, known_rad, known_share: the same three where `rhot calibrate hand` has measured them: what its quality states.
         model_m: by how much any marker departs from a rigid model for reasons that come and go, each axis: skin slides
             over knuckles by millimetres, the middle of the paint that is seen wanders with the view.
         corner_factor: covariance of a patch's corner about its middle over that of the middle, before anything is
@@ -49,11 +52,14 @@ class HandSettings:
     most_activity: float = 30.0
     person_s: float = 60.0
     lasts_s: float = 0.5
-    base_shift_m: tuple[float, float, float] = (0.005, 0.004, 0.008)
+    first_lasts_s: float = 0.1
+    base_shift_m: tuple[float, float, float] = (0.005, 0.004, 0.011)
+    palm_share: float = 0.5
     patch_tilt_rad: float = 0.09
-    tip_shift_m: float = 0.0045
+    finger_share: float = 0.08
     known_m: float = 0.001
     known_rad: float = 0.02
+    known_share: float = 0.01
     model_m: float = 0.0015
     corner_factor: float = 16.0
     corner_samples: tuple[float, float] = (8.0, 100.0)
