@@ -113,7 +113,7 @@ class HandProcess:
         path_s = settings.speed_fades_s * (1.0 - fades)
         keeps = math.exp(-dt_s / settings.angles_rest_s)
         learned = math.exp(-dt_s / settings.person_s)
-        spread = 1.0 - keeps * keeps
+        spread = 1.0 - math.exp(-2.0 * dt_s / settings.angles_wander_s)
         turn = rotation_from_vector(state.angular_velocity * path_s)
         # F is block diagonal but for the speeds' part in the pose, so a few rows and columns are all there is to do.
         scale = np.empty(SIZE)

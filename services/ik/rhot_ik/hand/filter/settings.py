@@ -14,7 +14,8 @@ class HandSettings:
             some 0.1 s (design.md); fusion has smoothed the points already, so the wrist is to follow them.
         turn_acceleration: the same of its rotation, rad/s² per √Hz: 50 rad/s² for 0.1 s.
         speed_fades_s: an unseen wrist stops in this time: voluntary movements are bells of about half a second.
-        angles_rest_s: time constant with which an unseen hand relaxes; people hold a posture for a second or more.
+        angles_rest_s: time constant with which an unseen hand relaxes; people hold a thing for several seconds.
+        angles_wander_s: in this time an unseen finger may come to be anywhere that fingers are.
         most_activity: fingers that move faster than they usually do get up to this many times their diffusion. A
             finger turns at most at some 20 rad/s, usually at 2 to 4.
         person_s: in this time what was learned of a person fades: somebody may have changed places or repainted.
@@ -48,7 +49,8 @@ class HandSettings:
     acceleration: float = 6.0
     turn_acceleration: float = 15.0
     speed_fades_s: float = 0.2
-    angles_rest_s: float = 1.5
+    angles_rest_s: float = 5.0
+    angles_wander_s: float = 1.5
     most_activity: float = 30.0
     person_s: float = 60.0
     lasts_s: float = 0.5
