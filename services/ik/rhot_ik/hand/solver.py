@@ -97,6 +97,7 @@ class HandSolver:
         self._analytic = AnalyticFingers(self._geometry)
         self._fabrik = FabrikFingers(self._geometry)
         self.config = config
+        self._person: tuple[FloatArray, FloatArray] | None = None
         self.reset()
 
     @property
@@ -138,7 +139,6 @@ class HandSolver:
         self._lost_s = 0.0
         self._rejoin = Rejoin(self._geometry)
         self._corner_noise: CornerNoise | None = None
-        self._known = np.zeros(5, dtype=np.bool_)
         self._measured = np.zeros(5, dtype=np.bool_)
         self._palm_sources = (False, False)
         self._shown = np.zeros((5, 4))
@@ -159,7 +159,7 @@ class HandSolver:
             self.reset()
             return None
         if self._state is None:
-            found = self._initialiser.find(seen)
+            found = self._initialiser.find(seen, self._person)
             if found is None:
                 return None
             state, evidence = found
@@ -170,16 +170,16 @@ class HandSolver:
             state = self._reinitialised_if_lost(state, seen, visible, dt_s)
         measured = visible & seen.tips_measured
         angles = self._angles(state, seen.tips, measured)
-        back = measured & ~self._measured & self._known
+        back = measured & ~self._measured
         if self._state is not None and back.any():
             self._rejoin.begin(back, angles, self._shown)
         self._rejoin.advance(dt_s, angles)
         model = self._geometry.model
         self._shown = np.minimum(np.maximum(self._rejoin.shown(angles), model.angle_min), model.angle_max)
-        self._known |= visible
         self._corner_noise = evidence.corner_noise
         self._palm_sources = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
         self._t_ns, self._state, self._measured = seen.t_ns, state, measured
+        self._person = state.what_is_personal
         R, p = state.R, state.p
         shorter_palm_m = -self._settings.palm_share * state.person[2]
         T = np.eye(4)
@@ -212,7 +212,7 @@ class HandSolver:
         if self._lost_s < LOST_S:
             return state
         self._lost_s = 0.0
-        found = self._initialiser.find(seen)
+        found = self._initialiser.find(seen, state.what_is_personal)
         if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):
             return state
         return found[0]

@@ -42,8 +42,13 @@ class HandInitialiser:
         self._base_offset = base_offset
         self._viewpoint = viewpoint
 
-    def find(self, seen: HandObservation) -> tuple[HandState, Evidence] | None:
-        """Return the best state and the evidence it was judged by; None without the base or without any tip."""
+    def find(
+        self, seen: HandObservation, person: tuple[FloatArray, FloatArray] | None = None
+    ) -> tuple[HandState, Evidence] | None:
+        """Return the best state and the evidence it was judged by; None without the base or without any tip.
+
+        `person` is what is known of the hand from before, see `HandState.what_is_personal`.
+        """
         visible = np.isfinite(seen.tips).all(axis=1)
         if seen.base is None or not visible.any():
             return None
@@ -53,13 +58,13 @@ class HandInitialiser:
         points = self._evidence.assess(seen, None)
         tried = []
         for R in self._facing(guesses(direction), seen.base):
-            state = self._filter.update(self._filter.start(R, seen.base - R @ self._base_offset), points)
+            state = self._filter.update(self._filter.start(R, seen.base - R @ self._base_offset, None, person), points)
             tried.append((self.cost(state, points), state))
         refined = []
         for _, state in sorted(tried, key=lambda item: item[0])[:_REFINED]:
             # The corners of a patch fit two ways round; the tips have told by now which one it is.
             evidence = self._evidence.assess(seen, state.R)
-            final = self._filter.update(self._filter.start(state.R, state.p, state.angles), evidence, steps=5)
+            final = self._filter.update(self._filter.start(state.R, state.p, state.angles, person), evidence, steps=5)
             refined.append((self.cost(final, evidence), final, evidence))
         _, best, evidence = min(refined, key=lambda item: item[0])
         return best, evidence

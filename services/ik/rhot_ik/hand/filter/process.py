@@ -72,6 +72,11 @@ class HandState:
         """(5,) by which share each finger is longer than the model's."""
         return self.person[6:]
 
+    @property
+    def what_is_personal(self) -> tuple[FloatArray, FloatArray]:
+        """What was learned of the person, (11,), and its covariance (11, 11): a hand that is lost and found keeps it."""
+        return self.person, self.P[PERSON, PERSON]
+
 
 class HandProcess:
     """Starts and predicts `HandState`s of one hand; stateless after construction.
@@ -92,7 +97,13 @@ class HandProcess:
         self._person = np.diag(np.concatenate([shift, tilt, lengths]) ** 2)
         self._noise = self._process_noise()
 
-    def start(self, R: FloatArray, p: FloatArray, angles: FloatArray | None = None) -> HandState:
+    def start(
+        self,
+        R: FloatArray,
+        p: FloatArray,
+        angles: FloatArray | None = None,
+        person: tuple[FloatArray, FloatArray] | None = None,
+    ) -> HandState:
         """Return a state of which only the given is known: a turn to 30°, a place to 5 cm, angles as at rest."""
         P = np.zeros((SIZE, SIZE))
         P[ROTATION, ROTATION] = np.eye(3) * np.radians(30.0) ** 2
@@ -100,9 +111,9 @@ class HandProcess:
         P[ANGULAR_VELOCITY, ANGULAR_VELOCITY] = np.eye(3) * 2.0**2
         P[VELOCITY, VELOCITY] = np.eye(3) * 0.5**2
         P[ANGLES, ANGLES] = self._stationary
-        P[PERSON, PERSON] = self._person
+        known, P[PERSON, PERSON] = (np.zeros(PERSON.stop - PERSON.start), self._person) if person is None else person
         q = self._rest if angles is None else angles
-        return HandState(R, p, np.zeros(3), np.zeros(3), q, np.zeros(PERSON.stop - PERSON.start), P)
+        return HandState(R, p, np.zeros(3), np.zeros(3), q, known, P)
 
     def predict(self, state: HandState, dt_s: float) -> HandState:
         """Return the state `dt_s` later."""
