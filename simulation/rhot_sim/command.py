@@ -37,14 +37,14 @@ from rhot_sim.walker.run import WalkerRun
     type=click.FloatRange(1, 86400),
     default=30.0,
     show_default=True,
-    help="Seconds to run; with a board or without calibration until Ctrl-C when not given.",
+    help="Seconds to run. With a board or an uncalibrated rig, until Ctrl-C unless you give it.",
 )
 @click.option(
     "--seed",
     type=click.IntRange(0, 2**63 - 1),
     default=1,
     show_default=True,
-    help="Of the simulated world; the same seed moves the same hand.",
+    help="Seed of the simulated world; the same seed gives the same motion.",
 )
 @click.option(
     "--rate",
@@ -54,13 +54,13 @@ from rhot_sim.walker.run import WalkerRun
     show_default=True,
     help="Frames per second of each camera.",
 )
-@click.option("--cameras", type=click.IntRange(2, 8), default=2, show_default=True, help="How many.")
+@click.option("--cameras", type=click.IntRange(2, 8), default=2, show_default=True, help="Number of cameras.")
 @click.option(
     "--hands",
     type=click.Choice(["right", "left", "both"]),
     default="right",
     show_default=True,
-    help="Hands in the world.",
+    help="Hands in the simulated world.",
 )
 @click.option(
     "--motion",
@@ -72,7 +72,7 @@ from rhot_sim.walker.run import WalkerRun
 @click.option(
     "--feet",
     is_flag=True,
-    help="Instead of a hand, a walking person with a depth camera on the head and sensors on the ankles.",
+    help="Simulate a walking person, with a depth camera on the head and sensors on the ankles, instead of a hand.",
 )
 @click.option(
     "--walk",
@@ -87,23 +87,23 @@ from rhot_sim.walker.run import WalkerRun
     type=click.FloatRange(1.2, 2.2),
     default=1.75,
     show_default=True,
-    help="With --feet: of the person, metres.",
+    help="With --feet: height of the person, metres.",
 )
 @click.option(
-    "--headless", is_flag=True, help="No web page and no live table, only a line now and then and the summary."
+    "--headless", is_flag=True, help="Show no web page and no live table, only a line now and then and the summary."
 )
 @page_options
 @click.option(
     "--report",
     "report_path",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Write every figure as JSON to this file.",
+    help="Also write every figure to this file, as JSON.",
 )
 @click.option(
     "--listen",
     "endpoint",
     metavar="ENDPOINT",
-    help=f"Where the router listens; {DEFAULT_ENDPOINT} when not given, or a free port when that is taken.",
+    help=f"Where the router listens.  [default: {DEFAULT_ENDPOINT}, or a free port]",
 )
 @rig_option
 @click.pass_context
@@ -127,28 +127,27 @@ def sim(
 ) -> int:
     """Run a whole simulated rig on this machine and show how well it tracks.
 
-    Every part is a process of its own, as on a real rig: one capture service per camera (each renders what its camera
-    would see, with lens, noise, blur, rolling shutter, lost frames and a clock of its own), fusion, ik, objects and the
-    web page; the router runs inside this process. While it runs, open http://localhost:8080, or look at any key from
-    another terminal:
+    Every part runs as its own process, as on a real rig: one capture service per camera, fusion, ik, objects and the
+    web page. Each capture service draws what its camera would see, with lens, noise, blur, rolling shutter, lost frames
+    and its own clock. While it runs, open http://localhost:8080, or look at any key from another terminal:
 
     \b
     rhot status
     rhot get 'rhot/**'
     rhot watch rhot/hand/right
 
-    With --rig, a simulated rig folder made by `rhot init RIG --sim` is used instead of a temporary one; what moves
-    there is `motion` under [sim] in its rig.toml.
+    With --rig, it uses a rig folder made by `rhot init RIG --sim` instead of a temporary one. What moves there is
+    `motion` under [sim] in its rig.toml.
 
-    With --motion board, the cameras see a calibration chessboard that is held at one place after the other, and the rig
-    stays up until Ctrl-C: try `rhot calibrate cameras --live` on it.
+    With --motion board, the cameras see a calibration chessboard in one position after the other, and the rig runs
+    until Ctrl-C: try `rhot calibrate cameras --live` on it.
 
-    A rig folder made by `rhot init RIG --sim --uncalibrated` stays up, too: the page's tab Calibrate leads through the
-    calibration, by clicks.
+    A rig made by `rhot init RIG --sim --uncalibrated` also runs until Ctrl-C: the page's tab Calibrate leads you
+    through the calibration.
 
-    With --feet, a person walks: the feet service sees through a simulated depth camera on the head and feels through
-    simulated sensors on the ankles, ik solves the legs. Drawing the pictures takes most of a core; where fewer than
-    asked for are tracked per second, the summary shows it, and --rate 30 asks for half.
+    With --feet, a person walks. The feet service reads a simulated depth camera on the head and simulated sensors on
+    the ankles, and ik solves the legs. Drawing the pictures takes most of a core. If the summary shows fewer pictures
+    per second than you asked for, try --rate 30.
     """
     console = Console()
     if report_path is not None and not report_path.resolve().parent.is_dir():

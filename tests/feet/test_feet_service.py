@@ -20,8 +20,8 @@ from rhot.service import runner
 from rhot.service.runner import serve
 from rhot_feet import service as feet_service
 from rhot_feet.frames import DepthFrame
+from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.service import FeetService
-from rhot_feet.sources.imu import ImuSamples
 from rhot_sim.walker.folder import write_walker_rig
 
 LIMIT_S = 60.0

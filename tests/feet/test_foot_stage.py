@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from still_feet import FEET, head, picture, places, standing_samples
+from still_feet import FEET, head, picture, positions, standing_samples
 
 from rhot.messages import FootPose, Side
 from rhot_feet.depth.floor import FloorPlane
-from rhot_feet.depth.tracker import DepthSightings, FootDepth
-from rhot_feet.expectation import FootExpectation
+from rhot_feet.depth.tracker import DepthObservations, FootDepth
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame
-from rhot_feet.marker.tracker import MarkerSightings
-from rhot_feet.view import Seen
+from rhot_feet.marker.tracker import MarkerObservations
+from rhot_feet.prediction import FootPrediction
+from rhot_feet.view import FootDetections
 
 START_NS = 1_700_000_000_000_000_000
 FRAME_NS = 33_000_000
@@ -33,8 +33,8 @@ def see(stage: FootStage, first: int, count: int, shift_m: NDArray[np.float64] |
     for k in range(first, first + count):
         t_ns = START_NS + k * FRAME_NS
         for late_ns in (-5_000_000, 5_000_000):
-            stage.head(head(t_ns + late_ns, shift_m))
-        stage.frame(picture(k, t_ns))
+            stage.add_head_pose(head(t_ns + late_ns, shift_m))
+        stage.process(picture(k, t_ns))
     return t_ns
 
 
@@ -43,7 +43,7 @@ def poses(stage: FootStage, t_ns: int) -> dict[str, FootPose]:
 
 
 def off_mm(pose: FootPose) -> float:
-    return 1e3 * float(np.linalg.norm(np.array(pose.position) - places()[pose.side]))
+    return 1e3 * float(np.linalg.norm(np.array(pose.position) - positions()[pose.side]))
 
 
 @pytest.mark.parametrize("method", ["filter", "thesis"])
@@ -60,7 +60,7 @@ def test_standing_feet_are_found_where_they_are(method: str) -> None:
 
 def test_pictures_without_a_head_are_counted_and_not_used() -> None:
     stage = FootStage(FEET)
-    stage.frame(picture(0, START_NS))
+    stage.process(picture(0, START_NS))
     assert (stage.counts["frames"], stage.counts["no_head"]) == (1, 1)
     assert poses(stage, START_NS) == {}
 
@@ -78,9 +78,9 @@ def test_a_sensor_that_feels_its_foot_stand_keeps_it_measured() -> None:
     stage = FootStage(FEET)
     for k in range(30):
         see(stage, k, 1)
-        stage.imu("left", standing_samples(START_NS + k * FRAME_NS - 30_000_000, 3))
+        stage.add_imu_samples("left", standing_samples(START_NS + k * FRAME_NS - 30_000_000, 3))
     last_ns = START_NS + 29 * FRAME_NS
-    stage.imu("left", standing_samples(last_ns, 400))
+    stage.add_imu_samples("left", standing_samples(last_ns, 400))
     late = poses(stage, last_ns + 3_990_000_000)
     assert set(late) == {"rhot/foot/left"}
     pose = late["rhot/foot/left"]
@@ -92,10 +92,10 @@ def test_a_foot_whose_sensor_is_shaken_is_not_held_where_it_was() -> None:
     stage = FootStage(FEET)
     for k in range(12):
         see(stage, k, 1)
-        stage.imu("left", standing_samples(START_NS + k * FRAME_NS - 30_000_000, 3))
+        stage.add_imu_samples("left", standing_samples(START_NS + k * FRAME_NS - 30_000_000, 3))
     last_ns = START_NS + 11 * FRAME_NS
     rest = standing_samples(last_ns, 25)
-    stage.imu("left", replace(rest, specific_force=3.5 * rest.specific_force))
+    stage.add_imu_samples("left", replace(rest, specific_force=3.5 * rest.specific_force))
     soon, later = poses(stage, last_ns + 95_000_000), poses(stage, last_ns + 170_000_000)
     assert (soon["rhot/foot/left"].stage, soon["rhot/foot/left"].state) == ("marker", "predicted")
     assert set(later) == {"rhot/foot/right"}
@@ -104,18 +104,18 @@ def test_a_foot_whose_sensor_is_shaken_is_not_held_where_it_was() -> None:
 def test_the_marker_stage_knows_the_floor() -> None:
     stage = FootStage(FEET)
     floors: list[FloorPlane | None] = []
-    feed = stage._markers.feed
+    detect = stage._markers.detect
 
     def noted(
         frame: DepthFrame,
-        expected: Mapping[Side, FootExpectation],
+        expected: Mapping[Side, FootPrediction],
         up_camera: NDArray[np.float64] | None = None,
         floor: FloorPlane | None = None,
-    ) -> MarkerSightings:
+    ) -> MarkerObservations:
         floors.append(floor)
-        return feed(frame, expected, up_camera, floor)
+        return detect(frame, expected, up_camera, floor)
 
-    stage._markers.feed = noted  # type: ignore[method-assign]
+    stage._markers.detect = noted  # type: ignore[method-assign]
     see(stage, 0, 4)
     assert floors and all(floor is not None for floor in floors)
 
@@ -124,10 +124,10 @@ def test_feet_are_found_again_where_nobody_expected_them() -> None:
     stage = FootStage(FEET)
     see(stage, 0, 12)
     shift_m = np.array([0.0, 0.0, 1.0])
-    # A gap, as when a headset finds itself elsewhere: between the two places nothing is known.
+    # A gap, as when a headset finds itself elsewhere: between the two positions nothing is known.
     t_ns = see(stage, 20, 45, shift_m)
     for pose in poses(stage, t_ns).values():
-        assert 1e3 * np.linalg.norm(np.array(pose.position) - places()[pose.side] - shift_m) < 10.0
+        assert 1e3 * np.linalg.norm(np.array(pose.position) - positions()[pose.side] - shift_m) < 10.0
     assert len(poses(stage, t_ns)) == 2
 
 
@@ -136,15 +136,15 @@ def test_a_foot_found_by_depth_where_the_others_marker_is_seen_is_given_up() -> 
     stage = FootStage(FEET)
     t_ns = see(stage, 0, 12)
     for k in range(40):
-        stage.head(head(t_ns + k * FRAME_NS))
-        stage.head(head(t_ns + k * FRAME_NS + 1))
-        view = stage.expect(picture(12 + k, t_ns + k * FRAME_NS))
+        stage.add_head_pose(head(t_ns + k * FRAME_NS))
+        stage.add_head_pose(head(t_ns + k * FRAME_NS + 1))
+        view = stage.predict(picture(12 + k, t_ns + k * FRAME_NS))
         assert view is not None
         if "left" not in view.expected:
             break
-        place, covariance = view.expected["left"].place, 1e-4 * np.eye(3)
-        blobs = DepthSightings({"left": FootDepth(view.frame.t_ns, place, covariance, 300)}, {}, None)
-        stage.take(Seen(view, MarkerSightings({}, {"right": "other"}), blobs))
+        position, covariance = view.expected["left"].position, 1e-4 * np.eye(3)
+        blobs = DepthObservations({"left": FootDepth(view.frame.t_ns, position, covariance, 300)}, {}, None)
+        stage.update(FootDetections(view, MarkerObservations({}, {"right": "other"}), blobs))
     assert 0.7 < 1e-9 * k * FRAME_NS < 0.9
 
 

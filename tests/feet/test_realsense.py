@@ -9,7 +9,7 @@ import pytest
 from rhot.errors import DeviceError
 from rhot.rig.feet_config import DepthCameraConfig
 from rhot_feet.sources.depth_camera.realsense import DepthFiltering, DepthPipeline, RealSenseSource
-from rhot_feet.sources.depth_camera.realsense_lens import camera_of
+from rhot_feet.sources.depth_camera.realsense_device import camera_of
 
 SENT_US, MIDDLE_US = 5_009_000, 5_000_000
 

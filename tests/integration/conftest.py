@@ -6,8 +6,8 @@ from collections.abc import AsyncIterator, Generator
 from pathlib import Path
 
 import pytest
-from foreign_load import ForeignLoad
 from rig_processes import Processes
+from wall_clock import ForeignLoad, excuse
 
 from rhot.bus import Bus
 from rhot.rig import BusConfig
@@ -15,8 +15,6 @@ from rhot.rig.folder import RIG_FILE
 from rhot_sim.rig.folder import write_simulated_rig
 from rhot_sim.running.run import free_endpoint
 
-BUSY = 0.3
-"""Processors that others keep busy beyond which wall-clock limits say nothing of the tracker: it takes most of two."""
 LOAD = pytest.StashKey[ForeignLoad]()
 
 
@@ -34,12 +32,11 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Do not judge a limit on the clock that was missed while others used the machine; say so instead."""
+    """Do not judge a limit on the wall clock that was missed while others used the machine; say so instead."""
     report = yield
     if call.when == "call" and LOAD in item.stash:
         others = item.stash[LOAD].stop()
-        if report.failed and others > BUSY and call.excinfo is not None:
-            reason = f"not judged: others kept {others:.1f} processors busy meanwhile; {call.excinfo.exconly()}"
+        if report.failed and call.excinfo is not None and (reason := excuse(call.excinfo.value, others)):
             report.outcome, report.longrepr = "skipped", (str(item.path), item.location[1] or 0, reason)
     return report
 

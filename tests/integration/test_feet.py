@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from rig_processes import processes_that_name
+from wall_clock import figures_in_time, in_time
 
 from rhot_sim.running.run import free_endpoint
 
@@ -32,19 +33,24 @@ def run_feet(folder: Path) -> dict[str, Any]:
     return report
 
 
+def too_slow(report: dict[str, Any]) -> list[str]:
+    """Name the figures that fall when pictures are drawn or looked at too late."""
+    limits = {"measured": 0.9, "rate_hz": 40.0}
+    return [f"{name} {report[name]:.3g}, limit {limit}" for name, limit in limits.items() if not report[name] > limit]
+
+
 def test_feet_and_knees_of_a_standing_person(tmp_path: Path) -> None:
     """All limits hold in one and the same run; something else on the machine may spoil a run, not all."""
     for _ in range(3):
         report = run_feet(tmp_path)
-        if report["measured"] > 0.9 and report["rate_hz"] > 40.0:
+        if not too_slow(report):
             break
-    assert report["measured"] > 0.9
-    assert report["rate_hz"] > 40.0
     assert report["foot_error_mm"]["median"] < 5.0
     assert report["foot_error_mm"]["max"] < 30.0
     assert report["knee_error_mm"]["median"] < 80.0
     assert report["knees_backwards"] == 0
-    assert report["latency_ms"]["p50"] < 60.0
+    figures_in_time(too_slow(report))
+    in_time(report["latency_ms"]["p50"], 60.0, "latency", "ms")
 
 
 def test_ctrl_c_ends_every_process(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import cv2
 import pytest
 from rich.console import Console
 from rig_processes import SERVICES, Processes, start_rig
+from wall_clock import in_time
 
 from rhot.bus import Bus
 from rhot.errors import BusError, ConfigError
@@ -61,8 +62,6 @@ async def test_collects_views_of_a_board(simulated_rig: tuple[Path, str], tmp_pa
     assert numbers == set(range(ENOUGH))
     assert views.sizes == {"left": (640, 480), "right": (640, 480)}
     assert sum(links(views).values()) >= 1
-    # 2.5 s a place; now and then one is missed on a busy machine.
-    assert took_s < 40.0
     for key, view in views.views.items():
         picture = cv2.imread(str(out / views.labels[key]), cv2.IMREAD_GRAYSCALE)
         assert picture is not None
@@ -71,6 +70,8 @@ async def test_collects_views_of_a_board(simulated_rig: tuple[Path, str], tmp_pa
         assert 0.0 < view.sharpness < 4.0
     assert sum(1 for _ in out.rglob("*.png")) == len(views.views)
     assert said.getvalue().count("taken") >= ENOUGH
+    # 2.5 s a place; now and then one is missed on a busy machine.
+    in_time(took_s, 40.0, "all views")
 
 
 async def test_pictures_that_are_there_already_are_kept(tmp_path: Path) -> None:

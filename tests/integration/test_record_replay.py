@@ -19,6 +19,7 @@ from bus_watch import PATIENCE_S, answers, until
 from hand_messages import hand_pose, marker_frame, object_pose, point_set
 from numpy.typing import NDArray
 from simulated_take import DELAY_NS, simulated_rig, write_take
+from wall_clock import in_time
 
 from rhot.bus import Bus
 from rhot.messages import (
@@ -92,9 +93,10 @@ async def recording(router: BusConfig, file: Path, *options: str) -> AsyncIterat
         process.send_signal(signal.SIGINT)
         begun = time.monotonic()
         output, errors = await asyncio.wait_for(process.communicate(), 10.0)
-        assert time.monotonic() - begun < 2.0
+        took_s = time.monotonic() - begun
         assert process.returncode == 0, errors.decode()
         assert "were lost" not in errors.decode(), errors.decode() + output.decode()
+        in_time(took_s, 2.0, "the end")
     finally:
         with contextlib.suppress(ProcessLookupError):
             process.kill()
@@ -192,14 +194,14 @@ async def test_a_session_survives_recording_and_replay(router: BusConfig, tmp_pa
         logger.info("%d samples: %s", len(again), figures)
         if np.percentile(errors_ms, 99) < 2.0:
             break
-    assert np.percentile(errors_ms, 99) < 2.0, figures
-    assert drift_s < 0.02
-
     async with recording(router, tmp_path / "quick.mcap"):
         begun = time.monotonic()
         await replay(router, tmp_path / "live.mcap", "--rate", "10")
-        assert time.monotonic() - begun < 0.5 * SESSION_S
+        quick_s = time.monotonic() - begun
     assert content(list(open_mcap(tmp_path / "quick.mcap").samples())) == content(live), "ten times as fast, in order"
+    in_time(float(np.percentile(errors_ms, 99)), 2.0, figures, "ms")
+    in_time(drift_s, 0.02, "drift")
+    in_time(quick_s, 0.5 * SESSION_S, "ten times as fast")
 
 
 async def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(router: BusConfig, tmp_path: Path) -> None:
@@ -213,7 +215,7 @@ async def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(router: 
     found = list(recorded.samples())
     assert "was cut off" in recorded.note or recorded.note == ""
     assert set(content(found)) <= set(sent)
-    assert len(found) > len(sent) / 2.5 * 1.4
+    in_time(2.5 * (1.0 - len(found) / len(sent)), 1.1, "of the session are lost")
 
 
 async def test_a_disk_that_fills_up_ends_the_recording_with_one_message(router: BusConfig, tmp_path: Path) -> None:

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bus_watch import PATIENCE_S
 from rig_processes import processes_that_name
+from wall_clock import figures_in_time, in_time
 
 from rhot_sim.running.run import free_endpoint
 
@@ -35,21 +37,21 @@ def run_sim(folder: Path, *more: str) -> tuple[dict[str, Any], str]:
     return json.loads(report_path.read_text()), done.stdout
 
 
-def undisturbed(report: dict[str, Any]) -> bool:
-    """Whether the figures that depend on the machine being free are within their limits.
+def too_slow(report: dict[str, Any]) -> list[str]:
+    """Name the figures that depend on the machine being free and are beyond their limits.
 
     Pictures that the simulator's own drawing delivers late, beyond their usual age, are not held against the tracker.
     """
-    if "latency_ms" not in report:
-        return False  # no hand at all
+    assert "latency_ms" in report, "no hand at all"
     picture = report["latency_ms"]["parts"]["age when the picture is there"]
-    limits = (
-        report["latency_ms"]["p99"] - (picture["p99"] - picture["p50"]) <= 30.0,
-        report["dropped_late"] == 0,
-        report["coverage"] >= 0.99,
-        report["rate_hz"] >= 55,
-    )
-    return all(limits)
+    latency_ms = report["latency_ms"]["p99"] - (picture["p99"] - picture["p50"])
+    held = {
+        f"latency p99 {latency_ms:.1f} ms, limit 30": latency_ms <= 30.0,
+        f"{report['dropped_late']} dropped late, limit 0": report["dropped_late"] == 0,
+        f"coverage {report['coverage']:.3f}, limit 0.99": report["coverage"] >= 0.99,
+        f"rate {report['rate_hz']:.1f} Hz, limit 55": report["rate_hz"] >= 55,
+    }
+    return [words for words, holds in held.items() if not holds]
 
 
 def cpu_times() -> tuple[int, int]:
@@ -70,17 +72,15 @@ def test_tracks_within_its_figures(tmp_path: Path) -> None:
     idle_share = (cpu_times()[0] - idle) / (cpu_times()[1] - total)
     rate = () if idle_share >= 0.25 else ("--rate", "30")
     for _ in range(3):
-        if not undisturbed(report):
+        if too_slow(report):
             report, printed = run_sim(tmp_path, *rate)
-    assert undisturbed(report), {
-        name: report.get(name) for name in ("latency_ms", "dropped_late", "coverage", "rate_hz")
-    }
     assert report["coverage_samples"] > 500
     assert report["fingertip_error_mm"]["median"] <= 5.0
     assert all(finger["median"] <= 5.0 for finger in report["fingertip_error_mm"]["per_finger"].values())
     assert report["object_error_mm"]["median"] <= 1.0
     assert {"p50", "p99", "parts"} <= set(report["latency_ms"])
     assert f"{report['fingertip_error_mm']['median']:.2f} mm" in printed, "what is printed stands in the report"
+    figures_in_time(too_slow(report))
 
 
 def test_ctrl_c_ends_everything_within_two_seconds(tmp_path: Path) -> None:
@@ -95,10 +95,10 @@ def test_ctrl_c_ends_everything_within_two_seconds(tmp_path: Path) -> None:
         process.wait(timeout=10)
         took_s = time.monotonic() - begun
         rest = process.stdout.read()
-    assert took_s < 2.0
     assert process.returncode == 130
     assert "Traceback" not in rest
     assert list(processes_that_name(endpoint)) == []
+    in_time(took_s, 2.0, "the end")
 
 
 def test_a_parent_that_is_killed_leaves_no_child(tmp_path: Path) -> None:
@@ -109,10 +109,11 @@ def test_a_parent_that_is_killed_leaves_no_child(tmp_path: Path) -> None:
         assert "of 60 s" in "".join(process.stdout.readline() for _ in range(2))
         assert len(list(processes_that_name(endpoint))) > 4
         process.kill()
-    deadline = time.monotonic() + 3.0
+    begun = time.monotonic()
     while list(processes_that_name(endpoint)):
-        assert time.monotonic() < deadline, "a child outlived its parent"
+        assert time.monotonic() < begun + PATIENCE_S, "a child outlived its parent"
         time.sleep(0.05)
+    in_time(time.monotonic() - begun, 3.0, "the children's end")
 
 
 @pytest.mark.parametrize(

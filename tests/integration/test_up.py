@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from rig_processes import processes_that_name
+from wall_clock import in_time
 
 from rhot.rig.template import rig_template
 from rhot_sim.running.run import free_endpoint
@@ -46,10 +47,10 @@ def test_ctrl_c_ends_all_of_it_at_once_whatever_it_is_doing(tmp_path: Path, wait
         rest = process.stdout.read()
         process.wait(timeout=10)
         took_s = time.monotonic() - begun
-    assert took_s < 2.0
     assert process.returncode == 130
     assert "Traceback" not in rest
     assert list(processes_that_name(str(rig))) == []
+    in_time(took_s, 2.0, "the end")
 
 
 def test_a_service_that_cannot_run_ends_it_with_its_reason(tmp_path: Path) -> None:
@@ -62,8 +63,9 @@ def test_a_service_that_cannot_run_ends_it_with_its_reason(tmp_path: Path) -> No
         timeout=60,
         check=False,
     )
-    assert time.monotonic() - begun < 10.0, "nobody waits for a rig that cannot come up"
+    took_s = time.monotonic() - begun
     assert done.returncode == 1
     assert "fusion needs two cameras or more" in done.stderr
     assert "fusion ended by itself" in done.stderr
     assert list(processes_that_name(str(rig))) == []
+    in_time(took_s, 10.0, "nobody waits for a rig that cannot come up")

@@ -27,11 +27,11 @@ def depth_camera() -> CameraModel:
     return pinhole(848, 480, np.array([[613.0, 0.0, 429.8], [0.0, 612.7, 237.9], [0.0, 0.0, 1.0]]), np.empty(0))
 
 
-def tilted(tilt_deg: float, azimuth_rad: float, turn_rad: float = 0.0) -> FloatArray:
+def tilted(tilt_deg: float, azimuth_rad: float, rotation_rad: float = 0.0) -> FloatArray:
     """R_camera_marker of a marker that faces the camera, turned in its plane and tilted about an axis in it."""
     axis = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     facing: FloatArray = np.diag([1.0, -1.0, -1.0])
-    return rotation_from_vector(np.radians(tilt_deg) * axis) @ rotation_z(turn_rad) @ facing
+    return rotation_from_vector(np.radians(tilt_deg) * axis) @ rotation_z(rotation_rad) @ facing
 
 
 def draw_marker(

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from bus_watch import PATIENCE_S
+
 from rhot.bus import Bus
 from rhot.errors import WireError
 from rhot.messages import Control, HandPose, MarkerFrame, Message, decode
@@ -46,11 +48,9 @@ class Processes:
         return "\n".join(f"{name}:\n{child.tail()}" for name, child in self.running.items())
 
 
-async def next_message(
-    bus: Bus, key: str, model: type[Message], wanted: Callable[[Message], bool], timeout_s: float
-) -> Message:
+async def next_message(bus: Bus, key: str, model: type[Message], wanted: Callable[[Message], bool]) -> Message:
     """Return the first message on a key that is wanted."""
-    async with asyncio.timeout(timeout_s):
+    async with asyncio.timeout(PATIENCE_S):
         async for sample in bus.latest(key):
             with contextlib.suppress(WireError):
                 message = decode(sample.payload, model)
@@ -59,7 +59,7 @@ async def next_message(
     raise AssertionError(f"the subscription of {key} ended")
 
 
-async def hand_measured_after(bus: Bus, t_ns: int, timeout_s: float) -> float:
+async def hand_measured_after(bus: Bus, t_ns: int) -> float:
     """Wait for a hand that both cameras and all services measured after a moment; return the seconds it took."""
     begun = time.monotonic()
 
@@ -71,9 +71,9 @@ async def hand_measured_after(bus: Bus, t_ns: int, timeout_s: float) -> float:
         return fresh(message) and message.state == "measured" and "predicted" not in message.fingers.values()
 
     await asyncio.gather(
-        next_message(bus, "rhot/markers/left", MarkerFrame, fresh, timeout_s),
-        next_message(bus, "rhot/markers/right", MarkerFrame, fresh, timeout_s),
-        next_message(bus, "rhot/hand/right", HandPose, complete, timeout_s),
+        next_message(bus, "rhot/markers/left", MarkerFrame, fresh),
+        next_message(bus, "rhot/markers/right", MarkerFrame, fresh),
+        next_message(bus, "rhot/hand/right", HandPose, complete),
     )
     return time.monotonic() - begun
 

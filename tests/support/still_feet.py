@@ -12,7 +12,7 @@ from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import HeadPose
 from rhot.rig.feet_config import BodyConfig, DepthCameraConfig, FeetConfig, FootConfig, ImuConfig
 from rhot_feet.frames import DepthFrame, pinhole
-from rhot_feet.sources.imu import ImuSamples
+from rhot_feet.imu.samples import ImuSamples
 from rhot_sim.walker.pictures.disturbances import Disturbances
 from rhot_sim.walker.world import WalkerWorld
 
@@ -56,7 +56,7 @@ def head(t_ns: int, shift_m: FloatArray | None = None) -> HeadPose:
     )
 
 
-def places() -> dict[str, FloatArray]:
+def positions() -> dict[str, FloatArray]:
     """Where the markers are, metres, rig frame."""
     return {side: T[0, :3, 3] for side, T in world().feet(np.array([AT_S])).items()}
 

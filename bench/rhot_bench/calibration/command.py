@@ -44,13 +44,13 @@ def _board(ctx: click.Context, param: click.Parameter, text: str | None) -> Boar
     "live_s",
     type=click.FloatRange(2.0, 3600.0),
     metavar="SECONDS",
-    help="Listen to the running rig for so long instead of reading a recording.",
+    help="Listen to the running rig this long instead of reading a recording.",
 )
 @click.option(
     "--board",
     metavar="COLUMNSxROWS",
     callback=_board,
-    help="RECORDING holds pictures of a chessboard with so many inner corners, such as 9x6, instead of a hand.",
+    help="RECORDING shows a chessboard with this many inner corners, such as 9x6, instead of a hand.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of the tables.")
 @rig_option

@@ -42,22 +42,24 @@ _LONGER: Final = {"inertial": 2.0}
 
 
 @click.command()
-@click.option("--runs", metavar="NAMES", help=f"Only these, with commas: {', '.join(RUNS)}. All when not given.")
-@click.option("--seeds", type=click.IntRange(1, 100), default=2, show_default=True, help="How many persons per run.")
+@click.option(
+    "--runs", metavar="NAMES", help=f"Only these runs, separated by commas: {', '.join(RUNS)}. All when not given."
+)
+@click.option("--seeds", type=click.IntRange(1, 100), default=2, show_default=True, help="Number of persons per run.")
 @click.option(
     "--duration",
     "duration_s",
     type=click.FloatRange(5, 600),
     default=8.0,
     show_default=True,
-    help="Seconds of each; drawing and tracking take about twice as long.",
+    help="Seconds of each run; drawing and tracking take about twice as long.",
 )
 @click.option(
     "--jobs",
     type=click.IntRange(1, 64),
     default=os.cpu_count() or 1,
     show_default="all processors",
-    help="So many runs at once. Processor times are truest with 1.",
+    help="Runs at once. Processor times are most accurate with 1.",
 )
 @json_option
 @page_option("--html")
@@ -79,8 +81,8 @@ def feet(
     """Track the feet of a simulated person and compare with the truth.
 
     Pictures of a head-worn depth camera and samples of ankle sensors, with all their faults and delays, go through the
-    very core of the feet service. Beside each figure stands the 2021 thesis's tracker on the same data, and what the
-    thesis measured in its own room.
+    core of the feet service that runs live. Beside each figure stands the 2021 thesis's tracker on the same data, and
+    what the thesis measured in its own room.
 
     \b
     still, marker_moving, head_moving, sudden   the thesis's tests

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from rhot.messages import HeadPose
-from rhot_objects.registration import Registration
 from rhot_objects.pose import Pose
+from rhot_objects.registration import Registration
 from rhot_objects.sources import HEAD
 from rhot_objects.stage import ObjectStage
 from rhot_sim.sources.objects import SimulatedSource

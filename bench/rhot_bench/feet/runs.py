@@ -132,7 +132,7 @@ class _Places:
     measured: dict[Side, list[bool]] = field(default_factory=lambda: {side: [] for side in SIDES})
 
     def add(self, feet: Mapping[Side, tuple[FloatArray, str, bool]]) -> None:
-        """Take place, stage and whether it is measured, of the feet that are known."""
+        """Take position, stage and whether it is measured, of the feet that are known."""
         for side in SIDES:
             position, stage, measured = feet.get(side, (_NOWHERE, "none", False))
             self.position[side].append(position)
@@ -194,15 +194,15 @@ class _Playing:
         """Hand over what has arrived by now, and ask for the feet."""
         now_ns = START_NS + round(1e9 * now_s)
         for head in self._heads.until(now_s):
-            self._stage.head(head)
-            self._thesis.head(head)
+            self._stage.add_head_pose(head)
+            self._thesis.add_head_pose(head)
             self._body.feed(head)
         felt = {side: sensor.read(now_ns) for side, sensor in self._sensors.items()}
         for side, samples in felt.items():
-            self._thesis.imu(side, samples)
+            self._thesis.add_imu_samples(side, samples)
         begun = time.process_time()
         for side, samples in felt.items():
-            self._stage.imu(side, samples)
+            self._stage.add_imu_samples(side, samples)
         imu_s = time.process_time() - begun
         while self._world.timing(self._index).delivered_s + COMPUTE_S <= now_s:
             self._picture()
@@ -224,9 +224,9 @@ class _Playing:
         if not (timing.dropped or dark):
             color, depth_mm = self._world.render(timing.t_s)
             frame = DepthFrame(START_NS + round(1e9 * timing.t_s), color, depth_mm, self._camera, self._index)
-            self._thesis.frame(frame)
+            self._thesis.process(frame)
             begun = time.process_time()
-            self._stage.frame(frame)
+            self._stage.process(frame)
             self._picture_s.append(time.process_time() - begun)
         self._index += 1
 

@@ -17,7 +17,7 @@ BoolArray = NDArray[np.bool_]
 SETTLE_S: Final = 2.0
 """Averages are taken from here on; what is worst counts from the start."""
 MM: Final = 1e3
-MOVES: Final = 0.05
+MOVING: Final = 0.05
 """m/s; a foot that is slower stands."""
 _BACK_S: Final = 0.1
 _BACK_WITHIN_M: Final = 0.02
@@ -160,7 +160,7 @@ def _always(played: Played, track: Track) -> BoolArray:
 
 
 def _moving(played: Played, track: Track) -> BoolArray:
-    return _always(played, track) & (track.speed > MOVES)
+    return _always(played, track) & (track.speed > MOVING)
 
 
 def _by_depth(played: Played, track: Track) -> BoolArray:

@@ -32,28 +32,28 @@ class ThesisTracker:
         self._feet = ThesisFeet(marker_dictionary(config.dictionary), ids, config.marker_size_m)
         self._filters = {side: ThesisFilter(settings) for side in ids}
 
-    def head(self, pose: HeadPose) -> None:
-        """Take a pose of the head."""
+    def add_head_pose(self, pose: HeadPose) -> None:
+        """Add a pose of the head."""
         self._heads.add(pose)
 
-    def imu(self, side: Side, samples: ImuSamples) -> None:
-        """Take inertial samples of a foot."""
-        self._filters[side].imu(samples)
+    def add_imu_samples(self, side: Side, samples: ImuSamples) -> None:
+        """Add inertial samples of a foot."""
+        self._filters[side].add_imu_samples(samples)
 
-    def frame(self, frame: DepthFrame) -> None:
-        """Take a picture."""
+    def process(self, frame: DepthFrame) -> None:
+        """Detect the feet in a picture and update their filters."""
         T_rig_head = self._heads.at(frame.t_ns)
         if T_rig_head is None or frame.depth_mm is None:
             return
         T = T_rig_head @ self._T_head_camera
-        for side, foot in self._feet.feed(frame.color, frame.depth_mm, frame.camera).items():
-            place = T[:3, :3] @ foot.place + T[:3, 3]
+        for side, foot in self._feet.detect(frame.color, frame.depth_mm, frame.camera).items():
+            position = T[:3, :3] @ foot.position + T[:3, 3]
             if foot.stage == "depth":
-                self._filters[side].depth(frame.t_ns, place, _UNUSED)
+                self._filters[side].update_depth(frame.t_ns, position, _UNUSED)
                 continue
             R = foot.R_camera_marker
             turned = None if R is None else quaternion_from_rotation(T[:3, :3] @ R @ R_FOOT_MARKER.T)
-            self._filters[side].marker(frame.t_ns, place, _UNUSED, turned)
+            self._filters[side].update_marker(frame.t_ns, position, _UNUSED, turned)
 
     def states(self, t_ns: int) -> dict[Side, FootState]:
         """Return every foot that was ever seen; reading smooths."""

@@ -10,14 +10,12 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import nearest_rotation
 from rhot.messages import Side
 from rhot.rig import HandFile
-
-FloatArray = NDArray[np.float64]
 
 BENT_RAD: Final = np.radians(10.0)
 """Each hinge of the start of plain FABRIK."""
@@ -38,7 +36,7 @@ def palm_rotations(wrists: FloatArray, chains: FloatArray, knuckles: FloatArray)
     rest = np.concatenate([np.zeros((1, 3)), knuckles[1:]])
     points = np.concatenate([wrists[:, None], chains[:, 1:, 0]], axis=1)
     points = points - points.mean(axis=1, keepdims=True)
-    return np.array([nearest_rotation(frame.T @ (rest - rest.mean(axis=0))) for frame in points])
+    return nearest_rotation(np.swapaxes(points, 1, 2) @ (rest - rest.mean(axis=0)))
 
 
 def fit_person(wrists: FloatArray, chains: FloatArray, side: Side) -> HandModel:

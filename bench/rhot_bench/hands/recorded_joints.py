@@ -9,19 +9,17 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.rig import HandFile, IkConfig, MarkerConfig
 from rhot_bench.hands.recorded_hands import palm_rotations, plain_hand
 from rhot_bench.number_table import read_table
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.solver import HandSolver
-
-FloatArray = NDArray[np.float64]
 
 RATE_HZ: Final = 30.0
 PREFIXES: Final = "TIMRP"
@@ -117,11 +115,11 @@ def solved(model: HandModel, recorded: Recorded) -> FloatArray:
     markers = {finger: MarkerConfig(joint=f"{finger}_tip") for finger in FINGERS}
     solver = HandSolver(bare, markers | {"base": MarkerConfig(joint="wrist")}, "base", IkConfig())
     found = np.full(recorded.chains.shape, np.nan)
-    all_seen, sigma = np.ones(5, dtype=np.bool_), np.full(5, _SIGMA_M)
+    all_seen = np.ones(5, dtype=np.bool_)
     for k, (wrist, chains) in enumerate(zip(recorded.wrists, recorded.chains, strict=True)):
         t_ns = 10**18 + round(k / RATE_HZ * 1e9)
         across = _known(recorded.across[k])
-        seen = HandObservation(t_ns, wrist, True, None, chains[:, 3], all_seen, _SIGMA_M, sigma, across)
+        seen = HandObservation(t_ns, wrist, True, None, chains[:, 3], all_seen, across=across)
         solution = solver.solve(seen)
         if solution is not None:
             T = solution.T_rig_wrist

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from rhot.arrays import FloatArray
 
 REACH_S: Final = 0.060
 STEP_S: Final = 0.002

@@ -11,15 +11,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import BoolArray, FloatArray
 from rhot.messages import HandPose, Side
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 START_NS: Final = 1_700_000_000_000_000_000
 """Rig time of the world's time 0 in generated point sets."""

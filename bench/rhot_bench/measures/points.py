@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.messages import PointSet
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 FALSE_M: Final = 0.020
 """A measured point with no true marker this near is a false one."""
@@ -69,20 +66,20 @@ def point_track(sets: Sequence[PointSet], world: World, start_t_ns: int) -> Poin
             if point is not None:
                 positions[row, column] = point.position
                 measured[row, column] = point.state == "measured"
-    true, later = (_marker_places(world, names, t_s + shift) for shift in (0.0, _SPEED_STEP_S))
+    true, later = (_marker_positions(world, names, t_s + shift) for shift in (0.0, _SPEED_STEP_S))
     speeds = np.linalg.norm(later - true, axis=2) / _SPEED_STEP_S
     return PointTrack(names, t_s, positions, measured, true, speeds)
 
 
-def _marker_places(world: World, names: Sequence[str], t_s: FloatArray) -> FloatArray:
+def _marker_positions(world: World, names: Sequence[str], t_s: FloatArray) -> FloatArray:
     markers = world.sample(t_s).markers
     return np.stack([markers[name] for name in names], axis=1) if names else np.empty((len(t_s), 0, 3))
 
 
 def true_path(world: World, names: Sequence[str], from_s: float, to_s: float, step_s: float) -> tuple[FloatArray, ...]:
-    """Return times (T,) and marker places (T, M, 3) of the truth, evenly spaced."""
+    """Return times (T,) and marker positions (T, M, 3) of the truth, evenly spaced."""
     t_s = np.arange(from_s, to_s, step_s)
-    return t_s, _marker_places(world, names, t_s)
+    return t_s, _marker_positions(world, names, t_s)
 
 
 def jitter_m(track: PointTrack) -> tuple[FloatArray, FloatArray]:
@@ -93,16 +90,21 @@ def jitter_m(track: PointTrack) -> tuple[FloatArray, FloatArray]:
     """
     sideways, depth = np.full(len(track.names), np.nan), np.full(len(track.names), np.nan)
     for column in range(len(track.names)):
-        places = track.positions[track.measured[:, column], column]
-        if len(places) < 10:
+        positions = track.positions[track.measured[:, column], column]
+        if len(positions) < 10:
             continue
-        off = places - places.mean(axis=0)
-        sight = places.mean(axis=0) / np.linalg.norm(places.mean(axis=0))
-        along = off @ sight
-        depth[column] = along.std()
-        across = off - along[:, None] * sight
-        sideways[column] = np.sqrt(0.5 * (across**2).sum(axis=1).mean())
+        sideways[column], depth[column] = scatter_m(positions)
     return sideways, depth
+
+
+def scatter_m(positions: FloatArray) -> tuple[float, float]:
+    """Return the standard deviations of positions (N, 3) about their mean, sideways and in depth; see `jitter_m`."""
+    mean = positions.mean(axis=0)
+    off = positions - mean
+    sight = mean / np.linalg.norm(mean)
+    along = off @ sight
+    across = off - along[:, None] * sight
+    return float(np.sqrt(0.5 * (across**2).sum(axis=1).mean())), float(along.std())
 
 
 def false_points(track: PointTrack) -> int:
@@ -111,7 +113,7 @@ def false_points(track: PointTrack) -> int:
 
 
 def identity_swaps(track: PointTrack) -> int:
-    """Return how many times a marker was measured at another marker's place; a stretch of sets counts once."""
+    """Return how many times a marker was measured at another marker's position; a stretch of sets counts once."""
     distances = _distances(track)
     own = np.einsum("nmm->nm", distances)
     other = distances + np.where(np.eye(len(track.names), dtype=np.bool_), np.inf, 0.0)

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot_bench.measures.delay import stream_delay
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from rhot_bench.measures.points import scatter_m
 
 REST_FRAMES: Final = 15
 """A marker rests while it stays within `REST_PX` in every view over this many frames."""
@@ -44,7 +43,7 @@ def step_p99_m(stream: Stream) -> float:
 
 
 def lateral_delay(stream: Stream) -> float:
-    """Return by how many frames the published sideways place is behind the first camera's picture."""
+    """Return by how many frames the published sideways position is behind the first camera's picture."""
     clean = np.isfinite(stream.uv[0, :, :, 0]) & np.isfinite(stream.positions[:, :, 0])
     # Held and jumping samples tell nothing of a delay: a marker neither stands still to the pixel nor leaps.
     moved = np.abs(np.diff(stream.uv[0, :, :, 0], axis=0, prepend=np.nan))
@@ -59,20 +58,14 @@ def rest_noise_m(stream: Stream) -> tuple[FloatArray, FloatArray]:
     A stretch is `REST_FRAMES` long and is judged by the recorded pixels alone: no view moves by more than `REST_PX`.
     Stretches do not overlap.
     """
-    sideways: list[float] = []
-    depth: list[float] = []
-    for marker in range(stream.positions.shape[1]):
-        for begin in _rests(stream.uv[:, :, marker]):
-            places = stream.positions[begin : begin + REST_FRAMES, marker]
-            if not np.isfinite(places).all():
-                continue
-            off = places - places.mean(axis=0)
-            sight = places.mean(axis=0) / np.linalg.norm(places.mean(axis=0))
-            along = off @ sight
-            depth.append(float(along.std()))
-            across = off - along[:, None] * sight
-            sideways.append(float(np.sqrt(0.5 * (across**2).sum(axis=1).mean())))
-    return np.array(sideways), np.array(depth)
+    found = [
+        scatter_m(positions)
+        for marker in range(stream.positions.shape[1])
+        for begin in _rests(stream.uv[:, :, marker])
+        if np.isfinite(positions := stream.positions[begin : begin + REST_FRAMES, marker]).all()
+    ]
+    sideways, depth = np.array(found).reshape(-1, 2).T
+    return sideways, depth
 
 
 def _rests(uv: FloatArray) -> list[int]:

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot_bench.measures.points import PointTrack
 from rhot_sim.comparison.coverage import visible_to_two
 from rhot_sim.rendering.coverage import MarkerCoverage
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SHORT_S: Final = 0.25
 """An occlusion up to this long is to be bridged."""

@@ -41,10 +41,10 @@ _WINDOW: Final = {"raw200": 5, "bno100": 3}
 
 @click.command()
 @click.argument("data_path", metavar="DATA", type=click.Path(path_type=Path))
-@click.option("--quick", is_flag=True, help="Less of each recording, rougher figures.")
+@click.option("--quick", is_flag=True, help="Use less of each recording; rougher figures.")
 @json_option
 def steps(data_path: Path, quick: bool, json_path: Path | None) -> None:
-    """Follow feet on recordings of real sensors and cameras.
+    """Track feet on recordings of real sensors and cameras.
 
     DATA is a folder with any of these:
 
@@ -55,8 +55,8 @@ def steps(data_path: Path, quick: bool, json_path: Path | None) -> None:
     aruco/d435_qualisys/   detections of a marker with motion capture: *.csv
     realsense/feet_rgbd/   depth pictures of a walk, toes marked by hand
 
-    Hidden swings: the truth is shown only while the foot stands, and what counts is how far off it is found as it comes
-    down. Dead reckoning: no camera at all, from the first sample to the last.
+    Hidden swings: the filter sees the truth only while the foot stands; the figure is how far off the foot is when it
+    comes down. Dead reckoning: no camera at all, from the first sample to the last.
     """
     check_output("--json", json_path)
     tasks = _tasks(data_path, quick)
@@ -184,7 +184,7 @@ def _markers(files: Sequence[Path], most: int | None, advance: Advance) -> list[
         rows += [
             Row(f"{file.stem}: the right one of two orientations", 100 * figures.right, "%", least=97.0,
                 note=f"the detector's first solution {first}"),
-            Row(f"{file.stem}: filtered place, mean", MM * figures.mean_m, "mm", note=note),
+            Row(f"{file.stem}: filtered position, mean", MM * figures.mean_m, "mm", note=note),
             Row("    nearer to the truth than that by", nearer, "%", least=30.0),
         ]  # fmt: skip
         advance()

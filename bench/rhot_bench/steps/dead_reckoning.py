@@ -8,11 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot_feet.filter.history import SAMPLE_S
 from rhot_feet.filter.inertial import InertialModel
-from rhot_feet.imu.inertial import level_rotation
-from rhot_feet.imu.samples import ImuSamples
-from rhot_feet.imu.strapdown import (
+from rhot_feet.filter.strapdown import (
     ACCELEROMETER,
     ATTITUDE,
     GYROSCOPE,
@@ -21,17 +18,20 @@ from rhot_feet.imu.strapdown import (
     VELOCITY,
     InertialNoise,
     InertialState,
-    InertialStep,
     Strapdown,
 )
-from rhot_feet.imu.zero_velocity import GRAVITY, MOVES, Rest, StillnessDetector, StillnessSettings
+from rhot_feet.filter.zero_velocity_update import zero_velocity_update
+from rhot_feet.imu.conversion import level_rotation
+from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
+from rhot_feet.imu.track import InertialStep
+from rhot_feet.imu.zero_velocity_detector import MOVING, ZeroVelocity, ZeroVelocityDetector, ZeroVelocitySettings
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _AT_REST: Final = 20
 """Samples at the start in which the foot stands, for the direction of up."""
-_JUDGED: Final = {False: MOVES, True: Rest(still=True, speed_sigma=0.01, rate=None)}
+_VERDICTS: Final = {False: MOVING, True: ZeroVelocity(still=True, speed_sigma=0.01, rate=None)}
 _STRAIGHT_M: Final = 0.8
 """Distance from the start at which headings are made equal, as the published figures do."""
 
@@ -39,35 +39,32 @@ _STRAIGHT_M: Final = 0.8
 def reckon(
     samples: ImuSamples,
     noise: InertialNoise | None = None,
-    stillness: StillnessSettings | None = None,
+    detector: ZeroVelocitySettings | None = None,
     still: BoolArray | None = None,
 ) -> FloatArray:
-    """Return the places (N, 3), metres, z up, of a sensor that stands at the origin at first.
+    """Return the positions (N, 3), metres, z up, of a sensor that stands at the origin at first.
 
     It is the filter and the detector that run live, forwards and without any other measurement.
 
     Args:
         samples: of the whole recording.
         noise: of the sensor.
-        stillness: settings of the detector.
+        detector: its settings.
         still: (N,) verdict of another detector, to be used instead.
     """
-    gravity = np.array([0.0, 0.0, -GRAVITY])
+    gravity = np.array([0.0, 0.0, -GRAVITY_M_S2])
     model = InertialModel(Strapdown(gravity, noise or InertialNoise()), np.eye(3))
-    detector = StillnessDetector(stillness)
+    zero_velocity = ZeroVelocityDetector(detector)
     state = _at_rest(samples)
-    places = np.zeros((len(samples), 3))
+    positions = np.zeros((len(samples), 3))
     for k in range(1, len(samples)):
         h = float(samples.t_ns[k] - samples.t_ns[k - 1]) * 1e-9
         force, rate = samples.specific_force[k], samples.angular_rate[k]
-        rest = detector.add(h, force, rate) if still is None else _JUDGED[bool(still[k])]
+        measured = zero_velocity.add(h, force, rate) if still is None else _VERDICTS[bool(still[k])]
         state = model.predict(state, h, InertialStep(h, samples.specific_force[k - 1], force, h * rate))
-        if rest.speed_sigma is not None:
-            state = model.rest(state, rest.speed_sigma * math.sqrt(SAMPLE_S / h), None)
-            if rest.rate is not None:
-                state = model.rest_turning(state, rest.rate, h)
-        places[k] = state.position
-    return places
+        state = zero_velocity_update(model, state, measured, h, gated=False)
+        positions[k] = state.position
+    return positions
 
 
 def _at_rest(samples: ImuSamples) -> InertialState:
@@ -87,16 +84,16 @@ def _at_rest(samples: ImuSamples) -> InertialState:
     return InertialState(zero, zero, R, zero, zero, zero, np.eye(3), P)
 
 
-def horizontal_error_m(places: FloatArray, truth: FloatArray) -> float:
+def horizontal_error_m(positions: FloatArray, truth: FloatArray) -> float:
     """Return the error of a path (N, 3) as the data set's authors measure it ("ARMSE, 2D"), metres.
 
-    Both paths begin at the origin and are turned into one heading where the first is 0.8 m away; then the mean over
+    Both paths begin at the origin and are rotated into one heading where the first is 0.8 m away; then the mean over
     time of √((Δx² + Δy²)/2).
     """
-    path, true = places - places[0], truth - truth[0]
+    path, true = positions - positions[0], truth - truth[0]
     away = np.hypot(path[:, 0], path[:, 1])
     at = int(np.argmax(away >= _STRAIGHT_M)) if away.max() >= _STRAIGHT_M else len(path) - 1
-    turn = math.atan2(true[at, 1], true[at, 0]) - math.atan2(path[at, 1], path[at, 0])
-    c, s = math.cos(turn), math.sin(turn)
+    heading = math.atan2(true[at, 1], true[at, 0]) - math.atan2(path[at, 1], path[at, 0])
+    c, s = math.cos(heading), math.sin(heading)
     level = path[:, :2] @ np.array([[c, s], [-s, c]])
     return float(np.sqrt(((level - true[:, :2]) ** 2).mean(axis=1)).mean())

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
-from rhot_feet.filter.filter import FootFilter
+from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.frames import pinhole
 from rhot_feet.marker.orientation_track import OrientationTrack
 from rhot_feet.marker.pose import marker_poses, square_corners, view_square
@@ -48,7 +48,7 @@ class MarkerTest:
     Attributes:
         t_s: (N,).
         R: (N, 2, 3, 3) both solutions, marker to camera.
-        t_m: (N, 2, 3) their places, metres.
+        t_m: (N, 2, 3) their positions, metres.
         R_true: (N, 3, 3), NaN where there is none.
         t_true_m: (N, 3), NaN where there is none.
     """
@@ -78,7 +78,7 @@ class FollowedMarker:
 
     Attributes:
         chosen: (N,) which of the two solutions is believed.
-        t_m: (N, 3) filtered places, metres, camera frame.
+        t_m: (N, 3) filtered positions, metres, camera frame.
     """
 
     chosen: NDArray[np.intp]
@@ -92,9 +92,9 @@ class MarkerFigures:
     Attributes:
         right: share whose believed solution is the one nearer to the true orientation.
         first_right: the same of the first solution.
-        mean_m: mean distance of the filtered places from the truth.
+        mean_m: mean distance of the filtered positions from the truth.
         first_mean_m: the same of the first solution.
-        rms_m: root mean square distance of the filtered places from the truth.
+        rms_m: root mean square distance of the filtered positions from the truth.
         first_rms_m: the same of the first solution.
     """
 
@@ -157,7 +157,7 @@ def move_edges(corners: FloatArray, by_px: float) -> FloatArray:
 
 def follow_marker(test: MarkerTest) -> FollowedMarker:
     """Follow the marker as feet are followed that nothing else is known of: poses, orientation track, foot filter."""
-    track, places = OrientationTrack(), FootFilter()
+    track, positions = OrientationTrack(), FootFilter()
     chosen = np.zeros(len(test.t_s), dtype=np.intp)
     t_m = np.full((len(test.t_s), 3), np.nan)
     for number, (t_s, corners) in enumerate(zip(test.t_s.tolist(), edge_corners(test), strict=True)):
@@ -165,10 +165,10 @@ def follow_marker(test: MarkerTest) -> FollowedMarker:
         view = view_square(corners, SIDE_M, CAMERA, CORNER_SIGMA_PX)
         poses = () if view is None else marker_poses(view)
         if poses:
-            pose = poses[track.feed(t_s, poses)]
+            pose = poses[track.update(t_s, poses)]
             chosen[number] = track.nearest(test.R[number])
-            places.marker(t_ns, pose.t_camera_marker, pose.covariance[3:, 3:])
-        state = places.state(t_ns)
+            positions.update_marker(t_ns, pose.t_camera_marker, pose.covariance[3:, 3:])
+        state = positions.state(t_ns)
         if state is not None:
             t_m[number] = state.position
     return FollowedMarker(chosen, t_m)
@@ -180,7 +180,7 @@ def marker_figures(test: MarkerTest, followed: FollowedMarker) -> MarkerFigures:
     turns = np.stack([_turns(test.R[known, which], test.R_true[known]) for which in (0, 1)])
     believed = np.take_along_axis(turns, followed.chosen[None, known], axis=0)[0]
     off, first_off = (
-        np.linalg.norm(places[known] - test.t_true_m[known], axis=1) for places in (followed.t_m, test.t_m[:, 0])
+        np.linalg.norm(positions[known] - test.t_true_m[known], axis=1) for positions in (followed.t_m, test.t_m[:, 0])
     )
     return MarkerFigures(
         float((believed <= turns.min(axis=0)).mean()),

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from rhot_feet.imu.zero_velocity import ACCELERATION_NOISE, GRAVITY, RATE_NOISE
+from rhot_feet.imu.samples import GRAVITY_M_S2
+from rhot_feet.imu.zero_velocity_detector import ACCELERATION_NOISE, RATE_NOISE
 
 FloatArray = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ def shoe(specific_force: FloatArray, angular_rate: FloatArray, size: int = 5) ->
     """Return the SHOE statistic (N,) of samples (N, 3) and (N, 3), over centred windows of `size`."""
     f, w = _windows(specific_force, size), _windows(angular_rate, size)
     mean = f.mean(axis=1, keepdims=True)
-    gravity = GRAVITY * mean / np.maximum(np.linalg.norm(mean, axis=2, keepdims=True), 1e-9)
+    gravity = GRAVITY_M_S2 * mean / np.maximum(np.linalg.norm(mean, axis=2, keepdims=True), 1e-9)
     force = ((f - gravity) ** 2).sum(axis=2) / ACCELERATION_NOISE**2
     statistic: FloatArray = (force + (w * w).sum(axis=2) / RATE_NOISE**2).mean(axis=1)
     return statistic

@@ -21,8 +21,8 @@ from rhot_bench.feet.runs import SIDES
 from rhot_bench.number_table import read_columns
 from rhot_bench.thesis.feet import ThesisFeet
 from rhot_feet.depth.tracker import DepthTracker
-from rhot_feet.expectation import FootExpectation
 from rhot_feet.frames import DepthFrame, pinhole
+from rhot_feet.prediction import FootPrediction
 from rhot_feet.sources.depth_camera.recorded_frames import load_depth_recording
 
 FloatArray = NDArray[np.float64]
@@ -32,7 +32,7 @@ FOCAL_PX: Final = 610.0
 _RATE_HZ: Final = 30.0
 _DEPTH_RANGE_M: Final = (0.3, 4.0)
 _MARKED_M: Final = 0.01
-"""How well the first marks tell a foot's place, standard deviation per axis."""
+"""How well the first marks tell a foot's position, standard deviation per axis."""
 _EXPECTED_M: Final = 0.04
 """The same of a foot that goes on as before, 1/30 s later."""
 _MARKS: Final = "manual_toe_tips.csv"
@@ -57,19 +57,19 @@ class ToeWalk:
         self.recording = load_depth_recording(folder, camera=self.camera, rate_hz=_RATE_HZ)
         columns = {side: [f"{side}_toe_{name}" for name in ("u", "v", "depth_mm")] for side in SIDES}
         table = read_columns(folder / _MARKS, ["frame", *columns["left"], *columns["right"]])
-        places = {side: np.stack([table[name] for name in names], axis=1) for side, names in columns.items()}
+        positions = {side: np.stack([table[name] for name in names], axis=1) for side, names in columns.items()}
         numbers = [int(number) for number in table["frame"]]
-        self.marks = {number: {side: places[side][row] for side in SIDES} for row, number in enumerate(numbers)}
+        self.marks = {number: {side: positions[side][row] for side in SIDES} for row, number in enumerate(numbers)}
         first = self.recording.frame(0).index
         if first not in self.marks:
             raise ConfigError(f"{folder / _MARKS}: the toes of the first picture ({first}) are not marked")
 
-    def off_px(self, frame: DepthFrame, places: Mapping[Side, FloatArray]) -> list[float]:
-        """Return how far places (3,), metres, camera frame, lie from the marks in a picture; nothing without marks."""
+    def off_px(self, frame: DepthFrame, positions: Mapping[Side, FloatArray]) -> list[float]:
+        """Return how far positions (3,), metres, camera frame, lie from a picture's marks; nothing without marks."""
         marks = self.marks.get(frame.index, {})
         return [
-            float(np.linalg.norm(self.camera.project(place[None])[0] - marks[side][:2]))
-            for side, place in places.items()
+            float(np.linalg.norm(self.camera.project(position[None])[0] - marks[side][:2]))
+            for side, position in positions.items()
             if side in marks
         ]
 
@@ -77,22 +77,22 @@ class ToeWalk:
 def follow_toes(walk: ToeWalk) -> FloatArray:
     """Return the distances from the marks, pixels, of the feet's depth stage; one not found is where it was bound."""
     tracker = DepthTracker(_DEPTH_RANGE_M)
-    places: dict[Side, FloatArray] = {}
+    positions: dict[Side, FloatArray] = {}
     speeds = {side: np.zeros(3) for side in SIDES}
     off: list[float] = []
     for frame in walk.recording.frames():
-        if not places:
-            places = {side: _seen_at(mark, walk.camera) for side, mark in walk.marks[frame.index].items()}
-            sure = {side: FootExpectation(place, _MARKED_M**2 * np.eye(3)) for side, place in places.items()}
-            tracker.feed(frame, {}, sure)
+        if not positions:
+            positions = {side: _seen_at(mark, walk.camera) for side, mark in walk.marks[frame.index].items()}
+            sure = {side: FootPrediction(position, _MARKED_M**2 * np.eye(3)) for side, position in positions.items()}
+            tracker.detect(frame, {}, sure)
             continue
-        bound = {side: FootExpectation(places[side] + speeds[side], _EXPECTED_M**2 * np.eye(3)) for side in SIDES}
-        found = tracker.feed(frame, bound, {}).feet
+        bound = {side: FootPrediction(positions[side] + speeds[side], _EXPECTED_M**2 * np.eye(3)) for side in SIDES}
+        found = tracker.detect(frame, bound, {}).feet
         for side in SIDES:
-            now = found[side].place if side in found else places[side] + speeds[side]
-            speeds[side] = 0.5 * speeds[side] + 0.5 * (now - places[side])
-            places[side] = now
-        off += walk.off_px(frame, places)
+            now = found[side].position if side in found else positions[side] + speeds[side]
+            speeds[side] = 0.5 * speeds[side] + 0.5 * (now - positions[side])
+            positions[side] = now
+        off += walk.off_px(frame, positions)
     return np.array(off)
 
 
@@ -106,14 +106,14 @@ def thesis_toes(walk: ToeWalk) -> FloatArray:
         if number == 0:
             for side, (u, v, depth_mm) in walk.marks[frame.index].items():
                 thesis.start(side, (float(u), float(v)), float(depth_mm))
-        feet = thesis.feed(frame.color, frame.depth_mm, walk.camera)
+        feet = thesis.detect(frame.color, frame.depth_mm, walk.camera)
         if number:
-            off += walk.off_px(frame, {side: foot.place for side, foot in feet.items()})
+            off += walk.off_px(frame, {side: foot.position for side, foot in feet.items()})
     return np.array(off)
 
 
 def _seen_at(mark: FloatArray, camera: CameraModel) -> FloatArray:
-    """Return the place (3,), metres, camera frame, of a mark: u, v, depth in millimetres."""
+    """Return the position (3,), metres, camera frame, of a mark: u, v, depth in millimetres."""
     x, y = camera.undistort(mark[None, :2])[0]
-    place: FloatArray = np.array([x, y, 1.0]) * mark[2] * 1e-3
-    return place
+    position: FloatArray = np.array([x, y, 1.0]) * mark[2] * 1e-3
+    return position

@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 from rhot.errors import ConfigError
 from rhot_bench.feet.heads import START_NS
 from rhot_bench.number_table import read_columns
-from rhot_feet.filter.filter import FootFilter
+from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.model import FootFilterSettings
-from rhot_feet.imu.inertial import RawReader
+from rhot_feet.imu.conversion import RawImuConverter
 from rhot_feet.imu.samples import ImuSamples
 
 FloatArray = NDArray[np.float64]
 
 SIGMA_M: Final = 0.003
-"""Noise of the places that are shown, per axis."""
+"""Noise of the positions that are shown, per axis."""
 PICTURE_S: Final = 1.0 / 60.0
 _ALIGNED_FOR_S: Final = 0.2
 """Swings count from so long after the sensor is aligned: the one in which it becomes so was hardly followed."""
@@ -41,13 +41,13 @@ class StepTrial:
     Attributes:
         samples: of the sensor, as the service reads them.
         t_s: (N,) since its start.
-        place: (N, 3) metres, z up: the captured point.
+        position: (N, 3) metres, z up: the captured point.
         stands: (N,) whether the foot does.
     """
 
     samples: ImuSamples
     t_s: FloatArray
-    place: FloatArray
+    position: FloatArray
     stands: NDArray[np.bool_]
 
 
@@ -80,12 +80,12 @@ def read_step_trial(file: Path, longest_s: float = np.inf) -> StepTrial:
     if not len(t_s) or (np.diff(t_s) <= 0.0).any():
         raise ConfigError(f"{file}: holds no rows, or their times do not rise")
     t_ns = START_NS + np.round(1e9 * t_s).astype(np.int64)
-    force, rate, place = (_vectors(table, kind) for kind in "agp")
-    return StepTrial(RawReader().read(t_ns, force, rate), t_s, place, table["zv"] > 0.5)
+    force, rate, position = (_vectors(table, kind) for kind in "agp")
+    return StepTrial(RawImuConverter().convert(t_ns, force, rate), t_s, position, table["zv"] > 0.5)
 
 
 def read_places(file: Path) -> FloatArray:
-    """Return the captured places (N, 3), metres, z up, of a recording: columns px, py, pz.
+    """Return the captured positions (N, 3), metres, z up, of a recording: columns px, py, pz.
 
     Raises:
         ConfigError: unreadable, or a column is missing; names the file.
@@ -103,16 +103,16 @@ def hide_swings(trial: StepTrial, seed: int = 1) -> HiddenSwings:
     shown_s, stood_s, aligned_s, ends_m = -1.0, 0.0, np.inf, []
     for k, t_s in enumerate(trial.t_s.tolist()):
         t_ns = int(trial.samples.t_ns[k])
-        foot.imu(trial.samples.rows(k, k + 1))
+        foot.add_imu_samples(trial.samples.rows(k, k + 1))
         lands = trial.stands[k] and t_s - stood_s >= _SHORTEST_S
         stood_s = t_s if trial.stands[k] else stood_s
         if lands and t_s > aligned_s + _ALIGNED_FOR_S:
             state = foot.state(t_ns)
-            place = np.full(3, np.nan) if state is None else state.position
-            ends_m.append(float(np.linalg.norm(place - trial.place[k])))
+            position = np.full(3, np.nan) if state is None else state.position
+            ends_m.append(float(np.linalg.norm(position - trial.position[k])))
         if trial.stands[k] and t_s - shown_s >= PICTURE_S:
             shown_s = t_s
-            foot.marker(t_ns, trial.place[k] + random.normal(0.0, SIGMA_M, 3), SIGMA_M**2 * np.eye(3))
+            foot.update_marker(t_ns, trial.position[k] + random.normal(0.0, SIGMA_M, 3), SIGMA_M**2 * np.eye(3))
         if foot.aligned:
             aligned_s = min(aligned_s, t_s)
     return HiddenSwings(aligned_s, np.array(ends_m))

@@ -4,7 +4,7 @@ Marker stage: OpenCV's ArUco detector as it comes, the mean of the four corners,
 the first of the two poses of the square. No gate: what is detected is believed.
 
 Depth stage, for a marker that is not detected: the depth image within a band about the last depth, opening, contours,
-the one nearest to the last pixel, and in it the valid pixel nearest to the contour's centre. The blob's place stands
+the one nearest to the last pixel, and in it the valid pixel nearest to the contour's centre. The blob's position stands
 for the foot's; the marker's offset from it is not known. The width of the band and the opening's kernel are ours: the
 band keeps a whole foot and parts it from the floor behind it.
 """
@@ -35,12 +35,12 @@ class ThesisFoot:
     """A foot as the thesis's camera stages report it.
 
     Attributes:
-        place: (3,) metres, camera frame.
+        position: (3,) metres, camera frame.
         stage: which of the two found it.
         R_camera_marker: (3, 3) first solution, marker stage only.
     """
 
-    place: FloatArray
+    position: FloatArray
     stage: str
     R_camera_marker: FloatArray | None
 
@@ -69,11 +69,11 @@ class ThesisFeet:
         self._last: dict[Side, _Last] = {}
 
     def start(self, side: Side, pixel: tuple[float, float], depth_mm: float) -> None:
-        """Set the last place of a foot by hand: (u, v), pixels, and its depth."""
+        """Set the last position of a foot by hand: (u, v), pixels, and its depth."""
         self._last[side] = _Last(pixel, depth_mm)
 
-    def feed(self, color: ColorImage, depth_mm: DepthImage, camera: CameraModel) -> dict[Side, ThesisFoot]:
-        """Take one picture with its aligned depth and return the feet found in it.
+    def detect(self, color: ColorImage, depth_mm: DepthImage, camera: CameraModel) -> dict[Side, ThesisFoot]:
+        """Return the feet found in a picture with its aligned depth.
 
         Args:
             color: (H, W, 3) uint8 BGR.

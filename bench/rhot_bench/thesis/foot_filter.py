@@ -1,6 +1,6 @@
 """The filter of "Foot Tracking in VR" (2021), for comparison: behind the same calls as `FootFilter`.
 
-A Kalman filter over place, velocity and acceleration with three kinds of measurement (marker, depth blob, inertial
+A Kalman filter over position, velocity and acceleration with three kinds of measurement (marker, depth blob, inertial
 acceleration), prediction at the time of reading, and exponential smoothing of what is read, s ← s + α·(x − s) with
 α = 0.2. An acceleration below 0.5 m/s² counts as standing still. It has no gate, takes measurements in the order in
 which they arrive as if they were of that moment, and knows no biases.
@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_z
 from rhot_feet.filter.model import FootFilterSettings, FootState, Stage
-from rhot_feet.imu.inertial import up_rotation
-from rhot_feet.imu.samples import ImuSamples
-from rhot_feet.imu.zero_velocity import GRAVITY
+from rhot_feet.imu.conversion import up_rotation
+from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
 
 FloatArray = NDArray[np.float64]
 
@@ -54,14 +53,14 @@ class ThesisFilter:
         self._R_world: FloatArray | None = None
         self._standing = False
         self._seen: dict[str, int] = {}
-        self._felt_ns = 0
+        self._imu_ns = 0
 
-    def imu(self, samples: ImuSamples) -> None:
-        """Take samples of the sensor as measurements of the acceleration."""
+    def add_imu_samples(self, samples: ImuSamples) -> None:
+        """Add samples of the sensor as measurements of the acceleration."""
         rotations = rotation_from_quaternion(samples.orientation_xyzw) if len(samples) else ()
         for t_ns, force, R in zip(samples.t_ns.tolist(), samples.specific_force, rotations, strict=True):
-            self._R_world, self._felt_ns = R, t_ns
-            level = R @ force - np.array([0.0, 0.0, GRAVITY])
+            self._R_world, self._imu_ns = R, t_ns
+            level = R @ force - np.array([0.0, 0.0, GRAVITY_M_S2])
             self._standing = math.sqrt(level @ level) < STANDING
             if self._yaw_rad is None or self._t_ns is None:
                 continue
@@ -71,7 +70,7 @@ class ThesisFilter:
             if self._standing:
                 self._correct(1, np.zeros(3), ACCELERATION_NOISE)
 
-    def marker(
+    def update_marker(
         self,
         t_ns: int,
         position: FloatArray,
@@ -79,17 +78,17 @@ class ThesisFilter:
         orientation_xyzw: FloatArray | None = None,
         orientation_covariance: FloatArray | None = None,
     ) -> bool:
-        """Take a place of the foot's marker; it is always believed."""
+        """Update with a position of the foot's marker; it is always accepted."""
         if orientation_xyzw is not None:
             self._orientation = orientation_xyzw
             if self._yaw_rad is None and self._R_world is not None:
                 level = self._C.T @ rotation_from_quaternion(orientation_xyzw) @ self._R_world.T
                 self._yaw_rad = math.atan2(level[1, 0] - level[0, 1], level[0, 0] + level[1, 1])
-        return self._place(t_ns, position, MARKER_NOISE_M, "marker")
+        return self._update_position(t_ns, position, MARKER_NOISE_M, "marker")
 
-    def depth(self, t_ns: int, position: FloatArray, covariance: FloatArray) -> bool:
-        """Take a place of the foot's origin (3,) out of the depth image; it is always believed."""
-        return self._place(t_ns, position, DEPTH_NOISE_M, "depth")
+    def update_depth(self, t_ns: int, position: FloatArray, covariance: FloatArray) -> bool:
+        """Update with a position (3,) of the foot's origin from the depth image; it is always accepted."""
+        return self._update_position(t_ns, position, DEPTH_NOISE_M, "depth")
 
     def state(self, t_ns: int) -> FootState | None:
         """Return the foot at a moment, smoothed over the readings; None before it was first seen."""
@@ -113,7 +112,7 @@ class ThesisFilter:
             max(self._seen.values()),
         )
 
-    def _place(self, t_ns: int, position: FloatArray, noise_m: float, stage: Stage) -> bool:
+    def _update_position(self, t_ns: int, position: FloatArray, noise_m: float, stage: Stage) -> bool:
         if self._t_ns is None:
             self._t_ns = t_ns
             self._x[0] = position
@@ -130,7 +129,7 @@ class ThesisFilter:
         self._x, self._P, self._t_ns = F @ self._x, F @ self._P @ F.T + _growth(h), t_ns
 
     def _correct(self, order: int, value: FloatArray, noise: float) -> None:
-        """Correct the derivative of the place of this order; all axes are alike, so one (3, 3) covariance serves."""
+        """Correct the derivative of the position of this order; all axes are alike, so one (3, 3) covariance serves."""
         gain = self._P[:, order] / (self._P[order, order] + noise**2)
         self._x = self._x + np.outer(gain, value - self._x[order])
         self._P = self._P - np.outer(gain, self._P[order])
@@ -141,7 +140,7 @@ class ThesisFilter:
             return "marker"
         if t_ns - self._seen.get("depth", 0) <= fresh:
             return "depth"
-        return "inertial" if t_ns - self._felt_ns <= fresh else "lost"
+        return "inertial" if t_ns - self._imu_ns <= fresh else "lost"
 
 
 def _transition(h: float) -> FloatArray:

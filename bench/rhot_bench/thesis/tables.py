@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.messages import PointSet
 from rhot.offline import track
@@ -30,7 +30,6 @@ from rhot_bench.tracking.tracking import scene_frames
 from rhot_sim.world.motion import MotionSample, StillMotion
 from rhot_sim.world.world import World
 
-FloatArray = NDArray[np.float64]
 Advance = Callable[[], None]
 
 DISTANCES_CM: Final = (*range(20, 101, 5),)

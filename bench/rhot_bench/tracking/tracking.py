@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray
 from rhot.messages import HandPose, MarkerFrame, PointSet
 from rhot.offline import track
 from rhot.rig import Rig
@@ -23,8 +23,6 @@ from rhot_bench.speed.simulated import Cameras, Capture, moments, world_of
 from rhot_sim.rendering.coverage import MarkerCoverage
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
 
 SETTLE_S: Final = 1.0
 _LOOK_HZ: Final = 30.0

@@ -40,7 +40,7 @@ _UNITS_M: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 )
 @click.option("--live", is_flag=True, help="Take the pictures now, from the running capture services.")
 @click.option("--pictures", "out", type=click.Path(path_type=Path), help="With --live: folder to keep the pictures in.")
-@click.option("--enough", type=click.IntRange(min=5), help="With --live: end after so many pictures.")
+@click.option("--enough", type=click.IntRange(min=5), help="With --live: stop after this many pictures.")
 @click.option("--dry-run", is_flag=True, help="Print the result and write nothing.")
 @click.option(
     "--import",
@@ -83,7 +83,7 @@ def cameras(
     connect: tuple[str, ...],
     namespace: str | None,
 ) -> None:
-    """Calibrate lenses and places of all cameras from pictures of a board.
+    """Calibrate the lenses and positions of all cameras from pictures of a board.
 
     \b
     rhot calibrate cameras pictures --rig myrig --board 9x6 --square-mm 25
@@ -96,7 +96,7 @@ def cameras(
     every part of the picture, tilted by 20 to 40 degrees in all directions. `rhot calibrate board` draws one to print.
 
     Pictures that do not fit are left out by name. What cannot be right is refused, and nothing is written then. The
-    result is cameras.json in the rig folder, with its own figures; the last one is kept as cameras.previous.json.
+    result is cameras.json in the rig folder, with its quality figures; the former one is kept as cameras.previous.json.
     """
     rig = load_rig(rig_path)
     console = Console(soft_wrap=True, markup=False, highlight=False, width=max(Console().width, 118))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rhot.calibration_step import Figures
 from rhot_calibration.cameras.calibration import Calibrated
-from rhot_calibration.cameras.live.coverage import MIN_FILL, MIN_SHARED, MIN_TILTED, MIN_VIEWS
+from rhot_calibration.cameras.live.coverage import WANTED_FILL, WANTED_SHARED, WANTED_TILTED, WANTED_VIEWS
 from rhot_calibration.cameras.live.session import Progress
 
 _SIZE: Final = (320, 240)
@@ -40,7 +40,7 @@ def share_of(progress: Progress | None) -> float:
     if progress is None:
         return 0.0
     parts = [coverage.share for coverage in progress.cameras.values()]
-    parts += [min(1.0, shared / MIN_SHARED) for shared in progress.pairs.values()] if len(parts) == 2 else []
+    parts += [min(1.0, shared / WANTED_SHARED) for shared in progress.pairs.values()] if len(parts) == 2 else []
     return sum(parts) / len(parts)
 
 
@@ -49,15 +49,15 @@ def coverage_table(progress: Progress) -> Figures:
     rows = []
     for name, coverage in progress.cameras.items():
         tilted = " ".join(
-            f"{arrow}{min(count, MIN_TILTED)}" for arrow, count in zip("←→↑↓", coverage.tilted.values(), strict=True)
+            f"{arrow}{min(count, WANTED_TILTED)}" for arrow, count in zip("←→↑↓", coverage.tilted.values(), strict=True)
         )
         rows.append(
             (
                 name,
-                f"{coverage.views} of {MIN_VIEWS}",
+                f"{coverage.views} of {WANTED_VIEWS}",
                 f"{100 * coverage.area_share:.0f} %",
-                f"{100 * float(coverage.fills.max(initial=0.0)):.0f} of {100 * MIN_FILL:.0f} %",
-                f"{tilted} of {MIN_TILTED}",
+                f"{100 * float(coverage.fills.max(initial=0.0)):.0f} of {100 * WANTED_FILL:.0f} %",
+                f"{tilted} of {WANTED_TILTED}",
             )
         )
     shared = ", ".join(f"{a}–{b} {count}" for (a, b), count in progress.pairs.items())

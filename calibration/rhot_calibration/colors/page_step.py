@@ -10,19 +10,19 @@ from rhot.calibration_step import Button, Field, Remark, StepContext, StepView
 from rhot.errors import CalibrationError, RhotError
 from rhot.rig.colors import ColorsFile
 from rhot.rig.config import MarkerConfig
-from rhot.rig.folder import load_rig
-from rhot.rig.kept_file import KeptFile
+from rhot.rig.folder import COLORS_FILE, load_rig
 from rhot_calibration.colors.learning import Learnt, learn
 from rhot_calibration.colors.live import live_pictures
 from rhot_calibration.colors.picking.clicks import Clicks
+from rhot_calibration.page_step import PageStep, trial_buttons
 
 MAX_ROUNDS: Final = 4
 """So many looks at all cameras are learnt from together; each makes the fit slower."""
 _MARKER: Final = "marker"
 
 
-class ColorStep:
-    """Clicks set colours; see `rhot.calibration_step.CalibrationStep` for the seam."""
+class ColorStep(PageStep[ColorsFile]):
+    """Clicks set colours."""
 
     about = (
         "Hold the painted hand so that both cameras see all markers, and take the pictures; they do not move then. "
@@ -34,25 +34,21 @@ class ColorStep:
         Button("take", "take pictures", "One of each camera; hold still. Press again for more; your clicks stay."),
         Button("unclick", "undo last click"),
         Button("anew", "start over", "Forget all pictures and clicks."),
-        Button("try", "try", "The running cameras use the colours; nothing is saved yet."),
-        Button("save", "save", "Keep the colours you tried."),
-        Button("undo", "undo", "Bring back the former colours."),
+        *trial_buttons(COLORS_FILE, "colours", "The running cameras use the colours; nothing is saved yet."),
     )
 
     def __init__(self, context: StepContext) -> None:
-        self._context = context
         rig = load_rig(context.rig_path)
+        super().__init__(context, rig.colors_path, ColorsFile)
         self._markers: dict[str, MarkerConfig] = dict(rig.config.markers)
         self._cameras = tuple(rig.config.cameras)
         self._remote = any(camera.source != "simulated" for camera in rig.config.cameras.values())
-        self._kept = KeptFile(rig.colors_path, ColorsFile)
         self.fields = (
             Field(_MARKER, "marker", next(iter(self._markers)), tuple(self._markers), "The marker to click next."),
         )
         self._clicks = Clicks(self._markers)
         self._learnt: Learnt | None = None
         self._next = next(iter(self._markers))
-        self._doing = ""
         self._shown: Mapping[str, bytes] = {}
         self._held: dict[str, bytes] = {}
         self._problem = ""
@@ -64,7 +60,7 @@ class ColorStep:
         enabled = {"take"} if len(pictures) < MAX_ROUNDS * len(self._cameras) else set()
         enabled |= {"anew"} if pictures else set()
         enabled |= {"unclick"} if self._clicks.can_take_back else set()
-        enabled |= self._kept.enabled(None if learnt is None else learnt.colors)
+        enabled |= self._trial_actions()
         return StepView(
             self._state(),
             self._is_done(),
@@ -139,14 +135,12 @@ class ColorStep:
         elif button == "anew":
             self._clicks = Clicks(self._markers)
             self._changed(next(iter(self._markers)))
-        elif button == "try" and self._learnt is not None:
-            self._kept.try_out(self._learnt.colors)
-            self._held = {}
-        elif button == "save":
-            self._kept.save()
-        elif button == "undo":
-            self._kept.undo()
-            self._hold()
+        else:
+            await super().press(button, values)
+            if button == "try" and self._found is not None:
+                self._held = {}
+            elif button == "undo":
+                self._hold()
 
     async def point(self, camera: str, u: float, v: float, values: Mapping[str, str]) -> None:
         """Take the place of a marker in the newest picture of a camera; the next marker is chosen at once.
@@ -161,16 +155,13 @@ class ColorStep:
     def _changed(self, marker: str) -> None:
         """Go on with a marker; what was learnt before the change does not count any more."""
         self._next = marker
-        self._learnt, self._problem = None, ""
+        self._learnt, self._found, self._problem = None, None, ""
         self._hold()
         self._clicked.set()
 
     async def _take(self) -> None:
-        self._doing = "taking pictures"
-        try:
+        with self._busy("taking pictures"):
             found = await live_pictures(self._context.bus, self._cameras)
-        finally:
-            self._doing = ""
         self._clicks.add(found)
         self._next = next(iter(self._markers))
         self._hold()
@@ -184,14 +175,13 @@ class ColorStep:
         if not clicked:
             self._shown = {}
             return
-        self._doing = "learning the colours"
+        places = [dict(each.places) for each in clicked]
         try:
-            learnt = await asyncio.to_thread(learn, clicked, [dict(each.places) for each in clicked], self._markers)
+            with self._busy("learning the colours"):
+                learnt = await asyncio.to_thread(learn, clicked, places, self._markers)
         except RhotError as error:
             self._problem = f"{error}. Click that marker again, or undo the last click"
             self._shown = {}
         else:
             if not self._clicked.is_set():
-                self._learnt, self._shown = learnt, learnt.pictures
-        finally:
-            self._doing = ""
+                self._learnt, self._found, self._shown = learnt, learnt.colors, learnt.pictures

@@ -7,15 +7,13 @@ from pathlib import Path
 
 import click
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.report.tables import figures_table
 from rhot_calibration.depth.fit import PhysicalLaw, PowerLaw, fit_physical_law, fit_power_law, relative_rms
-
-FloatArray = NDArray[np.float64]
 
 _COLUMNS = "distance_cm and either disparity_px or left_x and right_x"
 
@@ -56,7 +54,7 @@ def _number(file: Path, line: int, name: str, text: str | None) -> float:
 @click.argument("table", metavar="TABLE.csv", type=click.Path(path_type=Path, dir_okay=False))
 @click.option("--focal-px", type=click.FloatRange(min=1.0), help="Focal length, to say what the physical law means.")
 def depth(table: Path, focal_px: float | None) -> None:
-    """Fit laws of depth over disparity to measured distances.
+    """Fit the law from disparity to depth to measured distances.
 
     TABLE.csv has one row per distance, with a header: distance_cm and either disparity_px or left_x and right_x (where
     the marker is in both pictures). Hold a marker at ten or more measured distances over the range that you use.

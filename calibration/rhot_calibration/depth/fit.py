@@ -13,12 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-
-FloatArray = NDArray[np.float64]
 
 LEAST_ROWS = 3
 

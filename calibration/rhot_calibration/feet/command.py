@@ -24,7 +24,7 @@ from rhot_calibration.feet.sheet import PAPERS_MM, write_marker_sheet
     help="Size of the paper.",
 )
 def markers(file: Path, rig_path: Path, paper: str) -> None:
-    """Draw the feet's markers to print, in the size and with the numbers of [feet] in rig.toml.
+    """Draw the markers for the feet, to print, in the size and with the numbers of [feet] in rig.toml.
 
     Print at 100 % (no "fit to page"), check the printed ruler with a real one, glue each marker to stiff card and fix
     it flat on the instep, the marked edge towards the toes.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.hand import patch_outline
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import BoolArray, FloatArray
 from rhot.errors import CalibrationError
 from rhot.messages import PointSet, Side
 from rhot.rig import HandFile, Rig
@@ -36,8 +37,6 @@ from rhot_calibration.hand.samples.phases import (
 )
 from rhot_calibration.hand.samples.samples import read_samples
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 SMALLEST_ARC_RAD: Final = np.radians(30.0)

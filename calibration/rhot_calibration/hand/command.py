@@ -43,15 +43,15 @@ class _Stretch(click.ParamType[Window]):
 
 @click.command()
 @click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
-@click.option("--live", is_flag=True, help=f"Listen to the running rig; tells what to do, {LIVE_S:.0f} s in all.")
+@click.option("--live", is_flag=True, help=f"Use the running rig; tells you what to do, {LIVE_S:.0f} s in all.")
 @click.option(
-    "--flat", metavar="START-END", type=_Stretch(), help="When the hand is flat, s from the start; found if not given."
+    "--flat", metavar="START-END", type=_Stretch(), help="When the hand is flat, s from the start.  [default: found]"
 )
 @click.option(
     "--knuckles",
     metavar="START-END",
     type=_Stretch(),
-    help="When straight fingers bend at the knuckles only; found if not given.",
+    help="When straight fingers bend at the knuckles only.  [default: found]",
 )
 @click.option("--length-mm", type=float, help="By a ruler: wrist crease to middle tip; alone or beside a recording.")
 @click.option(
@@ -72,7 +72,7 @@ def hand(
     connect: tuple[str, ...],
     namespace: str | None,
 ) -> None:
-    """Measure a hand: bone lengths and where its markers are; writes hand.json into the rig folder.
+    """Measure a hand (bone lengths, positions of its markers) and write hand.json into the rig folder.
 
     \b
     rhot calibrate hand myrecording --rig myrig       a recording, or a .jsonl file of `rhot process`

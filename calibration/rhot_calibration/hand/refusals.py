@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.rig import HandFile
 from rhot.rig.calibration import WIDTH_OVER_LENGTH
@@ -18,8 +18,6 @@ from rhot_calibration.hand.fit.parameters import HUMAN_LENGTH_M, HandParameters
 from rhot_calibration.hand.fit.residuals import PalmFrame
 from rhot_calibration.hand.samples.phases import FEWEST_FLAT, Window, reaches
 from rhot_calibration.hand.samples.samples import FEWEST_SAMPLES, HandSamples
-
-FloatArray = NDArray[np.float64]
 
 _SEEN_SHARE: Final = 0.10
 """Each fingertip has to be seen in this share of the samples. Chosen on simulated hands."""

@@ -88,7 +88,7 @@ class _Earlier:
     show_default=True,
     help="How well --lever is known, mm (standard deviation).",
 )
-@click.option("--realign", is_flag=True, help="Correct the registration that is there, with a few places or even one.")
+@click.option("--realign", is_flag=True, help="Correct the existing registration, with a few places or even one.")
 @click.option(
     "--drift-mm",
     type=click.FloatRange(min=0.01, max=1000),

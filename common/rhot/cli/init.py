@@ -33,8 +33,10 @@ def make_folder(path: Path) -> None:
 
 @click.command()
 @click.argument("path", metavar="RIG", type=click.Path(path_type=Path))
-@click.option("--sim", "simulated", is_flag=True, help="A simulated rig, calibrated and ready to run on this machine.")
-@click.option("--uncalibrated", is_flag=True, help="With --sim: without any calibration, to try how that is done.")
+@click.option(
+    "--sim", "simulated", is_flag=True, help="Make a simulated rig, calibrated and ready to run on this machine."
+)
+@click.option("--uncalibrated", is_flag=True, help="With --sim: leave the rig uncalibrated, to try the calibration.")
 def init(path: Path, simulated: bool, uncalibrated: bool) -> None:
     """Make a new rig folder RIG with a commented rig.toml for two cameras named left and right."""
     if uncalibrated and not simulated:

@@ -14,15 +14,15 @@ _COMMANDS: Final = {
     "sim": LazyCommand("Run a whole simulated rig on this machine and show how well it tracks.", extra="sim"),
     "init": LazyCommand("Make a new rig folder with a commented rig.toml.", "rhot.cli.init:init"),
     "up": LazyCommand(
-        "Run everything of the PC side: router, fusion, ik, objects, web page.", "rhot.cli.operate.up:up", "pc"
+        "Run everything on the PC: router, fusion, ik, objects, feet, web page.", "rhot.cli.operate.up:up", "pc"
     ),
     "start": LazyCommand(
-        "Tell every service of the rig to start, all at one moment.", "rhot.cli.operate.start_stop:start"
+        "Tell every service of the rig to start at the same moment.", "rhot.cli.operate.start_stop:start"
     ),
     "stop": LazyCommand("Tell every service of the rig to stop.", "rhot.cli.operate.start_stop:stop"),
-    "status": LazyCommand("Show which services are alive and how they do.", "rhot.cli.operate.status:status"),
+    "status": LazyCommand("Show which services are alive and how well they do.", "rhot.cli.operate.status:status"),
     "get": LazyCommand("Print the last value of keys as JSON.", "rhot.cli.operate.inspect:get"),
-    "watch": LazyCommand("Print messages as JSON while they come.", "rhot.cli.operate.inspect:watch"),
+    "watch": LazyCommand("Print messages as JSON as they arrive.", "rhot.cli.operate.inspect:watch"),
     "config": LazyCommand("Show or change a running service's configuration.", "rhot.cli.operate.configure:config"),
     "process": LazyCommand(
         "Track a recording offline and write the result as JSON Lines.", "rhot.cli.recordings.process:process", "pc"
@@ -39,44 +39,46 @@ _COMMANDS: Final = {
         "record",
     ),
     "explain": LazyCommand(
-        "Show why a recording was tracked as it was at one moment, as one page.",
+        "Explain on one page why a moment of a recording was tracked as it was.",
         "rhot.cli.recordings.explain:explain",
         "pc",
     ),
     "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
-    "bench": LazyCommand("Measure speed beside the 2018 thesis's algorithms.", extra="bench"),
-    "evaluate": LazyCommand("Measure how well a part of the rig does.", "rhot.cli.main:evaluate"),
+    "bench": LazyCommand("Measure speed, and compare with the 2018 thesis's algorithms.", extra="bench"),
+    "evaluate": LazyCommand("Measure how well a part of the rig works.", "rhot.cli.main:evaluate"),
     "doctor": LazyCommand(
         "Check this machine, a rig folder and the running rig, and say what to do.", "rhot.cli.doctor:doctor"
     ),
     "capture": LazyCommand("Service: find the markers in one camera's pictures.", extra="capture"),
     "fusion": LazyCommand("Service: turn the cameras' markers into points in space.", extra="fusion"),
     "ik": LazyCommand("Service: turn points into a hand.", extra="ik"),
-    "objects": LazyCommand("Service: poses of tracked objects and the headset.", extra="objects"),
+    "objects": LazyCommand("Service: track objects and the headset.", extra="objects"),
     "feet": LazyCommand("Service: track feet with a depth camera on the head and ankle sensors.", extra="feet"),
-    "viewer": LazyCommand("Service: the web page that shows the rig while it runs.", extra="viewer"),
+    "viewer": LazyCommand("Service: serve the web page that shows the running rig.", extra="viewer"),
     "router": LazyCommand("Service: the Zenoh router that all others connect to.", "rhot.cli.operate.router:router"),
-    "truth": LazyCommand("Service: publish what is true in the simulated world.", extra="sim"),
+    "truth": LazyCommand("Service: publish the truth of the simulated world.", extra="sim"),
 }
 
 _CALIBRATIONS: Final = {
-    "cameras": LazyCommand("Calibrate lenses and places of all cameras from pictures of a board.", extra="pc"),
-    "board": LazyCommand("Draw a calibration board to print.", extra="pc"),
-    "markers": LazyCommand("Draw the feet's markers to print.", extra="pc"),
+    "cameras": LazyCommand("Calibrate the lenses and positions of all cameras from pictures of a board.", extra="pc"),
+    "board": LazyCommand("Draw a calibration board, to print.", extra="pc"),
+    "markers": LazyCommand("Draw the markers for the feet, to print.", extra="pc"),
     "colors": LazyCommand("Learn the markers' colours from pictures, or import them.", extra="capture"),
-    "depth": LazyCommand("Fit the law of depth over disparity to measured distances.", extra="fusion"),
+    "depth": LazyCommand("Fit the law from disparity to depth to measured distances.", extra="fusion"),
     "hand": LazyCommand("Measure a hand: bone lengths and where its markers are.", extra="pc"),
     "objects": LazyCommand("Register the space of a tracking system to the rig.", extra="objects"),
 }
 
 _EVALUATIONS: Final = {
-    "recording": LazyCommand("Record and replay a session at full rate, and compare.", extra="bench"),
+    "recording": LazyCommand("Record a session at full rate, replay it, and compare.", extra="bench"),
     "tracking": LazyCommand("Track simulated pictures and compare with the truth.", extra="bench"),
-    "hands": LazyCommand("Predict inner joints of recorded real hands.", extra="bench"),
-    "streams": LazyCommand("Fuse recorded marker tracks: steps, delay, noise at rest.", extra="bench"),
-    "feet": LazyCommand("Track the feet of a simulated person, beside the 2021 thesis's tracker.", extra="bench"),
-    "steps": LazyCommand("Follow feet on recordings of real sensors and cameras.", extra="bench"),
-    "thesis": LazyCommand("The 2018 thesis's tables with ours beside them.", extra="bench"),
+    "hands": LazyCommand("Predict the inner joints of recorded real hands.", extra="bench"),
+    "streams": LazyCommand("Fuse recorded marker tracks: measure steps, delay and noise at rest.", extra="bench"),
+    "feet": LazyCommand(
+        "Track the feet of a simulated person, and compare with the 2021 thesis's tracker.", extra="bench"
+    ),
+    "steps": LazyCommand("Track feet on recordings of real sensors and cameras.", extra="bench"),
+    "thesis": LazyCommand("Repeat the 2018 thesis's tables, with our figures beside them.", extra="bench"),
     "calibration": LazyCommand("Tell whether the cameras have moved since they were calibrated.", extra="pc"),
     "page": LazyCommand("Write measured figures as a page of the documentation.", extra="bench"),
 }
@@ -84,12 +86,13 @@ _EVALUATIONS: Final = {
 
 @click.group(cls=MainGroup, lazy=_COMMANDS, plugins="rhot.commands", context_settings={"max_content_width": 110})
 @click.version_option(__version__, prog_name="rhot")
-@click.option("-v", "--verbose", count=True, help="Say more: -v for debugging.")
+@click.option("-v", "--verbose", count=True, help="Say more; for debugging.")
 @click.option("-q", "--quiet", is_flag=True, help="Say only what goes wrong.")
 def main(verbose: int, quiet: bool) -> None:
-    """RHOT tracks a hand with painted fingertips, and objects, with two cameras.
+    """RHOT tracks a hand with painted fingertips, and the objects it holds, with two cameras.
 
-    To see it work without any hardware: rhot sim. For a rig of your own: rhot init RIG, then rhot doctor --rig RIG.
+    To see it work without any hardware, run: rhot sim. For a rig of your own, run rhot init RIG, then rhot doctor
+    --rig RIG.
     """
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     logging.basicConfig(level=level, format="%(asctime)s %(levelname)-7s %(name)s: %(message)s")
@@ -103,4 +106,4 @@ def calibrate() -> None:
 
 @click.group(cls=LazyGroup, lazy=_EVALUATIONS, plugins="rhot.evaluations")
 def evaluate() -> None:
-    """Measure how well a part of the rig does."""
+    """Measure how well a part of the rig works."""

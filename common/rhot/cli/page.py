@@ -25,7 +25,7 @@ def page_options(command: F) -> F:
         type=click.IntRange(1, 65535),
         default=PAGE_PORT,
         show_default=True,
-        help="Port of the web page; another one is taken when it is busy.",
+        help="Port of the web page; if it is busy, another one is used.",
     )(command)
     return click.option("--viewer/--no-viewer", default=True, show_default=True, help="Show the rig as a web page.")(
         command

@@ -96,13 +96,12 @@ def shortest_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
 
 
 def nearest_rotation(M: FloatArray) -> FloatArray:
-    """Return the rotation (3, 3) nearest to `M` (3, 3) in the Frobenius norm, the maximiser of trace(Rᵀ M).
+    """Return the rotations nearest to `M` (..., 3, 3) in the Frobenius norm, the maximisers of trace(Rᵀ M).
 
     Source: Kabsch 1976; Umeyama 1991, eq. 40.
     """
     U, _, Vt = np.linalg.svd(M)
-    if np.linalg.det(U) * np.linalg.det(Vt) < 0.0:
-        U[:, 2] = -U[:, 2]
+    U[..., 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[..., None]
     rotation: FloatArray = U @ Vt
     return rotation
 

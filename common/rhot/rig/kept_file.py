@@ -6,11 +6,10 @@ The former file is put aside in the rig folder itself, so that a trial survives 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Generic, TypeVar
 
-from rhot.errors import ConfigError, RhotError
+from rhot.errors import ConfigError
 from rhot.rig.calibration import CalibrationFile
 from rhot.rig.folder import read_json_model, write_json_model
 
@@ -63,22 +62,6 @@ class KeptFile(Generic[F]):
             self._content = None if stamp == _ABSENT else read_json_model(self.path, self._model)
             self._stamp = stamp
         return self._content
-
-    def standing(self, absent: tuple[str, bool], trial: str, kept: Callable[[F], tuple[str, bool]]) -> tuple[str, bool]:
-        """Return in words how the file stands, and whether the rig is calibrated by it.
-
-        Args:
-            absent: without a file.
-            trial: while it is on trial.
-            kept: of its content otherwise.
-        """
-        try:
-            content = self.content
-        except RhotError as error:
-            return str(error), False
-        if content is None:
-            return absent
-        return (trial, False) if self.on_trial else kept(content)
 
     def try_out(self, content: F) -> None:
         """Write new content; services that look at the file take it over, and `undo` brings the former one back.
@@ -138,27 +121,6 @@ class KeptFile(Generic[F]):
                 swapped.replace(self._previous)
         except OSError as error:
             raise self._unwritable(error) from error
-
-    def enabled(self, found: F | None) -> set[str]:
-        """Return which of `try`, `save` and `undo` can be pressed, with something to try or without."""
-        return (
-            ({"try"} if found is not None else set())
-            | ({"save"} if self.on_trial else set())
-            | ({"undo"} if self.can_undo else set())
-        )
-
-    def press(self, button: str, found: F | None) -> None:
-        """Try what was found, save or undo; any other button is not ours.
-
-        Raises:
-            ConfigError: see `try_out`, `save` and `undo`.
-        """
-        if button == "try" and found is not None:
-            self.try_out(found)
-        elif button == "save":
-            self.save()
-        elif button == "undo":
-            self.undo()
 
     def _unwritable(self, error: OSError) -> ConfigError:
         return ConfigError(f"{self.path}: cannot be kept: {error.strerror or error}")

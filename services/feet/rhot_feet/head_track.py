@@ -29,7 +29,7 @@ class HeadTrack:
         self._poses: dict[int, FloatArray] = {}
 
     def add(self, pose: HeadPose) -> None:
-        """Take a pose; one that is only predicted is left out, because a camera's place has to be known to a degree."""
+        """Add a pose; a predicted one is left out, because a camera's rotation has to be known to a degree."""
         if pose.state != "measured" or pose.t_ns in self._poses:
             return
         insort(self._times, pose.t_ns)
@@ -54,5 +54,5 @@ class HeadTrack:
         first, second = self._poses[first_ns], self._poses[second_ns]
         share = (t_ns - first_ns) / (second_ns - first_ns)
         turned = share * vector_from_rotation(first[:3, :3].T @ second[:3, :3])
-        place = first[:3, 3] + share * (second[:3, 3] - first[:3, 3])
-        return rigid(first[:3, :3] @ rotation_from_vector(turned), place)
+        position = first[:3, 3] + share * (second[:3, 3] - first[:3, 3])
+        return rigid(first[:3, :3] @ rotation_from_vector(turned), position)

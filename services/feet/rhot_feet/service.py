@@ -21,12 +21,12 @@ from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig
 from rhot.service import Node
 from rhot.service.grabber import GrabberCounts
-from rhot_feet.assemble import plan_sensors
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame, DepthSource
 from rhot_feet.imu.samples import ImuSource
-from rhot_feet.sources import open_depth_source
+from rhot_feet.sources.depth_camera.factory import open_depth_source
 from rhot_feet.sources.depth_camera.grabber import DepthGrabber
+from rhot_feet.sources.imu.factory import plan_sensors
 
 logger = logging.getLogger(__name__)
 
@@ -145,7 +145,7 @@ class FeetService:
     async def _hear_head(self, node: Node, heads: EventSubscriber) -> None:
         async for pose in node.receive(heads, HeadPose):
             node.status.tick("heads")
-            self._stage.head(pose)
+            self._stage.add_head_pose(pose)
             self._head_came.set()
 
     async def _await_head(self, t_ns: int) -> None:
@@ -186,12 +186,12 @@ class FeetService:
         await self._await_head(frame.t_ns)
         begun = time.perf_counter()
         try:
-            view = stage.expect(frame)
+            view = stage.predict(frame)
             self._knows_head(known=view is not None)
             if view is None:
                 return
-            seen = await asyncio.get_running_loop().run_in_executor(self._looking, stage.look, view)
-            stage.take(seen)
+            seen = await asyncio.get_running_loop().run_in_executor(self._looking, stage.detect, view)
+            stage.update(seen)
         except (ValueError, ArithmeticError, cv2.error) as error:
             self._failed(node, error)
         status.latency("picture", time.perf_counter() - begun)
@@ -219,7 +219,7 @@ class FeetService:
             if len(samples):
                 self._works(f"{side} sensor")
                 node.status.counts[f"{side}_samples"] += len(samples)
-                self._stage.imu(side, samples)
+                self._stage.add_imu_samples(side, samples)
 
     async def _publish(self, node: Node) -> None:
         loop = asyncio.get_running_loop()

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.messages import Side
-from rhot_feet.depth.tracker import DepthSightings
-from rhot_feet.expectation import FootExpectation
+from rhot_feet.depth.tracker import DepthObservations
 from rhot_feet.frames import DepthFrame
-from rhot_feet.marker.tracker import MarkerSightings
+from rhot_feet.marker.tracker import MarkerObservations
+from rhot_feet.prediction import FootPrediction
 
 FloatArray = NDArray[np.float64]
 
-HEAD_TURN_RAD: Final = float(np.radians(0.1))
+HEAD_ROTATION_RAD: Final = float(np.radians(0.1))
 """Noise of the head's orientation, per axis; it swings the camera's line of sight."""
-_HEAD_PLACE_M: Final = 0.0005
+_HEAD_POSITION_M: Final = 0.0005
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,23 +34,23 @@ class View:
 
     frame: DepthFrame
     T_rig_camera: FloatArray
-    expected: Mapping[Side, FootExpectation]
+    expected: Mapping[Side, FootPrediction]
 
-    def in_rig(self, place: FloatArray) -> FloatArray:
-        """Return a place (3,) of the camera frame in the rig frame."""
-        rig: FloatArray = self.T_rig_camera[:3, :3] @ place + self.T_rig_camera[:3, 3]
+    def in_rig(self, position: FloatArray) -> FloatArray:
+        """Return a position (3,) of the camera frame in the rig frame."""
+        rig: FloatArray = self.T_rig_camera[:3, :3] @ position + self.T_rig_camera[:3, 3]
         return rig
 
-    def covariance_in_rig(self, place: FloatArray, covariance: FloatArray) -> FloatArray:
-        """Return the covariance (3, 3) in the rig frame of a place seen from a head whose own pose is noisy."""
+    def covariance_in_rig(self, position: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Return the covariance (3, 3) in the rig frame of a position seen from a head whose own pose is noisy."""
         R = self.T_rig_camera[:3, :3]
-        swing = HEAD_TURN_RAD**2 * (float(place @ place) * np.eye(3) - np.outer(place, place))
-        rig: FloatArray = R @ (covariance + swing) @ R.T + _HEAD_PLACE_M**2 * np.eye(3)
+        rotation = HEAD_ROTATION_RAD**2 * (float(position @ position) * np.eye(3) - np.outer(position, position))
+        rig: FloatArray = R @ (covariance + rotation) @ R.T + _HEAD_POSITION_M**2 * np.eye(3)
         return rig
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class FootDetections:
     """What a picture showed.
 
     Attributes:
@@ -60,5 +60,5 @@ class Seen:
     """
 
     view: View
-    markers: MarkerSightings
-    blobs: DepthSightings
+    markers: MarkerObservations
+    blobs: DepthObservations

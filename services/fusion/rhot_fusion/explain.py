@@ -75,7 +75,7 @@ def _refusal(miss_px: Sequence[float], limit_px: Sequence[float], held: bool) ->
     ]
     if outside:
         return "; ".join(outside)
-    return "repeats its last place while it moves" if held else "nearer to where another marker is expected"
+    return "repeats its last position while it moves" if held else "nearer to where another marker is expected"
 
 
 def _states(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str], now_s: float) -> Explanation:

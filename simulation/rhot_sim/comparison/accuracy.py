@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot_sim.comparison.collect import HandSample, ObjectSample, PointsSample
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
 
 TIPS: Final = tuple(f"{finger}_tip" for finger in FINGERS)
 _TIP_ROWS: Final = [JOINTS.index(tip) for tip in TIPS]

@@ -9,15 +9,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.bus import Bus
 from rhot.messages import BodyPose, FootPose, Side
+from rhot_sim.comparison.accuracy import seconds_since
 from rhot_sim.comparison.collect import follow
-from rhot_sim.comparison.figures import spread
+from rhot_sim.comparison.figures import joined, latency_ms, spread
 from rhot_sim.walker.world import WalkerWorld
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +106,7 @@ def feet_figures(
         samples = [sample for sample in arrivals if low <= sample.t_ns < high]
         if not samples:
             continue
-        truth = world.feet(_seconds([sample.t_ns for sample in samples], start_t_ns))[side][:, :3, 3]
+        truth = world.feet(seconds_since(start_t_ns, [sample.t_ns for sample in samples]))[side][:, :3, 3]
         distance = np.linalg.norm(np.array([sample.position for sample in samples]) - truth, axis=1)
         seen = np.array([sample.measured for sample in samples])
         errors[side] = distance[seen]
@@ -119,18 +118,17 @@ def feet_figures(
     figures: dict[str, Any] = {
         "rate_hz": sum(stages.values()) / seconds / max(len(world.feet_config.feet), 1),
         "foot_error_mm": {
-            **spread(_joined(list(errors.values())), 1e3),
+            **spread(joined(list(errors.values())), 1e3),
             "per_foot": {side: spread(values, 1e3) for side, values in errors.items()},
         },
-        "predicted_error_mm": spread(_joined(guesses), 1e3),
+        "predicted_error_mm": spread(joined(guesses), 1e3),
         "measured": measured / count,
         "stages": {stage: number / count for stage, number in sorted(stages.items())},
         "knee_error_mm": spread(_knee_errors(world, start_t_ns, collected, low, high), 1e3),
         "knees_backwards": sum(knees.backwards for knees in collected.knees),
     }
     if ages:
-        p50, p99 = np.percentile(np.array(ages), (50, 99))
-        figures["latency_ms"] = {"p50": float(1e3 * p50), "p99": float(1e3 * p99), "max": float(1e3 * max(ages))}
+        figures["latency_ms"] = latency_ms(ages)
     return figures
 
 
@@ -138,7 +136,7 @@ def _knee_errors(world: WalkerWorld, start_t_ns: int, collected: CollectedFeet, 
     knees = [sample for sample in collected.knees if low <= sample.t_ns < high]
     if not knees:
         return np.empty(0)
-    truth: Mapping[str, FloatArray] = world.joints(_seconds([sample.t_ns for sample in knees], start_t_ns))
+    truth: Mapping[str, FloatArray] = world.joints(seconds_since(start_t_ns, [sample.t_ns for sample in knees]))
     return np.array(
         [
             float(np.linalg.norm(np.array(position) - truth[f"{side}_knee"][k, :3, 3]))
@@ -146,11 +144,3 @@ def _knee_errors(world: WalkerWorld, start_t_ns: int, collected: CollectedFeet, 
             for side, position in sample.positions.items()
         ]
     )
-
-
-def _seconds(t_ns: list[int], start_t_ns: int) -> FloatArray:
-    return np.array([(t - start_t_ns) / 1e9 for t in t_ns])
-
-
-def _joined(parts: list[FloatArray]) -> FloatArray:
-    return np.concatenate(parts) if parts else np.empty(0)

@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import FloatArray
 from rhot.messages import ServiceStatus
 from rhot_sim.comparison.accuracy import hand_errors, object_errors, point_errors, seconds_since
 from rhot_sim.comparison.collect import Collected, HandSample, ObjectSample, PointsSample
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
 
 S = TypeVar("S", HandSample, PointsSample, ObjectSample)
 
@@ -73,15 +71,15 @@ def tracking_figures(world: World, start_t_ns: int, collected: Collected, from_s
         ages += [pose.age_s for pose in poses]
         stamps += [pose.t_ns for pose in poses]
     figures["rate_hz"] = len(stamps) / seconds / max(len(world.hands), 1)
-    figures["fingertip_error_mm"] = spread(_joined(tips), 1e3)
+    figures["fingertip_error_mm"] = spread(joined(tips), 1e3)
     figures["fingertip_error_mm"]["per_finger"] = {
-        finger: spread(_joined(values), 1e3) for finger, values in per_finger.items()
+        finger: spread(joined(values), 1e3) for finger, values in per_finger.items()
     }
-    figures["fingers_measured"] = float(np.mean(_joined(poses_measured))) if poses_measured else 0.0
-    figures["joint_error_mm"] = spread(_joined(joints), 1e3)
+    figures["fingers_measured"] = float(np.mean(joined(poses_measured))) if poses_measured else 0.0
+    figures["joint_error_mm"] = spread(joined(joints), 1e3)
     points = window(collected.points, start_t_ns, from_s, to_s)
     by_marker = point_errors(world, start_t_ns, points)
-    figures["point_error_mm"] = spread(_joined([np.linalg.norm(e, axis=1) for e in by_marker.values()]), 1e3)
+    figures["point_error_mm"] = spread(joined([np.linalg.norm(e, axis=1) for e in by_marker.values()]), 1e3)
     figures["point_error_mm"]["per_marker"] = {
         name: {
             **spread(np.linalg.norm(error, axis=1), 1e3),
@@ -91,16 +89,21 @@ def tracking_figures(world: World, start_t_ns: int, collected: Collected, from_s
     }
     objects = {name: window(arrivals, start_t_ns, from_s, to_s) for name, arrivals in collected.objects.items()}
     found = object_errors(world, start_t_ns, objects)
-    figures["object_error_mm"] = spread(_joined([distance for distance, _ in found.values()]), 1e3)
-    figures["object_error_deg"] = spread(_joined([angle for _, angle in found.values()]), float(np.degrees(1.0)))
+    figures["object_error_mm"] = spread(joined([distance for distance, _ in found.values()]), 1e3)
+    figures["object_error_deg"] = spread(joined([angle for _, angle in found.values()]), float(np.degrees(1.0)))
     figures["object_rate_hz"] = sum(map(len, objects.values())) / seconds / max(len(world.objects), 1)
     if ages:
-        p50, p99 = np.percentile(np.array(ages), (50, 99))
-        figures["latency_ms"] = {"p50": float(1e3 * p50), "p99": float(1e3 * p99), "max": float(1e3 * max(ages))}
+        figures["latency_ms"] = latency_ms(ages)
         # Time between one pose and the next as published: a gap is what a user sees as a stutter.
         gaps = np.diff(np.sort(seconds_since(start_t_ns, stamps)))
         figures["largest_gap_ms"] = float(1e3 * gaps.max()) if gaps.size else 0.0
     return figures
+
+
+def latency_ms(ages_s: Sequence[float]) -> dict[str, float]:
+    """Return median, 99th percentile and maximum of ages on arrival, milliseconds."""
+    p50, p99 = np.percentile(np.array(ages_s), (50, 99))
+    return {"p50": float(1e3 * p50), "p99": float(1e3 * p99), "max": float(1e3 * max(ages_s))}
 
 
 def service_figures(before: Mapping[str, ServiceStatus], after: Mapping[str, ServiceStatus]) -> dict[str, Any]:
@@ -154,5 +157,6 @@ def latency_parts(services: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     return parts
 
 
-def _joined(arrays: Sequence[FloatArray]) -> FloatArray:
+def joined(arrays: Sequence[FloatArray]) -> FloatArray:
+    """Return all numbers of some arrays, (N,)."""
     return np.concatenate([array.ravel() for array in arrays]) if arrays else np.empty(0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from rhot.messages import Side
 from rhot.rig import Rig
-from rhot_feet.imu.inertial import FusedReader
+from rhot_feet.imu.conversion import FusedImuConverter
 from rhot_feet.imu.samples import FloatArray, ImuSamples
 from rhot_sim.walker.world import WalkerWorld
 
@@ -36,13 +36,13 @@ class SimulatedSource:
         """Choose the world and the ankle."""
         self._world = world
         self._side: Side = side
-        self._reader = FusedReader()
+        self._converter = FusedImuConverter()
         self._start_ns: int | None = None
         self._last_s = 0.0
 
     def open(self, start_ns: int) -> None:
         """Let the world begin at the start of the session."""
-        self._reader.reset()
+        self._converter.reset()
         self._start_ns, self._last_s = start_ns, -1.0
 
     def read(self, now_ns: int) -> ImuSamples:
@@ -51,7 +51,7 @@ class SimulatedSource:
         if start_ns is None or now_ns <= start_ns:
             return ImuSamples.none()
         now_s = (now_ns - start_ns) * 1e-9
-        # A reader that was away for longer than this gets what a port would have kept for it.
+        # A converter that was away for longer than this gets what a port would have kept for it.
         from_s = max(self._last_s - _BACK_S, now_s - 1.0, 0.0)
         t_s, acceleration, orientation_xyzw, _ = self._world.imu(self._side, from_s, now_s)
         if not len(t_s):
@@ -63,7 +63,7 @@ class SimulatedSource:
             return ImuSamples.none()
         self._last_s = float(t_s[new][-1])
         t_ns = start_ns + np.rint(t_s[new] * 1e9).astype(np.int64)
-        return self._reader.read(t_ns, acceleration[new], orientation_xyzw[new])
+        return self._converter.convert(t_ns, acceleration[new], orientation_xyzw[new])
 
     def close(self) -> None:
         """Leave the world."""

@@ -79,7 +79,7 @@ def test_seeds_are_told_apart() -> None:
 
 
 def test_a_foot_is_back_when_its_marker_is() -> None:
-    """Pictures come back at 1.0 s, the marker at 1.3 s, and the place is right from 1.35 s on."""
+    """Pictures come back at 1.0 s, the marker at 1.3 s, and the position is right from 1.35 s on."""
     run, error_m, measured = RUNS["inertial"], np.full(400, 0.2), np.ones(400, np.bool_)
     played = made_up(run, error_m, measured=measured)
     track = played.ours["left"]

@@ -29,10 +29,10 @@ def test_a_marker_is_where_its_centre_and_the_depth_are() -> None:
     color = background(CAMERA)
     draw_marker(color, CAMERA, 0, R, t)
     depth = depth_image(plane_depths(CAMERA, R[:, 2], t), noise=0.0)
-    feet = thesis().feed(with_noise(color), depth, CAMERA)
+    feet = thesis().detect(with_noise(color), depth, CAMERA)
     assert set(feet) == {"left"}
     assert feet["left"].stage == "marker"
-    assert 1e3 * float(np.linalg.norm(feet["left"].place - t)) < 6.0
+    assert 1e3 * float(np.linalg.norm(feet["left"].position - t)) < 6.0
     assert feet["left"].R_camera_marker is not None
 
 
@@ -43,8 +43,8 @@ def test_a_hidden_marker_gives_the_blob_near_the_last_place() -> None:
     depth = depth_image(np.minimum(np.minimum(wall, near), other), noise=0.0)
     follow = thesis()
     follow.start("left", tuple(CAMERA.project(np.array([[0.12, 0.06, 1.0]]))[0]), 1000.0)
-    foot = follow.feed(background(CAMERA), depth, CAMERA)["left"]
+    foot = follow.detect(background(CAMERA), depth, CAMERA)["left"]
     assert foot.stage == "depth"
-    assert 1e3 * float(np.linalg.norm(foot.place - (0.1, 0.05, 0.99))) < 15.0
+    assert 1e3 * float(np.linalg.norm(foot.position - (0.1, 0.05, 0.99))) < 15.0
     nothing = np.zeros_like(depth)
-    assert follow.feed(background(CAMERA), nothing, CAMERA) == {}
+    assert follow.detect(background(CAMERA), nothing, CAMERA) == {}

@@ -73,7 +73,7 @@ def test_a_track_finds_the_right_branch_and_stays_on_it() -> None:
         t = np.array([0.25 * np.sin(1.1 * t_s), 0.1 * np.cos(0.9 * t_s), 1.5])
         poses = list(poses_of(R, t, int(rng.integers(1 << 30))))
         rng.shuffle(poses)
-        chosen = poses[track.feed(t_s, poses)]
+        chosen = poses[track.update(t_s, poses)]
         right += number >= 60 and off(R, chosen) == min(off(R, pose) for pose in poses)
     assert right >= 0.97 * 180
     assert track.orientation is not None
@@ -86,7 +86,7 @@ def test_several_hypotheses_outvote_the_likeliest() -> None:
     t, near = np.array([0.0, 0.0, 1.5]), 1e-4 * np.eye(6)
     alone, first, second = tilted(30.0, 0.0), tilted(-30.0, 0.2), tilted(-30.0, -0.2)
     track = OrientationTrack()
-    believed = track.feed(
+    believed = track.update(
         0.0, [MarkerPose(R, t, near, cost) for R, cost in ((alone, 0.0), (first, 0.4), (second, 0.4))]
     )
     assert believed == 0

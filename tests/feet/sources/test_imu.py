@@ -14,7 +14,7 @@ from rhot.anatomy.body_proportions import BodyModel
 from rhot.errors import ConfigError, DeviceError
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_x
 from rhot.rig.feet_config import BodyConfig, ImuConfig
-from rhot_feet.sources.imu import ImuSamples
+from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.sources.imu.binary_protocol import BinaryDecoder, encode_binary
 from rhot_feet.sources.imu.device_clock import DeviceClock
 from rhot_feet.sources.imu.factory import make_imu_source

@@ -134,7 +134,7 @@ def test_both_feet_give_one_body_with_both_legs(stage: BodyStage) -> None:
     assert later[0].angles["right"].knee_flexion >= 0.0
 
 
-def test_the_tilt_of_a_marker_on_its_instep_is_learnt_while_the_foot_stands(stage: BodyStage) -> None:
+def test_the_tilt_of_a_marker_on_its_instep_is_learned_while_the_foot_stands(stage: BodyStage) -> None:
     tilt_rad = np.radians(18.0)
     orientation = (-float(np.sin(tilt_rad / 2)), 0.0, 0.0, float(np.cos(tilt_rad / 2)))
     found: list[BodyPose] = []
@@ -213,10 +213,10 @@ def test_wild_poses_never_break_it(stage: BodyStage) -> None:
         quaternion = rng.normal(size=4)
         orientation = tuple((quaternion / np.linalg.norm(quaternion)).tolist())
         side: Side = "left" if rng.random() < 0.5 else "right"
-        place = tuple(rng.normal(scale=2.0, size=3).tolist())
+        position = tuple(rng.normal(scale=2.0, size=3).tolist())
         messages: list[HeadPose | FootPose] = [
-            head(t_ns).model_copy(update={"position": place, "orientation": orientation}),
-            foot(side, t_ns).model_copy(update={"position": place[::-1], "orientation": orientation}),
+            head(t_ns).model_copy(update={"position": position, "orientation": orientation}),
+            foot(side, t_ns).model_copy(update={"position": position[::-1], "orientation": orientation}),
         ]
         for body in bodies(stage, *messages):
             count += 1

@@ -13,8 +13,8 @@ from rhot.geometry.rotations import rotation_x, rotation_y
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot.rig import BodyConfig
-from rhot_ik.legs.ankle import Ankle
 from rhot_ik.legs.hips import estimate_hips, hip_joint
+from rhot_ik.legs.leg import Ankle
 
 BODY = BodyModel.from_config(BodyConfig(height_m=1.75))
 UP = np.array([0.0, 1.0, 0.0])
@@ -76,7 +76,7 @@ def test_every_leg_that_can_reach_does(
     assert np.isfinite(T).all()
     for side, ankle in ankles.items():
         joint = T[:3, :3] @ hip_joint(side, BODY) + T[:3, 3]
-        assert np.linalg.norm(joint - ankle.place) <= BODY.leg_m * 1.001
+        assert np.linalg.norm(joint - ankle.position) <= BODY.leg_m * 1.001
 
 
 def test_another_up_is_only_another_frame() -> None:

@@ -1,4 +1,4 @@
-"""Lengths of a person, learnt from standing."""
+"""Lengths of a person, learned from standing."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from rhot.anatomy.body_proportions import BodyModel
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot.rig import BodyConfig
-from rhot_ik.legs.ankle import Ankle
 from rhot_ik.legs.hips import OUTWARDS
+from rhot_ik.legs.leg import Ankle
 from rhot_ik.legs.stature import Stature
 
 BODY = BodyModel.from_config(BodyConfig(height_m=1.75))
@@ -31,18 +31,18 @@ def stand(stature: Stature, seconds: float, *, legs_m: float, head_m: float, rai
         for side in SIDES:
             wrong_m = -raised_m if side == "right" else 0.0
             height_m = ankle_m + wrong_m + stature.ankles_m[side]
-            place = np.array([OUTWARDS[side] * stature.body.hip_width_m / 2.0, height_m, 0.0])
-            ankles[side] = Ankle(rigid(np.eye(3), place))
-        stature.learn(hips, ankles, 0.02)
+            position = np.array([OUTWARDS[side] * stature.body.hip_width_m / 2.0, height_m, 0.0])
+            ankles[side] = Ankle(rigid(np.eye(3), position))
+        stature.update(hips, ankles, 0.02)
 
 
 @pytest.mark.parametrize("longer_m", [-0.02, 0.02])
 def test_three_seconds_of_standing_tell_how_long_a_person_is(longer_m: float) -> None:
     stature = Stature(BODY, legs_known=False)
     stand(stature, 3.0, legs_m=BODY.leg_m + longer_m, head_m=1.5)
-    learnt_m = stature.body.leg_m + stature.body.neck_height_m - BODY.leg_m - BODY.neck_height_m
-    assert learnt_m == pytest.approx(longer_m, abs=0.004)
-    assert stature.body.leg_m - BODY.leg_m == pytest.approx(learnt_m / 2.0, abs=1e-9)
+    learned_m = stature.body.leg_m + stature.body.neck_height_m - BODY.leg_m - BODY.neck_height_m
+    assert learned_m == pytest.approx(longer_m, abs=0.004)
+    assert stature.body.leg_m - BODY.leg_m == pytest.approx(learned_m / 2.0, abs=1e-9)
 
 
 def test_legs_that_were_measured_are_kept() -> None:

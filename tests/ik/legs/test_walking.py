@@ -13,9 +13,9 @@ from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot.rig import BodyConfig
-from rhot_ik.legs.ankle import Ankle
 from rhot_ik.legs.body_solver import BodySolution, solve_body
 from rhot_ik.legs.hips import estimate_hips
+from rhot_ik.legs.leg import Ankle
 from rhot_sim.walker.person import Person
 from rhot_sim.walker.programs import PROGRAMS
 
@@ -73,12 +73,12 @@ def recorded_walk(path: Path) -> tuple[FloatArray, dict[Side, FloatArray]]:
     ankles: dict[Side, FloatArray] = {}
     sides: tuple[tuple[Side, str], ...] = (("left", "lfoot"), ("right", "rfoot"))
     for side, foot in sides:
-        place = np.stack([rows[f"{foot}_p{axis}"] for axis in "xyz"], axis=-1)
+        position = np.stack([rows[f"{foot}_p{axis}"] for axis in "xyz"], axis=-1)
         R = rotation_from_quaternion(np.stack([rows[f"{foot}_q{axis}"] for axis in "xyzw"], axis=-1))
-        stands = place[:, 1] < np.percentile(place[:, 1], 30.0)
+        stands = position[:, 1] < np.percentile(position[:, 1], 30.0)
         u, _, vt = np.linalg.svd(R[stands].mean(axis=0))
         mounted = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-        ankles[side] = np.stack([rigid(turn @ mounted.T, spot) for turn, spot in zip(R, place, strict=True)])
+        ankles[side] = np.stack([rigid(turn @ mounted.T, spot) for turn, spot in zip(R, position, strict=True)])
     return hips, ankles
 
 

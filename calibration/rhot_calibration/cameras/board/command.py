@@ -29,7 +29,7 @@ def board(
     marker_mm: float | None,
     dictionary: str | None,
 ) -> None:
-    """Draw a calibration board to print, as PDF or SVG by the suffix of the file.
+    """Draw a calibration board, to print, as PDF or SVG by the suffix of the file.
 
     Inner corners are the points where four squares meet: 9x6 of them make a board of 10 by 7 squares. Print at 100 %
     (no "fit to page"), check the printed ruler with a real one, and glue the sheet to something flat and stiff: a

@@ -29,19 +29,19 @@ from numpy.typing import NDArray
 
 from rhot_calibration.cameras.solve.views import Board, BoardView, FloatArray, ViewSet
 
-MIN_VIEWS: Final = 15
+WANTED_VIEWS: Final = 15
 """Of each camera; with well spread tilts the focal length is then right to about 0.3 %."""
-MIN_TILT_DEG: Final = 20.0
-MIN_TILTED: Final = 2
-"""So many views tilted by `MIN_TILT_DEG` to each of the four sides: to one side alone doubles the error."""
-MIN_AREA: Final = 0.6
+WANTED_TILT_DEG: Final = 20.0
+WANTED_TILTED: Final = 2
+"""So many views tilted by `WANTED_TILT_DEG` to each of the four sides: to one side alone doubles the error."""
+WANTED_AREA: Final = 0.6
 """Share of the picture that boards have covered; below half, the lens is a guess outside of it."""
-MIN_FILL: Final = 0.30
+WANTED_FILL: Final = 0.30
 """Share of the picture's width or height between the outer corners of the nearest board; the whole board then takes
 about 0.4 of it."""
-MIN_SHARED: Final = 4
+WANTED_SHARED: Final = 4
 """Pictures that two cameras must share to be tied to each other directly."""
-MIN_CORNERS: Final = 6
+WANTED_CORNERS: Final = 6
 """A view with fewer corners ties nothing."""
 SIMILAR_SHARE: Final = 0.03
 """Two views whose corners lie nearer than this share of the picture's width (RMS) are one view."""
@@ -102,20 +102,20 @@ class CameraCoverage:
         """How many views are tilted enough, by the edge that is further away: left, right, top, bottom."""
         about_vertical, about_horizontal = self.tilts_deg.reshape(-1, 2).T
         return {
-            "left": int((about_vertical <= -MIN_TILT_DEG).sum()),
-            "right": int((about_vertical >= MIN_TILT_DEG).sum()),
-            "top": int((about_horizontal <= -MIN_TILT_DEG).sum()),
-            "bottom": int((about_horizontal >= MIN_TILT_DEG).sum()),
+            "left": int((about_vertical <= -WANTED_TILT_DEG).sum()),
+            "right": int((about_vertical >= WANTED_TILT_DEG).sum()),
+            "top": int((about_horizontal <= -WANTED_TILT_DEG).sum()),
+            "bottom": int((about_horizontal >= WANTED_TILT_DEG).sum()),
         }
 
     @property
     def share(self) -> float:
         """How much of all that is asked for is there, 0 to 1."""
         parts = [
-            min(1.0, self.views / MIN_VIEWS),
-            min(1.0, self.area_share / MIN_AREA),
-            min(1.0, float(self.fills.max(initial=0.0)) / MIN_FILL),
-            sum(min(1.0, count / MIN_TILTED) for count in self.tilted.values()) / 4.0,
+            min(1.0, self.views / WANTED_VIEWS),
+            min(1.0, self.area_share / WANTED_AREA),
+            min(1.0, float(self.fills.max(initial=0.0)) / WANTED_FILL),
+            sum(min(1.0, count / WANTED_TILTED) for count in self.tilted.values()) / 4.0,
         ]
         return sum(parts) / len(parts)
 
@@ -141,7 +141,7 @@ def unlinked(views: ViewSet) -> list[tuple[str, ...]]:
     """Return the groups of cameras that no chain of shared pictures ties together; empty when all are tied."""
     groups = [{name} for name in views.sizes]
     for (a, b), shared in links(views).items():
-        if shared >= MIN_SHARED:
+        if shared >= WANTED_SHARED:
             first, second = (next(group for group in groups if name in group) for name in (a, b))
             if first is not second:
                 first |= second
@@ -186,7 +186,7 @@ def tilt_deg(board: Board, view: BoardView, size: tuple[int, int]) -> FloatArray
 
 
 def _ties(view: BoardView) -> bool:
-    return len(view.ids) >= MIN_CORNERS
+    return len(view.ids) >= WANTED_CORNERS
 
 
 def _coverage(board: Board, size: tuple[int, int], seen: Sequence[BoardView]) -> CameraCoverage:
@@ -226,12 +226,12 @@ def _missing(seen: CameraCoverage) -> tuple[str, ...]:
         for name, region in _REGIONS.items()
         if seen.area[region].mean() < _MIN_REGION
     ]
-    if seen.fills.max() < MIN_FILL:
+    if seen.fills.max() < WANTED_FILL:
         said.append("hold it nearer (until the board fills nearly half the picture)")
     tilted = seen.tilted
-    said += [sentence for side, sentence in _SIDES if tilted[side] < MIN_TILTED]
-    if not said and seen.area_share < MIN_AREA:
-        said.append(f"cover more of the picture ({100 * seen.area_share:.0f} of {100 * MIN_AREA:.0f} %)")
-    if seen.views < MIN_VIEWS:
-        said.append(f"{MIN_VIEWS - seen.views} more views")
+    said += [sentence for side, sentence in _SIDES if tilted[side] < WANTED_TILTED]
+    if not said and seen.area_share < WANTED_AREA:
+        said.append(f"cover more of the picture ({100 * seen.area_share:.0f} of {100 * WANTED_AREA:.0f} %)")
+    if seen.views < WANTED_VIEWS:
+        said.append(f"{WANTED_VIEWS - seen.views} more views")
     return tuple(said)

@@ -10,7 +10,13 @@ from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.text import Text
 
-from rhot_calibration.cameras.live.coverage import MIN_FILL, MIN_SHARED, MIN_TILTED, MIN_VIEWS, CameraCoverage
+from rhot_calibration.cameras.live.coverage import (
+    WANTED_FILL,
+    WANTED_SHARED,
+    WANTED_TILTED,
+    WANTED_VIEWS,
+    CameraCoverage,
+)
 from rhot_calibration.cameras.live.session import Progress, State
 
 _BAR_CELLS: Final = 10
@@ -58,13 +64,13 @@ def _camera(name: str, coverage: CameraCoverage, sees: bool, cell: int) -> Panel
     fill = float(coverage.fills.max(initial=0.0))
     least = float(coverage.fills.min()) if coverage.views else 0.0
     tilted = coverage.tilted
-    arrows = " ".join(f"{arrow}{min(tilted[side], MIN_TILTED)}" for side, arrow in zip(tilted, "←→↑↓", strict=True))
+    arrows = " ".join(f"{arrow}{min(tilted[side], WANTED_TILTED)}" for side, arrow in zip(tilted, "←→↑↓", strict=True))
     lines += [
         f"area {100 * coverage.area_share:3.0f} %",
-        f"near {_bar(fill / MIN_FILL)}",
+        f"near {_bar(fill / WANTED_FILL)}",
         f"far  {100 * least:3.0f} % of picture",
-        f"tilt {arrows} of {MIN_TILTED}",
-        f"view {_bar(coverage.views / MIN_VIEWS)} {coverage.views}",
+        f"tilt {arrows} of {WANTED_TILTED}",
+        f"view {_bar(coverage.views / WANTED_VIEWS)} {coverage.views}",
     ]
     color = "green" if not coverage.missing else "cyan" if sees else "dim"
     return Panel("\n".join(lines), title=f"{name}{' ●' if sees else ''}", border_style=color, expand=False)
@@ -77,7 +83,7 @@ def _bar(share: float) -> str:
 
 def _links(progress: Progress) -> Text:
     pairs = [
-        f"{a}–{b} {shared}" + ("" if shared >= MIN_SHARED else f" of {MIN_SHARED}")
+        f"{a}–{b} {shared}" + ("" if shared >= WANTED_SHARED else f" of {WANTED_SHARED}")
         for (a, b), shared in progress.pairs.items()
         if shared or len(progress.cameras) <= _WIDE_UP_TO
     ]

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from rhot_calibration.cameras.live.coverage import (
-    MIN_SHARED,
+    WANTED_SHARED,
     CameraCoverage,
     camera_coverage,
     links,
@@ -200,7 +200,7 @@ def _advice(taken: ViewSet, cameras: Mapping[str, CameraCoverage]) -> tuple[str,
     groups = unlinked(taken)
     if len(groups) > 1:
         names = " | ".join(", ".join(group) for group in groups)
-        said.append(f"show the board to cameras of different groups at once, {MIN_SHARED} times: {names}")
+        said.append(f"show the board to cameras of different groups at once, {WANTED_SHARED} times: {names}")
     return tuple(said)
 
 

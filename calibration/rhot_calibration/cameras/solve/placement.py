@@ -13,13 +13,12 @@ from itertools import product
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import nearest_rotation, rotation_from_vector, vector_from_rotation
 from rhot.geometry.transforms import inverse, rigid
 from rhot_calibration.cameras.bundle.lens import camera_matrix
 
-FloatArray = NDArray[np.float64]
 Key = tuple[str, int]
 
 _SECOND_BEST = 4.0

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from rhot.arrays import FloatArray
 from rhot_calibration.hand.fit.parameters import BONE_SD, PRIOR_SD, TYPED_SD_M, HandParameters
 
-FloatArray = NDArray[np.float64]
 Residuals = Callable[[FloatArray], FloatArray]
 
 _MOST_CALLS = 25

@@ -6,16 +6,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
+from rhot.geometry.rotations import nearest_rotation
 from rhot_calibration.hand.samples.samples import HandSamples
+from rhot_ik.hand.filter.patch_rotation import CORNER_ORDERS, MAX_ERROR_M
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-
-MAX_ERROR_M: Final = 0.006
-"""Corners further than this (root mean square) from any pose of the patch are no such patch."""
-_ORDERS: Final = np.array([[(first + way * k) % 4 for k in range(4)] for way in (1, -1) for first in range(4)])
 _SMOOTHING_S: Final = 0.15
 _REACH: Final = 12
 _TWIST: Final = np.array([0.5, -0.5, 0.5, -0.5])
@@ -51,13 +47,13 @@ def palm_rotations(samples: HandSamples, outline: FloatArray, viewpoint: FloatAr
     """
     centred = samples.corners - samples.corners.mean(axis=1, keepdims=True)
     expected = _expected(samples, viewpoint)
-    orders = centred[:, _ORDERS]
+    orders = centred[:, CORNER_ORDERS]
     gaps = ((orders - (outline @ np.swapaxes(expected, 1, 2))[:, None]) ** 2).sum(axis=(2, 3))
     known: BoolArray = np.asarray(np.isfinite(gaps).all(axis=1))
     best = np.argmin(np.where(known[:, None], gaps, 0.0), axis=1)
     found = orders[np.arange(len(samples)), best]
     R = np.full((len(samples), 3, 3), np.nan)
-    R[known] = _rotations(np.swapaxes(found[known], 1, 2) @ outline)
+    R[known] = nearest_rotation(np.swapaxes(found[known], 1, 2) @ outline)
     missed = found - outline @ np.swapaxes(R, 1, 2)
     with np.errstate(invalid="ignore"):
         R[~(np.sqrt((missed**2).sum(axis=2).mean(axis=1)) <= MAX_ERROR_M)] = np.nan
@@ -84,14 +80,6 @@ def _expected(samples: HandSamples, viewpoint: FloatArray) -> FloatArray:
     return frames
 
 
-def _rotations(M: FloatArray) -> FloatArray:
-    """Return the rotations nearest to (N, 3, 3) matrices."""
-    U, _, Vt = np.linalg.svd(M)
-    U[..., 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]
-    rotations: FloatArray = U @ Vt
-    return rotations
-
-
 def _smoothed(R: FloatArray, seconds: FloatArray) -> FloatArray:
     known: BoolArray = np.asarray(np.isfinite(R).all(axis=(1, 2)))
     filled = np.where(known[:, None, None], R, 0.0)
@@ -102,5 +90,5 @@ def _smoothed(R: FloatArray, seconds: FloatArray) -> FloatArray:
         weight = np.exp(-0.5 * ((seconds[other] - seconds) / _SMOOTHING_S) ** 2) * (rows + shift == other)
         total += weight[:, None, None] * filled[other]
     smooth = np.full_like(R, np.nan)
-    smooth[known] = _rotations(total[known])
+    smooth[known] = nearest_rotation(total[known])
     return smooth

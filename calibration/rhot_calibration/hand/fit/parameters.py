@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.hand_proportions import (
@@ -28,12 +27,11 @@ from rhot.anatomy.hand_proportions import (
     width_across_knuckles,
 )
 from rhot.anatomy.skeleton import CHAINS, FINGERS
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
 from rhot.rig.file_model import Vector3
-
-FloatArray = NDArray[np.float64]
 
 LENGTH: Final = 0
 SPREAD: Final = 1

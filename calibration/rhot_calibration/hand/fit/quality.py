@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import CHAINS, FINGERS
+from rhot.arrays import FloatArray
 from rhot.rig import HandFile
 from rhot_calibration.hand.fit.fit import HandFit, fit
 from rhot_calibration.hand.fit.parameters import BONE_SD, COUNT, HandParameters
 from rhot_calibration.hand.samples.phases import Window
-
-FloatArray = NDArray[np.float64]
 
 MEASURED_SHARE: Final = 0.6
 """A length counts as measured when its uncertainty is below this share of what is known without a recording …"""

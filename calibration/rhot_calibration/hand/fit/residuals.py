@@ -21,6 +21,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import rotation_from_vector
 from rhot_calibration.hand.fit.palm_rotations import PalmRotations
 from rhot_calibration.hand.fit.parameters import (
@@ -32,9 +33,6 @@ from rhot_calibration.hand.fit.parameters import (
     HandParameters,
 )
 from rhot_calibration.hand.samples.samples import HandSamples
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SIGMA_FLAT_RAD: Final = np.radians([[15.0, 15.0], [6.0, 8.0], [6.0, 4.0], [6.0, 8.0], [6.0, 8.0]])
 """Mean flexion and abduction of the flat hand's fingers; the thumb lies where it likes."""

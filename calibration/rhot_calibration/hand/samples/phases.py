@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.errors import CalibrationError
 from rhot_calibration.hand.samples.samples import HandSamples
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 FLAT_S: Final = 0.5
 """A hand has to be flat for this long to be found flat."""

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.messages import Point, PointSet
 from rhot_calibration.hand.fit.parameters import HandParameters
-
-FloatArray = NDArray[np.float64]
 
 FEWEST_SAMPLES: Final = 60
 _SMALLEST_SIGMA_M: Final = 0.0003

@@ -49,9 +49,14 @@ async def _get(bus_config: BusConfig, selector: str, timeout_s: float) -> list[R
 
 @click.command()
 @click.argument("key_expr", metavar="KEYEXPR")
-@click.option("--raw", is_flag=True, help="Write the first answer's bytes as they are, e.g. a preview picture.")
+@click.option("--raw", is_flag=True, help="Write the bytes of the first answer as they are, such as a preview picture.")
 @click.option(
-    "--timeout", "timeout_s", type=click.FloatRange(0.05, 60), default=2.0, show_default=True, help="Seconds."
+    "--timeout",
+    "timeout_s",
+    type=click.FloatRange(0.05, 60),
+    default=2.0,
+    show_default=True,
+    help="Seconds to wait for answers.",
 )
 @rig_option
 @bus_options
@@ -108,8 +113,8 @@ async def _watch(bus_config: BusConfig, key_expr: str, count: int | None, durati
 
 @click.command()
 @click.argument("key_expr", metavar="KEYEXPR")
-@click.option("--count", type=click.IntRange(min=1), help="End after this many messages.")
-@click.option("--duration", "duration_s", type=click.FloatRange(min=0.01), help="End after this many seconds.")
+@click.option("--count", type=click.IntRange(min=1), help="Stop after this many messages.")
+@click.option("--duration", "duration_s", type=click.FloatRange(min=0.01), help="Stop after this many seconds.")
 @click.option("--rate", is_flag=True, help="Show the rate of each key once a second instead of the messages.")
 @rig_option
 @bus_options

@@ -39,11 +39,11 @@ async def _route(config: BusConfig) -> int:
     "--listen",
     multiple=True,
     metavar="ENDPOINT",
-    help="Endpoint to open; tcp/0.0.0.0:7447 when neither this nor rig.toml says. May be repeated.",
+    help="Endpoint to open. Without it, rig.toml decides, or else tcp/0.0.0.0:7447. May be repeated.",
 )
 @rig_option
 def router(listen: tuple[str, ...], rig_path: Path) -> int:
-    """Route between all services of a rig until Ctrl-C; any Zenoh router of the same version does as well."""
+    """Connect all services of a rig until Ctrl-C; any Zenoh router of the same version will do, too."""
     bus = load_config(rig_path).bus if (rig_path / RIG_FILE).exists() else BusConfig()
     endpoints = listen or bus.listen or DEFAULT_LISTEN
     return asyncio.run(_route(BusConfig(mode="router", connect=(), listen=endpoints, multicast=bus.multicast)))

@@ -26,14 +26,14 @@ async def _control(
 
 
 @click.command()
-@click.option("--session", help="Name of the session; the date and time when not given.")
+@click.option("--session", help="Name of the session.  [default: date and time]")
 @click.option(
     "--delay",
     "delay_s",
     type=click.FloatRange(0, 30),
     default=0.5,
     show_default=True,
-    help="Start this many seconds from now, so that all cameras begin together.",
+    help="Start this many seconds from now, so that all cameras start together.",
 )
 @click.option(
     "--wait",

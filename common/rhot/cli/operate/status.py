@@ -23,16 +23,16 @@ async def _fetch(config: BusConfig) -> tuple[set[str], dict[str, ServiceStatus]]
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object a service instead of the table.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per service instead of the table.")
 @rig_option
 @bus_options
 def status(as_json: bool, rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> None:
-    """Show which services are alive and how they do.
+    """Show which services are alive and how well they do.
 
     A row says how many messages a service publishes per second, how many frames it dropped as late, how many its source
     lost, how many invalid messages it refused, how old its output is when it leaves, and how well it knows rig time.
-    What is wrong stands below the table. Everything that a service tells, such as all counts and the latency of each
-    stage, is in --json.
+    Problems are listed below the table. --json holds everything that a service reports, such as all counts and the
+    latency of each stage.
     """
     alive, statuses = asyncio.run(_fetch(tool_bus(rig_path, connect, namespace)))
     if not alive and not statuses:

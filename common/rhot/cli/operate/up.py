@@ -1,4 +1,4 @@
-"""`rhot up`: everything of the PC side in one terminal."""
+"""`rhot up`: everything that runs on the PC, in one terminal."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _RIG_TIMEOUT_S = 20.0
 
 
 @click.command()
-@click.option("--no-start", is_flag=True, help="Do not broadcast `start`; wait for `rhot start`.")
+@click.option("--no-start", is_flag=True, help="Do not send the start signal; wait for `rhot start`.")
 @page_options
 @rig_option
 def up(no_start: bool, viewer: bool, page_port: int, rig_path: Path) -> int:
-    """Run router, fusion, ik, objects, feet and the web page on this machine and start the rig; Ctrl-C ends all.
+    """Run router, fusion, ik, objects, feet and the web page on this machine, and start the rig. Ctrl-C stops all.
 
-    The capture services run on the Pis (rhot capture --camera NAME) and join by themselves. A router that already
-    answers is used instead of a second one.
+    The capture services run on the Pis (rhot capture --camera NAME) and join by themselves. If a router already
+    answers, it is used instead of a second one.
     """
     port = free_page_port(page_port) if viewer else None
     return asyncio.run(_up(rig_path, port, start=not no_start))

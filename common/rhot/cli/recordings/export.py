@@ -70,15 +70,15 @@ def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
     "--foxglove",
     "foxglove_file",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="MCAP for Foxglove, Lichtblick.",
+    help="MCAP file for Foxglove and Lichtblick.",
 )
 @click.option("--rerun", "rerun_file", type=click.Path(path_type=Path, dir_okay=False), help="RRD file for Rerun.")
-@click.option("--hand", "side", type=click.Choice(["left", "right"]), help="Which hand, where there are both (--bvh).")
+@click.option("--hand", "side", type=click.Choice(["left", "right"]), help="With --bvh: which hand, if there are both.")
 @click.option(
     "--fps",
     "rate_hz",
     type=click.FloatRange(1, 1000),
-    help="Frames per second of the animation, interpolated; every recorded pose is one frame when not given.",
+    help="Frames per second of the animation, interpolated.  [default: one frame per recorded pose]",
 )
 def export(
     files: tuple[Path, ...],

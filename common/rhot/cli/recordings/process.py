@@ -69,16 +69,15 @@ def _output(file: Path) -> Iterator[IO[str]]:
 @click.option(
     "--smooth",
     is_flag=True,
-    help="Look back from the end: each point as all frames together show it, those after it too. The best paths, for "
-    "study; a live rig cannot have them. Marker frames are written first, then points and hands.",
+    help="Use the frames after each moment too, for the best paths; a live rig cannot do that. Marker frames are "
+    "written first, then points and hands.",
 )
 @rig_option
 def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth: bool, rig_path: Path) -> None:
     """Track a recording and write every published message as one JSON object a line.
 
     RECORDING is a folder that holds, per camera of the rig, pictures with timestamps.csv, a video, or marker tracks
-    (markers.csv). Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it,
-    or better with --smooth.
+    (markers.csv). Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it.
     """
     rig = load_rig(rig_path)
     recording = load_recording(recording_path)

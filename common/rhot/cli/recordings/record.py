@@ -133,16 +133,16 @@ async def _record(
     show_default=True,
     help="File to write (its name ends in .mcap), or a folder that gets a file named after date and time.",
 )
-@click.option("--duration", "duration_s", type=click.FloatRange(min=0.1), help="End after this many seconds.")
+@click.option("--duration", "duration_s", type=click.FloatRange(min=0.1), help="Stop after this many seconds.")
 @click.option(
     "--max-mb",
     type=click.FloatRange(min=0.1),
-    help="Begin a new file whenever one has this many megabytes; their names end in -001, -002, ...",
+    help="Start a new file whenever one has this many megabytes; their names end in -001, -002, ...",
 )
 @click.option(
     "--frames",
     is_flag=True,
-    help="Record the cameras' pictures too, as a recording folder beside the file, named as it is.",
+    help="Record the cameras' pictures too, in a folder of the same name beside the file.",
 )
 @rig_option
 @bus_options

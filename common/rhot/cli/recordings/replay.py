@@ -213,7 +213,7 @@ def _held(recordings: Sequence[McapRecording]) -> str:
     type=click.FloatRange(0.001, 1000.0),
     default=1.0,
     show_default=True,
-    help="Pace: 2 is twice as fast as recorded, 0.5 half as fast.",
+    help="Speed: 2 is twice as fast as recorded, 0.5 half as fast.",
 )
 @click.option(
     "--keys",
@@ -232,13 +232,15 @@ def _held(recordings: Sequence[McapRecording]) -> str:
 @click.option(
     "--now",
     is_flag=True,
-    help="Give messages today's times, so that living services work on them, and start these if they wait. Payloads "
-    "are not the recorded bytes then.",
+    help="Give messages the present time, so that running services work on them, and start services that wait. The "
+    "payloads then differ from the recorded bytes.",
 )
-@click.option("--step", is_flag=True, help="Put out one moment each time Enter is pressed.")
-@click.option("--loop", is_flag=True, help="Begin again at the end, until Ctrl-C.")
-@click.option("--from", "from_s", type=click.FloatRange(min=0), default=0.0, help="Begin this many seconds in.")
-@click.option("--to", "to_s", type=click.FloatRange(min=0), help="End this many seconds in.")
+@click.option("--step", is_flag=True, help="Publish one moment each time you press Enter.")
+@click.option("--loop", is_flag=True, help="Start again at the end, until Ctrl-C.")
+@click.option(
+    "--from", "from_s", type=click.FloatRange(min=0), default=0.0, help="Start this many seconds into the recording."
+)
+@click.option("--to", "to_s", type=click.FloatRange(min=0), help="Stop this many seconds into the recording.")
 @click.option("--force", is_flag=True, help="Replay even where a running service publishes the same keys.")
 @rig_option
 @bus_options

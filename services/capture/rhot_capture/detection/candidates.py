@@ -87,7 +87,7 @@ def judge(
         return Refusal(blob, "hollow", fill)
     # A thin line or a ring is the mixed rim of another marker, not paint of its own; unless the marker was just
     # here and is being covered.
-    thin = not cv2.erode(own, _BOX_3, borderType=cv2.BORDER_CONSTANT, borderValue=0).any()
+    thin = not _has_core(blob, own, own_pixels)
     if thin and not track.continues(*blob.middle):
         return Refusal(blob, "thin", fill)
     # In most frames the first of these tells already.
@@ -111,6 +111,14 @@ def judge(
     if plausibility <= 0.0:
         return Refusal(blob, "unlike", fill)
     return Candidate(blob, plausibility, Evidence(math.log(pure), -blob.border_share, 0.0), fill)
+
+
+def _has_core(blob: Blob, own: ImageArray, own_pixels: int) -> bool:
+    """Tell whether some pixel of a blob has all its eight neighbours in it; `own` is 1 or more in its `own_pixels`."""
+    # Without holes, more than two pixels to each point of the outline leave no doubt.
+    if own_pixels == blob.area and own_pixels > 2 * sum(map(len, blob.contours)):
+        return True
+    return cv2.countNonZero(cv2.erode(own, _BOX_3, borderType=cv2.BORDER_CONSTANT, borderValue=0)) > 0
 
 
 def clings(blob: Blob, labels: ImageArray, label: int) -> bool:

@@ -26,7 +26,7 @@ from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.sensor_modes import choose_mode
 
-_LOG = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 _FORMAT: Final = "RGB888"
 """picamera2 names formats by significance: RGB888 lies in memory as B, G, R, which is what OpenCV wants."""
@@ -129,7 +129,7 @@ class Picamera2Source:
         number = self._number()
         present = self._modules.picamera2.Picamera2.global_camera_info()
         if number >= len(present):
-            found = ", ".join(f"{place}: {info.get('Model', '?')}" for place, info in enumerate(present)) or "none"
+            found = ", ".join(f"{index}: {info.get('Model', '?')}" for index, info in enumerate(present)) or "none"
             raise DeviceError(
                 f"camera {self._name}: no libcamera camera {number}; present: {found}; check the ribbon cable, and "
                 "`rpicam-hello --list-cameras`"
@@ -137,9 +137,7 @@ class Picamera2Source:
         try:
             self._device = self._modules.picamera2.Picamera2(number)
         except (RuntimeError, IndexError) as error:
-            raise DeviceError(
-                f"camera {self._name}: cannot be opened ({error}); another program may hold it"
-            ) from error
+            raise DeviceError(f"camera {self._name}: cannot be opened ({error}); another program uses it?") from error
         try:
             self._start()
         except BaseException:
@@ -232,7 +230,7 @@ class Picamera2Source:
                 "set width and height in rig.toml to a size that it has"
             )
         self._device.start()
-        _LOG.info(
+        logger.info(
             "camera %s: sensor mode %sx%s at up to %.1f Hz, running at %.1f Hz",
             self._name, *mode["size"], float(mode["fps"]), camera.rate_hz,
         )  # fmt: skip
@@ -258,7 +256,7 @@ class Picamera2Source:
             if "LensPosition" in known:
                 controls |= {"AfMode": enums.AfModeEnum.Manual, "LensPosition": focus_dioptres}
             else:
-                _LOG.warning("camera %s: has no focus motor; focus_dioptres is ignored", self._name)
+                logger.warning("camera %s: has no focus motor; focus_dioptres is ignored", self._name)
         if self._camera.sync != "off":
             if not hasattr(enums, "rpi") or not hasattr(enums.rpi, "SyncModeEnum"):
                 raise DeviceError(
@@ -306,11 +304,11 @@ class Picamera2Source:
         return np.asarray(lease)
 
     def _check(self, metadata: Mapping[str, Any]) -> None:
-        """Compare once, after new settings have had time to arrive, what the camera does with what it was told."""
+        """Compare once, when new settings have had time to arrive, what the camera reports with what was asked for."""
         if self._settling == 0:
             return
         self._settling -= 1
-        if self._settling > 0:
+        if self._settling:
             return
         refused = [
             f"{key} {float(metadata[key]):g} instead of {value:g}"
@@ -318,4 +316,4 @@ class Picamera2Source:
             if key in metadata and abs(float(metadata[key]) - value) > _TOLERANCE * value
         ]
         if refused:
-            _LOG.warning("camera %s: the camera runs with %s", self._name, ", ".join(refused))
+            logger.warning("camera %s: the camera runs with %s", self._name, ", ".join(refused))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
 from rhot_feet.frames import DepthImage
-from rhot_feet.region import Region
+from rhot_feet.prediction import Region
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -1,6 +1,6 @@
 """The depth stage: where a foot is while its marker is hidden, from its blob in the depth image.
 
-While marker and blob are both seen, the offset from the blob's centroid to the marker is learnt in the foot's frame,
+While marker and blob are both seen, the offset from the blob's centroid to the marker is averaged in the foot's frame,
 together with how much it varies; that variation is what the depth stage can promise later.
 """
 
@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Side
-from rhot_feet.depth.blob import find_blobs
+from rhot_feet.depth.blob_model import BlobModel, BlobRefusal, Neighbour, axes, update_blob_model
 from rhot_feet.depth.floor import FloorPlane, find_floor
-from rhot_feet.depth.learnt import BlobRefusal, LearntFoot, Neighbour, axes, learnt_from
 from rhot_feet.depth.points import COARSE_PX, FINE_PX, PixelRays
-from rhot_feet.depth.search import RADIUS_M, BlobSeed
-from rhot_feet.expectation import OTHER_FOOT, FootExpectation, expected_region
+from rhot_feet.depth.segmentation import RADIUS_M, BlobSeed, find_blobs
 from rhot_feet.frames import DepthFrame
-from rhot_feet.region import Region
+from rhot_feet.prediction import OTHER_FOOT, FootPrediction, Region, predicted_region
 
 FloatArray = NDArray[np.float64]
 
@@ -33,7 +31,7 @@ _VAGUE_M: Final = 0.06
 """A foot that is worse expected than this, in any direction, may be taken for the other one, unless it is known where
 that is."""
 _FLOOR_NS: Final = 60_000_000
-"""The floor is measured this often; in between the head's pose tells where it is."""
+"""The floor is measured this often; in between it is carried along by the head's pose."""
 _REACH_M: Final = RADIUS_M + 0.06
 _UPRIGHT: Final = np.array([0.0, -1.0, 0.0])
 
@@ -44,19 +42,19 @@ class FootDepth:
 
     Attributes:
         t_ns: time of the picture, rig clock.
-        place: (3,) where its marker has to be, metres, camera frame.
-        covariance: (3, 3) of the place.
+        position: (3,) where its marker has to be, metres, camera frame.
+        covariance: (3, 3) of the position.
         points: number of depth points behind it.
     """
 
     t_ns: int
-    place: FloatArray
+    position: FloatArray
     covariance: FloatArray
     points: int
 
 
 @dataclass(frozen=True, slots=True)
-class DepthSightings:
+class DepthObservations:
     """What the depth stage made of one picture.
 
     Attributes:
@@ -95,7 +93,7 @@ class DepthTracker:
             depth_range_m: nearest and farthest depth that is believed.
         """
         self._depth_range_m = depth_range_m
-        self._learnt: dict[Side, LearntFoot] = {}
+        self._models: dict[Side, BlobModel] = {}
         self._floor: FloorPlane | None = None
         self._floor_t_ns: int | None = None
         self._measured_floor: _MeasuredFloor | None = None
@@ -130,60 +128,60 @@ class DepthTracker:
                 self._measured_floor = _MeasuredFloor(frame.t_ns, self._floor, T_rig_camera)
         return self._floor
 
-    def feed(
+    def detect(
         self,
         frame: DepthFrame,
-        expected: Mapping[Side, FootExpectation],
-        seen: Mapping[Side, FootExpectation],
+        expected: Mapping[Side, FootPrediction],
+        seen: Mapping[Side, FootPrediction],
         up_camera: FloatArray | None = None,
         *,
-        learns: bool = True,
-    ) -> DepthSightings:
+        update_models: bool = True,
+    ) -> DepthObservations:
         """Take one picture: learn from the feet that are seen, find those that are not.
 
         Args:
             frame: the picture with its depth.
             expected: foot to what the filter predicts, of those whose marker is hidden.
-            seen: foot to its marker's place and orientation in this very picture.
+            seen: foot to its marker's position and orientation in this very picture.
             up_camera: (3,) unit vector against gravity, camera frame, where the head's pose is known.
-            learns: else the feet that are seen only tell which points are theirs.
+            update_models: update the models of the feet that are seen; else these only claim their points.
         """
         hidden = {side: foot for side, foot in expected.items() if side not in seen}
         present = hidden | dict(seen)
-        learnt = {
+        models = {
             side: known
             for side, foot in present.items()
-            if (known := self._learnt.get(side)) is not None and known.serves(foot)
+            if (known := self._models.get(side)) is not None and known.serves(foot)
         }
-        refused: dict[Side, DepthRefusal] = {side: "unknown" for side in hidden if side not in learnt}
-        if len({*learnt, *seen}) < len(OTHER_FOOT):
-            refused |= {side: "vague" for side, foot in hidden.items() if side in learnt and _is_vague(foot)}
+        refused: dict[Side, DepthRefusal] = {side: "unknown" for side in hidden if side not in models}
+        if len({*models, *seen}) < len(OTHER_FOOT):
+            refused |= {side: "vague" for side, foot in hidden.items() if side in models and _is_vague(foot)}
         hidden = {side: foot for side, foot in hidden.items() if side not in refused}
         floor = self.find_floor(frame, up_camera)
         if frame.depth_mm is None or not (hidden or seen):
-            return DepthSightings({}, refused, floor)
-        region = _joint_region([*hidden.values(), *(seen.values() if learns else ())], frame.camera)
+            return DepthObservations({}, refused, floor)
+        region = _joint_region([*hidden.values(), *(seen.values() if update_models else ())], frame.camera)
         if region is None:
-            return DepthSightings({}, refused | dict.fromkeys(hidden, "hidden"), floor)
+            return DepthObservations({}, refused | dict.fromkeys(hidden, "hidden"), floor)
         seeds: dict[Side, BlobSeed] = {}
         for side, foot in (hidden | dict(seen)).items():
-            known = learnt.get(side)
+            known = models.get(side)
             if known is None:
-                seeds[side] = BlobSeed(foot.place, np.zeros(3), fixed=True)
+                seeds[side] = BlobSeed(foot.position, np.zeros(3), fixed=True)
             else:
                 R = axes(foot)
-                seeds[side] = BlobSeed(foot.place, R @ known.mean, known.shape.turned(R), fixed=side in seen)
+                seeds[side] = BlobSeed(foot.position, R @ known.mean, known.shape.rotated(R), fixed=side in seen)
         grid = self._rays(frame.camera).points(frame.depth_mm, region, self._depth_range_m)
         up = self._up(up_camera)
         blobs = find_blobs(grid, seeds, floor, up, frame.camera)
-        for side, foot in seen.items() if learns else ():
+        for side, foot in seen.items() if update_models else ():
             blob = blobs.get(side)
-            now = None if blob is None else learnt_from(foot, blob, grid, frame.camera, learnt.get(side))
+            now = None if blob is None else update_blob_model(foot, blob, grid, frame.camera, models.get(side))
             if now is not None:
-                self._learnt[side] = now
+                self._models[side] = now
         feet: dict[Side, FootDepth] = {}
         neighbours = {
-            side: Neighbour(blob.place, learnt[side].share(blob) if side in learnt else 1.0)
+            side: Neighbour(blob.position, models[side].share(blob) if side in models else 1.0)
             for side, blob in blobs.items()
         }
         for side, foot in hidden.items():
@@ -192,12 +190,12 @@ class DepthTracker:
                 refused[side] = "hidden"
                 continue
             others = [neighbour for other, neighbour in neighbours.items() if other != side]
-            outcome = learnt[side].judged(foot, blob, others, up)
-            if isinstance(outcome, str):
-                refused[side] = outcome
+            verdict = models[side].check(foot, blob, others, up)
+            if isinstance(verdict, str):
+                refused[side] = verdict
             else:
-                feet[side] = FootDepth(frame.t_ns, blob.place, outcome, len(blob.points))
-        return DepthSightings(feet, refused, floor)
+                feet[side] = FootDepth(frame.t_ns, blob.position, verdict, len(blob.points))
+        return DepthObservations(feet, refused, floor)
 
     def _rays(self, camera: CameraModel) -> PixelRays:
         if self._fine is None or self._fine.camera is not camera:
@@ -210,10 +208,10 @@ class DepthTracker:
         return _UPRIGHT if self._floor is None else self._floor.up
 
 
-def _is_vague(foot: FootExpectation) -> bool:
+def _is_vague(foot: FootPrediction) -> bool:
     return float(np.linalg.eigvalsh(foot.covariance)[-1]) > _VAGUE_M**2
 
 
-def _joint_region(feet: list[FootExpectation], camera: CameraModel) -> Region | None:
-    regions = [region for foot in feet if (region := expected_region(foot, _REACH_M, camera)) is not None]
+def _joint_region(feet: list[FootPrediction], camera: CameraModel) -> Region | None:
+    regions = [region for foot in feet if (region := predicted_region(foot, _REACH_M, camera)) is not None]
     return reduce(Region.joined, regions) if regions else None

@@ -1,7 +1,9 @@
-"""The foot by its inertial sensor, corrected by pictures and stand-stills: `FootModel` over `imu.strapdown`."""
+"""The foot by its inertial sensor, corrected by pictures and zero velocity: `FootModel` over `strapdown`."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -10,8 +12,7 @@ from numpy.typing import NDArray
 from rhot.geometry.covariances import squared_distance
 from rhot.geometry.rotations import cross_matrix, rotation_between, rotation_z
 from rhot_feet.filter.model import FootMotion, Observation
-from rhot_feet.imu.alignment.equations import Alignment
-from rhot_feet.imu.strapdown import (
+from rhot_feet.filter.strapdown import (
     ACCELEROMETER,
     ATTITUDE,
     GYROSCOPE,
@@ -21,41 +22,64 @@ from rhot_feet.imu.strapdown import (
     SIZE,
     VELOCITY,
     InertialState,
-    InertialStep,
     Strapdown,
     correct,
 )
+from rhot_feet.filter.zero_velocity_update import ZUPT
+from rhot_feet.imu.alignment.equations import Alignment
+from rhot_feet.imu.track import InertialStep
 
 FloatArray = NDArray[np.float64]
 
-_TILT_RAD: Final = float(np.radians(1.5))
-"""How wrong a sensor's own idea of up may be at the start."""
-_RATE_BIAS: Final = float(np.radians(0.3))
-"""rad/s; a BNO080 has removed its bias, a raw sensor has been still at some time."""
-_MOUNTING_RAD: Final = float(np.radians(3.0))
-_SPEED_AT_REST: Final = 0.02
-_SPEED_IN_MOTION: Final = 1.5
-"""How wrong the velocity may be at the start, m/s per axis."""
-_UNMOUNTED_RAD: Final = float(np.radians(90.0))
-_MOUNTED_RAD: Final = float(np.radians(20.0))
-"""A mounting known better than this, over all axes, serves a sensor that comes back."""
-_RATE_AT_REST: Final = float(np.radians(3.0))
-"""Noise of the rate as a measure of its bias while nothing turns, rad/s, for one sample of 5 ms."""
-_MOST_RATE: Final = float(np.radians(1.0))
-"""rad/s; what turns faster than its bias allows does turn, however evenly."""
+
+@dataclass(frozen=True, slots=True)
+class InertialSettings:
+    """What the inertial model starts from, standard deviations per axis; chosen on `rhot evaluate feet`.
+
+    Attributes:
+        tilt_rad: of a sensor's own idea of up.
+        rate_bias_rad_s: of the gyroscope; a BNO080 has removed its bias, a raw sensor has been still at some time.
+        position_m, lever_m, bias_m_s2: added to what the alignment states.
+        mounting_rad, unknown_mounting_rad: of the mounting, when the marker showed it and when not.
+        speed_at_rest_m_s, speed_in_motion_m_s: of the velocity.
+        restart_position_m, restart_speed_m_s, restart_tilt_rad: after a restart.
+        kept_mounting_rad: a mounting known better than this, over all axes, serves a sensor that comes back.
+        zero_rate_rad_s: noise of the rate as a measure of its bias at rest, for one sample of 5 ms.
+        most_bias_rad_s: a sensor that measures more than this beyond its bias does rotate, however evenly.
+    """
+
+    tilt_rad: float = math.radians(1.5)
+    rate_bias_rad_s: float = math.radians(0.3)
+    position_m: float = 0.01
+    lever_m: float = 0.01
+    bias_m_s2: float = 0.03
+    mounting_rad: float = math.radians(3.0)
+    unknown_mounting_rad: float = math.radians(90.0)
+    speed_at_rest_m_s: float = 0.02
+    speed_in_motion_m_s: float = 1.5
+    restart_position_m: float = 0.02
+    restart_speed_m_s: float = 1.0
+    restart_tilt_rad: float = math.radians(3.0)
+    kept_mounting_rad: float = math.radians(20.0)
+    zero_rate_rad_s: float = math.radians(3.0)
+    most_bias_rad_s: float = math.radians(1.0)
+
+
 _UNIT: Final = np.eye(3)
 
 
 class InertialModel:
     """The error-state filter of a foot whose sensor is aligned."""
 
-    def __init__(self, strapdown: Strapdown, C: FloatArray) -> None:
+    def __init__(self, strapdown: Strapdown, C: FloatArray, settings: InertialSettings | None = None) -> None:
         """Set the frame.
 
         Args:
             strapdown: of the sensor.
             C: (3, 3) from level axes (z up) to the rig frame.
+            settings: initial uncertainty.
         """
+        self._settings = settings or InertialSettings()
         self._strapdown = strapdown
         self._C = C
 
@@ -75,28 +99,31 @@ class InertialModel:
             R_world_sensor: (3, 3) its orientation at the moment, by itself.
             motion: the foot at the moment.
             angular_rate: (3,) rad/s at the moment, sensor frame.
-            stands: the foot was felt to stand.
+            stands: the sensor shows zero velocity.
         """
         R = self._C @ rotation_z(alignment.yaw_rad) @ R_world_sensor
         arm = R @ alignment.lever
         up = self._C[:, 2]
-        # What is wrong for reasons of its own: place and velocity of the foot, attitude, and so on.
+        settings = self._settings
+        speed = settings.speed_at_rest_m_s if stands else settings.speed_in_motion_m_s
+        mounting = settings.mounting_rad if alignment.mounting_known else settings.unknown_mounting_rad
+        # Errors that are independent of each other.
         source = np.zeros((SIZE, SIZE))
-        source[POSITION, POSITION] = motion.covariance + (0.01**2) * _UNIT
-        source[VELOCITY, VELOCITY] = (_SPEED_AT_REST if stands else _SPEED_IN_MOTION) ** 2 * _UNIT
-        source[ATTITUDE, ATTITUDE] = _TILT_RAD**2 * _UNIT + alignment.yaw_sigma_rad**2 * np.outer(up, up)
-        source[LEVER, LEVER] = alignment.covariance[:3, :3] + 0.01**2 * _UNIT
-        source[ACCELEROMETER, ACCELEROMETER] = alignment.covariance[3:, 3:] + 0.03**2 * _UNIT
-        source[GYROSCOPE, GYROSCOPE] = _RATE_BIAS**2 * _UNIT
-        source[MOUNTING, MOUNTING] = (_MOUNTING_RAD if alignment.mounted else _UNMOUNTED_RAD) ** 2 * _UNIT
-        # And what follows: lever and bias from the yaw, the sensor's place from the lever, for the foot's is known,
-        # and the mounting from the attitude, for the foot's orientation is.
+        source[POSITION, POSITION] = motion.covariance + settings.position_m**2 * _UNIT
+        source[VELOCITY, VELOCITY] = speed**2 * _UNIT
+        source[ATTITUDE, ATTITUDE] = settings.tilt_rad**2 * _UNIT + alignment.yaw_sigma_rad**2 * np.outer(up, up)
+        source[LEVER, LEVER] = alignment.covariance[:3, :3] + settings.lever_m**2 * _UNIT
+        source[ACCELEROMETER, ACCELEROMETER] = alignment.covariance[3:, 3:] + settings.bias_m_s2**2 * _UNIT
+        source[GYROSCOPE, GYROSCOPE] = settings.rate_bias_rad_s**2 * _UNIT
+        source[MOUNTING, MOUNTING] = mounting**2 * _UNIT
+        # What follows from them: lever and bias from the yaw; the sensor's position from the lever, for the foot's is
+        # known; and the mounting from the attitude, for the foot's orientation is known.
         follows = np.eye(SIZE)
-        follows[LEVER, ATTITUDE] = np.outer(alignment.by_yaw[:3], up)
-        follows[ACCELEROMETER, ATTITUDE] = np.outer(alignment.by_yaw[3:], up)
+        follows[LEVER, ATTITUDE] = np.outer(alignment.d_yaw[:3], up)
+        follows[ACCELEROMETER, ATTITUDE] = np.outer(alignment.d_yaw[3:], up)
         follows[POSITION, LEVER] = -R
         follows[POSITION, ATTITUDE] = cross_matrix(arm) - R @ follows[LEVER, ATTITUDE]
-        if alignment.mounted:
+        if alignment.mounting_known:
             follows[MOUNTING, ATTITUDE] = -R.T
         return InertialState(
             motion.position - arm,
@@ -105,18 +132,19 @@ class InertialModel:
             alignment.bias.copy(),
             np.zeros(3),
             alignment.lever.copy(),
-            alignment.M if alignment.mounted else R.T @ motion.rotation,
+            alignment.M if alignment.mounting_known else R.T @ motion.rotation,
             follows @ source @ follows.T,
         )
 
     def restart(self, state: InertialState, observation: Observation) -> InertialState:
-        """Return a state at an observed place that keeps what was learnt about the sensor."""
+        """Return a state at an observed position that keeps what is known of the sensor."""
         R = state.R
         P = state.P.copy()
-        for part, sigma in ((POSITION, 0.02), (VELOCITY, 1.0)):
+        settings = self._settings
+        for part, sigma in ((POSITION, settings.restart_position_m), (VELOCITY, settings.restart_speed_m_s)):
             P[part, :], P[:, part] = 0.0, 0.0
             P[part, part] = sigma**2 * _UNIT
-        P[ATTITUDE, ATTITUDE] += np.radians(3.0) ** 2 * _UNIT
+        P[ATTITUDE, ATTITUDE] += settings.restart_tilt_rad**2 * _UNIT
         P[POSITION, POSITION] += observation.covariance
         return InertialState(
             observation.position - R @ state.lever,
@@ -129,22 +157,22 @@ class InertialModel:
             P,
         )
 
-    def learnt(self, state: InertialState) -> Alignment:
-        """Return what is known of lever and mounting when the sensor goes away; its yaw may be another afterwards."""
+    def alignment(self, state: InertialState) -> Alignment:
+        """Return the lever and mounting of a sensor that goes away; its yaw may be another afterwards."""
         covariance = np.zeros((6, 6))
         covariance[:3, :3], covariance[3:, 3:] = state.P[LEVER, LEVER], state.P[ACCELEROMETER, ACCELEROMETER]
-        mounted = float(np.trace(state.P[MOUNTING, MOUNTING])) < _MOUNTED_RAD**2
+        mounting_known = float(np.trace(state.P[MOUNTING, MOUNTING])) < self._settings.kept_mounting_rad**2
         lever, bias, M = state.lever.copy(), state.acceleration_bias.copy(), state.M.copy()
-        return Alignment(0.0, np.pi, lever, bias, covariance, np.zeros(6), M, mounted)
+        return Alignment(0.0, np.pi, lever, bias, covariance, np.zeros(6), M, mounting_known)
 
     def predict(self, state: InertialState, duration_s: float, step: InertialStep | None) -> InertialState:
-        """Return the state after what the sensor felt; without a step it floats on evenly."""
+        """Return the state after what the sensor measured; without a step it floats on evenly."""
         if step is None:
             still = state.R.T @ (-self._strapdown.gravity) + state.acceleration_bias
-            step = InertialStep(duration_s, still, still, duration_s * state.rate_bias, unfelt=True)
+            step = InertialStep(duration_s, still, still, duration_s * state.rate_bias, dropout=True)
         return self._strapdown.predict(state, step)
 
-    def surprise(self, state: InertialState, observation: Observation) -> tuple[float, float]:
+    def nis(self, state: InertialState, observation: Observation) -> tuple[float, float]:
         """Return the squared normalised innovations of position and rotation."""
         H, residual, noise = self._linearised(state, observation)
         S = H @ state.P @ H.T + noise
@@ -153,37 +181,36 @@ class InertialModel:
             return position, 0.0
         return position, squared_distance(residual[3:], S[3:, 3:])
 
-    def observe(self, state: InertialState, observation: Observation) -> InertialState:
+    def update(self, state: InertialState, observation: Observation) -> InertialState:
         """Return the state after an observation of its moment."""
         return correct(state, *self._linearised(state, observation))
 
-    def rest(self, state: InertialState, speed_sigma: float, gate: float | None) -> InertialState:
-        """Return the state after the sensor's velocity was felt to be zero."""
+    def zero_velocity_update(self, state: InertialState, speed_sigma: float, gate_nis: float | None) -> InertialState:
+        """Return the state after the sensor's velocity was measured to be zero; unchanged when its NIS is too high."""
         noise = speed_sigma**2 * _UNIT
-        if gate is not None:
-            S = state.P[VELOCITY, VELOCITY] + noise
-            if squared_distance(state.velocity, S) > gate:
-                return state
-        return correct(state, _SPEED, -state.velocity, noise)
-
-    def rest_turning(self, state: InertialState, angular_rate: FloatArray, duration_s: float) -> InertialState:
-        """Return the state after the sensor was felt not to turn: its rate is its bias."""
-        residual = angular_rate - state.rate_bias
-        if residual @ residual > _MOST_RATE**2:
+        if gate_nis is not None and squared_distance(state.velocity, state.P[VELOCITY, VELOCITY] + noise) > gate_nis:
             return state
-        return correct(state, _RATE, residual, (_RATE_AT_REST**2 * 0.005 / duration_s) * _UNIT)
+        return correct(state, _H_VELOCITY, -state.velocity, noise)
+
+    def zero_rate_update(self, state: InertialState, angular_rate: FloatArray, duration_s: float) -> InertialState:
+        """Return the state after the sensor was measured not to rotate: its rate is its bias."""
+        residual = angular_rate - state.rate_bias
+        if residual @ residual > self._settings.most_bias_rad_s**2:
+            return state
+        noise = (self._settings.zero_rate_rad_s**2 * ZUPT.sample_s / duration_s) * _UNIT
+        return correct(state, _H_RATE_BIAS, residual, noise)
 
     def motion(self, state: InertialState, angular_rate: FloatArray) -> FootMotion:
         """Return where the foot is."""
         arm = state.R @ state.lever
         H = np.zeros((3, SIZE))
         H[:, POSITION], H[:, ATTITUDE], H[:, LEVER] = _UNIT, -cross_matrix(arm), state.R
-        turning = state.R @ (angular_rate - state.rate_bias)
+        rate = state.R @ (angular_rate - state.rate_bias)
         G = np.zeros((3, SIZE))
         G[:, ATTITUDE], G[:, MOUNTING] = _UNIT, state.R
         return FootMotion(
             state.position + arm,
-            state.velocity + cross_matrix(turning) @ arm,
+            state.velocity + cross_matrix(rate) @ arm,
             state.foot_rotation,
             H @ state.P @ H.T,
             G @ state.P @ G.T,
@@ -204,7 +231,7 @@ class InertialModel:
         return H, residual, noise
 
 
-_SPEED: Final = np.zeros((3, SIZE))
-_SPEED[:, VELOCITY] = _UNIT
-_RATE: Final = np.zeros((3, SIZE))
-_RATE[:, GYROSCOPE] = _UNIT
+_H_VELOCITY: Final = np.zeros((3, SIZE))
+_H_VELOCITY[:, VELOCITY] = _UNIT
+_H_RATE_BIAS: Final = np.zeros((3, SIZE))
+_H_RATE_BIAS[:, GYROSCOPE] = _UNIT

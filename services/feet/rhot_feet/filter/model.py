@@ -9,8 +9,9 @@ from typing import Literal, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot_feet.imu.strapdown import InertialNoise, InertialStep
-from rhot_feet.imu.zero_velocity import StillnessSettings
+from rhot_feet.filter.strapdown import InertialNoise
+from rhot_feet.imu.track import InertialStep
+from rhot_feet.imu.zero_velocity_detector import ZeroVelocitySettings
 
 FloatArray = NDArray[np.float64]
 
@@ -19,27 +20,42 @@ Stage = Literal["marker", "depth", "inertial", "lost"]
 
 @dataclass(frozen=True, slots=True)
 class FootFilterSettings:
-    """How one foot is filtered.
+    """How one foot is filtered; values without another source were chosen on `rhot evaluate feet`.
 
     Attributes:
         up: (3,) direction against gravity, rig frame, of any length.
         sensor_m: (3,) about where the inertial sensor is worn, metres, foot frame.
         noise: of the inertial sensor.
-        stillness: of the detector of stand-stills.
+        zero_velocity: of the zero-velocity detector.
         horizon_ns: how late a measurement may be.
-        gate: squared normalised innovation up to which an observation is believed (3 degrees of freedom).
-        agreeing: so many observations in a row that were turned away and agree start the filter anew.
+        gate_nis: squared normalised innovation (NIS, 3 degrees of freedom) up to which an observation is accepted: 5
+            standard deviations.
+        agreeing: so many refused observations in a row that agree restart the filter.
         fresh_ns: so long after an observation its stage holds.
+        position_floor_m, rotation_floor_rad: added to every observation's noise, per axis: no picture is better.
+        marker_rotation_rad: noise of a marker's orientation, per axis, where the caller states none.
+        depth_correlation_s: time in which the errors of depth positions are alike: a shoe shows the same side.
+        moving_yaw_rad: a foot that swings in sight does better without a sensor whose yaw is known worse than this.
+        return_yaw_rad: yaw error of a sensor that comes back, taken from one orientation of the marker.
+        restarts, restarts_ns: so many restarts within so long discard the alignment.
     """
 
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     sensor_m: tuple[float, float, float] = (0.0, 0.0, 0.07)
     noise: InertialNoise = field(default_factory=InertialNoise)
-    stillness: StillnessSettings = field(default_factory=StillnessSettings)
+    zero_velocity: ZeroVelocitySettings = field(default_factory=ZeroVelocitySettings)
     horizon_ns: int = 250_000_000
-    gate: float = 25.0
+    gate_nis: float = 25.0
     agreeing: int = 8
     fresh_ns: int = 100_000_000
+    position_floor_m: float = 0.001
+    rotation_floor_rad: float = math.radians(1.0)
+    marker_rotation_rad: float = math.radians(3.0)
+    depth_correlation_s: float = 0.05
+    moving_yaw_rad: float = math.radians(9.0)
+    return_yaw_rad: float = math.radians(8.0)
+    restarts: int = 3
+    restarts_ns: int = 3_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +71,7 @@ class FootState:
         orientation_covariance: (3, 3) of the orientation's error as a rotation vector in the rig frame, rad².
         stage: the best evidence of the last moment.
         stationary: the foot stands.
-        measured_ns: when it was last seen, or last felt to have stood ever since.
+        measured_ns: when it was last seen, or until when it has stood since.
     """
 
     t_ns: int
@@ -76,7 +92,7 @@ class FootState:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """A place of the foot's origin out of a picture.
+    """A position of the foot's origin out of a picture.
 
     Attributes:
         t_ns: middle of the exposure, rig clock.
@@ -121,31 +137,31 @@ class FootModel(Protocol[State]):
     """One kind of filter: pure functions of its states."""
 
     def predict(self, state: State, duration_s: float, step: InertialStep | None) -> State:
-        """Return the state `duration_s` later, in which the sensor, if there is one, felt `step`."""
+        """Return the state `duration_s` later; `step` is what the sensor, if there is one, measured meanwhile."""
         ...
 
-    def surprise(self, state: State, observation: Observation) -> tuple[float, float]:
+    def nis(self, state: State, observation: Observation) -> tuple[float, float]:
         """Return the squared normalised innovations of position and rotation (0 without); 3 degrees of freedom each."""
         ...
 
-    def observe(self, state: State, observation: Observation) -> State:
+    def update(self, state: State, observation: Observation) -> State:
         """Return the state after an observation of its moment."""
         ...
 
-    def rest(self, state: State, speed_sigma: float, gate: float | None) -> State:
-        """Return the state after the foot was felt to stand.
+    def zero_velocity_update(self, state: State, speed_sigma: float, gate_nis: float | None) -> State:
+        """Return the state after the sensor's velocity was measured to be zero.
 
         Args:
             state: before it.
             speed_sigma: of the velocity about zero, m/s.
-            gate: squared normalised innovation above which it is not believed; None always believes.
+            gate_nis: squared normalised innovation above which it is refused; None never refuses.
         """
         ...
 
-    def rest_turning(self, state: State, angular_rate: FloatArray, duration_s: float) -> State:
-        """Return the state after the sensor was felt not to turn at all over `duration_s`."""
+    def zero_rate_update(self, state: State, angular_rate: FloatArray, duration_s: float) -> State:
+        """Return the state after a sensor that does not rotate measured a rate (3,) rad/s over `duration_s`."""
         ...
 
     def motion(self, state: State, angular_rate: FloatArray) -> FootMotion:
-        """Return where the foot is; `angular_rate` (3,) rad/s is what the sensor, if there is one, feels."""
+        """Return where the foot is; `angular_rate` (3,) rad/s is what the sensor, if there is one, measures."""
         ...

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+GRAVITY_M_S2: Final = 9.81
+"""What sensors scale to, wherever they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +22,7 @@ class ImuSamples:
 
     Attributes:
         t_ns: (N,) int64, strictly increasing, rig clock.
-        specific_force: (N, 3) m/s², sensor frame; what an accelerometer feels, so 9.81 upwards at rest.
+        specific_force: (N, 3) m/s², sensor frame; what an accelerometer measures, so 9.81 upwards at rest.
         angular_rate: (N, 3) rad/s, sensor frame; mean since the sample before.
         orientation_xyzw: (N, 4) unit quaternions, sensor to a level world of the sensor's own: z up, yaw anywhere and
             slowly drifting.

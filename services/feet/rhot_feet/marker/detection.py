@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot_feet.marker.edges import refine_corners, sample_picture
-from rhot_feet.region import Region
+from rhot_feet.prediction import Region
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
@@ -81,8 +81,8 @@ class MarkerFinder:
         self._dictionary = worn
         self._detectors: dict[int, cv2.aruco.ArucoDetector] = {}
         side_centres = (np.arange(_CELL_SAMPLES) + 0.5) / _CELL_SAMPLES * (1.0 - 2.0 * _CELL_INSET) + _CELL_INSET
-        places = (np.arange(side)[:, None] + side_centres).ravel() / side
-        x, y = np.meshgrid(places, places)
+        positions = (np.arange(side)[:, None] + side_centres).ravel() / side
+        x, y = np.meshgrid(positions, positions)
         self._cells = side
         self._samples = np.stack([x.ravel(), y.ravel()], axis=1)
 
@@ -102,8 +102,8 @@ class MarkerFinder:
         found = []
         shift = np.array([part.left, part.top], dtype=np.float64)
         # Without any marker `ids` is None.
-        places = np.asarray([] if not corners else ids, dtype=int).ravel()
-        for quad, place in zip(corners, places.tolist(), strict=True):
+        positions = np.asarray([] if not corners else ids, dtype=int).ravel()
+        for quad, place in zip(corners, positions.tolist(), strict=True):
             rough = np.asarray(quad, dtype=np.float64).reshape(4, 2)
             uv, sigma_px = refine_corners(np.asarray(grey, dtype=np.uint8), rough, self._cells)
             side_px = float(np.sqrt(max(cv2.contourArea(uv.astype(np.float32)), 0.0)))

@@ -31,9 +31,9 @@ _LEAST_SIGMA_PX: Final = 0.03
 """What the scatter about the lines does not tell of; corners in clear simulated pictures are 0.035 px off in all."""
 
 
-def sample_picture(grey: ImageArray, places: NDArray[np.float32]) -> FloatArray:
-    """Return the grey levels (N,) at places (N, 2), pixels, between pixels by bilinear interpolation."""
-    u, v = np.ascontiguousarray(places[:, 0]), np.ascontiguousarray(places[:, 1])
+def sample_picture(grey: ImageArray, positions: NDArray[np.float32]) -> FloatArray:
+    """Return the grey levels (N,) at positions (N, 2), pixels, between pixels by bilinear interpolation."""
+    u, v = np.ascontiguousarray(positions[:, 0]), np.ascontiguousarray(positions[:, 1])
     values = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(values, dtype=np.float64).ravel()
 
@@ -60,9 +60,9 @@ def refine_corners(grey: ImageArray, corners: FloatArray, cells: int) -> tuple[F
     shares = np.linspace(_RIM, 1.0 - _RIM, _CROSSINGS)
     steps = np.arange(-reach, reach + 1e-6, _STEP_PX)
     starts = corners[:, None] + shares[None, :, None] * along[:, None]
-    places = (starts[:, :, None] + steps[None, None, :, None] * outwards[:, None, None]).astype(np.float32)
-    shape = places.shape[:3]
-    across, clear = _crossings(sample_picture(grey, places.reshape(-1, 2)).reshape(shape), steps)
+    positions = (starts[:, :, None] + steps[None, None, :, None] * outwards[:, None, None]).astype(np.float32)
+    shape = positions.shape[:3]
+    across, clear = _crossings(sample_picture(grey, positions.reshape(-1, 2)).reshape(shape), steps)
     lines, scatter, straight = _lines(starts + across[..., None] * outwards[:, None], clear, outwards)
     if not straight:
         return corners, UNREFINED_SIGMA_PX

@@ -16,10 +16,10 @@ from rhot.geometry.covariances import squared_distance
 from rhot.geometry.rotations import rotation_between
 from rhot_feet.depth.floor import FloorPlane
 from rhot_feet.depth.plane import DepthPlane
-from rhot_feet.expectation import GATE_SIGMAS, FootExpectation, innovation_distance
 from rhot_feet.marker.detection import MarkerDetection
 from rhot_feet.marker.pose import MarkerPose, SquareView, pose_covariance
 from rhot_feet.marker.pose_choice import OrientationPrior
+from rhot_feet.prediction import GATE_SIGMAS, FootPrediction, innovation_distance
 
 FloatArray = NDArray[np.float64]
 
@@ -62,8 +62,8 @@ def refuse_pose(
     depth_range_m: tuple[float, float],
     up_camera: FloatArray | None,
     floor: FloorPlane | None,
-    expected: FootExpectation | None,
-    other: FootExpectation | None,
+    expected: FootPrediction | None,
+    other: FootPrediction | None,
     prior: OrientationPrior | None,
 ) -> Refusal | None:
     """Return why a marker is not believed, None when it is.
@@ -80,15 +80,16 @@ def refuse_pose(
         other: the same of the other foot.
         prior: how the marker is expected to be turned, where that is known.
     """
-    place = pose.t_camera_marker
+    position = pose.t_camera_marker
     wrong: dict[Refusal, bool] = {
-        "size": not depth_range_m[0] <= float(place[2]) <= depth_range_m[1],
+        "size": not depth_range_m[0] <= float(position[2]) <= depth_range_m[1],
         "shape": view.reprojection_px > max(1.0, _MAX_REPROJECTION * detection.side_px),
         "depth": plane is not None and not _depth_agrees(view, plane),
         "tilt": up_camera is not None and float(pose.normal @ up_camera) < np.cos(_MAX_TILT_RAD),
-        "floor": floor is not None and float(floor.heights_m(place)) < _LEAST_HEIGHT_M,
-        "other": other is not None and _is_nearer(place, other, expected),
-        "motion": expected is not None and innovation_distance(place, pose.covariance[3:, 3:], expected) > GATE_SIGMAS,
+        "floor": floor is not None and float(floor.heights_m(position)) < _LEAST_HEIGHT_M,
+        "other": other is not None and _is_nearer(position, other, expected),
+        "motion": expected is not None
+        and innovation_distance(position, pose.covariance[3:, 3:], expected) > GATE_SIGMAS,
         "turn": prior is not None and _is_turned(pose, prior),
     }
     return next((reason for reason, holds in wrong.items() if holds), None)
@@ -100,10 +101,10 @@ def _is_turned(pose: MarkerPose, prior: OrientationPrior) -> bool:
     return float(np.linalg.norm(turn)) > _MAX_TURN_RAD and sigmas > _TURN_SIGMAS
 
 
-def _is_nearer(place: FloatArray, other: FootExpectation, own: FootExpectation | None) -> bool:
-    """Tell whether a place is that of the other foot, and rather its than one's own."""
-    to_other = float(np.linalg.norm(place - other.place))
-    return to_other < _OTHER_FOOT_M and (own is None or to_other < float(np.linalg.norm(place - own.place)))
+def _is_nearer(position: FloatArray, other: FootPrediction, own: FootPrediction | None) -> bool:
+    """Tell whether a position is that of the other foot, and rather its than one's own."""
+    to_other = float(np.linalg.norm(position - other.position))
+    return to_other < _OTHER_FOOT_M and (own is None or to_other < float(np.linalg.norm(position - own.position)))
 
 
 def _depth_agrees(view: SquareView, plane: DepthPlane) -> bool:

@@ -27,7 +27,7 @@ _ACCELERATION: Final = 8.0
 """Root of the spectral density of the angular acceleration, rad/s^1.5: hands and feet."""
 _DECAY_S: Final = 0.15
 _FLOOR_RAD: Final = float(np.radians(2.0))
-"""What no reprojection error tells of: bowed paper, lens, size."""
+"""What no reprojection error shows: bowed paper, lens, size."""
 _MAX_DISTANCE: Final = 24.0
 """A squared Mahalanobis distance counts for no more; measurements farther out pull as if they were so far."""
 _MAX_EVIDENCE: Final = 3.0
@@ -51,7 +51,7 @@ class _Hypotheses:
         t_s: time of the newest picture.
         R: (N, 3, 3).
         rate: (N, 3) angular velocity, rad/s, camera axes.
-        P: (N, 6, 6) covariance of turn and rate.
+        P: (N, 6, 6) covariance of rotation and rate.
         weight: (N,) log-likelihood, 0 for the best.
         facing: (N, 3) mean of the marker's normal.
     """
@@ -86,8 +86,8 @@ class OrientationTrack:
             return 0.0
         return float("inf") if len(self._state.weight) == 1 else float(-2.0 * self._state.weight[1])
 
-    def feed(self, t_s: float, poses: Sequence[MarkerPose]) -> int:
-        """Take the poses of one picture and return the index of the one to believe, see `nearest`.
+    def update(self, t_s: float, poses: Sequence[MarkerPose]) -> int:
+        """Update with the poses of one picture and return the index of the one to believe, see `nearest`.
 
         Args:
             t_s: time, seconds; later than the picture before.
@@ -129,8 +129,8 @@ def _predicted(state: _Hypotheses, t_s: float) -> _Hypotheses:
     F[:3, 3:], F[3:, 3:] = dt * np.eye(3), keep * np.eye(3)
     q = _ACCELERATION**2
     Q = np.kron(np.array([[q * dt**3 / 3.0, q * dt**2 / 2.0], [q * dt**2 / 2.0, q * dt]]), np.eye(3))
-    turned = np.stack([rotation_from_vector(rate * dt) @ R for rate, R in zip(state.rate, state.R, strict=True)])
-    return _Hypotheses(t_s, turned, keep * state.rate, F @ state.P @ F.T + Q, state.weight, state.facing)
+    rotated = np.stack([rotation_from_vector(rate * dt) @ R for rate, R in zip(state.rate, state.R, strict=True)])
+    return _Hypotheses(t_s, rotated, keep * state.rate, F @ state.P @ F.T + Q, state.weight, state.facing)
 
 
 def _updated(
@@ -139,7 +139,7 @@ def _updated(
     """Return the best of all pairs of a hypothesis and a pose."""
     count, poses = len(state.R), len(R)
     dt = min(state.t_s - before_s, _MAX_GAP_S)
-    innovation = _turns(R[None] @ np.swapaxes(state.R, 1, 2)[:, None])
+    innovation = _vectors(R[None] @ np.swapaxes(state.R, 1, 2)[:, None])
     S = state.P[:, None, :3, :3] + noise[None]
     inverse = np.linalg.inv(S)
     distance = np.einsum("nmi,nmij,nmj->nm", innovation, inverse, innovation)
@@ -169,11 +169,11 @@ def _updated(
     return _Hypotheses(state.t_s, chosen, rate[kept], P[kept], weight[kept] - best, mean)
 
 
-def _turns(R: FloatArray) -> FloatArray:
+def _vectors(R: FloatArray) -> FloatArray:
     """Return axis times angle (..., 3), radians, of rotations (..., 3, 3)."""
     xyzw = quaternion_from_rotation(R)
     xyzw = np.where(xyzw[..., 3:] < 0.0, -xyzw, xyzw)
     sine = np.linalg.norm(xyzw[..., :3], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, xyzw[..., 3:])
-    turns: FloatArray = xyzw[..., :3] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
-    return turns
+    vectors: FloatArray = xyzw[..., :3] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
+    return vectors

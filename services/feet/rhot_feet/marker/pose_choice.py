@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 CLEAR_MARGIN: Final = 6.0
 """Difference of −2·log-likelihood from which the better pose is believed: odds of 20 to 1."""
-_MAX_SURPRISE: Final = 40.0
+_MAX_NIS: Final = 40.0
 """An expectation that is wrong altogether must not outweigh everything that is seen."""
 _UPRIGHT_RAD: Final = float(np.radians(75.0))
 _UPRIGHT_SIGMA_RAD: Final = float(np.radians(10.0))
@@ -71,19 +71,19 @@ def choose_pose(
     if not poses:
         return None
     ranked = sorted(
-        ((pose.cost + _surprise(pose, prior) + _implausibility(pose, up_camera), pose) for pose in poses),
+        ((pose.cost + _nis(pose, prior) + _implausibility(pose, up_camera), pose) for pose in poses),
         key=lambda scored: scored[0],
     )
     margin = ranked[1][0] - ranked[0][0] if len(ranked) > 1 else float("inf")
     return PoseChoice(ranked[0][1], margin)
 
 
-def _surprise(pose: MarkerPose, prior: OrientationPrior | None) -> float:
+def _nis(pose: MarkerPose, prior: OrientationPrior | None) -> float:
     if prior is None:
         return 0.0
     turn = rotation_between(prior.R_camera_marker, pose.R_camera_marker)
     distance = squared_distance(turn, pose.covariance[:3, :3] + prior.covariance)
-    return min(distance, _MAX_SURPRISE)
+    return min(distance, _MAX_NIS)
 
 
 def _implausibility(pose: MarkerPose, up_camera: FloatArray | None) -> float:

@@ -14,14 +14,13 @@ from rhot.aruco_dictionary import R_FOOT_MARKER
 from rhot.messages import Side
 from rhot_feet.depth.floor import FloorPlane
 from rhot_feet.depth.plane import DepthPlane, fit_depth_plane
-from rhot_feet.expectation import OTHER_FOOT, FootExpectation, expected_region
 from rhot_feet.frames import DepthFrame
 from rhot_feet.marker.detection import MarkerDetection, MarkerFinder
 from rhot_feet.marker.gates import Refusal, refuse_detection, refuse_pose
 from rhot_feet.marker.orientation_track import OrientationTrack
 from rhot_feet.marker.pose import MarkerPose, marker_poses, view_square
 from rhot_feet.marker.pose_choice import CLEAR_MARGIN, OrientationPrior, PoseChoice, choose_pose
-from rhot_feet.region import Region
+from rhot_feet.prediction import OTHER_FOOT, FootPrediction, Region, predicted_region
 
 FloatArray = NDArray[np.float64]
 
@@ -44,25 +43,25 @@ class FootMarker:
 
     Attributes:
         t_ns: middle of the picture's exposure, rig clock.
-        place: (3,) centre of the marker, the foot's origin, metres, camera frame.
+        position: (3,) centre of the marker, the foot's origin, metres, camera frame.
         R_camera_foot: (3, 3), see `rhot.messages.FootPose`.
-        covariance: (6, 6) of (δ, τ): a turn about the camera's axes, radians, then the place, metres.
-        orientation_clear: the two poses of the square could be told apart; else only the place is worth anything.
+        covariance: (6, 6) of (δ, τ): a turn about the camera's axes, radians, then the position, metres.
+        orientation_known: the two poses of the square could be told apart; else only the position is worth anything.
         corners: (4, 2) pixels.
         with_depth: the depth image took part.
     """
 
     t_ns: int
-    place: FloatArray
+    position: FloatArray
     R_camera_foot: FloatArray
     covariance: FloatArray
-    orientation_clear: bool
+    orientation_known: bool
     corners: FloatArray
     with_depth: bool
 
 
 @dataclass(frozen=True, slots=True)
-class MarkerSightings:
+class MarkerObservations:
     """What the marker stage made of one picture.
 
     Attributes:
@@ -90,11 +89,11 @@ class _Memory:
     seen_ns: int = -(1 << 62)
     streak: int = 0
     streak_ns: int = 0
-    streak_place: FloatArray | None = None
+    streak_position: FloatArray | None = None
 
 
 class MarkerTracker:
-    """Finds both feet's markers, near the expected places first, and believes what passes the gates."""
+    """Finds both feet's markers, near the expected positions first, and believes what passes the gates."""
 
     def __init__(
         self,
@@ -118,13 +117,13 @@ class MarkerTracker:
         self._whole_ns = -(1 << 62)
         self._memory: dict[Side, _Memory] = {side: _Memory(OrientationTrack()) for side in marker_ids}
 
-    def feed(
+    def detect(
         self,
         frame: DepthFrame,
-        expected: Mapping[Side, FootExpectation],
+        expected: Mapping[Side, FootPrediction],
         up_camera: FloatArray | None = None,
         floor: FloorPlane | None = None,
-    ) -> MarkerSightings:
+    ) -> MarkerObservations:
         """Take one picture.
 
         Args:
@@ -155,16 +154,16 @@ class MarkerTracker:
             refused.pop(side, None)
             markers[side] = self._marker(frame.t_ns, best, memory, expected.get(side))
             memory.seen_ns = frame.t_ns
-        return MarkerSightings(markers, refused)
+        return MarkerObservations(markers, refused)
 
-    def _search(self, frame: DepthFrame, expected: Mapping[Side, FootExpectation]) -> list[MarkerDetection]:
-        """Return the markers near the expected places; everywhere, now and then, for a foot that is not expected."""
+    def _search(self, frame: DepthFrame, expected: Mapping[Side, FootPrediction]) -> list[MarkerDetection]:
+        """Return the markers near the expected positions; everywhere, now and then, for a foot that is not expected."""
         regions: list[Region] = []
         if not expected or (len(expected) < len(self._ids) and frame.t_ns - self._whole_ns >= _WHOLE_NS):
             self._whole_ns = frame.t_ns
             return self._finder.find(frame.color)
         for side in expected:
-            region = expected_region(expected[side], self._size_m, frame.camera)
+            region = predicted_region(expected[side], self._size_m, frame.camera)
             if region is not None:
                 regions.append(region)
         if len(regions) == 2 and regions[0].overlaps(regions[1]):
@@ -178,7 +177,7 @@ class MarkerTracker:
         frame: DepthFrame,
         detection: MarkerDetection,
         side: Side,
-        expected: Mapping[Side, FootExpectation],
+        expected: Mapping[Side, FootPrediction],
         up_camera: FloatArray | None,
         floor: FloorPlane | None,
     ) -> _Candidate | Refusal:
@@ -210,35 +209,33 @@ class MarkerTracker:
         )
         return reason or _Candidate(choice, poses, detection, plane)
 
-    def _closer(self, candidate: _Candidate, other: _Candidate, expected: FootExpectation | None) -> bool:
+    def _closer(self, candidate: _Candidate, other: _Candidate, expected: FootPrediction | None) -> bool:
         if expected is None:
             return candidate.detection.likeness > other.detection.likeness
         distances = [
-            float(np.linalg.norm(each.choice.pose.t_camera_marker - expected.place)) for each in (candidate, other)
+            float(np.linalg.norm(each.choice.pose.t_camera_marker - expected.position)) for each in (candidate, other)
         ]
         return distances[0] < distances[1]
 
     def _confirmed(self, t_ns: int, candidate: _Candidate, memory: _Memory, is_expected: bool) -> bool:
         """Tell whether a marker was seen often enough to be believed: at once where it was expected."""
-        place = candidate.choice.pose.t_camera_marker
+        position = candidate.choice.pose.t_camera_marker
         gap_s = 1e-9 * (t_ns - memory.streak_ns)
-        previous = memory.streak_place
+        previous = memory.streak_position
         continues = (
             previous is not None
             and gap_s <= _CONFIRM_GAP_S
-            and float(np.linalg.norm(place - previous)) <= _CONFIRM_STEP_M + _CONFIRM_SPEED_M_S * gap_s
+            and float(np.linalg.norm(position - previous)) <= _CONFIRM_STEP_M + _CONFIRM_SPEED_M_S * gap_s
         )
         memory.streak = memory.streak + 1 if continues else 1
-        memory.streak_ns, memory.streak_place = t_ns, place
+        memory.streak_ns, memory.streak_position = t_ns, position
         return is_expected or memory.streak >= _CONFIRM
 
-    def _marker(
-        self, t_ns: int, candidate: _Candidate, memory: _Memory, expected: FootExpectation | None
-    ) -> FootMarker:
+    def _marker(self, t_ns: int, candidate: _Candidate, memory: _Memory, expected: FootPrediction | None) -> FootMarker:
         pose, clear = candidate.choice.pose, candidate.choice.clear
         if _prior(expected) is None:
             # Nobody knows how the foot is turned: its own past has to tell.
-            pose = candidate.poses[memory.track.feed(1e-9 * t_ns, candidate.poses)]
+            pose = candidate.poses[memory.track.update(1e-9 * t_ns, candidate.poses)]
             clear = memory.track.margin >= CLEAR_MARGIN
         return FootMarker(
             t_ns,
@@ -251,7 +248,7 @@ class MarkerTracker:
         )
 
 
-def _prior(expected: FootExpectation | None) -> OrientationPrior | None:
+def _prior(expected: FootPrediction | None) -> OrientationPrior | None:
     if expected is None or expected.R_camera_foot is None or expected.orientation_covariance is None:
         return None
     return OrientationPrior(expected.R_camera_foot @ R_FOOT_MARKER, expected.orientation_covariance)

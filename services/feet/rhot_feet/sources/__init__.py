@@ -1,5 +1,1 @@
-"""Where depth frames come from: every kind of camera behind one seam."""
-
-from rhot_feet.sources.depth_camera.factory import open_depth_source
-
-__all__ = ["open_depth_source"]
+"""Where depth frames and inertial samples come from."""

@@ -14,28 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig import FusionConfig, MarkerConfig
 from rhot_fusion.paired.disparity import DisparityLaw
-from rhot_fusion.paired.marker_states import MANEUVER_M_S, MarkerStates
+from rhot_fusion.paired.marker_states import MarkerStates
 from rhot_fusion.paired.one_euro import OneEuroSettings
+from rhot_fusion.paired.settings import PAIRED
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
 from rhot_fusion.views.sightings import Outcome
 from rhot_fusion.views.tracks import Snapshot
 from rhot_fusion.views.triangulate import Geometry, Prior, Solution, Triangulation, Views
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.intp]
 CountArray = NDArray[np.int64]
-
-_GATE_SIGMAS = 5.0
-_GATE_SLACK_PX = 4.0
-"""Added to the gate of a single view: a prediction is never as good as its figures."""
-_SMALLEST_NOISE_PX = 0.05
-_DEPTH_SIGMA_M = 0.01
-"""What a depth may be wrong by the moment after it was last measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +79,7 @@ class Association:
         self.epipolar = EpipolarModel(cameras, config.epipolar_limit_px)
 
     def configure(self, config: FusionConfig) -> None:
-        """Change the settings; markers start anew only when the method changes.
+        """Change the settings; markers start from scratch only when the method changes.
 
         Raises:
             ConfigError: the cameras cannot be used with the new method; the old settings stay.
@@ -126,23 +118,25 @@ class Association:
         states.coast(self._hands.siblings, t_s)
         position = states.show(t_s, longest_step_s)
         age = np.where(states.tracked, t_s - states.backed_s, 0.0)
-        sigma = np.hypot(states.sigma_m, MANEUVER_M_S * age)
+        sigma = np.hypot(states.sigma_m, PAIRED.maneuver_m_s * age)
         columns = (position, sigma, views, measured, moment.views.used)
         return Outcome(t_s, *(column.tolist() for column in columns))
 
     def _prepare(self, shot: Snapshot, t_s: float) -> _Moment:
         views = Views(self.epipolar.correct(shot.xy), shot.valid & self._geometry.uses[:, None])
         predicted = self._states.predict(t_s)
-        sigma = max(self.epipolar.spread_px / np.sqrt(2.0), _SMALLEST_NOISE_PX) / self._focal_px
+        sigma = max(self.epipolar.spread_px / np.sqrt(2.0), PAIRED.smallest_noise_px) / self._focal_px
         away = views.xy - self._geometry.project(predicted)
         direction = predicted - self._centers[:, None]
         with np.errstate(invalid="ignore"):
             distance = np.maximum(np.sqrt((direction * direction).sum(axis=2)), 0.1)
-            gate = _GATE_SIGMAS * np.hypot(sigma, self._states.uncertainty_m(t_s) / distance)
-            misses = np.hypot(away[:, :, 0], away[:, :, 1]) / (gate + _GATE_SLACK_PX / self._focal_px)
+            gate = PAIRED.view_gate_sigmas * np.hypot(sigma, self._states.uncertainty_m(t_s) / distance)
+            misses = np.hypot(away[:, :, 0], away[:, :, 1]) / (gate + PAIRED.view_gate_slack_px / self._focal_px)
             plausible = views.used & (misses <= 1.0)
         age = np.clip(t_s - self._states.backed_s, 0.0, 1.0)
-        return _Moment(t_s, views, misses, plausible, Prior(predicted, _DEPTH_SIGMA_M + MANEUVER_M_S * age), sigma)
+        return _Moment(
+            t_s, views, misses, plausible, Prior(predicted, PAIRED.depth_sigma_m + PAIRED.maneuver_m_s * age), sigma
+        )
 
     def _confirm(self, moment: _Moment) -> CountArray:
         """Measure tracked markers by two views or more that agree with the prediction; return views used (M,)."""
@@ -201,7 +195,7 @@ class Association:
         prior = Prior(moment.prior.position[index], moment.prior.sigma_m[index])
         solution = self._geometry.solve(Views(moment.views.xy[:, index], used[:, index]), prior, moment.sigma)
         low, high = np.array(self._config.volume_m)
-        gate_px = min(1.0 + _GATE_SIGMAS * self.epipolar.spread_px, max(self._config.epipolar_limit_px, 2.0))
+        gate_px = min(1.0 + PAIRED.view_gate_sigmas * self.epipolar.spread_px, max(self._config.epipolar_limit_px, 2.0))
         with np.errstate(invalid="ignore"):
             inside = ((solution.position >= low) & (solution.position <= high)).all(axis=1)
             near = self._hands.near(index, solution.position, self._states.filter.value, self._states.tracked)

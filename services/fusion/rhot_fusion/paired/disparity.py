@@ -1,9 +1,9 @@
 """Depth by the empirical law of the 2018 thesis, depth[cm] = k · d^z with the disparity d in pixels.
 
 The disparity is signed, d = u_left − u_right in undistorted pixels, and must be positive; the thesis used its absolute
-value, which hides swapped cameras. The lateral place follows from the pinhole model of the reference (first) camera.
+value, which hides swapped cameras. The lateral position follows from the pinhole model of the reference (first) camera.
 The law is fitted to one pair of parallel cameras: it takes the first two cameras of the rig and turns the second one's
-rays into the first one's orientation (no turn where nothing is calibrated).
+rays into the first one's orientation (no rotation where nothing is calibrated).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class DisparityLaw:
     """The first two cameras of a rig and the depth law."""
 
     def __init__(self, cameras: Sequence[CameraModel], law: tuple[float, float]) -> None:
-        """Tell from the cameras' places which of the two is the left one.
+        """Find from the cameras' positions which of the two is the left one.
 
         Raises:
             ConfigError: fewer than two cameras, no baseline across, or an exponent that is not negative.
@@ -70,7 +70,7 @@ class DisparityLaw:
             disparity = disparity_from_depth(local[:, 2], self._law)
         seen = xy[0].copy()
         seen[:, 0] -= self._sign * disparity / self._focal_px
-        xy[1] = _turned(seen, self._R.T)
+        xy[1] = _rotated(seen, self._R.T)
         return xy
 
     def solve(self, views: Views, prior: Prior, sigma: float) -> Solution:
@@ -79,7 +79,7 @@ class DisparityLaw:
         used = views.used[:2]
         both = used.all(axis=0)
         single = used.any(axis=0) & ~both & np.isfinite(prior.position[:, 0])
-        first, second = views.xy[0], _turned(views.xy[1], self._R)
+        first, second = views.xy[0], _rotated(views.xy[1], self._R)
         disparity = self._sign * self._focal_px * (first[:, 0] - second[:, 0])
         in_front = (both & (disparity > 0.0)) | single
         depth = depth_from_disparity(np.where(both, disparity, np.nan), self._law)
@@ -118,8 +118,8 @@ class DisparityLaw:
         return covariance
 
 
-def _turned(xy: FloatArray, R: FloatArray) -> FloatArray:
-    """Return normalised coordinates (N, 2) after turning their rays by R."""
+def _rotated(xy: FloatArray, R: FloatArray) -> FloatArray:
+    """Return normalised coordinates (N, 2) after rotating their rays by R."""
     rays = np.column_stack([xy, np.ones(len(xy))]) @ R.T
-    turned: FloatArray = rays[:, :2] / rays[:, 2:]
-    return turned
+    rotated: FloatArray = rays[:, :2] / rays[:, 2:]
+    return rotated

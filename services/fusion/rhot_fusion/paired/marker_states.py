@@ -9,34 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot_fusion.paired.one_euro import Axes, OneEuroFilter, OneEuroSettings
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.intp]
-
-MANEUVER_M_S = 0.8
-"""Standard deviation of what the predicted velocity may miss; times the interval it widens the gates."""
-_MANEUVER_LIMIT_M = 0.1
-"""Hands turn back: however long nothing was seen, a marker is not expected further than this from its prediction."""
-_GATE_SIGMAS = 4.0
-_FULL_WEIGHT_SIGMAS = 2.0
-_DAMPING_S = 0.1
-"""A marker out of sight loses its speed with this time constant."""
-_QUIET_SIGMA_M = 0.002
-"""Noise below which the speed of an axis is trusted in full by the 1-euro filter."""
-_ELONGATED = 3.0
-"""Depth noise counts as such above this multiple of the lateral noise."""
-_SLOWEST_CUTOFF = 0.5
-"""Share of the 1-euro filter's cut-off at rest that is left along the noisiest axis."""
-_SLOWEST_GLIDE = 0.2
-"""Share of the fastest believable speed that a marker may have along its noisiest axis."""
-_FEWEST_SIBLINGS = 2
-_AGREEMENT_S = 0.2
-_CONFIRMATIONS = 3
-"""Points that must agree one after another before a marker starts or goes where it was not expected."""
+from rhot_fusion.paired.settings import PAIRED
 
 
 class MarkerStates:
@@ -72,7 +48,7 @@ class MarkerStates:
     def predict(self, t_s: float) -> FloatArray:
         """Return where the markers are believed to be (M, 3), metres; the velocity fades. NaN = no state."""
         elapsed = np.clip(t_s - self._anchor_s, 0.0, 10.0)
-        reach = _DAMPING_S * -np.expm1(-elapsed / _DAMPING_S)
+        reach = PAIRED.damping_s * -np.expm1(-elapsed / PAIRED.damping_s)
         predicted: FloatArray = self.filter.value + self._trusted_speed * reach[:, None]
         predicted[~self.tracked] = np.nan
         return predicted
@@ -80,7 +56,7 @@ class MarkerStates:
     def uncertainty_m(self, t_s: float) -> FloatArray:
         """Return the standard deviation (M,) of the prediction along each axis."""
         elapsed = np.clip(t_s - self.filter.t_s, 0.0, 10.0)
-        uncertainty: FloatArray = np.minimum(MANEUVER_M_S * elapsed, _MANEUVER_LIMIT_M)
+        uncertainty: FloatArray = np.minimum(PAIRED.maneuver_m_s * elapsed, PAIRED.maneuver_limit_m)
         return uncertainty
 
     def accept(
@@ -112,17 +88,17 @@ class MarkerStates:
         expected = np.hypot(sigma, self.uncertainty_m(t_s)[index][:, None])
         innovation = np.einsum("kji,kj->ki", basis, position - predicted)
         relative = np.abs(innovation) / np.maximum(expected, 1e-9)
-        within = (relative <= _GATE_SIGMAS) | (not gated)
+        within = (relative <= PAIRED.point_gate_sigmas) | (not gated)
         confirmed: BoolArray = within.all(axis=1)
-        # Cameras that disagree about the depth of a fast marker (they are never quite in step) still tell where it is
+        # Cameras that disagree about the depth of a fast marker (they are never quite in step) still know where it is
         # sideways; eigenvalues ascend, so the last axis is the noisy one.
-        passed = within[:, :2].all(axis=1) & (within[:, 2] | (sigma[:, 2] > _ELONGATED * sigma[:, 1]))
+        passed = within[:, :2].all(axis=1) & (within[:, 2] | (sigma[:, 2] > PAIRED.elongated * sigma[:, 1]))
         # Huber: beyond its full weight a point pulls no harder.
-        innovation *= np.minimum(1.0, _FULL_WEIGHT_SIGMAS / np.maximum(relative, 1e-9)) * within
+        innovation *= np.minimum(1.0, PAIRED.full_weight_sigmas / np.maximum(relative, 1e-9)) * within
         bounded = predicted + np.einsum("kij,kj->ki", basis, innovation)
-        quiet = np.minimum(1.0, _QUIET_SIGMA_M / np.maximum(sigma, 1e-9))
+        quiet = np.minimum(1.0, PAIRED.quiet_sigma_m / np.maximum(sigma, 1e-9))
         moved, basis, quiet = index[passed], basis[passed], quiet[passed]
-        axes = Axes(basis, quiet, np.maximum(quiet, _SLOWEST_CUTOFF))
+        axes = Axes(basis, quiet, np.maximum(quiet, PAIRED.slowest_cutoff))
         advance = (predicted - self.filter.value[index])[passed]
         self.filter.update(moved, bounded[passed], t_s, axes, advance=advance)
         self._anchor_s[moved] = t_s
@@ -138,7 +114,7 @@ class MarkerStates:
     def _glide(self, index: IndexArray, basis: FloatArray, quiet: FloatArray, t_s: float) -> None:
         """Keep markers from moving faster than is believable since they were last shown, most of all along noise."""
         interval = min(t_s - self._shown_s, self._longest_step_s)
-        limit = self.max_speed_m_s * interval * np.maximum(quiet, _SLOWEST_GLIDE)
+        limit = self.max_speed_m_s * interval * np.maximum(quiet, PAIRED.slowest_glide)
         step = np.einsum("kji,kj->ki", basis, self.filter.value[index] - self._shown[index])
         # Not shown yet: NaN, which passes through the bounds.
         step = np.einsum("kij,kj->ki", basis, np.clip(step, -limit, limit))
@@ -163,14 +139,14 @@ class MarkerStates:
         steps = self.filter.value - self._shown
         for marker in np.flatnonzero(self.still_to_move(t_s) & np.isfinite(self._shown[:, 0])).tolist():
             others = siblings[marker][moved[siblings[marker]]]
-            if len(others) < _FEWEST_SIBLINGS:
+            if len(others) < PAIRED.fewest_siblings:
                 continue
             self.filter.value[marker] = self._shown[marker] + np.median(steps[others], axis=0)
             self._trusted_speed[marker] = np.median(self._trusted_speed[others], axis=0)
             self._anchor_s[marker] = t_s
 
     def show(self, t_s: float, longest_step_s: float) -> FloatArray:
-        """Return the markers' places (M, 3), metres, to be published for a moment; NaN = no state.
+        """Return the markers' positions (M, 3), metres, to be published for a moment; NaN = no state.
 
         Args:
             t_s: the moment.
@@ -192,11 +168,11 @@ class MarkerStates:
         noise = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
         step = np.linalg.norm(position - self._candidate[index], axis=1)
         with np.errstate(invalid="ignore"):
-            agrees = (elapsed < _AGREEMENT_S) & (step <= 0.5 * self.max_speed_m_s * elapsed + 3.0 * noise)
+            agrees = (elapsed < PAIRED.agreement_s) & (step <= 0.5 * self.max_speed_m_s * elapsed + 3.0 * noise)
         self._agreed[index] = np.where(agrees, self._agreed[index] + 1, 1)
         self._candidate[index] = position
         self._candidate_s[index] = t_s
-        confirmed: BoolArray = self._agreed[index] >= _CONFIRMATIONS
+        confirmed: BoolArray = self._agreed[index] >= PAIRED.confirmations
         new = confirmed & ~self.tracked[index]
         started = index[new]
         self.filter.start(started, position[new], t_s)

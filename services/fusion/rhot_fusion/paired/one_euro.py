@@ -11,10 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.intp]
+from rhot.arrays import FloatArray, IndexArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +55,7 @@ class Axes:
 class OneEuroFilter:
     """1-euro filters of N points, one per point and axis, updated in any subsets at any times.
 
-    The axes may be given anew with each sample (`Axes`): a point's depth is much noisier than its lateral place, and
+    The axes may change with each sample (`Axes`): a point's depth is much noisier than its lateral position, and
     the direction of that noise turns with the point. State is kept in world axes.
 
     Attributes:
@@ -74,7 +72,7 @@ class OneEuroFilter:
         self._raw: FloatArray = np.full((count, 3), np.nan)
 
     def start(self, index: IndexArray, value: FloatArray, t_s: float) -> None:
-        """Begin anew for some points: value (K, 3) becomes the state, at rest."""
+        """Restart some points: value (K, 3) becomes the state, at rest."""
         self.value[index] = value
         self._raw[index] = value
         self.speed[index] = 0.0

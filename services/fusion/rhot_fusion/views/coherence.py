@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.rig import MarkerConfig
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.intp]
 
 _REACH = 1.2
 """Furthest marker from the middle of its hand's markers, in hand lengths: an open hand, with room for noise."""
@@ -37,7 +33,7 @@ class HandCoherence:
         self._reach_m = _REACH * hand_length_m
 
     def near(self, index: IndexArray, position: FloatArray, known: FloatArray, tracked: BoolArray) -> BoolArray:
-        """Tell which points (K, 3) of markers (K,) are within reach of their hand's known places (M, 3).
+        """Tell which points (K, 3) of markers (K,) are within reach of their hand's known positions (M, 3).
 
         Where fewer than three markers of a hand are tracked nothing is refused.
         """

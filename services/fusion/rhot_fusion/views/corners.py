@@ -14,14 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, PixelPoint, Position
 from rhot.rig import MarkerConfig
 from rhot_fusion.views.vectors import Vector, vector
-
-FloatArray = NDArray[np.float64]
 
 _NEWEST_S = 0.05
 _SIDE_TOLERANCE = 0.35

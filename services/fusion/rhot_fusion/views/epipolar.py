@@ -18,12 +18,9 @@ from collections.abc import Sequence
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.camera import CameraModel, essential_matrix
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _MEMORY_S = 20.0
 _PRIOR_OFFSET_PX = 8.0

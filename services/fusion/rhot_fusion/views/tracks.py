@@ -10,11 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.intp]
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 
 DEPTH = 4
 """Observations kept per camera and marker."""

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from rhot.arrays import FloatArray
 
 FLEXION: Final = 0
 ABDUCTION: Final = 1

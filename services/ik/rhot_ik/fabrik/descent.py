@@ -10,11 +10,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_ik.fabrik.chains import ABDUCTION, FLEXION, TWIST, Chains
-
-FloatArray = NDArray[np.float64]
 
 _LARGEST_STEP_RAD: Final = 0.5
 _AT_LIMIT_RAD: Final = 1e-9

@@ -20,10 +20,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_ik.fabrik.chains import ABDUCTION, FLEXION, TWIST, Chains, joint_rotations
 from rhot_ik.fabrik.descent import descend
-
-FloatArray = NDArray[np.float64]
 
 _TINY_M: Final = 1e-9
 _STALL: Final = 0.8

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_ik.fabrik.chains import ABDUCTION, FLEXION, Chains
 from rhot_ik.fabrik.fabrik import ChainPose, solve
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-
-FloatArray = NDArray[np.float64]
 
 
 def finger_chains(geometry: FingerGeometry) -> Chains:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel, patch_outline
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import BoolArray, FloatArray
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.fabrik.finger_chains import FabrikFingers
 from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation
@@ -25,8 +25,6 @@ from rhot_ik.hand.rejoin import Rejoin
 
 __all__ = ["HandObservation", "HandSolution", "HandSolver"]
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 GAP_S: Final = 1.0
 """After a silence this long nothing of the past is used."""

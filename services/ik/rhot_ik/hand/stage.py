@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
@@ -18,8 +17,6 @@ from rhot_ik.hand.explain import solver_tables
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.fingers.geometry import base_marker
 from rhot_ik.hand.solver import HandSolution, HandSolver
-
-FloatArray = NDArray[np.float64]
 
 _ANGLES = tuple(FingerAngles.model_fields)
 _REACH = 1.6

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
-from rhot_ik.legs.ankle import Ankle
 from rhot_ik.legs.hips import OUTWARDS, hip_joint
-from rhot_ik.legs.leg import LegPose, bend_leg
+from rhot_ik.legs.leg import Ankle, LegPose, bend_leg
 
 FloatArray = NDArray[np.float64]
 
@@ -52,7 +51,7 @@ def solve_body(T_rig_hips: FloatArray, ankles: Mapping[Side, Ankle], body: BodyM
     angles: dict[Side, FloatArray] = {}
     for side, ankle in ankles.items():
         hip = R_hips @ hip_joint(side, body) + T_rig_hips[:3, 3]
-        leg = bend_leg(hip, ankle.place, _hinge(R_hips, ankle, hip), body.thigh_m, body.shank_m)
+        leg = bend_leg(hip, ankle.position, _hinge(R_hips, ankle, hip), body.thigh_m, body.shank_m)
         R_foot = ankle.T_rig_ankle[:3, :3]
         legs[side] = leg
         joints[f"{side}_hip"] = rigid(leg.R_thigh, leg.hip)
@@ -69,7 +68,7 @@ def _hinge(R_hips: FloatArray, ankle: Ankle, hip: FloatArray) -> FloatArray:
     Both are weighed by how much of them lies across the leg, so that the mixture never vanishes and never jumps while a
     foot rolls along the leg.
     """
-    line = ankle.place - hip
+    line = ankle.position - hip
     down = line / max(float(np.linalg.norm(line)), 1e-9)
     hinge = np.zeros(3)
     share = _FOOT_WEIGHT * ankle.trust

@@ -16,8 +16,8 @@ from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import Rig
 from rhot.stage import Output
 from rhot_ik.legs.body_solver import BodySolution, solve_body
-from rhot_ik.legs.foot_track import LEAD_S, Carrier, FootTrack
-from rhot_ik.legs.hips import hang_hips, hip_joint, stride, within_reach
+from rhot_ik.legs.foot_track import LEAD_S, FootTrack, HipMotion
+from rhot_ik.legs.hips import hip_joint, hips_under_head, stride, within_reach
 from rhot_ik.legs.stature import Stature
 
 FloatArray = NDArray[np.float64]
@@ -51,11 +51,11 @@ class BodyStage:
             side: FootTrack(np.array(foot.ankle_m), hip_joint(side, model) - [0.0, model.leg_m, 0.0], self._up)
             for side, foot in ({} if feet is None else feet.feet).items()
         }
-        self._carrier: Carrier | None = None
+        self._hip_motion: HipMotion | None = None
         self._solved_ns = 0
         self._head: HeadPose | None = None
         self._feet: dict[Side, FootPose] = {}
-        self._told: dict[Side, int] = {}
+        self._solved: dict[Side, int] = {}
         self._counts = {"bodies": 0, "no_head": 0}
 
     @property
@@ -71,16 +71,16 @@ class BodyStage:
         if message.side not in self._tracks:
             return []
         self._feet[message.side] = message
-        self._tracks[message.side].feed(message)
+        self._tracks[message.side].update(message)
         newest_ns = max(foot.t_ns for foot in self._feet.values())
         known = {side: foot for side, foot in self._feet.items() if newest_ns - foot.t_ns < _STALE_NS}
         # A foot whose newest sample has been used is waited for, unless it stays away for longer than it is carried on.
         if any(
-            self._told.get(side) == foot.t_ns and _TOGETHER_NS < newest_ns - foot.t_ns < _LEAD_NS
+            self._solved.get(side) == foot.t_ns and _TOGETHER_NS < newest_ns - foot.t_ns < _LEAD_NS
             for side, foot in known.items()
         ):
             return []
-        self._told = {side: foot.t_ns for side, foot in known.items()}
+        self._solved = {side: foot.t_ns for side, foot in known.items()}
         if self._head is None or newest_ns - self._head.t_ns > _STALE_NS:
             self._counts["no_head"] += 1
             return []
@@ -90,29 +90,29 @@ class BodyStage:
     def _solve(self, head: HeadPose, t_ns: int) -> BodyPose:
         T_rig_head = _transform(head.position, head.orientation)
         higher_m = self._stature.ankles_m
-        found = {side: track.at(t_ns, self._carrier, higher_m[side]) for side, track in self._tracks.items()}
+        found = {side: track.at(t_ns, self._hip_motion, higher_m[side]) for side, track in self._tracks.items()}
         ankles = {side: ankle for side, ankle in found.items() if ankle is not None}
         elapsed_s = min(max(1e-9 * (t_ns - self._solved_ns), 0.0), _LONGEST_STEP_S)
-        hung = hang_hips(T_rig_head, ankles, self._up, self._stature.body)
+        hanging = hips_under_head(T_rig_head, ankles, self._up, self._stature.body)
         # Somebody stands, the feet side by side.
-        if all(track.stands for track in self._tracks.values()) and stride(ankles, hung[:3, 2]) < _SIDE_BY_SIDE_M:
-            self._stature.learn(hung, ankles, elapsed_s)
-        hips = within_reach(hung, ankles, self._stature.body)
-        self._carry(hips, elapsed_s)
+        if all(track.stands for track in self._tracks.values()) and stride(ankles, hanging[:3, 2]) < _SIDE_BY_SIDE_M:
+            self._stature.update(hanging, ankles, elapsed_s)
+        hips = within_reach(hanging, ankles, self._stature.body)
+        self._update_hip_motion(hips, elapsed_s)
         self._solved_ns = t_ns
         states = {side: self._tracks[side].state for side in sorted(ankles)}
         legs: dict[Side, State] = {side: state for side, state in states.items() if state is not None}
         solution = solve_body(hips, {side: ankles[side] for side in legs}, self._stature.body)
         return body_pose(solution, head, legs, t_ns)
 
-    def _carry(self, hips: FloatArray, elapsed_s: float) -> None:
+    def _update_hip_motion(self, hips: FloatArray, elapsed_s: float) -> None:
         """Note where the hips are and how they move, for feet that hang from them."""
         velocity = np.zeros(3)
-        if self._carrier is not None and elapsed_s > 0.0:
-            velocity = self._carrier.velocity
-            moved = (hips[:3, 3] - self._carrier.T_rig_hips[:3, 3]) / elapsed_s
+        if self._hip_motion is not None and elapsed_s > 0.0:
+            velocity = self._hip_motion.velocity
+            moved = (hips[:3, 3] - self._hip_motion.T_rig_hips[:3, 3]) / elapsed_s
             velocity = velocity - np.expm1(-elapsed_s / _CALM_S) * (moved - velocity)
-        self._carrier = Carrier(hips, velocity)
+        self._hip_motion = HipMotion(hips, velocity)
 
 
 def body_pose(solution: BodySolution, head: HeadPose, legs: Mapping[Side, State], t_ns: int) -> BodyPose:

@@ -1,7 +1,8 @@
 """One foot as its leg needs it: the ankle, level when the sole is, carried on while the foot is not seen.
 
-How a marker is tilted on its instep is learnt from stands. A foot of which little is known swings as a damped pendulum
-about the place where it usually is, as seen from the hips: with that place r, the hips' velocity v and the ankle x,
+How a marker is tilted on its instep is learned from stands. A foot of which little is known swings as a damped pendulum
+about the position where it usually is, as seen from the hips: with that position r, the hips' velocity v and the ankle
+x,
 
     x'' = ω²·(r − x) − 2·ζ·ω·(x' − v).
 
@@ -29,43 +30,62 @@ from rhot.geometry.rotations import (
 )
 from rhot.geometry.transforms import rigid
 from rhot.messages import FootPose, State
-from rhot_ik.legs.ankle import Ankle
+from rhot_ik.legs.leg import Ankle
 
 FloatArray = NDArray[np.float64]
 
 LEAD_S: Final = 0.06
 """A foot is carried on by its velocity for so long."""
-_LEARNING: Final = 0.03
-_LEAST_LEVEL: Final = 0.77
-"""Cosine of the steepest instep, 40°."""
-_RATE: Final = 5.0
-_DAMPING: Final = 0.6
-_SWING_M: Final = 0.1
-"""How far off the pendulum is."""
-_SURE_M: Final = 0.03
-"""A foot whose place is known as well as this is trusted entirely."""
-_STRAYS_M_S: Final = 1.5
-"""How much worse a foot is known per second in which it is not heard of."""
-_REGAIN_S: Final = 0.1
-_CATCH_UP_M: Final = 0.01
-_CATCH_UP_M_S: Final = 6.0
-"""Trust in a foot that is found again comes back over so long, and not so fast that the foot rushes there faster."""
-_LEAP_RAD: Final = 0.35
-_LEAP_RAD_S: Final = 15.0
-"""By how much a foot may turn from one sample to the next, and how much more per second between them."""
-_SURE: Final = 0.9
-_TRUSTED: Final = 0.5
-_GUESSED_NS: Final = 200_000_000
-"""A foot that was only guessed for so long is not known: on simulated walks its knee is 170 mm off from then on."""
-_LEVELLING_S: Final = 0.3
-_TURNING_S: Final = 0.04
-"""Over so long is the rate of a foot's turning averaged."""
-_USUAL_S: Final = 2.0
-_LONGEST_STEP_S: Final = 0.1
 
 
-class FootLevel:
-    """How a foot's marker sits on its instep: learnt from stands, where the sole is level.
+@dataclass(frozen=True, slots=True)
+class FootTrackSettings:
+    """How a foot is followed for its leg; values without another source were chosen on simulated walks.
+
+    Attributes:
+        level_gain: weight of each sample of a stand in how the marker sits on the instep.
+        steepest_instep_rad: a foot that stands is tipped by no more than an instep.
+        rate, damping: ω, 1/s, and ζ of the pendulum.
+        pendulum_m: how far off the pendulum is.
+        sure_m: a foot whose position is known this well is trusted entirely.
+        unseen_speed_m_s: how much worse a foot is known per second without a message.
+        regain_s, catch_up_m, catch_up_m_s: trust in a foot that is found again comes back over so long, and no faster
+            than the foot moves there.
+        jump_rad, jump_rad_s: rotation from one sample to the next, plus so much per second, that is no jump.
+        sure, trusted: trust from which a foot is learned from, and counts as measured.
+        guessed_ns: a foot that was only guessed for so long is not known: its knee is 170 mm off from then on.
+        levelling_s: time in which an unseen foot becomes level.
+        rate_s: over which a foot's angular rate is averaged.
+        usual_s: over which its usual position under the hips is averaged.
+        longest_step_s: a longer pause counts as one of this length.
+    """
+
+    level_gain: float = 0.03
+    steepest_instep_rad: float = math.acos(0.77)
+    rate: float = 5.0
+    damping: float = 0.6
+    pendulum_m: float = 0.1
+    sure_m: float = 0.03
+    unseen_speed_m_s: float = 1.5
+    regain_s: float = 0.1
+    catch_up_m: float = 0.01
+    catch_up_m_s: float = 6.0
+    jump_rad: float = 0.35
+    jump_rad_s: float = 15.0
+    sure: float = 0.9
+    trusted: float = 0.5
+    guessed_ns: int = 200_000_000
+    levelling_s: float = 0.3
+    rate_s: float = 0.04
+    usual_s: float = 2.0
+    longest_step_s: float = 0.1
+
+
+SETTINGS: Final = FootTrackSettings()
+
+
+class SoleLevel:
+    """How a foot's marker sits on its instep: learned from stands, where the sole is level.
 
     Attributes:
         R_foot_level: (3, 3) from the axes of the ankle, level when the foot stands flat, to those of `FootPose`.
@@ -75,17 +95,17 @@ class FootLevel:
         self._up = np.array([0.0, 1.0, 0.0])
         self.R_foot_level: FloatArray = np.eye(3)
 
-    def learn(self, R_rig_foot: FloatArray, up: FloatArray) -> None:
-        """Take one sample of a foot that stands still; one tipped by more than an instep is no stand."""
+    def update(self, R_rig_foot: FloatArray, up: FloatArray) -> None:
+        """Update with a sample of a foot that stands still; one tipped by more than an instep does not stand."""
         seen = R_rig_foot.T @ up
-        if seen[1] < _LEAST_LEVEL:
+        if seen[1] < math.cos(SETTINGS.steepest_instep_rad):
             return
-        self._up = self._up + _LEARNING * (seen - self._up)
+        self._up = self._up + SETTINGS.level_gain * (seen - self._up)
         self.R_foot_level = shortest_rotation(np.array([0.0, 1.0, 0.0]), self._up / np.linalg.norm(self._up))
 
 
 @dataclass(frozen=True, slots=True)
-class Carrier:
+class HipMotion:
     """The hips from which a foot hangs, as of the last solution.
 
     Attributes:
@@ -100,7 +120,7 @@ class Carrier:
 @dataclass(frozen=True, slots=True)
 class _Sample:
     t_ns: int
-    place: FloatArray
+    position: FloatArray
     velocity: FloatArray
     R: FloatArray
     rate: FloatArray
@@ -113,8 +133,8 @@ class FootTrack:
     """Follows one foot.
 
     Args:
-        ankle_m: (3,) place of the ankle in the frame of `FootPose`.
-        usual_m: (3,) where the ankle usually is in the frame of the hips, as long as nothing else is learnt.
+        ankle_m: (3,) position of the ankle in the frame of `FootPose`.
+        usual_m: (3,) where the ankle usually is in the frame of the hips, as long as nothing else is learned.
         up: (3,) unit vector against gravity, rig frame.
     """
 
@@ -122,7 +142,7 @@ class FootTrack:
         self._ankle_m = ankle_m
         self._usual_m = usual_m.copy()
         self._up = up
-        self._level = FootLevel()
+        self._level = SoleLevel()
         self._floor_m = -math.inf
         self._sample: _Sample | None = None
         self._last: Ankle | None = None
@@ -130,103 +150,112 @@ class FootTrack:
         self._velocity = np.zeros(3)
         self._t_ns = 0
 
-    def feed(self, foot: FootPose) -> None:
-        """Take a pose of the foot."""
+    def update(self, foot: FootPose) -> None:
+        """Update with a pose of the foot."""
         R_rig_foot = rotation_from_quaternion(np.array(foot.orientation))
-        place = R_rig_foot @ self._ankle_m + np.array(foot.position)
+        position = R_rig_foot @ self._ankle_m + np.array(foot.position)
         stands = foot.stationary and foot.state == "measured"
         if stands:
-            self._level.learn(R_rig_foot, self._up)
-            self._floor_m = float(place @ self._up)
+            self._level.update(R_rig_foot, self._up)
+            self._floor_m = float(position @ self._up)
         R = R_rig_foot @ self._level.R_foot_level
         rate = np.zeros(3) if self._sample is None else _rate(self._sample, foot.t_ns, R)
         # The ankle of a foot that lifts its heel moves while its marker hardly does.
         velocity = np.array(foot.velocity) + np.cross(rate, R_rig_foot @ self._ankle_m)
-        sample = _Sample(foot.t_ns, place, velocity, R, rate, foot.sigma, foot.state, stands)
-        if self._last is not None and self._sample is not None and _leaps(self._sample, sample):
+        sample = _Sample(foot.t_ns, position, velocity, R, rate, foot.sigma, foot.state, stands)
+        if self._last is not None and self._sample is not None and _jumps(self._sample, sample):
             self._last = Ankle(self._last.T_rig_ankle, 0.0)
         self._sample = sample
 
     @property
     def state(self) -> State | None:
         """Whether the ankle that was last asked for is measured or predicted; None when it is not known."""
-        if self._sample is None or self._trusted_ns is None or self._t_ns - self._trusted_ns > _GUESSED_NS:
+        if self._sample is None or self._trusted_ns is None or self._t_ns - self._trusted_ns > SETTINGS.guessed_ns:
             return None
         return self._sample.state if self._trusted_ns == self._t_ns else "predicted"
 
     @property
     def stands(self) -> bool:
         """The foot was just seen to stand still."""
-        return self._sample is not None and self._sample.stands and self._last is not None and self._last.trust > _SURE
+        return (
+            self._sample is not None
+            and self._sample.stands
+            and self._last is not None
+            and self._last.trust > SETTINGS.sure
+        )
 
-    def at(self, t_ns: int, carrier: Carrier | None, higher_m: float = 0.0) -> Ankle | None:
+    def at(self, t_ns: int, hip_motion: HipMotion | None, higher_m: float = 0.0) -> Ankle | None:
         """Return the ankle at a moment, later than any asked for before; None when the foot was never heard of.
 
         Args:
             t_ns: when.
-            carrier: the hips, if they are known.
+            hip_motion: the hips, if they are known.
             higher_m: how much higher the ankle is in the foot than configured.
         """
         if self._sample is None:
             return None
         sample, age_s = self._sample, 1e-9 * (t_ns - self._sample.t_ns)
-        seen = sample.place + min(age_s, LEAD_S) * sample.velocity + higher_m * sample.R[:, 1]
-        doubt_m = max(sample.sigma_m - _SURE_M, 0.0) + _STRAYS_M_S * max(age_s, 0.0)
-        trust = 1.0 / (1.0 + (doubt_m / _SWING_M) ** 4)
-        if self._last is None or carrier is None:
+        seen = sample.position + min(age_s, LEAD_S) * sample.velocity + higher_m * sample.R[:, 1]
+        doubt_m = max(sample.sigma_m - SETTINGS.sure_m, 0.0) + SETTINGS.unseen_speed_m_s * max(age_s, 0.0)
+        trust = 1.0 / (1.0 + (doubt_m / SETTINGS.pendulum_m) ** 4)
+        if self._last is None or hip_motion is None:
             ankle, velocity = Ankle(rigid(sample.R, seen), trust), sample.velocity
         else:
-            elapsed_s = min(max(1e-9 * (t_ns - self._t_ns), 0.0), _LONGEST_STEP_S)
-            place, velocity = self._swing(self._last.place, carrier, elapsed_s)
-            catch_up_m = _CATCH_UP_M + _CATCH_UP_M_S * elapsed_s
-            reached = catch_up_m / max(float(np.linalg.norm(seen - place)), catch_up_m)
-            trust = min(trust, self._last.trust + elapsed_s / _REGAIN_S, reached)
-            R = self._turned(self._last.T_rig_ankle[:3, :3], carrier.T_rig_hips[:3, :3], elapsed_s)
+            elapsed_s = min(max(1e-9 * (t_ns - self._t_ns), 0.0), SETTINGS.longest_step_s)
+            position, velocity = self._pendulum(self._last.position, hip_motion, elapsed_s)
+            catch_up_m = SETTINGS.catch_up_m + SETTINGS.catch_up_m_s * elapsed_s
+            reached = catch_up_m / max(float(np.linalg.norm(seen - position)), catch_up_m)
+            trust = min(trust, self._last.trust + elapsed_s / SETTINGS.regain_s, reached)
+            R = self._levelled(self._last.T_rig_ankle[:3, :3], hip_motion.T_rig_hips[:3, :3], elapsed_s)
             R = orthonormal(rotation_from_vector(trust * rotation_between(R, sample.R)) @ R)
-            ankle = Ankle(rigid(R, place + trust * (seen - place)), trust)
+            ankle = Ankle(rigid(R, position + trust * (seen - position)), trust)
             velocity = velocity + trust * (sample.velocity - velocity)
-            self._learn_usual(ankle, carrier, elapsed_s)
+            self._update_usual(ankle, hip_motion, elapsed_s)
         self._last, self._velocity, self._t_ns = ankle, velocity, t_ns
-        if ankle.trust >= _TRUSTED:
+        if ankle.trust >= SETTINGS.trusted:
             self._trusted_ns = t_ns
         return ankle
 
-    def _swing(self, place: FloatArray, carrier: Carrier, elapsed_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return place and velocity (3,) of the pendulum a little later; it does not swing through the floor."""
-        usual = carrier.T_rig_hips[:3, :3] @ self._usual_m + carrier.T_rig_hips[:3, 3]
-        pull = _RATE**2 * (usual - place) - 2.0 * _DAMPING * _RATE * (self._velocity - carrier.velocity)
+    def _pendulum(self, position: FloatArray, hip_motion: HipMotion, elapsed_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return position and velocity (3,) of the pendulum a little later; it does not swing through the floor."""
+        usual = hip_motion.T_rig_hips[:3, :3] @ self._usual_m + hip_motion.T_rig_hips[:3, 3]
+        pull = SETTINGS.rate**2 * (usual - position) - 2.0 * SETTINGS.damping * SETTINGS.rate * (
+            self._velocity - hip_motion.velocity
+        )
         velocity = self._velocity + elapsed_s * pull
-        place = place + elapsed_s * velocity
-        under_m = self._floor_m - float(place @ self._up)
+        position = position + elapsed_s * velocity
+        under_m = self._floor_m - float(position @ self._up)
         if under_m > 0.0:
-            place = place + under_m * self._up
+            position = position + under_m * self._up
             velocity = velocity - min(float(velocity @ self._up), 0.0) * self._up
-        return place, velocity
+        return position, velocity
 
-    def _turned(self, R: FloatArray, R_rig_hips: FloatArray, elapsed_s: float) -> FloatArray:
-        """Return a foot's axes a little later: a foot that nobody sees becomes level and straight ahead."""
-        share = -math.expm1(-elapsed_s / _LEVELLING_S)
+    def _levelled(self, R: FloatArray, R_rig_hips: FloatArray, elapsed_s: float) -> FloatArray:
+        """Return a foot's rotation a little later: an unseen foot becomes level and points straight ahead."""
+        share = -math.expm1(-elapsed_s / SETTINGS.levelling_s)
         return rotation_from_vector(share * rotation_between(R, R_rig_hips)) @ R
 
-    def _learn_usual(self, ankle: Ankle, carrier: Carrier, elapsed_s: float) -> None:
-        if ankle.trust < _SURE:
+    def _update_usual(self, ankle: Ankle, hip_motion: HipMotion, elapsed_s: float) -> None:
+        if ankle.trust < SETTINGS.sure:
             return
-        hips = carrier.T_rig_hips
-        place = hips[:3, :3].T @ (ankle.T_rig_ankle[:3, 3] - hips[:3, 3])
-        self._usual_m += -math.expm1(-elapsed_s / _USUAL_S) * (place - self._usual_m)
+        hips = hip_motion.T_rig_hips
+        position = hips[:3, :3].T @ (ankle.T_rig_ankle[:3, 3] - hips[:3, 3])
+        self._usual_m += -math.expm1(-elapsed_s / SETTINGS.usual_s) * (position - self._usual_m)
 
 
 def _rate(before: _Sample, t_ns: int, R: FloatArray) -> FloatArray:
-    """Return how fast a foot turns (3,), rad/s, rig frame."""
+    """Return the smoothed angular rate of a foot (3,), rad/s, rig frame."""
     elapsed_s = 1e-9 * (t_ns - before.t_ns)
     if not 0.0 < elapsed_s < LEAD_S:
         return np.zeros(3)
-    turned = rotation_between(before.R, R) / elapsed_s
-    rate: FloatArray = before.rate - math.expm1(-elapsed_s / _TURNING_S) * (turned - before.rate)
+    measured = rotation_between(before.R, R) / elapsed_s
+    rate: FloatArray = before.rate - math.expm1(-elapsed_s / SETTINGS.rate_s) * (measured - before.rate)
     return rate
 
 
-def _leaps(before: _Sample, after: _Sample) -> bool:
-    """Tell whether a foot is suddenly turned some other way."""
+def _jumps(before: _Sample, after: _Sample) -> bool:
+    """Return whether a foot's rotation jumps."""
     elapsed_s = max(1e-9 * (after.t_ns - before.t_ns), 0.0)
-    return float(np.linalg.norm(rotation_between(before.R, after.R))) > _LEAP_RAD + _LEAP_RAD_S * elapsed_s
+    return (
+        float(np.linalg.norm(rotation_between(before.R, after.R))) > SETTINGS.jump_rad + SETTINGS.jump_rad_s * elapsed_s
+    )

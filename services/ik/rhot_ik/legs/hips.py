@@ -2,8 +2,8 @@
 
 The trunk hangs from the head's pivot as a rod of known length N. How it leans is not measured; three things are known
 of people: their trunk leans a little forwards; more so when they look down, and the deeper they crouch with their feet
-side by side; and while they stand their weight is over their soles. With the lean l (share of N by which the hips
-lie behind the pivot), its usual value l₀, the weight's place c(l) = n − (1 − s)·N·l (n the pivot, s the trunk's share)
+side by side; and while they stand their weight is over their soles. With the lean l (share of N by which the hips lie
+behind the pivot), its usual value l₀, the weight's position c(l) = n − (1 − s)·N·l (n the pivot, s the trunk's share)
 and the part m of the soles that is nearest to c(l₀), all along the level forward direction, the lean minimises
 
     ((l − l₀) / σ_lean)² + w · ((c(l) − m) / σ_balance)²,
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
-from rhot_ik.legs.ankle import Ankle
+from rhot_ik.legs.leg import Ankle
 
 FloatArray = NDArray[np.float64]
 
@@ -59,15 +59,17 @@ def estimate_hips(T_rig_head: FloatArray, ankles: Mapping[Side, Ankle], up: Floa
         up: (3,) unit vector against gravity.
         body: lengths.
     """
-    return within_reach(hang_hips(T_rig_head, ankles, up, body), ankles, body)
+    return within_reach(hips_under_head(T_rig_head, ankles, up, body), ankles, body)
 
 
-def hang_hips(T_rig_head: FloatArray, ankles: Mapping[Side, Ankle], up: FloatArray, body: BodyModel) -> FloatArray:
+def hips_under_head(
+    T_rig_head: FloatArray, ankles: Mapping[Side, Ankle], up: FloatArray, body: BodyModel
+) -> FloatArray:
     """Return the hips as of `estimate_hips` before they go where the legs reach."""
     right = _level_right(T_rig_head, ankles, up)
     forward = np.cross(up, right)
     neck = T_rig_head[:3, :3] @ np.array(body.neck_m) + T_rig_head[:3, 3]
-    above = neck - np.mean([ankle.place for ankle in ankles.values()], axis=0)
+    above = neck - np.mean([ankle.position for ankle in ankles.values()], axis=0)
     lowered_m = body.leg_m + body.neck_height_m - float(above @ up)
     down = float(T_rig_head[:3, 2] @ up)
     trust = min(ankle.trust for ankle in ankles.values())
@@ -77,35 +79,35 @@ def hang_hips(T_rig_head: FloatArray, ankles: Mapping[Side, Ankle], up: FloatArr
 
 
 def within_reach(T_rig_hips: FloatArray, ankles: Mapping[Side, Ankle], body: BodyModel) -> FloatArray:
-    """Return the hips (4, 4), not turned, at the nearest place from which every leg reaches its ankle.
+    """Return the hips (4, 4), not turned, at the nearest position from which every leg reaches its ankle.
 
     Alternating projections onto the balls of reach (von Neumann 1950); feet that are too far apart for both legs end
     with the middle between the balls. The less an ankle is known, the farther it may be out of reach.
     """
-    R, place = T_rig_hips[:3, :3], T_rig_hips[:3, 3].copy()
+    R, position = T_rig_hips[:3, :3], T_rig_hips[:3, 3].copy()
     for _ in range(_ROUNDS):
         moved = False
         for side, ankle in ankles.items():
-            line = place + R @ hip_joint(side, body) - ankle.place
+            line = position + R @ hip_joint(side, body) - ankle.position
             reach = float(np.linalg.norm(line))
             doubt = 1.0 / max(ankle.trust, _LEAST_TRUST) - 1.0
             over = reach - _STRAIGHTEST * body.leg_m - doubt * _DOUBT_M
             if over > 0.0:
-                place -= line * (over / reach)
+                position -= line * (over / reach)
                 moved = True
         if not moved:
             break
-    return rigid(R, place)
+    return rigid(R, position)
 
 
 def hip_joint(side: Side, body: BodyModel) -> FloatArray:
-    """Return the place (3,) of a hip joint in the frame of the hips, metres."""
+    """Return the position (3,) of a hip joint in the frame of the hips, metres."""
     return np.array([OUTWARDS[side] * body.hip_width_m / 2.0, 0.0, 0.0])
 
 
 def stride(ankles: Mapping[Side, Ankle], forward: FloatArray) -> float:
     """Return how far one foot is before the other along a level direction (3,)."""
-    along = [float(ankle.place @ forward) for ankle in ankles.values()]
+    along = [float(ankle.position @ forward) for ankle in ankles.values()]
     return max(along) - min(along)
 
 

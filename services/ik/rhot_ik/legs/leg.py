@@ -22,6 +22,25 @@ _SOFT_SHARE: Final = 0.008
 
 
 @dataclass(frozen=True, slots=True)
+class Ankle:
+    """An ankle at a moment.
+
+    Attributes:
+        T_rig_ankle: (4, 4), axes level when the foot stands flat.
+        trust: 1 = as measured, 0 = only guessed.
+    """
+
+    T_rig_ankle: FloatArray
+    trust: float = 1.0
+
+    @property
+    def position(self) -> FloatArray:
+        """(3,) metres, rig frame."""
+        position: FloatArray = self.T_rig_ankle[:3, 3]
+        return position
+
+
+@dataclass(frozen=True, slots=True)
 class LegPose:
     """A solved leg; frames as in `rhot.messages.BodyJoint`.
 
@@ -73,8 +92,8 @@ def _bone_frame(up: FloatArray, right: FloatArray) -> FloatArray:
 def _softened(reach_m: float, length_m: float) -> float:
     """Return the distance from hip to ankle that a leg takes on for an asked one.
 
-    Near the straight leg the knee's place goes with the root of what is left, and an error of millimetres would make it
-    jump by centimetres; so the last bit is approached exponentially ("soft IK", known from character animation).
+    Near the straight leg the knee's position goes with the root of what is left, and an error of millimetres would make
+    it jump by centimetres; so the last bit is approached exponentially ("soft IK", known from character animation).
     """
     soft_m = _SOFT_SHARE * length_m
     begin_m = length_m - soft_m

@@ -1,11 +1,11 @@
-"""How long a person really is from the neck to the ankles: learnt from standing.
+"""How long a person really is from the neck to the ankles: learned from standing.
 
 Lengths that follow from the height are off by centimetres for most people, and so is a marker on its instep; near the
 straight leg one centimetre bends a knee by more than 10°. Who stands with both feet side by side has straight legs.
 What is left over between hips and ankles then, or missing, goes half to the legs and half to the trunk, which vary
-about equally, as far as both legs agree, and to the height of each ankle as far as they do not. It is learnt quickly in
-the first seconds, slowly later, and upwards faster than downwards, since a person may stand with bent knees, but no leg
-is longer than it is.
+about equally, as far as both legs agree, and to the height of each ankle as far as they do not. It is learned quickly
+in the first seconds, slowly later, and upwards faster than downwards, since a person may stand with bent knees, but no
+leg is longer than it is.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.messages import Side
-from rhot_ik.legs.ankle import Ankle
 from rhot_ik.legs.hips import hip_joint
+from rhot_ik.legs.leg import Ankle
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ _STANDING: Final = 0.999
 _STANDS: Final = 0.05
 """A leg that is shorter than straight by this share is bent, not measured wrongly."""
 _MOST: Final = 0.05
-"""Of what is learnt, as a share of legs and trunk."""
+"""Of what is learned, as a share of legs and trunk."""
 _FIRST_S: Final = 0.5
 _SLOWEST_S: Final = 30.0
 _UPWARDS: Final = 3.0
@@ -45,7 +45,7 @@ class Stature:
 
     Args:
         body: by the configuration.
-        legs_known: the legs were measured: only the trunk is learnt.
+        legs_known: the legs were measured: only the trunk is learned.
     """
 
     def __init__(self, body: BodyModel, *, legs_known: bool) -> None:
@@ -56,8 +56,8 @@ class Stature:
         self.body = body
         self.ankles_m: dict[Side, float] = {"left": 0.0, "right": 0.0}
 
-    def learn(self, T_rig_hips: FloatArray, ankles: Mapping[Side, Ankle], elapsed_s: float) -> None:
-        """Take a moment of standing still, feet side by side.
+    def update(self, T_rig_hips: FloatArray, ankles: Mapping[Side, Ankle], elapsed_s: float) -> None:
+        """Update with a moment of standing still, feet side by side.
 
         Args:
             T_rig_hips: (4, 4) as they hang from the head.
@@ -65,9 +65,9 @@ class Stature:
             elapsed_s: since the moment before.
         """
         leg_m = self.body.leg_m
-        R, place = T_rig_hips[:3, :3], T_rig_hips[:3, 3]
+        R, position = T_rig_hips[:3, :3], T_rig_hips[:3, 3]
         off_m = {
-            side: float(np.linalg.norm(place + R @ hip_joint(side, self.body) - ankle.place)) - _STANDING * leg_m
+            side: float(np.linalg.norm(position + R @ hip_joint(side, self.body) - ankle.position)) - _STANDING * leg_m
             for side, ankle in ankles.items()
         }
         if max(abs(off) for off in off_m.values()) > _STANDS * leg_m:

@@ -46,8 +46,8 @@ class CamerasPanel:
     def build(self, gui: viser.GuiApi) -> None:
         """Add a folder per camera; the sliders stay grey until the camera has told its settings."""
         text = (
-            "The sliders act at once, until the service restarts. To keep exposure, gain and white balance, save them in "
-            "the first step of the tab Calibrate."
+            "The sliders act at once, until the service restarts. To keep exposure, gain and white balance, save them "
+            "in the first step of the tab Calibrate."
         )
         gui.add_html(_NOTE.format(color="inherit", text=text))
         for place, camera in enumerate(self._settings.cameras):

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from rhot.geometry.rotations import rotation_x, rotation_y
 from rhot_calibration.cameras.live.coverage import (
-    MIN_SHARED,
-    MIN_VIEWS,
+    WANTED_SHARED,
+    WANTED_VIEWS,
     camera_coverage,
     links,
     similar,
@@ -97,7 +97,7 @@ def centred(other: BoardView, distance_m: float) -> BoardView:
 
 def test_each_lack_is_named_alone() -> None:
     views = spread()
-    few = camera_coverage(numbered(*views[: MIN_VIEWS - 3]))["left"].missing
+    few = camera_coverage(numbered(*views[: WANTED_VIEWS - 3]))["left"].missing
     assert few == ("3 more views",)
     flat = camera_coverage(numbered(*(centred(one, 0.5) for one in views)))["left"].missing
     assert len(flat) == 4
@@ -116,10 +116,10 @@ def test_views_near_each_other_are_similar() -> None:
 
 def test_cameras_are_tied_by_a_chain_of_enough_shared_pictures() -> None:
     one = view(300.0, 200.0)
-    ab = {(camera, number): one for number in range(MIN_SHARED) for camera in ("a", "b")}
-    bc = {(camera, 100 + number): one for number in range(MIN_SHARED) for camera in ("b", "c")}
+    ab = {(camera, number): one for number in range(WANTED_SHARED) for camera in ("a", "b")}
+    bc = {(camera, 100 + number): one for number in range(WANTED_SHARED) for camera in ("b", "c")}
     cameras = ("a", "b", "c")
-    assert links(view_set(ab | bc, cameras)) == {("a", "b"): MIN_SHARED, ("a", "c"): 0, ("b", "c"): MIN_SHARED}
+    assert links(view_set(ab | bc, cameras)) == {("a", "b"): WANTED_SHARED, ("a", "c"): 0, ("b", "c"): WANTED_SHARED}
     assert unlinked(view_set(ab | bc, cameras)) == []
     assert unlinked(view_set(ab, cameras)) == [("a", "b"), ("c",)]
     del bc["c", 100]

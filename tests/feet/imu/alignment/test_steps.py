@@ -8,7 +8,7 @@ from foot_walk import C, Walk, ns
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import rotation_from_quaternion, rotation_z
-from rhot_feet.imu.alignment.steps import Step, StepWatcher
+from rhot_feet.imu.alignment.steps import Step, StepTracker
 
 WALK = Walk()
 TIMES = np.arange(-0.5, 0.9, 0.01)
@@ -17,14 +17,14 @@ ACCELERATION, QUATERNIONS = WALK.imu(TIMES, 1, bias=0.05)
 
 def walk(*, missing: tuple[float, float] = (9.0, 9.0), seen_again: bool = True) -> Step | None:
     """One step of half a second, seen only while the foot stands."""
-    watcher, step = StepWatcher(), None
+    watcher, step = StepTracker(), None
     rotations = rotation_from_quaternion(QUATERNIONS)
     for t, acceleration, R in zip(TIMES.tolist(), ACCELERATION, rotations, strict=True):
         stands = not -0.02 < t < 0.55
         if not missing[0] < t < missing[1]:
-            watcher.imu(ns(t), acceleration + 9.81 * R[2], R, stands=stands)
+            watcher.add_sample(ns(t), acceleration + 9.81 * R[2], R, stands=stands)
         if stands and (t < 0.0 or seen_again):
-            step = watcher.marker(ns(t), C.T @ WALK.foot(t)[0]) or step
+            step = watcher.add_marker(ns(t), C.T @ WALK.foot(t)[0]) or step
     return step
 
 
@@ -33,9 +33,9 @@ def test_a_step_is_felt_as_it_is_seen() -> None:
     assert step is not None
     # The marker's way is the sensor's, turned into the rig's axes, and what the lever does.
     R = rotation_z(WALK.yaw_rad)
-    way: NDArray[np.float64] = R @ (step.felt + step.turned @ np.array(WALK.lever))
-    assert np.linalg.norm(step.seen) == pytest.approx(1.2, abs=0.005)
-    assert 1e3 * np.linalg.norm(way - step.seen) < 40.0
+    way: NDArray[np.float64] = R @ (step.imu_m + step.rotation_change @ np.array(WALK.lever))
+    assert np.linalg.norm(step.marker_m) == pytest.approx(1.2, abs=0.005)
+    assert 1e3 * np.linalg.norm(way - step.marker_m) < 40.0
 
 
 def test_a_step_is_nothing_before_its_end_is_seen_or_with_samples_missing() -> None:

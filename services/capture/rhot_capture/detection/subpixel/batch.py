@@ -109,8 +109,8 @@ class Batch:
                     core[k] = pure[k] = narrow
                 else:
                     core[k], pure[k] = self._inside[k], 0
-        sets = np.array([self._known ^ reach, core, reach ^ pure, pure])
-        planes: CoverageArray = sets.reshape(4, count, height * width).astype(np.float32)
+        planes: CoverageArray = np.array([self._known ^ reach, core, reach ^ pure, pure], np.float32)
+        planes = planes.reshape(4, count, height * width)
         self.weights: CoverageArray = self._weighted[:, :2]
         self.weights[:] = planes[:2].transpose(1, 0, 2)
         self._rim, self._pure = planes[2:]

@@ -23,9 +23,9 @@ from rhot.errors import DeviceError
 from rhot.geometry.camera import CameraModel
 from rhot.rig.feet_config import DepthCameraConfig
 from rhot_feet.frames import DepthFrame, DepthImage
-from rhot_feet.sources.depth_camera.realsense_lens import camera_of
-from rhot_feet.sources.depth_camera.realsense_setup import (
+from rhot_feet.sources.depth_camera.realsense_device import (
     Sdk,
+    camera_of,
     configure_sensors,
     describe_devices,
     find_device,

@@ -64,7 +64,7 @@ class DepthRecording:
         return len(self.color)
 
     def frame(self, index: int) -> DepthFrame:
-        """Read one frame by its place in the recording, with the recording's own time.
+        """Read one frame by its position in the recording, with the recording's own time.
 
         Raises:
             ConfigError: a picture cannot be read, or has another size or type; names the file.

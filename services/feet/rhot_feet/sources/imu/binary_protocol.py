@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from rhot_feet.imu.inertial import RawReader
+from rhot_feet.imu.conversion import RawImuConverter
 from rhot_feet.imu.samples import FloatArray, ImuSamples
 from rhot_feet.sources.imu.device_clock import DeviceClock
 
@@ -37,7 +37,7 @@ class BinaryDecoder:
     def __init__(self) -> None:
         self._rest = b""
         self._clock = DeviceClock(1_000)
-        self._reader = RawReader()
+        self._converter = RawImuConverter()
         self._sequence: int | None = None
         self.faults = 0
         self.lost = 0
@@ -74,7 +74,7 @@ class BinaryDecoder:
         if not times:
             return ImuSamples.none()
         table = np.array(rows, dtype=np.float64)
-        own = self._reader.read(np.array(times), table[:, :3] * FORCE_STEP, table[:, 3:6] * RATE_STEP)
+        own = self._converter.convert(np.array(times), table[:, :3] * FORCE_STEP, table[:, 3:6] * RATE_STEP)
         sizes = np.linalg.norm(table[:, 6:], axis=1, keepdims=True)
         given = np.where(sizes > 0.0, table[:, 6:] / np.maximum(sizes, 1.0), own.orientation_xyzw)
         return ImuSamples(own.t_ns, own.specific_force, own.angular_rate, given)

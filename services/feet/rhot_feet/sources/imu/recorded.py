@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
-from rhot_feet.imu.inertial import FusedReader, RawReader
-from rhot_feet.imu.samples import ImuSamples
-from rhot_feet.imu.zero_velocity import GRAVITY
+from rhot_feet.imu.conversion import FusedImuConverter, RawImuConverter
+from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
 
 FloatArray = NDArray[np.float64]
 
@@ -29,7 +28,7 @@ _XIO: Final = (
     *(f"Accelerometer {axis} (g)" for axis in "XYZ"),
     *(f"Gyroscope {axis} (deg/s)" for axis in "XYZ"),
 )
-_XIO_UNITS: Final = np.r_[1.0, np.full(3, GRAVITY), np.full(3, np.pi / 180.0)]
+_XIO_UNITS: Final = np.r_[1.0, np.full(3, GRAVITY_M_S2), np.full(3, np.pi / 180.0)]
 
 
 class RecordedSource:
@@ -46,7 +45,7 @@ class RecordedSource:
         self._loop = loop
         self._start_ns = 0
         self._next = 0
-        # Replaced as a whole, so that a reader on another thread sees the old recording or none.
+        # Replaced as a whole, so that a converter on another thread sees the old recording or none.
         self._recording: ImuSamples | None = None
 
     def open(self, start_ns: int) -> None:
@@ -107,10 +106,10 @@ def read_samples(path: Path) -> ImuSamples:
         raise ConfigError(f"{path}: holds {len(table)} samples under its header; two are needed")
     t_ns = np.rint(table[:, 0] * 1e9).astype(np.int64)
     if columns is _FUSED:
-        return FusedReader().read(t_ns, table[:, 5:8], table[:, [2, 3, 4, 1]])
+        return FusedImuConverter().convert(t_ns, table[:, 5:8], table[:, [2, 3, 4, 1]])
     if columns is _XIO:
         table = table * _XIO_UNITS
-    return RawReader().read(t_ns, table[:, 1:4], table[:, 4:7])
+    return RawImuConverter().convert(t_ns, table[:, 1:4], table[:, 4:7])
 
 
 def _table(path: Path, rows: Iterable[list[str]], columns: tuple[str, ...], places: list[int]) -> FloatArray:
@@ -137,12 +136,12 @@ def _values(row: list[str], columns: tuple[str, ...], places: list[int], where: 
     if len(row) <= max(places):
         raise ConfigError(f"{where}: {len(row)} values, {max(places) + 1} are needed")
     values = []
-    for column, place in zip(columns, places, strict=True):
+    for column, position in zip(columns, places, strict=True):
         try:
-            value = float(row[place])
+            value = float(row[position])
         except ValueError as error:
-            raise ConfigError(f"{where}: {column} {row[place]!r} is not a number") from error
+            raise ConfigError(f"{where}: {column} {row[position]!r} is not a number") from error
         if not np.isfinite(value) or abs(value) > 1e6:
-            raise ConfigError(f"{where}: {column} {row[place]!r} is out of bounds (finite, below 1e6 in size)")
+            raise ConfigError(f"{where}: {column} {row[position]!r} is out of bounds (finite, below 1e6 in size)")
         values.append(value)
     return values

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from rhot_feet.imu.inertial import LONGEST_STEP_S, FusedReader
+from rhot_feet.imu.conversion import LONGEST_STEP_S, FusedImuConverter
 from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.sources.imu.device_clock import DeviceClock
 
@@ -44,7 +44,7 @@ class TextDecoder:
         self._spacing: list[int] = []
         self._accelerations: deque[tuple[int, _Values]] = deque()
         self._rotation: tuple[int, _Values] | None = None
-        self._reader = FusedReader()
+        self._converter = FusedImuConverter()
         self._last_ns = 0
         self.faults = 0
 
@@ -115,7 +115,7 @@ class TextDecoder:
             # A hundredth of a second apart, the straight line between quaternions is as good as the arc.
             q = (1.0 - share) * a + share * (b if a @ b >= 0.0 else -b)
             self._last_ns = t_ns
-            parts.append(self._reader.read(np.array([t_ns]), np.array([acceleration]), q[None]))
+            parts.append(self._converter.convert(np.array([t_ns]), np.array([acceleration]), q[None]))
         return parts
 
 

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import shortest_rotation
 from rhot_ik.hand.filter.patch_rotation import PatchRotation
 from rhot_ik.hand.filter.settings import HandSettings
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import MOVING
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
 from rhot_ik.hand.filter.evidence import Evidence
@@ -46,9 +46,6 @@ from rhot_ik.hand.filter.process import (
 from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _TIPS: Final = np.arange(5)
 _BLOCKS: Final = np.arange(7)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_z
 from rhot_ik.hand.filter.evidence import Evidence, EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.process import HandState
-
-FloatArray = NDArray[np.float64]
 
 _ROLLS_DEG: Final = (0.0, 60.0, -60.0, 120.0, -120.0, 180.0)
 _PITCHES_DEG: Final = (5.0, 40.0)

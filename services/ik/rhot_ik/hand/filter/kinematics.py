@@ -12,13 +12,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import METACARPALS, MOVING, PALM, WRIST
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-
-FloatArray = NDArray[np.float64]
 
 _Z: Final = (0, 1, 2)
 _Y: Final = (3, 4, 5)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import cross_matrix, nearest_rotation, rotation_from_vector
 
-FloatArray = NDArray[np.float64]
 Fitted = tuple[FloatArray, FloatArray]
 
 _MOST_STEPS: Final = 4
@@ -20,7 +19,8 @@ FAR_M: Final = 0.004
 """Corners further than this (root mean square) from the expected ones: the expected rotation is no place to start."""
 CLOSE_RAD: Final = 0.05
 """Steps end when the last one was no longer than this; what is left is its square."""
-_ORDERS: Final = np.array([[(first + way * k) % 4 for k in range(4)] for way in (1, -1) for first in range(4)])
+CORNER_ORDERS: Final = np.array([[(first + way * k) % 4 for k in range(4)] for way in (1, -1) for first in range(4)])
+"""The eight ways to go round a rectangle, (8, 4)."""
 _PLACES: Final = np.arange(4)
 
 
@@ -55,9 +55,9 @@ class PatchRotation:
             return None
         centred = corners - corners.sum(axis=0) / 4.0
         # Σ |found − R·o|² is least where Σ found·(R·o) is greatest.
-        agree = (centred @ expected @ self._outline.T)[_ORDERS, _PLACES].sum(axis=1)
+        agree = (centred @ expected @ self._outline.T)[CORNER_ORDERS, _PLACES].sum(axis=1)
         best = int(agree.argmax())
-        found = centred[_ORDERS[best]]
+        found = centred[CORNER_ORDERS[best]]
         missed = float((centred * centred).sum()) + self._size - 2.0 * float(agree[best])
         R = nearest_rotation(found.T @ self._outline) if missed > 4.0 * FAR_M**2 else expected
         weight = symmetric_inverse(covariance)

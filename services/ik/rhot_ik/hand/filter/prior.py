@@ -16,12 +16,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS
-
-FloatArray = NDArray[np.float64]
+from rhot.arrays import FloatArray
 
 COUNT: Final = 20
 """Angles of a hand, finger by finger, in the order of `rhot.anatomy.hand`: flexion, abduction, middle hinge, last

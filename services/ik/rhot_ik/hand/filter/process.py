@@ -15,14 +15,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import orthonormal, rotation_from_vector
 from rhot_ik.hand.filter.prior import COUNT, angle_covariance, rest_angles
 from rhot_ik.hand.filter.settings import HandSettings
-
-FloatArray = NDArray[np.float64]
 
 ROTATION: Final = slice(0, 3)
 POSITION: Final = slice(3, 6)

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-
-FloatArray = NDArray[np.float64]
 
 _TABLE: Final = 512
 _CURVE: Final = 128

@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.rig import MarkerConfig
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""How an inertial sensor sits on its foot and which way its north lies, learnt while the marker is seen.
+"""Estimates how an inertial sensor sits on its foot and where its north lies, while the marker is seen.
 
 A sensor knows up, not where the tracking space's axes lie: with z up in both, R_rig_sensor = C·Rz(ψ)·R_world_sensor,
 where C is known from the direction of up and the yaw ψ is not. Nor is the lever l from the sensor to the marker, nor
@@ -6,15 +6,15 @@ the accelerometer's bias b. Over a stretch of half a second the marker's path x(
 
     x(t) = x₀ + v₀·t + Rz(ψ)·(D(t) − B(t)·b + R_world_sensor(t)·l),   D = ∬(R_world_sensor·f + g),  B = ∬R_world_sensor.
 
-Turned by Rz(−ψ) and with constant and linear parts removed (˜), this is linear in (cos ψ, sin ψ, l, b):
+Rotated by Rz(−ψ) and with constant and linear parts removed (˜), this is linear in (cos ψ, sin ψ, l, b):
 
     cos ψ·(x̃, ỹ, 0) + sin ψ·(ỹ, −x̃, 0) − W̃·l + B̃·b = D̃ − (0, 0, z̃),
 
-`alignment_equations` solves them. Stretches in which the foot hardly moves are left out, because of them the left side
+`equations` solves them. Stretches in which the foot hardly moves are left out, because of them the left side
 is noise.
 
 A foot that walks is blurred or out of sight while it swings, so there are few such stretches. Its steps from one
-stand-still to the next (`alignment_steps`) give the same equations with differences in place of ˜. And heels are lifted
+stand-still to the next (`steps`) give the same equations with differences instead of ˜. And heels are lifted
 in front of the camera, which the marker's orientations show.
 """
 
@@ -25,40 +25,16 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot_feet.imu.alignment.equations import PRIOR, UNKNOWNS, Alignment, AlignmentEquations
-from rhot_feet.imu.alignment.steps import Step, StepWatcher
-from rhot_feet.imu.inertial import LONGEST_STEP_S, nearest_sample
-from rhot_feet.imu.samples import ImuSamples
-from rhot_feet.imu.zero_velocity import GRAVITY
+from rhot_feet.imu.alignment.equations import PRIOR, SETTINGS, UNKNOWNS, Alignment, AlignmentEquations
+from rhot_feet.imu.alignment.steps import Step, StepTracker
+from rhot_feet.imu.conversion import LONGEST_STEP_S, nearest_sample
+from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
 
 FloatArray = NDArray[np.float64]
-
-_STRETCH_NS: Final = 500_000_000
-_FEWEST: Final = 12
-"""Positions in a stretch."""
-_MODEL_M: Final = 0.004
-"""What the model leaves unexplained of a marker's place over a stretch, per axis, on top of its own noise."""
-_WORST_FIT_M: Final = 0.03
-"""A stretch that no yaw explains better than this, root mean square, holds a false marker."""
-_STEP_M: Final = 0.02
-_STEP_SHARE: Final = 0.03
-"""What the sensor gets wrong about a step, per axis: so much, and so much of its length on top."""
-_STEP_ASTRAY_M: Final = 0.06
-_STEP_ASTRAY_SHARE: Final = 0.15
-"""A step whose length or height differs by more between picture and sensor holds a false marker."""
-_SHORTEST_STEP_M: Final = 0.12
-_LEANS_RAD_S, _LEANS_RAD = math.radians(10.0), math.radians(4.0)
-"""A sensor that is accelerated mistakes that for a tilt: how fast its own orientation comes to be wrong since it stood,
-and by how much at most (a BNO080 promises 3.5 degrees in motion)."""
-_SOLVE_EVERY: Final = 3
-"""Sightings between two attempts to solve."""
-_MOVED_SIGMAS: Final = 6.0
-"""A stretch counts when the marker strays this many standard deviations, root mean square, from a straight line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +44,8 @@ class _Sighting:
     sigma_m: float
 
 
-class AlignmentLearner:
-    """Learns the alignment of one sensor from its samples and the marker's places."""
+class AlignmentEstimator:
+    """Estimates the alignment of one sensor from its samples and the marker's positions."""
 
     def __init__(self, C: FloatArray, sensor_m: FloatArray) -> None:
         """Set the frame.
@@ -82,10 +58,10 @@ class AlignmentLearner:
         self._sensor_m = sensor_m
         self._samples: deque[tuple[int, FloatArray, FloatArray]] = deque()
         self._sightings: list[_Sighting] = []
-        self._steps = StepWatcher()
-        self.forget()
+        self._steps = StepTracker()
+        self.reset()
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Start anew: it is another sensor now, or it was restarted."""
         self._samples.clear()
         self._sightings.clear()
@@ -95,18 +71,20 @@ class AlignmentLearner:
         self._unsolved = 0
         self._stood_ns = 0
 
-    def alignment(self, *, at_once: bool = False) -> Alignment | None:
+    def solve(self, *, at_once: bool = False) -> Alignment | None:
         """Return what is known; None until the yaw is.
 
         Args:
             at_once: the newest sightings have to be in it, though solving takes its time.
         """
-        if self._unsolved >= (1 if at_once else _SOLVE_EVERY):
+        if self._unsolved >= (1 if at_once else SETTINGS.solve_every):
             self._alignment, self._unsolved = self._equations.solve() or self._alignment, 0
         return self._alignment
 
-    def imu(self, samples: ImuSamples, rotations: Sequence[FloatArray] | FloatArray, stands: Sequence[bool]) -> None:
-        """Take samples, their orientations R_world_sensor (3, 3), and whether the foot was felt to stand at each.
+    def add_imu_samples(
+        self, samples: ImuSamples, rotations: Sequence[FloatArray] | FloatArray, stands: Sequence[bool]
+    ) -> None:
+        """Add samples, their orientations R_world_sensor (3, 3), and whether each shows zero velocity.
 
         A gap ends stretch and step.
         """
@@ -116,69 +94,71 @@ class AlignmentLearner:
                 self._sightings.clear()
                 self._steps.reset()
             self._samples.append((t_ns, R @ force, R))
-            self._steps.imu(t_ns, force, R, stands=still)
+            self._steps.add_sample(t_ns, force, R, stands=still)
             if still:
                 self._stood_ns = t_ns
-        while self._samples and self._samples[-1][0] - self._samples[0][0] > 4 * _STRETCH_NS:
+        while self._samples and self._samples[-1][0] - self._samples[0][0] > 4 * SETTINGS.stretch_ns:
             self._samples.popleft()
 
-    def marker(
-        self, t_ns: int, position: FloatArray, sigma_m: float, rotation: FloatArray | None, turn_sigma_rad: float
+    def add_marker(
+        self, t_ns: int, position: FloatArray, sigma_m: float, rotation: FloatArray | None, orientation_sigma_rad: float
     ) -> None:
-        """Take a believed place (3,) and R_rig_foot (3, 3) of the marker, each with its noise per axis."""
+        """Add an accepted position (3,) and R_rig_foot (3, 3) of the marker, each with its noise per axis."""
         first_ns = self._sightings[0].t_ns if self._sightings else t_ns
-        if self._sightings and (t_ns <= self._sightings[-1].t_ns or t_ns - first_ns > 2 * _STRETCH_NS):
+        if self._sightings and (t_ns <= self._sightings[-1].t_ns or t_ns - first_ns > 2 * SETTINGS.stretch_ns):
             self._sightings.clear()
             first_ns = t_ns
         self._sightings.append(_Sighting(t_ns, position, sigma_m))
         if rotation is not None:
-            self._learn_turning(t_ns, rotation, turn_sigma_rad)
-        step = self._steps.marker(t_ns, position @ self._C)
+            self._add_orientation(t_ns, rotation, orientation_sigma_rad)
+        step = self._steps.add_marker(t_ns, position @ self._C)
         if step is not None:
-            self._learn_step(step, sigma_m)
-        if t_ns - first_ns >= _STRETCH_NS:
+            self._add_step(step, sigma_m)
+        if t_ns - first_ns >= SETTINGS.stretch_ns:
             stretch, self._sightings = self._sightings, []
-            self._learn_moving(stretch)
+            self._add_stretch(stretch)
 
-    def _learn_turning(self, t_ns: int, rotation: FloatArray, sigma_rad: float) -> None:
-        """Take in an orientation."""
+    def _add_orientation(self, t_ns: int, rotation: FloatArray, sigma_rad: float) -> None:
+        """Add an orientation."""
         nearest = nearest_sample(self._samples, t_ns, itemgetter(0))
         if nearest is None:
             return
-        leans_rad = min(_LEANS_RAD_S * 1e-9 * max(t_ns - self._stood_ns, 0), _LEANS_RAD)
+        leans_rad = min(SETTINGS.lean_rad_s * 1e-9 * max(t_ns - self._stood_ns, 0), SETTINGS.lean_rad)
         sigma_rad = math.hypot(sigma_rad, leans_rad)
         self._equations.add_orientation(t_ns, nearest[2], self._C.T @ rotation, sigma_rad)
         self._unsolved += 1
 
-    def _learn_step(self, step: Step, sigma_m: float) -> None:
-        """Take in a step."""
-        x, y, z = step.seen.tolist()
+    def _add_step(self, step: Step, sigma_m: float) -> None:
+        """Add a step."""
+        x, y, z = step.marker_m.tolist()
         length_m = math.hypot(x, y)
-        room_m = _STEP_ASTRAY_M + _STEP_ASTRAY_SHARE * length_m
-        felt_m = math.hypot(step.felt[0], step.felt[1])
-        if length_m < _SHORTEST_STEP_M or abs(length_m - felt_m) > room_m or abs(z - step.felt[2]) > room_m:
+        room_m = SETTINGS.false_step_m + SETTINGS.false_step_share * length_m
+        imu_m = math.hypot(step.imu_m[0], step.imu_m[1])
+        if length_m < SETTINGS.shortest_step_m or abs(length_m - imu_m) > room_m or abs(z - step.imu_m[2]) > room_m:
             return
-        rows, values = np.zeros((3, UNKNOWNS)), step.felt.copy()
+        rows, values = np.zeros((3, UNKNOWNS)), step.imu_m.copy()
         rows[:2, :2] = (x, y), (y, -x)
-        rows[:, 2:5], rows[:, 5:] = -step.turned, step.by_bias
+        rows[:, 2:5], rows[:, 5:] = -step.rotation_change, step.d_bias
         values[2] -= z
-        self._equations.add_places(rows, values, math.hypot(_STEP_M + _STEP_SHARE * length_m, sigma_m))
-        self._unsolved = _SOLVE_EVERY
+        self._equations.add_positions(
+            rows, values, math.hypot(SETTINGS.step_m + SETTINGS.step_share * length_m, sigma_m)
+        )
+        self._unsolved = SETTINGS.solve_every
 
-    def _learn_moving(self, stretch: list[_Sighting]) -> None:
-        """Take in the places of a stretch."""
-        path = self._path(stretch) if len(stretch) >= _FEWEST else None
+    def _add_stretch(self, stretch: list[_Sighting]) -> None:
+        """Add the positions of a stretch."""
+        path = self._path(stretch) if len(stretch) >= SETTINGS.stretch_positions else None
         if path is None:
             return
         rows, values = path
-        sigma = math.hypot(_MODEL_M, float(np.mean([sighting.sigma_m for sighting in stretch])))
-        if math.sqrt(float(np.mean(rows[:, 0] ** 2))) < _MOVED_SIGMAS * sigma / math.sqrt(3.0):
+        sigma = math.hypot(SETTINGS.model_m, float(np.mean([sighting.sigma_m for sighting in stretch])))
+        if math.sqrt(float(np.mean(rows[:, 0] ** 2))) < SETTINGS.moved_sigmas * sigma / math.sqrt(3.0):
             return
         information, moment = rows.T @ rows / sigma**2, rows.T @ values / sigma**2
         alone = np.linalg.solve(information + PRIOR, moment)
-        if math.sqrt(float(np.mean((values - rows @ alone) ** 2))) <= _WORST_FIT_M:
-            self._equations.add_places(rows, values, sigma)
-            self._unsolved = _SOLVE_EVERY
+        if math.sqrt(float(np.mean((values - rows @ alone) ** 2))) <= SETTINGS.worst_fit_m:
+            self._equations.add_positions(rows, values, sigma)
+            self._unsolved = SETTINGS.solve_every
 
     def _path(self, stretch: list[_Sighting]) -> tuple[FloatArray, FloatArray] | None:
         """Return the rows (3n, 8) and values (3n,) of the least squares."""
@@ -191,7 +171,7 @@ class AlignmentLearner:
         t = (times - origin).astype(np.float64) * 1e-9
         at = np.array([(sighting.t_ns - origin) * 1e-9 for sighting in stretch])
         R = np.array([sample[2] for sample in self._samples])
-        forces = np.array([sample[1] for sample in self._samples]) - np.array([0.0, 0.0, GRAVITY])
+        forces = np.array([sample[1] for sample in self._samples]) - np.array([0.0, 0.0, GRAVITY_M_S2])
         driven = _twice_integrated(t, np.concatenate([forces, R.reshape(-1, 9)], axis=1), at)
         nearest = R[np.abs(t[None, :] - at[:, None]).argmin(axis=1)]
         x = np.array([sighting.position for sighting in stretch]) @ self._C
@@ -221,5 +201,5 @@ def _twice_integrated(t: FloatArray, values: FloatArray, at: FloatArray) -> Floa
     twice = np.concatenate([zero, np.cumsum(steps, axis=0)])
     index = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 1)
     s = (at - t[index])[:, None]
-    place: FloatArray = twice[index] + s * once[index] + 0.5 * s * s * values[index]
-    return place
+    position: FloatArray = twice[index] + s * once[index] + 0.5 * s * s * values[index]
+    return position

@@ -1,6 +1,6 @@
 """Strapdown inertial navigation of one foot, and what it may be wrong by: an error-state Kalman filter.
 
-Nominal state: place p and velocity v of the *sensor* in the rig frame, its attitude R = R_rig_sensor, the biases of
+Nominal state: position p and velocity v of the *sensor* in the rig frame, its attitude R = R_rig_sensor, the biases of
 accelerometer and gyroscope, and how the foot hangs on the sensor: lever l (the foot's origin in the sensor's frame) and
 mounting M = R_sensor_foot. So the foot is at p + R·l with orientation R·M, and nothing has to be calibrated by hand:
 the yaw of the sensor, the biases, the lever and the mounting are all states that the marker makes observable.
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import cross_matrix, orthonormal, rotation_from_vector
-from rhot_feet.filter.kalman import kalman_gain
+from rhot_feet.imu.track import InertialStep
 
 FloatArray = NDArray[np.float64]
 
@@ -36,17 +36,13 @@ GYROSCOPE: Final = slice(12, 15)
 LEVER: Final = slice(15, 18)
 MOUNTING: Final = slice(18, 21)
 SIZE: Final = 21
-_UNFELT_FORCE: Final = 10.0**2 * 0.05
-"""m²/s³: accelerations of 10 m/s² that last for 50 ms and are not known."""
-_UNFELT_RATE: Final = 3.0**2 * 0.05
-"""rad²/s: rates of 3 rad/s likewise."""
 _UNIT: Final = np.eye(3)
 _UNITS: Final = np.eye(SIZE)
 
 
 @dataclass(frozen=True, slots=True)
 class InertialNoise:
-    """How wrong an inertial sensor is.
+    """How wrong an inertial sensor is; values chosen on the dev trials of PyShoe (`rhot evaluate steps`).
 
     Attributes:
         acceleration: white noise of the specific force, m/s²/√Hz.
@@ -58,6 +54,8 @@ class InertialNoise:
         rate_drift: random walk of the gyroscope's bias, rad/s/√s.
         alignment_drift: random walk of the mounting, rad/√s: straps slip.
         lever_drift: random walk of the lever, m/√s.
+        dropout_acceleration_density: of what a foot does while samples are missing, m²/s³: 10 m/s² for 50 ms.
+        dropout_rate_density: likewise, rad²/s: 3 rad/s for 50 ms.
     """
 
     acceleration: float = 0.05
@@ -68,35 +66,8 @@ class InertialNoise:
     rate_drift: float = 1e-5
     alignment_drift: float = 1e-3
     lever_drift: float = 2e-4
-
-
-@dataclass(frozen=True, slots=True)
-class InertialStep:
-    """What a sensor felt between two of its samples.
-
-    Attributes:
-        duration_s: between the samples.
-        force_before, force_after: (3,) specific force at the samples, m/s², sensor frame.
-        turn_rad: (3,) rotation vector of the turn in between, sensor frame.
-        unfelt: samples are missing, so what happened in between is a guess.
-    """
-
-    duration_s: float
-    force_before: FloatArray
-    force_after: FloatArray
-    turn_rad: FloatArray
-    unfelt: bool = False
-
-    def part(self, from_s: float, to_s: float) -> InertialStep:
-        """Return the part between two moments of the step, seconds after its beginning."""
-        slope = (self.force_after - self.force_before) / self.duration_s
-        return InertialStep(
-            to_s - from_s,
-            self.force_before + from_s * slope,
-            self.force_before + to_s * slope,
-            self.turn_rad * ((to_s - from_s) / self.duration_s),
-            self.unfelt,
-        )
+    dropout_acceleration_density: float = 10.0**2 * 0.05
+    dropout_rate_density: float = 3.0**2 * 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +113,7 @@ class Strapdown:
         """
         self.gravity = gravity
         self._jolt, self._scale = noise.jolt**2, noise.scale**2
+        self._noise = noise
         self._growth = np.zeros(SIZE)
         self._growth[VELOCITY] = noise.acceleration**2
         self._growth[ATTITUDE] = noise.rate**2
@@ -153,7 +125,7 @@ class Strapdown:
     def predict(self, state: InertialState, step: InertialStep) -> InertialState:
         """Return the state at the end of a step."""
         h = step.duration_s
-        R = orthonormal(state.R @ rotation_from_vector(step.turn_rad - h * state.rate_bias))
+        R = orthonormal(state.R @ rotation_from_vector(step.rotation_rad - h * state.rate_bias))
         force = 0.5 * (
             state.R @ (step.force_before - state.acceleration_bias) + R @ (step.force_after - state.acceleration_bias)
         )
@@ -167,10 +139,10 @@ class Strapdown:
         growth = h * self._growth
         jump = step.force_after - step.force_before
         growth[VELOCITY] += h * self._jolt * (jump @ jump)
-        growth[ATTITUDE] += (self._scale / h) * (step.turn_rad @ step.turn_rad)
-        if step.unfelt:
-            growth[VELOCITY] += h * _UNFELT_FORCE
-            growth[ATTITUDE] += h * _UNFELT_RATE
+        growth[ATTITUDE] += (self._scale / h) * (step.rotation_rad @ step.rotation_rad)
+        if step.dropout:
+            growth[VELOCITY] += h * self._noise.dropout_acceleration_density
+            growth[ATTITUDE] += h * self._noise.dropout_rate_density
         P.reshape(-1)[:: SIZE + 1] += growth
         return InertialState(
             state.position + h * state.velocity + (0.5 * h * h) * acceleration,
@@ -194,7 +166,7 @@ def correct(state: InertialState, H: FloatArray, residual: FloatArray, noise: Fl
         noise: (m, m) covariance of the measurement.
     """
     PHt = state.P @ H.T
-    K = kalman_gain(PHt, H, noise)
+    K = np.linalg.solve(H @ PHt + noise, PHt.T).T
     P = state.P - K @ PHt.T
     return inject(state, K @ residual, 0.5 * (P + P.T))
 
@@ -202,11 +174,11 @@ def correct(state: InertialState, H: FloatArray, residual: FloatArray, noise: Fl
 def inject(state: InertialState, dx: FloatArray, P: FloatArray) -> InertialState:
     """Return the state moved by errors (21,), with a new covariance (21, 21).
 
-    What pictures show is the foot's place p + R·l and turn R·M, whatever the yaw of R. The covariance says so in terms
-    of R and l as they were; carried over as it is, each correction of tilt or lever would seem to have told something
-    of the yaw. So the errors of the foot's place and turn are what is kept (Barrau and Bonnabel, "The invariant
-    extended Kalman filter as a stable observer", IEEE Transactions on Automatic Control 62 (4), 2017, choose errors for
-    the same reason).
+    Pictures show the foot's position p + R·l and rotation R·M, whatever the yaw of R. The covariance says so in terms
+    of the old R and l; carried over unchanged, each correction of tilt or lever would seem to say something about the
+    yaw. So the errors of the foot's position and rotation are kept (Barrau and Bonnabel, "The invariant extended
+    Kalman filter as a stable observer", IEEE Transactions on Automatic Control 62 (4), 2017, choose errors for the same
+    reason).
     """
     R, lever = orthonormal(rotation_from_vector(dx[ATTITUDE]) @ state.R), state.lever + dx[LEVER]
     kept = _UNITS.copy()

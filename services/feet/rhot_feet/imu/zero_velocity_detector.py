@@ -1,4 +1,6 @@
-"""When a foot stands still, told sample by sample.
+"""Detects when a foot stands still, sample by sample.
+
+`rhot_feet.filter.zero_velocity_update` corrects the filter by it.
 
 It is the test of SHOE, over a window of specific force f (m/s²) and angular rate ω (rad/s); small means still:
 
@@ -18,10 +20,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot_feet.imu.samples import GRAVITY_M_S2
+
 FloatArray = NDArray[np.float64]
 
-GRAVITY: Final = 9.81
-"""m/s²; the quantity that sensors scale to, whatever the place."""
 ACCELERATION_NOISE: Final = 0.01
 """σ_a, m/s²: the scale of the accelerations in the test, a convention as in the source above."""
 RATE_NOISE: Final = float(np.radians(0.1))
@@ -29,11 +31,11 @@ RATE_NOISE: Final = float(np.radians(0.1))
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class ZeroVelocity:
     """What a sample says about standing still.
 
     Attributes:
-        still: the foot stands, as far as the sensor can tell.
+        still: the sensor stands.
         speed_sigma: standard deviation of the sensor's velocity about zero, m/s, for one sample of 5 ms; None while it
             moves.
         rate: (3,) rad/s, mean over the window, when the sensor has stood so long and evenly that this may be its bias.
@@ -44,9 +46,12 @@ class Rest:
     rate: FloatArray | None
 
 
+MOVING: Final = ZeroVelocity(still=False, speed_sigma=None, rate=None)
+
+
 @dataclass(frozen=True, slots=True)
-class StillnessSettings:
-    """Tuning of the live detector; found on the dev trials of the foot-mounted data with motion-capture truth.
+class ZeroVelocitySettings:
+    """Tuning of the live detector, found on PyShoe's dev trials with motion-capture truth (`rhot evaluate steps`).
 
     Attributes:
         window_s: length of the window, which ends with the newest sample.
@@ -54,9 +59,15 @@ class StillnessSettings:
         share: the threshold is this share of the mean of the statistic over the last `memory_s`, within the bounds: who
             runs never stands as still as who strolls.
         memory_s: time constant of that mean.
-        speed_sigma, scale: a sample with statistic T tells the velocity to speed_sigma·(1 + T/scale).
+        speed_sigma, scale: a sample with statistic T gives the velocity to speed_sigma·(1 + T/scale), m/s.
         hold_s: the foot counts as standing after so long below the lowest threshold.
-        bias_s: its rate may be bias after so long.
+        bias_s: its rate may be bias after so long, when it varies by less than `even_rad_s`.
+        even_rad_s: rates that vary less come from a sensor that does not rotate.
+        level_error_m_s2: what tilt and bias of a standing sensor change by; on recorded walks both together are less in
+            99 % of the samples.
+        level_s: how fast that error is estimated, and how long the foot must have been even before.
+        level_reset_s: what lasts so long evenly is no acceleration of a foot but a larger error of the sensor.
+        noticed_s: for about so long an acceleration has gone on when it is noticed.
     """
 
     window_s: float = 0.04
@@ -68,20 +79,25 @@ class StillnessSettings:
     scale: float = 1e3
     hold_s: float = 0.05
     bias_s: float = 0.2
+    even_rad_s: float = math.radians(2.0)
+    level_error_m_s2: float = 0.5
+    level_s: float = 0.3
+    level_reset_s: float = 1.0
+    noticed_s: float = 0.15
 
 
-class StillnessDetector:
+class ZeroVelocityDetector:
     """SHOE with a threshold that follows the gait, sample by sample.
 
     The rate enters by its mean over the window, not by its mean square: rates that are differences of a sensor's
     quaternions carry noise that cancels in the sum.
     """
 
-    def __init__(self, settings: StillnessSettings | None = None) -> None:
-        self._settings = settings or StillnessSettings()
+    def __init__(self, settings: ZeroVelocitySettings | None = None) -> None:
+        self._settings = settings or ZeroVelocitySettings()
         # Duration, specific force, angular rate, acceleration.
-        self._window: deque[tuple[float, float, float, float, float, float, float, float, float, float]] = deque()
-        self._level_error = (0.0, 0.0, 0.0)
+        self._window: deque[FloatArray] = deque()
+        self._level_error = np.zeros(3)
         self._mean = 0.0
         self._even_s = self._beyond_s = self._still_s = 0.0
 
@@ -96,8 +112,8 @@ class StillnessDetector:
         specific_force: FloatArray,
         angular_rate: FloatArray,
         acceleration: FloatArray | None = None,
-    ) -> Rest:
-        """Take the next sample and say what it tells.
+    ) -> ZeroVelocity:
+        """Add the next sample and return what it says about standing still.
 
         Args:
             duration_s: since the sample before.
@@ -107,10 +123,8 @@ class StillnessDetector:
                 longer than its window for a tilt.
         """
         settings, window = self._settings, self._window
-        fx, fy, fz = specific_force.tolist()
-        wx, wy, wz = angular_rate.tolist()
-        ax, ay, az = (0.0, 0.0, 0.0) if acceleration is None else acceleration.tolist()
-        window.append((duration_s, fx, fy, fz, wx, wy, wz, ax, ay, az))
+        level = np.zeros(3) if acceleration is None else acceleration
+        window.append(np.concatenate([[duration_s], specific_force, angular_rate, level]))
         while len(window) > 3 and sum(row[0] for row in window) - window[0][0] >= settings.window_s - 1e-4:
             window.popleft()
         statistic, rate, unevenness, accelerated = self._statistic()
@@ -120,48 +134,29 @@ class StillnessDetector:
         accelerates = self._accelerates(duration_s, accelerated)
         if len(window) < 3 or statistic > threshold:
             self._still_s = 0.0
-            return MOVES
+            return MOVING
         # Between both bounds the velocity is corrected, softly, though nobody would call that standing.
         stands = statistic <= settings.lowest and accelerates == 0.0
         self._still_s = self._still_s + duration_s if stands else 0.0
-        sigma = settings.speed_sigma * (1.0 + statistic / settings.scale) + _GAINS_S * accelerates
-        even = self._still_s >= settings.bias_s and unevenness < _EVEN
-        return Rest(self._still_s >= settings.hold_s, sigma, rate if even else None)
+        sigma = settings.speed_sigma * (1.0 + statistic / settings.scale) + self._settings.noticed_s * accelerates
+        even = self._still_s >= settings.bias_s and unevenness < self._settings.even_rad_s
+        return ZeroVelocity(self._still_s >= settings.hold_s, sigma, rate if even else None)
 
-    def _accelerates(self, duration_s: float, mean: tuple[float, float, float]) -> float:
+    def _accelerates(self, duration_s: float, mean: FloatArray) -> float:
         """Return by how much the mean over the window is larger than a standing sensor's may be, m/s²."""
-        beyond = max(0.0, math.dist(mean, self._level_error) - _LEVEL_ERROR)
+        beyond = max(0.0, math.dist(mean, self._level_error) - self._settings.level_error_m_s2)
         self._beyond_s = self._beyond_s + duration_s if beyond > 0.0 and self._even_s > 0.0 else 0.0
-        if self._beyond_s > _ERROR_S or (beyond == 0.0 and self._even_s > _EVEN_S):
-            share = min(duration_s / _EVEN_S, 1.0)
-            x, y, z = (old + share * (new - old) for old, new in zip(self._level_error, mean, strict=True))
-            self._level_error = (x, y, z)
+        if self._beyond_s > self._settings.level_reset_s or (beyond == 0.0 and self._even_s > self._settings.level_s):
+            share = min(duration_s / self._settings.level_s, 1.0)
+            self._level_error = self._level_error + share * (mean - self._level_error)
         return beyond
 
-    def _statistic(self) -> tuple[float, FloatArray, float, tuple[float, float, float]]:
-        """Return SHOE over the window, the mean rate, how much the rates vary, rad/s, and the mean acceleration.
-
-        In plain arithmetic, which for a handful of samples is several times faster than arrays.
-        """
-        rows, count = self._window, len(self._window)
-        _, fx, fy, fz, wx, wy, wz, ax, ay, az = (sum(column) / count for column in zip(*rows, strict=True))
-        scale = GRAVITY / max(math.sqrt(fx * fx + fy * fy + fz * fz), 1e-9)
-        gx, gy, gz = scale * fx, scale * fy, scale * fz
-        force = sum((x - gx) ** 2 + (y - gy) ** 2 + (z - gz) ** 2 for _, x, y, z, *_ in rows) / count
-        spread = sum((x - wx) ** 2 + (y - wy) ** 2 + (z - wz) ** 2 for _, _, _, _, x, y, z, *_ in rows) / count
-        statistic = force / ACCELERATION_NOISE**2 + (wx * wx + wy * wy + wz * wz) / RATE_NOISE**2
-        return statistic, np.array([wx, wy, wz]), math.sqrt(spread), (ax, ay, az)
-
-
-_LEVEL_ERROR: Final = 0.5
-"""m/s²: what tilt and bias of a standing sensor change by; on recorded walks both together are less in 99 % of the
-samples."""
-_EVEN_S: Final = 0.3
-"""How fast the error is learnt, and how long a foot has to be without any unevenness before."""
-_ERROR_S: Final = 1.0
-"""What lasts so long without any unevenness is no acceleration of a foot but a larger error of the sensor."""
-_GAINS_S: Final = 0.15
-"""For about so long an acceleration has gone on when it is noticed."""
-MOVES: Final = Rest(still=False, speed_sigma=None, rate=None)
-_EVEN: Final = float(np.radians(2.0))
-"""Rates that vary less than this, rad/s, come from a sensor that does not turn."""
+    def _statistic(self) -> tuple[float, FloatArray, float, FloatArray]:
+        """Return SHOE over the window, the mean rate, how much the rates vary, rad/s, and the mean acceleration."""
+        rows = np.array(self._window)
+        _, force, rate, acceleration = np.split(rows.mean(axis=0), (1, 4, 7))
+        gravity = (GRAVITY_M_S2 / max(math.sqrt(force @ force), 1e-9)) * force
+        unexplained = float(((rows[:, 1:4] - gravity) ** 2).sum()) / len(rows)
+        spread = float(((rows[:, 4:7] - rate) ** 2).sum()) / len(rows)
+        statistic = unexplained / ACCELERATION_NOISE**2 + float(rate @ rate) / RATE_NOISE**2
+        return statistic, rate, math.sqrt(spread), acceleration

@@ -1,12 +1,12 @@
 """From what inertial sensors send to specific force, angular rate and a level orientation.
 
 Two kinds of sensors: those that fuse inside (BNO080: orientation q and linear acceleration a, gravity removed by means
-of that very q) and those that send specific force f and angular rate ω. The first are turned back,
+of that very q) and those that send specific force f and angular rate ω. The first are converted back,
 
     f = a + Rᵀ(q)·(0, 0, g),        ω = log(Rᵀ(q₀)·R(q₁)) / h,
 
 so that an error of the sensor's own idea of "down" cancels and one navigation filter serves both. The second get an
-orientation from a complementary filter: turned by ω, and drawn to where the force says "up" while it measures g
+orientation from a complementary filter: rotated by ω, and drawn to where the force says "up" while it measures g
 (Mahony, Hamel and Pflimlin, "Nonlinear complementary filters on the special orthogonal group", IEEE Transactions on
 Automatic Control 53 (5), 2008, with the gain as the source leaves it open).
 """
@@ -26,8 +26,7 @@ from rhot.geometry.rotations import (
     rotation_from_quaternion,
     rotation_from_vector,
 )
-from rhot_feet.imu.samples import ImuSamples
-from rhot_feet.imu.zero_velocity import GRAVITY
+from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -35,7 +34,7 @@ S = TypeVar("S")
 
 LONGEST_STEP_S: Final = 0.25
 """Samples further apart than this do not belong together: the sensor was away."""
-_LEVELLING: Final = 0.5
+_COMPLEMENTARY_GAIN: Final = 0.5
 """Gain of the complementary filter, 1/s."""
 _LEVEL_BAND: Final = 0.5
 """m/s²: a force that differs from gravity by more does not say where up is."""
@@ -67,8 +66,8 @@ def up_rotation(up: FloatArray) -> FloatArray:
     return rotation
 
 
-class FusedReader:
-    """Samples of a sensor that fuses inside: orientation and linear acceleration."""
+class FusedImuConverter:
+    """Converts samples of a sensor that fuses inside: orientation and linear acceleration."""
 
     def __init__(self) -> None:
         self._last: tuple[int, FloatArray] | None = None
@@ -77,7 +76,7 @@ class FusedReader:
         """Forget the last sample: there was a gap."""
         self._last = None
 
-    def read(self, t_ns: IntArray, linear_acceleration: FloatArray, orientation_xyzw: FloatArray) -> ImuSamples:
+    def convert(self, t_ns: IntArray, linear_acceleration: FloatArray, orientation_xyzw: FloatArray) -> ImuSamples:
         """Return N samples.
 
         Args:
@@ -91,15 +90,15 @@ class FusedReader:
         first_t, first_R = self._last if self._last is not None else (int(t_ns[0]) - 1, R[0])
         before = np.concatenate([first_R[None], R[:-1]])
         spans = np.diff(t_ns, prepend=first_t) * 1e-9
-        turns = _vectors(before.swapaxes(1, 2) @ R)
+        rotations = _vectors(before.swapaxes(1, 2) @ R)
         whole = spans <= LONGEST_STEP_S
-        rates = np.where(whole[:, None], turns / np.maximum(spans, 1e-6)[:, None], 0.0)
+        rates = np.where(whole[:, None], rotations / np.maximum(spans, 1e-6)[:, None], 0.0)
         self._last = int(t_ns[-1]), R[-1]
-        return ImuSamples(t_ns, linear_acceleration + GRAVITY * R[:, 2, :], rates, quaternion_from_rotation(R))
+        return ImuSamples(t_ns, linear_acceleration + GRAVITY_M_S2 * R[:, 2, :], rates, quaternion_from_rotation(R))
 
 
-class RawReader:
-    """Samples of a sensor that sends specific force and angular rate."""
+class RawImuConverter:
+    """Converts samples of a sensor that sends specific force and angular rate."""
 
     def __init__(self) -> None:
         self._last: tuple[int, FloatArray] | None = None
@@ -109,7 +108,7 @@ class RawReader:
         """Forget the last sample: there was a gap."""
         self._last = self._R = None
 
-    def read(self, t_ns: IntArray, specific_force: FloatArray, angular_rate: FloatArray) -> ImuSamples:
+    def convert(self, t_ns: IntArray, specific_force: FloatArray, angular_rate: FloatArray) -> ImuSamples:
         """Return N samples.
 
         Args:
@@ -134,9 +133,9 @@ class RawReader:
             return self._R
         R = self._R @ rotation_from_vector(span_s * rate)
         size = math.sqrt(force @ force)
-        if abs(size - GRAVITY) < _LEVEL_BAND:
+        if abs(size - GRAVITY_M_S2) < _LEVEL_BAND:
             up = R @ force / size
-            R = rotation_from_vector((_LEVELLING * span_s) * np.array([up[1], -up[0], 0.0])) @ R
+            R = rotation_from_vector((_COMPLEMENTARY_GAIN * span_s) * np.array([up[1], -up[0], 0.0])) @ R
         self._R = orthonormal(R)
         return self._R
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from rhot_bench.steps.dead_reckoning import horizontal_error_m, reckon
 from rhot_bench.steps.standard_detectors import amvd, ared, mbgtd, shoe
 from rhot_bench.steps.walks import read_places
-from rhot_feet.imu.zero_velocity import GRAVITY, Rest, StillnessDetector
+from rhot_feet.imu.samples import GRAVITY_M_S2
+from rhot_feet.imu.zero_velocity_detector import ZeroVelocity, ZeroVelocityDetector
 from rhot_feet.sources.imu.recorded import read_samples
 
 FloatArray = NDArray[np.float64]
@@ -37,7 +38,7 @@ def test_detectors_tell_motion(shaken: tuple[FloatArray, FloatArray, NDArray[np.
 
 def test_live_detector_is_quick_and_sure(shaken: tuple[FloatArray, FloatArray, NDArray[np.bool_]]) -> None:
     force, rate, _ = shaken
-    detector = StillnessDetector()
+    detector = ZeroVelocityDetector()
     rests = [detector.add(0.005, f, w) for f, w in zip(force, rate, strict=True)]
     still = np.array([rest.still for rest in rests])
     assert still[30:400].all()
@@ -49,16 +50,16 @@ def test_live_detector_is_quick_and_sure(shaken: tuple[FloatArray, FloatArray, N
     assert rests[-1].rate is not None and np.linalg.norm(rests[-1].rate) < 0.02
 
 
-def level(detector: StillnessDetector, acceleration: float, count: int, error: float = 0.0) -> list[Rest]:
+def level(detector: ZeroVelocityDetector, acceleration: float, count: int, error: float = 0.0) -> list[ZeroVelocity]:
     """Accelerate a sensor evenly, level and forwards; its own idea of that is wrong by an error."""
-    force = np.array([acceleration, 0.0, GRAVITY])
+    force = np.array([acceleration, 0.0, GRAVITY_M_S2])
     return [detector.add(0.01, force, np.zeros(3), np.array([acceleration + error, 0.0, 0.0])) for _ in range(count)]
 
 
 @pytest.mark.parametrize("error", [0.0, 1.0])
 def test_a_foot_that_sets_off_smoothly_does_not_stand(error: float) -> None:
     """It feels an even force, as one that leans; a sensor that knows up knows better, if it does not err too much."""
-    detector = StillnessDetector()
+    detector = ZeroVelocityDetector()
     standing = level(detector, 0.0, 250, error)
     assert all(rest.still for rest in standing[-20:])
     setting_off = level(detector, 2.0, 15, error)
@@ -69,8 +70,8 @@ def test_a_foot_that_sets_off_smoothly_does_not_stand(error: float) -> None:
 
 
 def test_a_sensor_that_does_not_know_up_takes_even_acceleration_for_a_tilt() -> None:
-    detector = StillnessDetector()
-    assert [detector.add(0.01, np.array([2.0, 0.0, GRAVITY]), np.zeros(3)) for _ in range(30)][-1].still
+    detector = ZeroVelocityDetector()
+    assert [detector.add(0.01, np.array([2.0, 0.0, GRAVITY_M_S2]), np.zeros(3)) for _ in range(30)][-1].still
 
 
 @pytest.mark.parametrize(
@@ -119,8 +120,8 @@ def test_no_fixed_threshold_serves_slow_and_fast_steps(shared_data: Path) -> Non
 
 def test_a_walk_that_ends_where_it_began(shared_data: Path) -> None:
     samples = read_samples(shared_data / "foot_imu" / "xio_short_walk.csv")
-    places = reckon(samples)
-    path_m = np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1).sum()
+    positions = reckon(samples)
+    path_m = np.linalg.norm(np.diff(positions[:, :2], axis=0), axis=1).sum()
     assert path_m > 15.0
-    assert np.linalg.norm(places[-1, :2]) < 0.05
-    assert abs(places[-1, 2]) < 0.02 * path_m
+    assert np.linalg.norm(positions[-1, :2]) < 0.05
+    assert abs(positions[-1, 2]) < 0.02 * path_m

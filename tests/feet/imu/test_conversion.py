@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector, rotation_x
-from rhot_feet.imu.inertial import FusedReader, RawReader, level_rotation, up_rotation
-from rhot_feet.imu.strapdown import SIZE, InertialNoise, InertialState, InertialStep, Strapdown, inject
+from rhot_feet.filter.strapdown import SIZE, InertialNoise, InertialState, Strapdown, inject
+from rhot_feet.imu.conversion import FusedImuConverter, RawImuConverter, level_rotation, up_rotation
+from rhot_feet.imu.track import InertialStep
 
 T_NS = np.arange(100) * 10_000_000
 
@@ -22,7 +23,7 @@ def test_up_goes_to_z_and_back() -> None:
 def test_fused_sensor_at_rest_feels_gravity_whatever_its_tilt() -> None:
     R = rotation_from_vector(np.array([0.4, -0.9, 2.0]))
     q = np.tile(quaternion_from_rotation(R), (100, 1))
-    samples = FusedReader().read(T_NS, np.zeros((100, 3)), q)
+    samples = FusedImuConverter().convert(T_NS, np.zeros((100, 3)), q)
     np.testing.assert_allclose(samples.specific_force, np.tile(R.T @ [0.0, 0.0, 9.81], (100, 1)), atol=1e-12)
     np.testing.assert_allclose(samples.angular_rate, 0.0, atol=1e-9)
 
@@ -30,10 +31,10 @@ def test_fused_sensor_at_rest_feels_gravity_whatever_its_tilt() -> None:
 def test_fused_rates_go_on_from_call_to_call_but_not_over_gaps() -> None:
     R = np.array([rotation_x(0.03 * k) for k in range(100)])
     q = quaternion_from_rotation(R) * np.where(np.arange(100) % 2, 1.0, -1.0)[:, None]
-    reader = FusedReader()
-    rates = [reader.read(T_NS[k : k + 1], np.zeros((1, 3)), q[k : k + 1]).angular_rate[0, 0] for k in range(50)]
+    converter = FusedImuConverter()
+    rates = [converter.convert(T_NS[k : k + 1], np.zeros((1, 3)), q[k : k + 1]).angular_rate[0, 0] for k in range(50)]
     np.testing.assert_allclose(rates[1:], 3.0, atol=1e-6)
-    late = reader.read(T_NS[60:61] + 300_000_000, np.zeros((1, 3)), q[60:61])
+    late = converter.convert(T_NS[60:61] + 300_000_000, np.zeros((1, 3)), q[60:61])
     assert late.angular_rate[0, 0] == 0.0
 
 
@@ -46,7 +47,7 @@ def test_raw_sensor_keeps_level_through_shaking() -> None:
     rate[:, 0] = 1.2 * np.cos(2.0 * t)
     shaking = 3.0 * np.sin(25.0 * t)[:, None] * np.array([1.0, 0.5, 0.0])
     force = np.einsum("nji,nj->ni", R, shaking + np.array([0.0, 0.0, 9.81])) + random.normal(0.0, 0.05, (4000, 3))
-    samples = RawReader().read((t * 1e9).astype(np.int64), force, rate + 0.01)
+    samples = RawImuConverter().convert((t * 1e9).astype(np.int64), force, rate + 0.01)
     tilt = rotation_from_quaternion(samples.orientation_xyzw)[:, 2]
     errors = np.degrees(np.arccos(np.clip((tilt * R[:, 2]).sum(axis=1), -1.0, 1.0)))
     assert errors[2000:].mean() < 3.0

@@ -30,28 +30,28 @@ _NEARER_THEN_M: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class ShapeView:
+class SurfaceView:
     """The depth image in which a foot's surface was learnt.
 
     Attributes:
         grid: its points, `FINE_PX` apart.
         camera: its lens.
-        place: (3,) of the marker in it, metres, its camera's frame.
+        position: (3,) of the marker in it, metres, its camera's frame.
         R: (3, 3) from the axes of the shape to those of its camera.
     """
 
     grid: PointGrid
     camera: CameraModel
-    place: FloatArray
+    position: FloatArray
     R: FloatArray
 
-    def showed(self, points: FloatArray) -> Mask:
+    def revealed(self, points: FloatArray) -> Mask:
         """Tell of which points (N, 3) from the marker, axes of the shape, it showed whether there was something."""
-        return _in_sight(points @ self.R.T + self.place, self.grid, self.camera, _NEARER_THEN_M)
+        return _visible(points @ self.R.T + self.position, self.grid, self.camera, _NEARER_THEN_M)
 
 
 @dataclass(frozen=True, slots=True)
-class FootShape:
+class SurfaceShape:
     """A foot's surface as the depth image showed it.
 
     Attributes:
@@ -64,7 +64,7 @@ class FootShape:
     points: FloatArray
     weights: FloatArray
     area: float
-    view: ShapeView
+    view: SurfaceView
 
     @property
     def mean(self) -> FloatArray:
@@ -72,33 +72,33 @@ class FootShape:
         mean: FloatArray = self.weights @ self.points / self.weights.sum()
         return mean
 
-    def turned(self, R: FloatArray) -> FootShape:
+    def rotated(self, R: FloatArray) -> SurfaceShape:
         """Return the shape in other axes, which R (3, 3) maps to."""
         view = replace(self.view, R=self.view.R @ R.T)
-        return FootShape(self.points @ R.T, self.weights, self.area, view)
+        return SurfaceShape(self.points @ R.T, self.weights, self.area, view)
 
 
-def shape_of(points: FloatArray, weights: FloatArray, area: float, view: ShapeView) -> FootShape:
+def sample_shape(points: FloatArray, weights: FloatArray, area: float, view: SurfaceView) -> SurfaceShape:
     """Return the shape of a blob's points (N, 3) from the marker with weights (N,), a sample of them."""
     every = max(1, len(points) // _POINTS)
-    return FootShape(points[::every], weights[::every], area, view)
+    return SurfaceShape(points[::every], weights[::every], area, view)
 
 
-def part_in_sight(
-    shape: FootShape, place: FloatArray, grid: PointGrid, camera: CameraModel
+def visible_part(
+    shape: SurfaceShape, position: FloatArray, grid: PointGrid, camera: CameraModel
 ) -> tuple[float, FloatArray]:
     """Return the share of a foot's surface that is in sight, and from the mean of that part to the mean of all.
 
     Args:
         shape: in the camera's axes.
-        place: (3,) of the marker, metres, camera frame.
+        position: (3,) of the marker, metres, camera frame.
         grid: the points of the depth image about it, `FINE_PX` apart.
         camera: the lens.
 
     Returns:
         0 to 1; (3,) metres, camera frame, zero where nothing is in sight.
     """
-    clear = _in_sight(shape.points + place, grid, camera, _NEARER_M)
+    clear = _visible(shape.points + position, grid, camera, _NEARER_M)
     weights = np.where(clear, shape.weights, 0.0)
     share = float(weights.sum() / shape.weights.sum())
     if share <= 0.0:
@@ -106,7 +106,7 @@ def part_in_sight(
     return share, shape.mean - weights @ shape.points / weights.sum()
 
 
-def _in_sight(points: FloatArray, grid: PointGrid, camera: CameraModel, nearer_m: float) -> Mask:
+def _visible(points: FloatArray, grid: PointGrid, camera: CameraModel, nearer_m: float) -> Mask:
     """Tell before which points (N, 3), camera frame, nothing stands in a depth image that is nearer by so much."""
     pixels = camera.project(points)
     columns = np.rint((pixels[:, 0] - grid.region.left) / FINE_PX).astype(np.intp)

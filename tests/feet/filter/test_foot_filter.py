@@ -16,13 +16,14 @@ from rhot.geometry.rotations import (
     rotation_from_vector,
 )
 from rhot_bench.thesis.foot_filter import ThesisFilter
-from rhot_feet.filter.filter import FootFilter
+from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.inertial import InertialModel
 from rhot_feet.filter.model import FootFilterSettings, FootMotion, FootState, Observation
+from rhot_feet.filter.strapdown import ATTITUDE, InertialNoise, InertialState, Strapdown
 from rhot_feet.imu.alignment.equations import Alignment
-from rhot_feet.imu.inertial import FusedReader, up_rotation
-from rhot_feet.imu.strapdown import ATTITUDE, InertialNoise, InertialState, InertialStep, Strapdown
-from rhot_feet.sources.imu import ImuSamples
+from rhot_feet.imu.conversion import FusedImuConverter, up_rotation
+from rhot_feet.imu.samples import ImuSamples
+from rhot_feet.imu.track import InertialStep
 
 FloatArray = NDArray[np.float64]
 
@@ -70,7 +71,7 @@ def follow(
     random = np.random.default_rng(seed)
     t_imu, t_picture = np.arange(-1.0, seconds, 0.01), np.arange(-0.997, seconds - late_s - 0.01, 1.0 / 60.0)
     acceleration, quaternions = sensed(walk, seed)
-    reader = FusedReader()
+    converter = FusedImuConverter()
     events = sorted([(t, 0, k) for k, t in enumerate(t_imu)] + [(t + late_s, 1, k) for k, t in enumerate(t_picture)])
     times, errors, turns, states = [], [], [], []
     for now, is_picture, k in events:
@@ -80,23 +81,23 @@ def follow(
                 spin = np.array([0.0, 0.0, np.sin(yaw / 2.0), np.cos(yaw / 2.0)])
                 world = rotation_from_quaternion(spin) @ rotation_from_quaternion(quaternions[k])
                 q = quaternion_from_rotation(world)
-                foot.imu(reader.read(np.array([ns(now)]), acceleration[k : k + 1], q[None]))
+                foot.add_imu_samples(converter.convert(np.array([ns(now)]), acceleration[k : k + 1], q[None]))
             continue
         t = float(t_picture[k])
         if seen(t):
-            place, R = walk.foot(t)
-            place = place + random.normal(0.0, SIGMA_M, 3)
+            position, R = walk.foot(t)
+            position = position + random.normal(0.0, SIGMA_M, 3)
             if random.random() < false_share:
-                place = place + random.normal(0.0, 1.0, 3)
+                position = position + random.normal(0.0, 1.0, 3)
             turned = rotation_from_vector(random.normal(0.0, ROTATION_SIGMA, 3)) @ R
-            foot.marker(
-                ns(t), place, SIGMA_M**2 * np.eye(3), quaternion_from_rotation(turned), ROTATION_SIGMA**2 * np.eye(3)
+            foot.update_marker(
+                ns(t), position, SIGMA_M**2 * np.eye(3), quaternion_from_rotation(turned), ROTATION_SIGMA**2 * np.eye(3)
             )
         state = foot.state(ns(now))
         if state is not None:
-            place, R = walk.foot(now)
+            position, R = walk.foot(now)
             times.append(now)
-            errors.append(float(np.linalg.norm(state.position - place)))
+            errors.append(float(np.linalg.norm(state.position - position)))
             turn = rotation_between(rotation_from_quaternion(state.orientation_xyzw), R)
             turns.append(float(np.degrees(np.linalg.norm(turn))))
             states.append(state)
@@ -161,7 +162,7 @@ def test_a_foot_that_goes_out_of_sight_with_its_first_step_is_carried_by_its_sen
     foot, walk = FootFilter(), Walk()
     follow(walk, 0.18, foot, seen=lambda t: t < 0.14)
     aligned_in_sight = foot.aligned
-    assert foot.depth(ns(0.17), walk.foot(0.17)[0], 0.01**2 * np.eye(3))
+    assert foot.update_depth(ns(0.17), walk.foot(0.17)[0], 0.01**2 * np.eye(3))
     assert foot.aligned and not aligned_in_sight
     state = foot.state(ns(0.17))
     assert state is not None
@@ -177,7 +178,7 @@ def test_places_out_of_the_depth_image_share_their_errors(rate_hz: float) -> Non
     follow(Walk(), 1.7, foot, seen=lambda t: t < 0.0 or 0.55 < t < 1.1)
     assert foot.aligned
     for t in np.arange(1.5, 1.6, 1.0 / rate_hz):
-        assert foot.depth(ns(float(t)), Walk().foot(float(t))[0], 0.04**2 * np.eye(3))
+        assert foot.update_depth(ns(float(t)), Walk().foot(float(t))[0], 0.04**2 * np.eye(3))
     state = foot.state(ns(1.6))
     assert state is not None
     assert 0.040 < state.sigma_m < 0.043
@@ -188,7 +189,7 @@ def test_a_foot_that_stands_tells_nothing_of_the_yaw_of_its_sensor() -> None:
     C, random = up_rotation(np.array([0.0, 1.0, 0.0])), np.random.default_rng(5)
     model = InertialModel(Strapdown(np.array([0.0, -9.81, 0.0]), InertialNoise()), C)
     walk, yaw_sigma = Walk(), float(np.radians(10.0))
-    place, R_foot = walk.foot(-1.0)
+    position, R_foot = walk.foot(-1.0)
     R_sensor = R_foot @ walk.R_sensor_foot.T
     # The sensor's own idea of up is three degrees off, the lever ten centimetres.
     wrong = rotation_from_vector(np.radians([2.0, 0.0, -2.0])) @ R_sensor
@@ -196,17 +197,17 @@ def test_a_foot_that_stands_tells_nothing_of_the_yaw_of_its_sensor() -> None:
         0.0, yaw_sigma, np.zeros(3), np.zeros(3), np.diag(np.repeat([0.01, 0.01], 3)), np.zeros(6),
         wrong.T @ R_foot, True,
     )  # fmt: skip
-    motion = FootMotion(place, np.zeros(3), R_foot, 1e-4 * np.eye(3), 1e-2 * np.eye(3))
+    motion = FootMotion(position, np.zeros(3), R_foot, 1e-4 * np.eye(3), 1e-2 * np.eye(3))
     state = model.start(alignment, C.T @ wrong, motion, np.zeros(3), stands=True)
     force = R_sensor.T @ np.array([0.0, 9.81, 0.0])
     step = InertialStep(0.01, force, force, np.zeros(3))
     for k in range(200):
-        state = model.rest(model.predict(state, 0.01, step), 0.01, None)
+        state = model.zero_velocity_update(model.predict(state, 0.01, step), 0.01, None)
         if k % 2:
             seen = rotation_from_vector(random.normal(0.0, ROTATION_SIGMA, 3)) @ R_foot
-            at = place + random.normal(0.0, SIGMA_M, 3)
+            at = position + random.normal(0.0, SIGMA_M, 3)
             spread = ROTATION_SIGMA**2 * np.eye(3)
-            state = model.observe(state, Observation(0, at, SIGMA_M**2 * np.eye(3), seen, spread, "marker"))
+            state = model.update(state, Observation(0, at, SIGMA_M**2 * np.eye(3), seen, spread, "marker"))
     off = rotation_between(R_sensor, state.R)
     assert np.degrees(np.hypot(off[0], off[2])) < 1.0
     assert np.sqrt(state.P[ATTITUDE, ATTITUDE][1, 1]) > 0.9 * yaw_sigma
@@ -225,7 +226,7 @@ def test_what_the_depth_image_shows_corrects_the_tilt_that_led_the_foot_astray()
     step = InertialStep(1.0 / 60.0, force, force, nothing)
     for _ in range(60):
         state = model.predict(state, 1.0 / 60.0, step)
-        state = model.observe(state, Observation(0, nothing, 0.01**2 * np.eye(3), None, np.eye(3), "depth"))
+        state = model.update(state, Observation(0, nothing, 0.01**2 * np.eye(3), None, np.eye(3), "depth"))
     assert float(np.linalg.norm(state.position)) < 0.01
     assert float(np.degrees(np.linalg.norm(rotation_between(state.R, tilted.T)))) < 0.5
 
@@ -233,9 +234,9 @@ def test_what_the_depth_image_shows_corrects_the_tilt_that_led_the_foot_astray()
 def test_a_foot_that_is_elsewhere_says_nothing_against_a_sensor_that_does_not_carry_it() -> None:
     foot = FootFilter(FootFilterSettings(agreeing=4))
     forgotten: list[None] = []
-    foot._learner.forget = lambda: forgotten.append(None)  # type: ignore[method-assign]
+    foot._alignment.reset = lambda: forgotten.append(None)  # type: ignore[method-assign]
     for k in range(40):
-        foot.marker(ns(k / 60.0), np.array([float(k >= 20), 0.0, 0.0]), SIGMA_M**2 * np.eye(3))
+        foot.update_marker(ns(k / 60.0), np.array([float(k >= 20), 0.0, 0.0]), SIGMA_M**2 * np.eye(3))
     assert foot.counts.restarts == 1
     assert not forgotten
 
@@ -250,9 +251,9 @@ def test_a_sensor_that_is_not_aligned_still_tells_that_the_foot_sets_off() -> No
         forces[72:, 2] = force
         upright = np.tile([0.0, 0.0, 0.0, 1.0], (80, 1))
         for k in range(80):
-            foot.imu(ImuSamples(t_ns[k : k + 1], forces[k : k + 1], np.zeros((1, 3)), upright[k : k + 1]))
+            foot.add_imu_samples(ImuSamples(t_ns[k : k + 1], forces[k : k + 1], np.zeros((1, 3)), upright[k : k + 1]))
             if k < 72:
-                foot.marker(int(t_ns[k]), np.zeros(3), SIGMA_M**2 * np.eye(3))
+                foot.update_marker(int(t_ns[k]), np.zeros(3), SIGMA_M**2 * np.eye(3))
         state = foot.state(int(t_ns[-1]))
         assert state is not None
         sigmas.append(state.sigma_m)
@@ -264,9 +265,9 @@ def test_a_foot_unseen_is_about_as_it_was_turned_even_when_it_is_found_elsewhere
     foot, covariance = FootFilter(), SIGMA_M**2 * np.eye(3)
     orientation = quaternion_from_rotation(rotation_from_vector(np.array([0.1, 0.8, 0.0])))
     for k in range(30):
-        foot.marker(ns(k / 60.0), np.zeros(3), covariance, orientation)
+        foot.update_marker(ns(k / 60.0), np.zeros(3), covariance, orientation)
     for k in range(30, 50):
-        foot.depth(ns(k / 60.0), np.array([3.0, 0.0, 0.0]), covariance)
+        foot.update_depth(ns(k / 60.0), np.array([3.0, 0.0, 0.0]), covariance)
     state = foot.state(ns(50 / 60.0))
     assert foot.counts.restarts == 1
     assert state is not None and abs(state.position[0] - 3.0) < 0.01
@@ -280,9 +281,11 @@ def test_a_foot_felt_to_stand_ever_since_it_was_seen_counts_as_seen(shaken: bool
     forces = np.tile([0.0, 0.0, 9.81], (200, 1))
     forces[100:110, 0] = 8.0 * shaken
     for k, force in enumerate(forces):
-        foot.imu(ImuSamples(np.array([ns(0.01 * k)]), force[None], np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]])))
+        foot.add_imu_samples(
+            ImuSamples(np.array([ns(0.01 * k)]), force[None], np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+        )
         if k < 80:
-            foot.marker(ns(0.01 * k), np.zeros(3), SIGMA_M**2 * np.eye(3))
+            foot.update_marker(ns(0.01 * k), np.zeros(3), SIGMA_M**2 * np.eye(3))
     state = foot.state(ns(1.99))
     assert state is not None and state.stationary
     assert (state.measured_ns == ns(1.99)) is held
@@ -294,9 +297,11 @@ def test_a_foot_stood_while_samples_were_lost_if_it_is_as_it_was_before(turned_d
     after = quaternion_from_rotation(rotation_from_vector(np.radians([0.0, 0.0, turned_deg])))[None]
     for k in (*range(60), *range(75, 90)):
         orientation = still if k < 60 else after
-        foot.imu(ImuSamples(np.array([ns(0.01 * k)]), np.array([[0.0, 0.0, 9.81]]), np.zeros((1, 3)), orientation))
+        foot.add_imu_samples(
+            ImuSamples(np.array([ns(0.01 * k)]), np.array([[0.0, 0.0, 9.81]]), np.zeros((1, 3)), orientation)
+        )
         if k < 40:
-            foot.marker(ns(0.01 * k), np.zeros(3), SIGMA_M**2 * np.eye(3))
+            foot.update_marker(ns(0.01 * k), np.zeros(3), SIGMA_M**2 * np.eye(3))
     state = foot.state(ns(0.9))
     assert state is not None
     assert (state.sigma_m < 0.01) is (turned_deg == 0.0)
@@ -325,8 +330,8 @@ def test_unseen_without_a_sensor_holds_the_place_and_says_so() -> None:
     track = follow(Walk(), 4.0, foot, sensor=lambda _t: False, seen=lambda t: t < 2.0)
     late = track.t > 2.3
     assert all(state.stage == "lost" for state, is_late in zip(track.states, late, strict=True) if is_late)
-    places = np.array([state.position for state in track.states])[late]
-    assert np.linalg.norm(places - places[-1], axis=1).max() < 0.02
+    positions = np.array([state.position for state in track.states])[late]
+    assert np.linalg.norm(positions - positions[-1], axis=1).max() < 0.02
     assert track.states[-1].sigma_m > 0.5
 
 
@@ -335,8 +340,8 @@ def test_a_marker_that_is_really_elsewhere_is_followed() -> None:
     foot = FootFilter()
     covariance = SIGMA_M**2 * np.eye(3)
     for k in range(60):
-        assert foot.marker(ns(k / 60.0), np.zeros(3), covariance)
-    answers = [foot.marker(ns(k / 60.0), np.array([1.0, 0.0, 0.0]), covariance) for k in range(60, 80)]
+        assert foot.update_marker(ns(k / 60.0), np.zeros(3), covariance)
+    answers = [foot.update_marker(ns(k / 60.0), np.array([1.0, 0.0, 0.0]), covariance) for k in range(60, 80)]
     assert not any(answers[:6]) and all(answers[8:])
     state = foot.state(ns(80 / 60.0))
     assert state is not None and abs(state.position[0] - 1.0) < 0.01
@@ -357,10 +362,10 @@ def test_order_of_arrival_does_not_matter() -> None:
 def test_what_is_too_late_is_left_out_and_memory_is_bounded() -> None:
     foot = FootFilter()
     follow(Walk(), 3.0, foot)
-    assert not foot.marker(ns(1.0), np.zeros(3), np.eye(3) * 1e-6)
+    assert not foot.update_marker(ns(1.0), np.zeros(3), np.eye(3) * 1e-6)
     assert foot.counts.late == 1
-    history = foot._by_sensor
-    assert history is not None and len(history._moments) < 60 and len(foot._samples) < 60
+    history = foot._inertial_history
+    assert history is not None and len(history._entries) < 60 and len(foot._imu) < 60
 
 
 def test_depth_alone_is_smoothed() -> None:
@@ -368,11 +373,11 @@ def test_depth_alone_is_smoothed() -> None:
     random = np.random.default_rng(0)
     errors = []
     for k in range(180):
-        foot.depth(ns(k / 60.0), random.normal(0.0, 0.012, 3), 0.012**2 * np.eye(3))
+        foot.update_depth(ns(k / 60.0), random.normal(0.0, 0.012, 3), 0.012**2 * np.eye(3))
         state = foot.state(ns(k / 60.0))
         assert state is not None and state.stage == "depth"
         errors.append(float(np.linalg.norm(state.position)))
-    # Each place alone is 19 mm off on average.
+    # Each position alone is 19 mm off on average.
     assert np.mean(errors[60:]) < 0.012
 
 
@@ -395,5 +400,5 @@ def test_thesis_filter_lags_and_ours_does_not() -> None:
 
 def test_nothing_is_known_before_it_was_seen() -> None:
     for foot in (FootFilter(), ThesisFilter()):
-        foot.imu(ImuSamples.none())
+        foot.add_imu_samples(ImuSamples.none())
         assert foot.state(ns(0.0)) is None

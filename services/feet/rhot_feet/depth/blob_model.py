@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import cross_matrix
 from rhot_feet.depth.points import PointGrid
-from rhot_feet.depth.search import FootBlob
-from rhot_feet.depth.shape import FootShape, ShapeView, shape_of
-from rhot_feet.expectation import GATE_SIGMAS, FootExpectation, innovation_distance
+from rhot_feet.depth.segmentation import FootBlob
+from rhot_feet.depth.visibility import SurfaceShape, SurfaceView, sample_shape
+from rhot_feet.prediction import GATE_SIGMAS, FootPrediction, innovation_distance
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ _AREA_RATIO: Final = (0.4, 2.0)
 """A blob that shows less or more of its usual surface than this is half hidden, or more than a foot."""
 _AREA_SIGMA: Final = 1.5
 _HIDDEN_SIGMA: Final = 1.0
-"""By how much more a place is in doubt when hardly anything of the foot is in sight."""
+"""By how much more a position is in doubt when hardly anything of the foot is in sight."""
 _MAX_CUT: Final = 0.5
 _LEAST_IN_SIGHT: Final = 0.2
 """Share of the foot's surface; of less the rest cannot be told."""
@@ -48,21 +48,21 @@ class Neighbour:
     """Another foot in the same picture.
 
     Attributes:
-        place: (3,) of its marker, metres, camera frame.
+        position: (3,) of its marker, metres, camera frame.
         share: how much of its usual surface it shows.
     """
 
-    place: FloatArray
+    position: FloatArray
     share: float
 
-    def excludes(self, place: FloatArray, share: float) -> bool:
-        """Tell whether a blob at a place (3,), which shows such a share of a foot, is this foot or part of it."""
-        distance = float(np.linalg.norm(place - self.place))
+    def excludes(self, position: FloatArray, share: float) -> bool:
+        """Tell whether a blob at a position (3,), which shows such a share of a foot, is this foot or part of it."""
+        distance = float(np.linalg.norm(position - self.position))
         return distance < (_BESIDE_M if self.share + share < _BOTH_SHARE else _OTHER_FOOT_M)
 
 
 @dataclass(frozen=True, slots=True)
-class LearntFoot:
+class BlobModel:
     """From a blob's centroid to the marker, and how much of a foot is usually seen.
 
     Attributes:
@@ -78,10 +78,10 @@ class LearntFoot:
     variance: FloatArray
     area: float
     count: int
-    shape: FootShape
+    shape: SurfaceShape
     in_foot: bool
 
-    def serves(self, foot: FootExpectation) -> bool:
+    def serves(self, foot: FootPrediction) -> bool:
         """Tell whether it holds in the axes in which a foot is expected."""
         return self.in_foot == (foot.R_camera_foot is not None)
 
@@ -89,10 +89,10 @@ class LearntFoot:
         """Return how much of the surface that should be in sight a blob shows."""
         return blob.area / (max(blob.in_sight, _LEAST_IN_SIGHT) * self.area)
 
-    def judged(
-        self, foot: FootExpectation, blob: FootBlob, others: Sequence[Neighbour], up: FloatArray
+    def check(
+        self, foot: FootPrediction, blob: FootBlob, others: Sequence[Neighbour], up: FloatArray
     ) -> FloatArray | BlobRefusal:
-        """Return the covariance (3, 3) of a blob's place, m², camera frame, or why it is not believed.
+        """Return the covariance (3, 3) of a blob's position, m², camera frame, or why it is not believed.
 
         Args:
             foot: what the filter predicts.
@@ -103,7 +103,7 @@ class LearntFoot:
         ratio = self.share(blob)
         wrong: dict[BlobRefusal, bool] = {
             "hidden": blob.in_sight < _LEAST_IN_SIGHT,
-            "other": any(other.excludes(blob.place, ratio) for other in others),
+            "other": any(other.excludes(blob.position, ratio) for other in others),
             "size": not _AREA_RATIO[0] <= ratio <= _AREA_RATIO[1],
             "cut": blob.cut > _MAX_CUT,
             "unsettled": not blob.settled,
@@ -112,9 +112,9 @@ class LearntFoot:
         if reason is not None:
             return reason
         covariance = self._covariance(foot, blob, ratio, up)
-        return "motion" if innovation_distance(blob.place, covariance, foot) > GATE_SIGMAS else covariance
+        return "motion" if innovation_distance(blob.position, covariance, foot) > GATE_SIGMAS else covariance
 
-    def _covariance(self, foot: FootExpectation, blob: FootBlob, ratio: float, up: FloatArray) -> FloatArray:
+    def _covariance(self, foot: FootPrediction, blob: FootBlob, ratio: float, up: FloatArray) -> FloatArray:
         R = axes(foot)
         # A blob that shows less of the foot than usual has its centre elsewhere.
         doubt = 1.0 + _AREA_SIGMA * abs(float(np.log(ratio))) + _HIDDEN_SIGMA * (1.0 - blob.in_sight)
@@ -123,14 +123,14 @@ class LearntFoot:
         covariance: FloatArray = R @ np.diag(variance) @ R.T + level_variance * np.outer(up, up)
         if foot.orientation_covariance is not None:
             seen = blob.compared
-            arm = cross_matrix(blob.place - np.average(blob.points[seen], axis=0, weights=blob.weights[seen]))
+            arm = cross_matrix(blob.position - np.average(blob.points[seen], axis=0, weights=blob.weights[seen]))
             covariance += arm @ foot.orientation_covariance @ arm.T
         return covariance
 
 
-def learnt_from(
-    foot: FootExpectation, blob: FootBlob, grid: PointGrid, camera: CameraModel, known: LearntFoot | None
-) -> LearntFoot | None:
+def update_blob_model(
+    foot: FootPrediction, blob: FootBlob, grid: PointGrid, camera: CameraModel, known: BlobModel | None
+) -> BlobModel | None:
     """Return what is known of a foot after one more sighting of marker and blob; as before where it shows too little.
 
     Args:
@@ -143,15 +143,15 @@ def learnt_from(
     if blob.cut > _MAX_CUT or blob.in_sight < _LEAST_IN_SIGHT:
         return known
     R = axes(foot)
-    offset = R.T @ (foot.place - blob.centroid)
+    offset = R.T @ (foot.position - blob.centroid)
     area = blob.area / blob.in_sight
-    view = ShapeView(grid, camera, foot.place, R)
-    shape = shape_of((blob.points - foot.place) @ R, blob.weights, blob.whole_area, view)
+    view = SurfaceView(grid, camera, foot.position, R)
+    shape = sample_shape((blob.points - foot.position) @ R, blob.weights, blob.whole_area, view)
     if known is None:
-        return LearntFoot(offset, np.full(3, _FIRST_SIGMA_M**2), area, 1, shape, foot.R_camera_foot is not None)
+        return BlobModel(offset, np.full(3, _FIRST_SIGMA_M**2), area, 1, shape, foot.R_camera_foot is not None)
     share = max(1.0 / (known.count + 1), _FORGETTING)
     difference = offset - known.mean
-    now = LearntFoot(
+    now = BlobModel(
         known.mean + share * difference,
         (1.0 - share) * (known.variance + share * difference**2),
         known.area + share * (area - known.area),
@@ -166,6 +166,6 @@ def learnt_from(
     return now
 
 
-def axes(foot: FootExpectation) -> FloatArray:
+def axes(foot: FootPrediction) -> FloatArray:
     """Return the frame (3, 3) in which a foot is learnt: its own, or the camera's while it is not known."""
     return np.eye(3) if foot.R_camera_foot is None else foot.R_camera_foot

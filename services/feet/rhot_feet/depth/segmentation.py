@@ -1,8 +1,15 @@
-"""The search for one foot's blob among the points above the floor; `depth_blob` leads it and tells its purpose."""
+"""Cutting both feet out of the depth image, together, near their predicted positions.
+
+A foot is what stands above the floor within a cylinder about its marker and reaches not much higher than it: the shank,
+which looks alike all the way up, is left out. Where the two cylinders meet, each point goes to the nearer foot, so that
+feet side by side stay two. The cylinder moves to where its own content puts the marker, until it settles; its height
+stays as predicted, for a cylinder that rises lets in ever more of the shank. Of a foot that is partly hidden, or shows
+a side that was never seen, only what is visible and known is compared (`visibility`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,11 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
+from rhot.messages import Side
+from rhot_feet.depth.floor import FloorPlane
 from rhot_feet.depth.points import Mask, PointGrid
-from rhot_feet.depth.shape import FootShape, part_in_sight
+from rhot_feet.depth.visibility import SurfaceShape, visible_part
 
 FloatArray = NDArray[np.float64]
 
+_FLOOR_CLEARANCE_M: Final = 0.015
+_FLOOR_NOISE: Final = 0.008
+"""Clearance from the floor grows by so much times the depth squared, as its noise does."""
+_ROUNDS: Final = 10
+_FULL_ROUNDS: Final = 4
+"""After so many the steps are halved: where points come in and go out again, the search would swing."""
+_KERNEL: Final = np.ones((3, 3), np.uint8)
 RADIUS_M: Final = 0.18
 """Of the cylinder about the marker: a whole shoe with room around it, else the cylinder would slide along the shoe."""
 _FADE_M: Final = (0.02, 0.08)
@@ -34,15 +50,15 @@ class BlobSeed:
     """Where a foot's blob is looked for.
 
     Attributes:
-        place: (3,) expected place of the marker, metres, camera frame.
+        position: (3,) expected position of the marker, metres, camera frame.
         offset: (3,) from the blob's centroid to the marker, metres, camera frame.
         shape: the foot's whole surface, camera axes, where it is known.
-        fixed: the marker is seen: its place is what it is, only its points are wanted.
+        fixed: the marker is seen: its position is what it is, only its points are wanted.
     """
 
-    place: FloatArray
+    position: FloatArray
     offset: FloatArray
-    shape: FootShape | None = None
+    shape: SurfaceShape | None = None
     fixed: bool = False
 
 
@@ -51,7 +67,7 @@ class FootBlob:
     """A foot in the depth image.
 
     Attributes:
-        place: (3,) of the marker as the blob tells it, metres, camera frame.
+        position: (3,) of the marker as the blob tells it, metres, camera frame.
         centroid: (3,) of those of the blob's points that are compared, moved to where that of the known foot would be.
         points: (N, 3) of the blob.
         weights: (N,) how much they count.
@@ -63,7 +79,7 @@ class FootBlob:
         settled: the search came to rest.
     """
 
-    place: FloatArray
+    position: FloatArray
     centroid: FloatArray
     points: FloatArray
     weights: FloatArray
@@ -97,34 +113,34 @@ class SolidPoints:
     levels: FloatArray
 
 
-class FootSearch:
+class BlobSearch:
     """Moves one foot's cylinder.
 
     Attributes:
-        place: (3,) of the marker as it is believed by now, metres, camera frame.
-        distances: (N,) of the points from the upright axis through that place, as of the last `measure`.
-        moved_m: how far the place was moved last.
+        position: (3,) of the marker as it is believed by now, metres, camera frame.
+        distances: (N,) of the points from the upright axis through that position, as of the last `measure`.
+        moved_m: how far the position was moved last.
     """
 
     def __init__(self, seed: BlobSeed, solid: SolidPoints) -> None:
-        """Begin at the expected place."""
+        """Begin at the expected position."""
         self._seed, self._solid = seed, solid
-        self._weights = _weights(solid.levels - float(seed.place @ solid.up))
+        self._weights = _weights(solid.levels - float(seed.position @ solid.up))
         self._member: Mask | None = None
         self._unknown: Mask = np.zeros(len(solid.points), dtype=np.bool_)
         self._in_sight, self._hidden_shift = 1.0, np.zeros(3)
-        self.place = seed.place
+        self.position = seed.position
         self.moved_m = 0.0
         self.measure()
 
     def measure(self) -> None:
-        """Measure the distances from the present place."""
-        difference = self._solid.points - self.place
-        along = self._solid.levels - float(self.place @ self._solid.up)
+        """Measure the distances from the present position."""
+        difference = self._solid.points - self.position
+        along = self._solid.levels - float(self.position @ self._solid.up)
         squared = np.einsum("ni,ni->n", difference, difference) - along**2
         self.distances: FloatArray = np.sqrt(np.maximum(squared, 0.0))
 
-    def take_points(self, others: Iterable[FootSearch]) -> bool:
+    def select_points(self, others: Iterable[BlobSearch]) -> bool:
         """Take the points in the cylinder that are nearer to it than to other feet's; False where they are too few."""
         solid = self._solid
         near: Mask = self.distances < RADIUS_M
@@ -138,20 +154,22 @@ class FootSearch:
             self.moved_m = 0.0
             return False
         if self._seed.shape is not None:
-            self._in_sight, self._hidden_shift = part_in_sight(self._seed.shape, self.place, solid.grid, solid.camera)
+            self._in_sight, self._hidden_shift = visible_part(self._seed.shape, self.position, solid.grid, solid.camera)
         return True
 
-    def tell_known(self) -> None:
+    def mark_unknown(self) -> None:
         """Tell which of the points are of a part of the foot that was in sight when it was learnt."""
         if self._seed.shape is not None and self._member is not None:
             self._unknown = np.zeros(len(self._solid.points), dtype=np.bool_)
-            self._unknown[self._member] = ~self._seed.shape.view.showed(self._solid.points[self._member] - self.place)
+            self._unknown[self._member] = ~self._seed.shape.view.revealed(
+                self._solid.points[self._member] - self.position
+            )
 
     def move(self, share: float) -> None:
         """Go so far to where the points say that the marker is, 1 = all the way."""
-        place = self._centroid() + self._seed.offset
-        place = share * place + (1.0 - share) * self.place
-        self.moved_m, self.place = float(np.linalg.norm(place - self.place)), place
+        position = self._centroid() + self._seed.offset
+        position = share * position + (1.0 - share) * self.position
+        self.moved_m, self.position = float(np.linalg.norm(position - self.position)), position
 
     def blob(self) -> FootBlob | None:
         """Return what was found."""
@@ -161,7 +179,7 @@ class FootSearch:
         inside, weights, compared = solid.points[member], self._weights[member], self._compared()[member]
         surface = weights * inside[:, 2] ** 2
         return FootBlob(
-            self.place,
+            self.position,
             self._centroid(),
             inside,
             weights,
@@ -223,3 +241,56 @@ def _cut(grid: PointGrid, rows: NDArray[np.intp], columns: NDArray[np.intp], cam
     if grid.region.bottom >= camera.height:
         edge |= rows >= height - 2
     return min(1.0, float(edge.sum()) / float(np.sqrt(len(rows))))
+
+
+def find_blobs(
+    grid: PointGrid,
+    seeds: Mapping[Side, BlobSeed],
+    floor: FloorPlane | None,
+    up_camera: FloatArray,
+    camera: CameraModel,
+) -> dict[Side, FootBlob]:
+    """Return the blobs of the feet; one of which too little is in sight is absent.
+
+    Args:
+        grid: points of a region that holds all cylinders.
+        seeds: foot to where it is looked for.
+        floor: the floor, where it is known.
+        up_camera: (3,) unit vector out of the floor or against gravity, camera frame.
+        camera: the lens.
+    """
+    solid = _solid_points(grid, floor, up_camera, camera)
+    if len(solid.points) < MIN_POINTS:
+        return {}
+    feet = {side: BlobSearch(seed, solid) for side, seed in seeds.items()}
+    others = {side: [foot for other, foot in feet.items() if other != side] for side in feet}
+    searched = [side for side, seed in seeds.items() if not seed.fixed]
+    for turn in range(_ROUNDS):
+        for side in searched:
+            if feet[side].moved_m > 0.0:
+                feet[side].measure()
+        for side in searched:
+            if not feet[side].select_points(others[side]):
+                continue
+            if turn < _FULL_ROUNDS:
+                feet[side].mark_unknown()
+            feet[side].move(1.0 if turn < _FULL_ROUNDS else 0.5)
+        if all(feet[side].moved_m < SETTLED_M for side in searched):
+            break
+    # Feet whose position is given need their points alone, when the others have found theirs.
+    for side, seed in seeds.items():
+        if seed.fixed and feet[side].select_points(others[side]):
+            feet[side].mark_unknown()
+    blobs = {side: foot.blob() for side, foot in feet.items()}
+    return {side: blob for side, blob in blobs.items() if blob is not None}
+
+
+def _solid_points(grid: PointGrid, floor: FloorPlane | None, up_camera: FloatArray, camera: CameraModel) -> SolidPoints:
+    solid = grid.valid.copy()
+    if floor is not None:
+        clearance = _FLOOR_CLEARANCE_M + _FLOOR_NOISE * grid.points[..., 2] ** 2
+        solid &= floor.heights_m(grid.points) > clearance
+    solid = cv2.morphologyEx(solid.astype(np.uint8), cv2.MORPH_OPEN, _KERNEL).astype(np.bool_)
+    rows, columns = np.nonzero(solid)
+    points = grid.points[rows, columns]
+    return SolidPoints(grid, camera, up_camera, rows, columns, points, points @ up_camera)

@@ -1,0 +1,93 @@
+"""Where the next picture is expected to show a foot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.geometry.camera import CameraModel
+from rhot.geometry.covariances import squared_distance
+from rhot.messages import Side
+
+FloatArray = NDArray[np.float64]
+
+OTHER_FOOT: Final[dict[Side, Side]] = {"left": "right", "right": "left"}
+GATE_SIGMAS = 4.0
+"""A position that lies farther from the expected one than this is somebody else's."""
+_MARGIN_PX = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A part of a picture: columns left to right − 1 and rows top to bottom − 1, pixels."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def area(self) -> int:
+        """Number of its pixels."""
+        return (self.right - self.left) * (self.bottom - self.top)
+
+    def overlaps(self, other: Region) -> bool:
+        """Tell whether two regions share pixels."""
+        return (
+            self.left < other.right and other.left < self.right and self.top < other.bottom and other.top < self.bottom
+        )
+
+    def joined(self, other: Region) -> Region:
+        """Return the smallest region that holds both."""
+        return Region(
+            min(self.left, other.left),
+            min(self.top, other.top),
+            max(self.right, other.right),
+            max(self.bottom, other.bottom),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FootPrediction:
+    """A foot at the time of a picture, as the filter predicts it.
+
+    Attributes:
+        position: (3,) centre of its marker, metres, camera frame.
+        covariance: (3, 3) of the position, square metres; it has to grow honestly while the foot is not seen,
+            because what lies outside is refused.
+        R_camera_foot: (3, 3), see `rhot.messages.FootPose`; None when nothing is known of it.
+        orientation_covariance: (3, 3) of a turn about the camera's axes, square radians; used with `R_camera_foot`.
+    """
+
+    position: FloatArray
+    covariance: FloatArray
+    R_camera_foot: FloatArray | None = None
+    orientation_covariance: FloatArray | None = None
+
+
+def predicted_region(expected: FootPrediction, radius_m: float, camera: CameraModel) -> Region | None:
+    """Return the part of the picture where something within `radius_m` of the foot may be; None = outside of it."""
+    z = float(expected.position[2])
+    if z < 0.1:
+        return None
+    u, v = camera.project(expected.position[None])[0]
+    spread = GATE_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(expected.covariance)[-1]))
+    reach = (spread + radius_m) * float(camera.K[0, 0]) / z + _MARGIN_PX
+    left, top = max(0, int(u - reach)), max(0, int(v - reach))
+    right, bottom = min(camera.width, int(u + reach) + 1), min(camera.height, int(v + reach) + 1)
+    return Region(left, top, right, bottom) if right > left and bottom > top else None
+
+
+def innovation_distance(position: FloatArray, covariance: FloatArray, expected: FootPrediction) -> float:
+    """Return the Mahalanobis distance, in standard deviations, of a measured position from the expected one.
+
+    Args:
+        position: (3,) metres, camera frame.
+        covariance: (3, 3) of the measured position.
+        expected: what was predicted.
+    """
+    return math.sqrt(squared_distance(position - expected.position, covariance + expected.covariance))
