@@ -9,6 +9,7 @@ import numpy as np
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.explain import Explanation
 from rhot.messages import FingerAngles, HandPose, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
