@@ -162,7 +162,7 @@ class HandSolver:
                 return None
             state, evidence = found
         else:
-            expected = self._filter.predict(self._state, dt_s)
+            expected = self._filter.predict(self._state, dt_s, ~(visible & seen.tips_measured))
             evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), self._corner_noise)
             state = self._filter.update(expected, evidence)
             state = self._reinitialised_if_lost(state, seen, visible, dt_s)

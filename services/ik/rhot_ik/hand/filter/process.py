@@ -17,9 +17,9 @@ from typing import Final
 import numpy as np
 
 from rhot.anatomy.hand import HandModel
-from rhot.arrays import FloatArray
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import orthonormal, rotation_from_vector
-from rhot_ik.hand.filter.prior import COUNT, angle_covariance, rest_angles
+from rhot_ik.hand.filter.prior import COUNT, angle_covariance, closed_angles, rest_angles
 from rhot_ik.hand.filter.settings import HandSettings
 
 ROTATION: Final = slice(0, 3)
@@ -87,7 +87,7 @@ class HandProcess:
 
     def __init__(self, model: HandModel, settings: HandSettings, known: NDArray[np.bool_]) -> None:
         self.settings = settings
-        self._rest = rest_angles(model)
+        self._rest, self._closed = rest_angles(model), closed_angles(model)
         self._stationary = angle_covariance(model)
         shift = np.where(known[5], settings.known_m, settings.base_shift_m)
         tilt = np.full(3, settings.known_rad if known[5] else settings.patch_tilt_rad)
@@ -113,14 +113,18 @@ class HandProcess:
         q = self._rest if angles is None else angles
         return HandState(R, p, np.zeros(3), np.zeros(3), q, known, P)
 
-    def predict(self, state: HandState, dt_s: float) -> HandState:
-        """Return the state `dt_s` later."""
+    def predict(self, state: HandState, dt_s: float, hidden: BoolArray | None = None) -> HandState:
+        """Return the state `dt_s` later; fingers that nobody sees (5,) go on closing, those that are seen relax."""
         if dt_s <= 0.0:
             return state
         settings = self.settings
         fades = math.exp(-dt_s / settings.speed_fades_s)
         path_s = settings.speed_fades_s * (1.0 - fades)
-        keeps = math.exp(-dt_s / settings.angles_rest_s)
+        keeps, mean = np.full(COUNT, math.exp(-dt_s / settings.angles_rest_s)), self._rest
+        if hidden is not None and hidden.any():
+            closing = np.repeat(hidden, 4)
+            keeps = np.where(closing, math.exp(-dt_s / settings.closing_s), keeps)
+            mean = np.where(closing, self._closed, self._rest)
         learned = math.exp(-dt_s / settings.person_s)
         spread = 1.0 - math.exp(-2.0 * dt_s / settings.angles_wander_s)
         turn = rotation_from_vector(state.angular_velocity * path_s)
@@ -142,7 +146,7 @@ class HandProcess:
             state.p + path_s * state.velocity,
             fades * state.angular_velocity,
             fades * state.velocity,
-            self._rest + keeps * (state.angles - self._rest),
+            mean + keeps * (state.angles - mean),
             learned * state.person,
             P,
             dt_s,

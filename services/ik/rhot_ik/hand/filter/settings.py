@@ -15,7 +15,10 @@ class HandSettings:
         turn_acceleration: the same of its rotation, rad/s² per √Hz: 50 rad/s² for 0.1 s.
         speed_fades_s: an unseen wrist stops in this time: voluntary movements are bells of about half a second.
         angles_rest_s: time constant with which an unseen hand relaxes; people hold a thing for several seconds.
-        angles_wander_s: in this time an unseen finger may come to be anywhere that fingers are.
+        closing_s: time constant with which a finger that nobody sees closes: in front of cameras that see a hand's
+            back, fingers vanish under it because they close round something, which takes about half a second.
+        closing_s: float = 0.8
+    angles_wander_s: in this time an unseen finger may come to be anywhere that fingers are.
         most_activity: fingers that move faster than they usually do get up to this many times their diffusion. A
             finger turns at most at some 20 rad/s, usually at 2 to 4.
         person_s: in this time what was learned of a person fades: somebody may have changed places or repainted.
@@ -30,7 +33,8 @@ class HandSettings:
         finger_share: how much longer or shorter than the model's a finger is up to its marker: 4 mm of 80 mm for the
             length of the paint, 5 to 8 % for bones of people whose hands have one length (Buryanov & Kotiuk 2010,
             tables 1 to 3: standard deviations of each bone).
-        known_m, known_rad, known_share: the same three where `rhot calibrate hand` has measured them: what its quality states.
+        known_m, known_rad, known_share: the same three where `rhot calibrate hand` has measured them, as its quality
+            states them.
         model_m: by how much any marker departs from a rigid model for reasons that come and go, each axis: skin slides
             over knuckles by millimetres, the middle of the paint that is seen wanders with the view.
         corner_factor: covariance of a patch's corner about its middle over that of the middle, before anything is
@@ -50,6 +54,7 @@ class HandSettings:
     turn_acceleration: float = 15.0
     speed_fades_s: float = 0.2
     angles_rest_s: float = 5.0
+    closing_s: float = 0.8
     angles_wander_s: float = 1.5
     most_activity: float = 30.0
     person_s: float = 60.0
