@@ -1,7 +1,8 @@
 """How a finger that comes back is led in: no joint jumps, and what was seen all along is not slowed down.
 
-When a hidden finger is seen again, what was shown of it and what is known now differ by as much as the guess was wrong.
-That difference is added to what is shown and run down at a bounded speed; the estimate itself knows nothing of it.
+When a hidden finger is seen again, what was shown of it and what is known now differ by as much as the guess was wrong,
+and its first points err most. For a short time, and until it has arrived, what is shown of it therefore goes towards
+the estimate by bounded steps; the estimate itself knows nothing of it.
 """
 
 from __future__ import annotations
@@ -20,47 +21,47 @@ class RejoinSettings:
     """How fast a guess gives way to what is seen.
 
     Attributes:
-        speed_m_s: a tip is led in at this speed: 30 mm, a usual error of a guess, in 25 ms; fingers themselves move at
-            up to 1 to 2 m/s.
-        step_m: and by no more than this from one sample to the next; the ruler's limit for a step is 10 mm.
+        step_m: a tip goes no further than this on the palm from one sample to the next; the ruler's limit for a step
+            beyond the true motion is 10 mm.
+        speed_m_s: and by the way of a finger that moves at this speed on top: closing hands take about half a second
+            for 0.1 m.
+        lasts_s: for at least this long, until fusion has settled on a marker that is new to it.
     """
 
-    speed_m_s: float = 1.2
-    step_m: float = 0.009
+    step_m: float = 0.008
+    speed_m_s: float = 0.2
+    lasts_s: float = 0.1
 
 
-class Rejoin:
-    """Differences (5, 4), radians, to add to the angles of the fingers.
+def rejoined(
+    geometry: FingerGeometry,
+    estimated: FloatArray,
+    shown: FloatArray,
+    left_s: FloatArray,
+    dt_s: float,
+    settings: RejoinSettings,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the angles (5, 4) to show, and for how long each finger is led in from now on (5,), seconds.
 
     Args:
         geometry: of the hand.
-        settings: how fast they are run down.
+        estimated: (5, 4) radians: what is known now.
+        shown: (5, 4) radians: what was shown last.
+        left_s: (5,) for how long each finger is still led in; 0 = it is not.
+        dt_s: since then.
+        settings: how fast.
     """
-
-    def __init__(self, geometry: FingerGeometry, settings: RejoinSettings | None = None) -> None:
-        self._geometry = geometry
-        self._settings = settings or RejoinSettings()
-        self._lead = np.zeros((5, 4))
-        self._under_way = False
-
-    def begin(self, which: BoolArray, now: FloatArray, shown: FloatArray) -> None:
-        """Let the fingers `which` (5,) set out from what was shown (5, 4) for what is known now (5, 4)."""
-        self._lead[which] = (shown - now)[which]
-        self._under_way = True
-
-    def advance(self, dt_s: float, angles: FloatArray) -> None:
-        """Run the differences to the angles (5, 4) that are known now down."""
-        if not self._under_way:
-            return
-        way = self._geometry.marker_points(angles + self._lead) - self._geometry.marker_points(angles)
-        path_m = np.sqrt((way * way).sum(-1))
-        step_m = min(self._settings.speed_m_s * dt_s, self._settings.step_m)
-        self._lead *= np.maximum(0.0, 1.0 - step_m / np.maximum(path_m, _NONE_M))[:, None]
-        self._under_way = bool(self._lead.any())
-
-    def shown(self, angles: FloatArray) -> FloatArray:
-        """Return the angles (5, 4) to show of those that are known (5, 4)."""
-        return angles + self._lead if self._under_way else angles
+    led: BoolArray = left_s > 0.0
+    if not led.any():
+        return estimated, left_s
+    way = geometry.marker_points(estimated) - geometry.marker_points(shown)
+    path_m = np.sqrt((way * way).sum(-1))
+    share = np.minimum(1.0, (settings.step_m + settings.speed_m_s * dt_s) / np.maximum(path_m, _NONE_M))
+    angles = np.where(led[:, None], shown + share[:, None] * (estimated - shown), estimated)
+    # Who has not arrived is led on, however long it takes.
+    left = np.where(share < 1.0, np.maximum(left_s - dt_s, _NONE_S), left_s - dt_s)
+    return angles, np.where(led, np.maximum(left, 0.0), 0.0)
 
 
 _NONE_M: Final = 1e-9
+_NONE_S: Final = 1e-9

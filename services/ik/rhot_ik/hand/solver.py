@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,6 +13,7 @@ from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import BoolArray, FloatArray
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.fabrik.finger_chains import FabrikFingers
+from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.initialisation import HandInitialiser
@@ -21,7 +22,7 @@ from rhot_ik.hand.filter.process import HandState
 from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
-from rhot_ik.hand.rejoin import Rejoin
+from rhot_ik.hand.rejoin import RejoinSettings, rejoined
 
 __all__ = ["HandObservation", "HandSolution", "HandSolver"]
 
@@ -57,6 +58,34 @@ class HandSolution:
     residual: FloatArray
     fingers_measured: BoolArray
     palm_measured: bool
+
+
+@dataclass(frozen=True, slots=True)
+class HandTrack:
+    """What is known of one hand after a sample.
+
+    Attributes:
+        t_ns: of the sample, rig clock.
+        state: of the estimate.
+        shown: (5, 4) radians, angles as they were shown.
+        rejoins_s: (5,) for how long each finger is still led in.
+        corner_noise: of the patch, as learned.
+        corners_measured: whether the corners of the patch measured the palm's rotation.
+        base_seen_ns, measured_ns: when the base marker was there last, and when anything was measured.
+        measured: (5,) whether each finger was.
+        lost_s: for how long the seen tips have missed the model.
+    """
+
+    t_ns: int
+    state: HandState
+    shown: FloatArray
+    rejoins_s: FloatArray
+    corner_noise: CornerNoise
+    corners_measured: bool
+    base_seen_ns: int
+    measured_ns: int
+    measured: BoolArray
+    lost_s: float = 0.0
 
 
 class HandSolver:
@@ -95,8 +124,10 @@ class HandSolver:
         self._analytic = AnalyticFingers(self._geometry)
         self._fabrik = FabrikFingers(self._geometry)
         self.config = config
+        self._rejoin = RejoinSettings()
+        self._track: HandTrack | None = None
+        self._solution: HandSolution | None = None
         self._person: tuple[FloatArray, FloatArray] | None = None
-        self.reset()
 
     @property
     def geometry(self) -> FingerGeometry:
@@ -104,126 +135,120 @@ class HandSolver:
         return self._geometry
 
     @property
-    def state(self) -> HandState | None:
-        """The filter's state after the last sample; none when nothing is known."""
-        return self._state
+    def track(self) -> HandTrack | None:
+        """What is known after the last sample; none when that is nothing."""
+        return self._track
 
     @property
-    def shown(self) -> FloatArray:
-        """Angles (5, 4), radians, as they were shown last."""
-        return self._shown
+    def solution(self) -> HandSolution | None:
+        """What the last sample led to."""
+        return self._solution
 
-    @property
-    def measured(self) -> BoolArray:
-        """Which fingers (5,) the last sample measured."""
-        return self._measured
+    def solve(self, seen: HandObservation, shapes: Sequence[Shape] = ()) -> HandSolution | None:
+        """Return the hand after one more sample, or None when too little is known to show one.
 
-    @property
-    def residual(self) -> FloatArray:
-        """Metres (5,) between measured and modelled marker in the last sample; NaN where there was no measurement."""
-        return self._residual
-
-    @property
-    def palm_sources(self) -> tuple[bool, bool]:
-        """Whether the last sample measured the palm by the corners of its patch, and by its base marker."""
-        return self._palm_sources
-
-    def reset(self) -> None:
-        """Forget the past; the next sample starts anew."""
-        self._t_ns: int | None = None
-        self._base_seen_ns = 0
-        self._measured_ns = 0
-        self._state: HandState | None = None
-        self._lost_s = 0.0
-        self._rejoin = Rejoin(self._geometry)
-        self._corner_noise: CornerNoise | None = None
-        self._measured = np.zeros(5, dtype=np.bool_)
-        self._palm_sources = (False, False)
-        self._shown = np.zeros((5, 4))
-        self._residual = np.full(5, np.nan)
-
-    def solve(self, seen: HandObservation) -> HandSolution | None:
-        """Return the hand after one more sample, or None when too little is known to show one."""
-        dt_s = 0.0
-        if self._t_ns is not None:
-            dt_s = (seen.t_ns - self._t_ns) / 1e9
+        Args:
+            seen: the sample.
+            shapes: things that fingers may close round, rig frame.
+        """
+        before = self._track
+        if before is not None:
+            dt_s = (seen.t_ns - before.t_ns) / 1e9
             if -LATE_S < dt_s < 0.0:
                 return None
-            if not 0.0 <= dt_s < GAP_S:
-                self.reset()
-                dt_s = 0.0
-        visible = np.asarray(np.isfinite(seen.tips).all(axis=1))
-        if self._is_over(seen, visible):
-            self.reset()
-            return None
-        if self._state is None:
-            found = self._initialiser.find(seen, self._person)
-            if found is None:
-                return None
-            state, evidence = found
+            if not 0.0 <= dt_s < GAP_S or self._is_over(seen, before):
+                before = None
+        self._track = self._begun(seen) if before is None else self._continued(before, seen, shapes)
+        if self._track is None:
+            self._solution = None
         else:
-            expected = self._filter.predict(self._state, dt_s, ~(visible & seen.tips_measured))
-            evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), self._corner_noise)
-            state = self._filter.update(expected, evidence)
-            state = self._reinitialised_if_lost(state, seen, visible, dt_s)
-        measured = visible & seen.tips_measured
-        angles = self._angles(state, seen.tips, measured)
-        back = measured & ~self._measured
-        if self._state is not None and back.any():
-            self._rejoin.begin(back, angles, self._shown)
-        self._rejoin.advance(dt_s, angles)
-        model = self._geometry.model
-        self._shown = np.minimum(np.maximum(self._rejoin.shown(angles), model.angle_min), model.angle_max)
-        self._corner_noise = evidence.corner_noise
-        self._palm_sources = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
-        self._t_ns, self._state, self._measured = seen.t_ns, state, measured
-        self._person = state.what_is_personal
-        R, p = state.R, state.p
-        shorter_palm_m = -self._settings.palm_share * state.person[2]
+            self._person = self._track.state.what_is_personal
+            self._solution = self._solution_of(self._track, seen)
+        return self._solution
+
+    def _is_over(self, seen: HandObservation, before: HandTrack) -> bool:
+        """Tell whether the palm, or everything, has been gone for longer than a hand is held."""
+        oldest_ns = seen.t_ns - round(self.config.hold_s * 1e9)
+        base_gone = seen.base is None and before.base_seen_ns < oldest_ns
+        all_gone = not seen.measured_any and before.measured_ns < oldest_ns
+        return base_gone or all_gone
+
+    def _begun(self, seen: HandObservation) -> HandTrack | None:
+        found = self._initialiser.find(seen, self._person)
+        if found is None or not seen.measured_any:
+            return None
+        state, evidence = found
+        return HandTrack(
+            t_ns=seen.t_ns,
+            state=state,
+            shown=self._angles(state, seen, state.angles.reshape(5, 4)),
+            rejoins_s=np.zeros(5),
+            corner_noise=evidence.corner_noise,
+            corners_measured=evidence.rotation is not None,
+            base_seen_ns=seen.t_ns,
+            measured_ns=seen.t_ns,
+            measured=seen.tips_seen & seen.tips_measured,
+        )
+
+    def _continued(self, before: HandTrack, seen: HandObservation, shapes: Sequence[Shape]) -> HandTrack:
+        dt_s = (seen.t_ns - before.t_ns) / 1e9
+        measured = seen.tips_seen & seen.tips_measured
+        expected = self._filter.predict(before.state, dt_s, ~measured)
+        evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), before.corner_noise)
+        state = self._filter.update(expected, evidence, shapes=shapes)
+        state, lost_s = self._reinitialised_if_lost(state, seen, before.lost_s + dt_s)
+        angles = self._angles(state, seen, before.shown)
+        left_s = np.where(measured & ~before.measured, self._rejoin.lasts_s, before.rejoins_s)
+        shown, left_s = rejoined(self._geometry, angles, before.shown, left_s, dt_s, self._rejoin)
+        return HandTrack(
+            t_ns=seen.t_ns,
+            state=state,
+            shown=shown,
+            rejoins_s=left_s,
+            corner_noise=evidence.corner_noise,
+            corners_measured=evidence.rotation is not None,
+            base_seen_ns=before.base_seen_ns if seen.base is None else seen.t_ns,
+            measured_ns=seen.t_ns if seen.measured_any else before.measured_ns,
+            measured=measured,
+            lost_s=lost_s,
+        )
+
+    def _reinitialised_if_lost(self, state: HandState, seen: HandObservation, lost_s: float) -> tuple[HandState, float]:
+        """Return the state, or a better one when the tips have missed the model for too long, and for how long."""
+        if state.mean_residual_m < LOST_M or np.count_nonzero(seen.tips_seen) < 3:
+            return state, 0.0
+        if lost_s < LOST_S:
+            return state, lost_s
+        found = self._initialiser.find(seen, state.what_is_personal)
+        if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):
+            return state, 0.0
+        return found[0], 0.0
+
+    def _solution_of(self, track: HandTrack, seen: HandObservation) -> HandSolution:
+        state = track.state
+        shorter_palm_m = -self._settings.palm_share * float(state.person[2])
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = R, p - shorter_palm_m * R[:, 2]
+        T[:3, :3], T[:3, 3] = state.R, state.p - shorter_palm_m * state.R[:, 2]
         positions, orientations, modelled = self._kinematics.pose(
-            R, p, self._shown.reshape(-1), state.longer, shorter_palm_m
+            state.R, state.p, track.shown.reshape(-1), state.longer, shorter_palm_m
         )
         gaps = modelled - seen.tips
         # NaN where a tip was not seen, as it came.
-        residual = self._residual = np.sqrt((gaps * gaps).sum(-1))
-        return HandSolution(T, self._shown, positions, orientations, residual, measured, self._palm_sources[1])
+        residual = np.sqrt((gaps * gaps).sum(-1))
+        palm_measured = seen.base is not None and seen.base_measured
+        return HandSolution(T, track.shown, positions, orientations, residual, track.measured, palm_measured)
 
-    def _is_over(self, seen: HandObservation, visible: BoolArray) -> bool:
-        """Tell whether the palm, or everything, has been gone for longer than a hand is held."""
-        if seen.base is not None:
-            self._base_seen_ns = seen.t_ns
-        if (seen.base is not None and seen.base_measured) or (visible & seen.tips_measured).any():
-            self._measured_ns = seen.t_ns
-        oldest_ns = seen.t_ns - round(self.config.hold_s * 1e9)
-        return self._base_seen_ns < oldest_ns or self._measured_ns < oldest_ns
-
-    def _reinitialised_if_lost(
-        self, state: HandState, seen: HandObservation, visible: BoolArray, dt_s: float
-    ) -> HandState:
-        """Return the state, or a better one when the tips have missed the model for too long."""
-        if state.mean_residual_m < LOST_M or np.count_nonzero(visible) < 3:
-            self._lost_s = 0.0
-            return state
-        self._lost_s += dt_s
-        if self._lost_s < LOST_S:
-            return state
-        self._lost_s = 0.0
-        found = self._initialiser.find(seen, state.what_is_personal)
-        if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):
-            return state
-        return found[0]
-
-    def _angles(self, state: HandState, tips: FloatArray, measured: BoolArray) -> FloatArray:
+    def _angles(self, state: HandState, seen: HandObservation, shown: FloatArray) -> FloatArray:
         """Return the angles (5, 4) of the fingers; of those not measured as the whole hand's estimate has them."""
         estimated = state.angles.reshape(5, 4)
+        measured = seen.tips_seen & seen.tips_measured
         if self.config.solver == "filter" or not measured.any():
             return estimated
         resting = self._geometry.marker_points(estimated)
-        local = np.where(measured[:, None], self._filter.in_model((tips - state.p) @ state.R, state.longer), resting)
+        local = self._filter.in_model((seen.tips - state.p) @ state.R, state.longer)
+        local = np.where(measured[:, None], local, resting)
         if self.config.solver == "fabrik":
-            solved, _ = self._fabrik.solve(local, self._shown, self.config.tolerance_m, self.config.max_iterations)
+            solved, _ = self._fabrik.solve(local, shown, self.config.tolerance_m, self.config.max_iterations)
         else:
             solved = self._analytic.solve(local).angles
         return np.where(measured[:, None], solved, estimated)

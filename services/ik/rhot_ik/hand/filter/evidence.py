@@ -39,6 +39,17 @@ class HandObservation:
     tip_covariances: FloatArray | None = None
     across: FloatArray | None = None
 
+    @property
+    def tips_seen(self) -> BoolArray:
+        """(5,) which tips are there at all, measured or bridged."""
+        return np.asarray(np.isfinite(self.tips).all(axis=1))
+
+    @property
+    def measured_any(self) -> bool:
+        """Whether any marker was measured at this moment."""
+        base = self.base is not None and self.base_measured
+        return base or bool((self.tips_seen & self.tips_measured).any())
+
 
 @dataclass(frozen=True, slots=True)
 class CornerNoise:

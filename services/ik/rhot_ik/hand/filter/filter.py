@@ -16,6 +16,7 @@ tells: pose and seen fingers follow each sample anew, and memory serves what it 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -25,6 +26,7 @@ from rhot.anatomy.hand import MOVING
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
+from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import Evidence
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.filter.occlusion import Occlusion, OcclusionSettings
@@ -125,6 +127,7 @@ class HandFilter(HandProcess):
         self._viewpoint = viewpoint
         radii = model.radii[MOVING]
         flesh = np.concatenate([radii[:, 0], 0.5 * (radii[:, 0] + radii[:, 1]), 0.5 * (radii[:, 1] + radii[:, 2])])
+        self._flesh_m = radii[:, 3]
         self._occlusion = Occlusion(flesh, OcclusionSettings())
         self._H = np.zeros((_ROWS, SIZE))
         self._H[:18, POSITION] = np.tile(_UNIT, (6, 1))
@@ -134,8 +137,15 @@ class HandFilter(HandProcess):
         """Return how the patch lies, (3, 3), patch to rig, as a state has it."""
         return state.R @ rotation_from_vector(state.person[_TILT])
 
-    def update(self, prior: HandState, evidence: Evidence, steps: int = 2) -> HandState:
-        """Return the state after a sample, by at most `steps` Gauss–Newton steps."""
+    def update(self, prior: HandState, evidence: Evidence, steps: int = 2, shapes: Sequence[Shape] = ()) -> HandState:
+        """Return the state after a sample, by at most `steps` Gauss–Newton steps.
+
+        Args:
+            prior: the state as it was expected.
+            evidence: of the sample.
+            steps: the most.
+            shapes: things that hidden fingers may have met, rig frame.
+        """
         rows = _rows(evidence)
         if rows is None:
             return prior
@@ -144,8 +154,8 @@ class HandFilter(HandProcess):
         at = prior
         wanted = np.empty((_ROWS, SIZE + 1))
         modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
-        if prior.dt_s > 0.0 and not rows.seen[:5].all() and self._viewpoint is not None:
-            self._expect_hidden(rows, prior, modelled[0])
+        if prior.dt_s > 0.0 and not rows.seen[:5].all():
+            self._expect_hidden(rows, prior, modelled[0], shapes)
         if self._is_far(prior, rows, modelled[0]):
             dx[ANGLES] = self._closed_form(prior, rows) - prior.angles
             at = dataclasses.replace(prior, angles=prior.angles + dx[ANGLES])
@@ -216,17 +226,24 @@ class HandFilter(HandProcess):
         off = (rows.points[:5] - prior.p) @ prior.R - expected
         return bool((np.abs(off).max(axis=1) * rows.seen[:5]).max() > self.settings.far_m)
 
-    def _expect_hidden(self, rows: _Rows, prior: HandState, markers: FloatArray) -> None:
-        """Add to the rows where the tips that nobody sees are expected."""
-        chain = self._model.finger_chains(prior.angles.reshape(5, 4))[0]
-        starts = np.concatenate([np.zeros((5, 3)), chain[:, 0], chain[:, 1]])
-        ends = np.concatenate([chain[:, 0], chain[:, 1], chain[:, 2]])
-        viewpoint = (self._viewpoint - prior.p) @ prior.R
-        would, points, covariances = self._occlusion.expected(markers, starts, ends, viewpoint)
-        would &= ~rows.seen[:5]
-        rows.points[:5][would] = points[would] @ prior.R.T + prior.p
-        rows.noise[:5][would] = prior.R @ covariances[would] @ prior.R.T
-        rows.counts[:15].reshape(5, 3)[would] = 1.0
+    def _expect_hidden(self, rows: _Rows, prior: HandState, markers: FloatArray, shapes: Sequence[Shape]) -> None:
+        """Add to the rows what is expected of tips that nobody sees: behind flesh, and not inside of a thing."""
+        hidden = ~rows.seen[:5]
+        tips = markers @ prior.R.T + prior.p
+        counts = rows.counts[:15].reshape(5, 3)
+        if self._viewpoint is not None:
+            chain = self._model.finger_chains(prior.angles.reshape(5, 4))[0] @ prior.R.T + prior.p
+            wrist = np.broadcast_to(prior.p, (5, 3))
+            starts, ends = np.concatenate([wrist, chain[:, 0], chain[:, 1]]), chain[:, :3].swapaxes(0, 1).reshape(15, 3)
+            would, points, covariances = self._occlusion.expected(tips, starts, ends, self._viewpoint)
+            would &= hidden
+            rows.points[:5][would], rows.noise[:5][would], counts[would] = points[would], covariances[would], 1.0
+        for shape in shapes:
+            distance, out = shape.distance(tips)
+            inside = hidden & (distance < self._flesh_m)
+            rows.points[:5][inside] = (tips + (self._flesh_m - distance)[:, None] * out)[inside]
+            rows.noise[:5][inside] = self._occlusion.along(out, self.settings.contact_m)[inside]
+            counts[inside] = 1.0
 
     def in_model(self, local: FloatArray, longer: FloatArray) -> FloatArray:
         """Return points (5, 3) of the wrist frame as fingers of the model's lengths would meet them."""

@@ -71,6 +71,11 @@ class Occlusion:
         rows = np.arange(len(tips))
         by = excess[rows, nearest]
         towards = -gap[rows, nearest] / np.maximum(distance[rows, nearest], 1e-6)[:, None]
-        outer = towards[:, :, None] * towards[:, None, :]
-        covariances = settings.open_m**2 * np.eye(3) + (settings.sigma_m**2 - settings.open_m**2) * outer
-        return by > 0.0, tips + by[:, None] * towards, covariances
+        return by > 0.0, tips + by[:, None] * towards, self.along(towards, settings.sigma_m)
+
+    def along(self, directions: FloatArray, sigma_m: float) -> FloatArray:
+        """Return covariances (N, 3, 3) of points that are known along unit directions (N, 3) alone, to `sigma_m`."""
+        outer = directions[:, :, None] * directions[:, None, :]
+        open_m = self._settings.open_m
+        covariances: FloatArray = open_m**2 * np.eye(3) + (sigma_m**2 - open_m**2) * outer
+        return covariances

@@ -1,8 +1,8 @@
 """How a hand moves: the state of the estimate of a whole hand, and what time does to it.
 
-State: the wrist's pose T_rig_wrist = (R, p), how fast it turns and moves, the angles q of `rhot.anatomy.hand`, and what
-is particular of this person: where the patch really sits and how long the fingers are. Errors are R·exp(δθ), p + δp, ω + δω, v + δv, q + δq,
-c + δc, in this order (`ROTATION` … `PERSON`); P is their covariance.
+State: the wrist's pose T_rig_wrist = (R, p), its angular and linear velocity, the angles q of `rhot.anatomy.hand`, and
+what is particular of this person: where the patch really sits and how long the fingers are. Errors are R·exp(δθ),
+p + δp, ω + δω, v + δv, q + δq, c + δc, in this order (`ROTATION` … `PERSON`); P is their covariance.
 
 The wrist turns and moves on, disturbed by random accelerations, its speed fading; the angles are the Ornstein–Uhlenbeck
 process of `rhot_ik.hand.filter.prior`: what moves one finger moves its neighbours too, and left alone the hand relaxes.
@@ -72,7 +72,7 @@ class HandState:
 
     @property
     def what_is_personal(self) -> tuple[FloatArray, FloatArray]:
-        """What was learned of the person, (11,), and its covariance (11, 11): a hand that is lost and found keeps it."""
+        """What was learned of the person, (11,), and its covariance (11, 11); it outlives a lost hand."""
         return self.person, self.P[PERSON, PERSON]
 
 
@@ -85,7 +85,7 @@ class HandProcess:
         known: (6,) of which markers, five tips and base, a calibration has measured where they sit.
     """
 
-    def __init__(self, model: HandModel, settings: HandSettings, known: NDArray[np.bool_]) -> None:
+    def __init__(self, model: HandModel, settings: HandSettings, known: BoolArray) -> None:
         self.settings = settings
         self._rest, self._closed = rest_angles(model), closed_angles(model)
         self._stationary = angle_covariance(model)

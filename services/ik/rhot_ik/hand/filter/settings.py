@@ -28,7 +28,8 @@ class HandSettings:
         base_shift_m: how far the patch sits from where the model has it, standard deviations across, above and along
             the hand. A hand's back is 11 to 18 mm above the wrist's joint, and people paint by eye.
         palm_share: a patch that seems to sit nearer to the knuckles may as well be on a palm that is shorter than the
-            model's: nothing that is seen tells these apart, and both are as likely (base_shift_m holds both: 8 mm each).
+            model's: nothing that is seen tells these apart, and both are as likely (8 mm each in
+            base_shift_m).
         patch_tilt_rad: by how much the skin under the patch is tilted against the palm, each axis.
         finger_share: how much longer or shorter than the model's a finger is up to its marker: 4 mm of 80 mm for the
             length of the paint, 5 to 8 % for bones of people whose hands have one length (Buryanov & Kotiuk 2010,
@@ -45,6 +46,7 @@ class HandSettings:
         across_rad: error of the direction across the wrist, where two points of the wrist tell it.
         sigma_m: of a point that states no covariance, root of the sum of the three variances.
         far_m: a tip further than this from where it was expected is first looked for in closed form.
+        contact_m: how far fingers sink into what they hold, or its shape is off.
         close_rad: steps end when the derivatives were taken this near to where they led.
         outlier: a tip that many standard deviations off loses weight.
         miss_m: and one that no legal pose meets within this.
@@ -74,6 +76,7 @@ class HandSettings:
     across_rad: float = 0.05
     sigma_m: float = 0.0015
     far_m: float = 0.015
+    contact_m: float = 0.002
     close_rad: float = 0.05
     outlier: float = 10.0
     miss_m: float = 0.012
