@@ -2,7 +2,7 @@
 
 When a hidden finger is seen again, what was shown of it and what is known now differ by as much as the guess was wrong,
 and its first points err most. For a short time, and until it has arrived, what is shown of it therefore goes towards
-the estimate by bounded steps; the estimate itself knows nothing of it.
+the estimate by bounded steps, and so does what is shown of a hidden finger; the estimate itself knows nothing of it.
 """
 
 from __future__ import annotations
@@ -54,10 +54,13 @@ def rejoined(
     led: BoolArray = left_s > 0.0
     if not led.any():
         return estimated, left_s
-    way = geometry.marker_points(estimated) - geometry.marker_points(shown)
-    path_m = np.sqrt((way * way).sum(-1))
-    share = np.minimum(1.0, (settings.step_m + settings.speed_m_s * dt_s) / np.maximum(path_m, _NONE_M))
-    angles = np.where(led[:, None], shown + share[:, None] * (estimated - shown), estimated)
+    most_m, begin = settings.step_m + settings.speed_m_s * dt_s, geometry.marker_points(shown)
+    share, change = np.ones(5), estimated - shown
+    for _ in range(2):
+        # A share of the angles is not the same share of the way: what is too far still is shortened once more.
+        way = geometry.marker_points(shown + share[:, None] * change) - begin
+        share *= np.minimum(1.0, most_m / np.maximum(np.sqrt((way * way).sum(-1)), _NONE_M))
+    angles = np.where(led[:, None], shown + share[:, None] * change, estimated)
     # Who has not arrived is led on, however long it takes.
     left = np.where(share < 1.0, np.maximum(left_s - dt_s, _NONE_S), left_s - dt_s)
     return angles, np.where(led, np.maximum(left, 0.0), 0.0)

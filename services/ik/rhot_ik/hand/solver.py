@@ -198,7 +198,7 @@ class HandSolver:
         state = self._filter.update(expected, evidence, shapes=shapes)
         state, lost_s = self._reinitialised_if_lost(state, seen, before.lost_s + dt_s)
         angles = self._angles(state, seen, before.shown)
-        left_s = np.where(measured & ~before.measured, self._rejoin.lasts_s, before.rejoins_s)
+        left_s = np.where(measured & before.measured, before.rejoins_s, self._rejoin.lasts_s)
         shown, left_s = rejoined(self._geometry, angles, before.shown, left_s, dt_s, self._rejoin)
         return HandTrack(
             t_ns=seen.t_ns,
