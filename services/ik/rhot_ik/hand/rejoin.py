@@ -24,12 +24,12 @@ class RejoinSettings:
         step_m: a tip goes no further than this on the palm from one sample to the next; the ruler's limit for a step
             beyond the true motion is 10 mm.
         speed_m_s: and by the way of a finger that moves at this speed on top: closing hands take about half a second
-            for 0.1 m.
+            for 0.05 m of a tip on the palm.
         lasts_s: for at least this long, until fusion has settled on a marker that is new to it.
     """
 
-    step_m: float = 0.008
-    speed_m_s: float = 0.2
+    step_m: float = 0.007
+    speed_m_s: float = 0.05
     lasts_s: float = 0.1
 
 

@@ -156,7 +156,8 @@ class HandFilter(HandProcess):
         modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
         if prior.dt_s > 0.0 and not rows.seen[:5].all():
             self._expect_hidden(rows, prior, modelled[0], shapes)
-        if self._is_far(prior, rows, modelled[0]):
+        far = self._is_far(prior, rows, modelled[0])
+        if far:
             dx[ANGLES] = self._closed_form(prior, rows) - prior.angles
             at = dataclasses.replace(prior, angles=prior.angles + dx[ANGLES])
             modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
@@ -167,8 +168,8 @@ class HandFilter(HandProcess):
             innovation = y + H @ dx
             if step == 0:
                 P, noise = self._given_room(prior, rows, H, innovation)
-            else:
-                noise = self._doubted(rows, noise, y)
+            if far or step > 0:
+                noise = self._doubted(rows, noise, y, H[:15, :6] if step == 0 else None, P[:6, :6])
             PHt = P @ H.T
             S = H @ PHt
             S.reshape(7, 3, 7, 3)[_BLOCKS, :, _BLOCKS] += noise
@@ -176,7 +177,9 @@ class HandFilter(HandProcess):
             solved = np.linalg.solve(S, wanted)
             posterior = P - PHt @ solved[:, :SIZE]
             about, (dx, posterior) = dx, self._within_limits(PHt @ solved[:, SIZE], prior.angles, posterior)
-            dx[PERSON] *= learned
+            # What is learned slowly is given for all the rest: its mean is taken under the person as he is known so far.
+            by_person = np.linalg.solve(posterior[PERSON, PERSON], (1.0 - learned) * dx[PERSON])
+            dx -= posterior[:, PERSON] @ by_person
             at = self._moved(prior, dx)
             moved = np.abs(dx - about)
             if max(moved[ROTATION].max(), moved[ANGLES].max()) < self.settings.close_rad:
@@ -291,6 +294,7 @@ class HandFilter(HandProcess):
         own = S.reshape(7, 3, 7, 3)[_TIPS, :, _TIPS] + rows.noise[:5]
         off = innovation[:15].reshape(5, 3)
         nis = (off * np.linalg.solve(own, off[:, :, None])[:, :, 0]).sum(-1) / 3.0
+        nis *= rows.seen[:5]
         P, noise = prior.P, rows.noise
         fastest = float(nis.max())
         if fastest > 1.0:
@@ -304,11 +308,19 @@ class HandFilter(HandProcess):
                 P[ANGLES, ANGLES] += prior.stationary_share * more[:, None] * self._stationary * more
         return P, noise
 
-    def _doubted(self, rows: _Rows, noise: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the noise (7, 3, 3) with that of tips raised that no legal pose meets."""
+    def _doubted(
+        self, rows: _Rows, noise: FloatArray, y: FloatArray, by_pose: FloatArray | None, P: FloatArray
+    ) -> FloatArray:
+        """Return the noise (7, 3, 3) with that of tips raised that no legal pose meets.
+
+        Where the derivatives by the wrist's pose `by_pose` (15, 6) are given, only the fingers were brought to the tips
+        by now, and the pose may account for as much of what is missed as its covariance P (6, 6) says.
+        """
         missed = y[:15].reshape(5, 3)
-        miss = self.settings.miss_m**2 * _UNIT
-        share = (missed * np.linalg.solve(rows.noise[:5] + miss, missed[:, :, None])[:, :, 0]).sum(-1)
+        allowed = rows.noise[:5] + self.settings.miss_m**2 * _UNIT
+        if by_pose is not None:
+            allowed = allowed + (by_pose @ P @ by_pose.T).reshape(5, 3, 5, 3)[_TIPS, :, _TIPS]
+        share = (missed * np.linalg.solve(allowed, missed[:, :, None])[:, :, 0]).sum(-1)
         doubted = noise.copy()
         doubted[:5] *= (1.0 + share)[:, None, None]
         return doubted

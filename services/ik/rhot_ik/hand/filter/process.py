@@ -6,6 +6,7 @@ p + δp, ω + δω, v + δv, q + δq, c + δc, in this order (`ROTATION` … `PE
 
 The wrist turns and moves on, disturbed by random accelerations, its speed fading; the angles are the Ornstein–Uhlenbeck
 process of `rhot_ik.hand.filter.prior`: what moves one finger moves its neighbours too, and left alone the hand relaxes.
+Its mean goes slower than its doubt grows: a hand that holds something stays as it is, but nobody knows for how long.
 """
 
 from __future__ import annotations
@@ -126,11 +127,12 @@ class HandProcess:
             keeps = np.where(closing, math.exp(-dt_s / settings.closing_s), keeps)
             mean = np.where(closing, self._closed, self._rest)
         learned = math.exp(-dt_s / settings.person_s)
-        spread = 1.0 - math.exp(-2.0 * dt_s / settings.angles_wander_s)
+        forgets = math.exp(-dt_s / settings.angles_wander_s)
+        spread = 1.0 - forgets * forgets
         turn = rotation_from_vector(state.angular_velocity * path_s)
         # F is block diagonal but for the speeds' part in the pose, so a few rows and columns are all there is to do.
         scale = np.empty(SIZE)
-        scale[:6], scale[6:12], scale[ANGLES], scale[PERSON] = 1.0, fades, keeps, learned
+        scale[:6], scale[6:12], scale[ANGLES], scale[PERSON] = 1.0, fades, forgets, learned
         moved = state.P.copy()
         moved[:6] += path_s * state.P[6:12]
         moved[ROTATION] = turn.T @ state.P[ROTATION] + path_s * state.P[ANGULAR_VELOCITY]

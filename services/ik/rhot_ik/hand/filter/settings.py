@@ -60,8 +60,8 @@ class HandSettings:
     angles_wander_s: float = 1.5
     most_activity: float = 30.0
     person_s: float = 60.0
-    lasts_s: float = 0.5
-    first_lasts_s: float = 0.1
+    lasts_s: float = 0.15
+    first_lasts_s: float = 1.0
     base_shift_m: tuple[float, float, float] = (0.005, 0.004, 0.011)
     palm_share: float = 0.5
     patch_tilt_rad: float = 0.09
