@@ -78,14 +78,14 @@ def marker_corners_m(size_m: float) -> FloatArray:
 def _own_patterns() -> tuple[Bits, ...]:
     numbers = np.arange(1 << _OWN_BITS**2)
     patterns: Bits = ((numbers[:, None] >> np.arange(_OWN_BITS**2)) & 1).astype(np.uint8).reshape(-1, 3, 3)
-    turned = np.stack([np.rot90(patterns, turns, axes=(1, 2)) for turns in range(4)], axis=1)
-    # A marker that looks alike after a turn would leave the foot's direction open.
-    distances = np.stack([(patterns != turned[:, turns]).sum(axis=(1, 2)) for turns in (1, 2, 3)]).min(axis=0)
+    rotated = np.stack([np.rot90(patterns, turns, axes=(1, 2)) for turns in range(4)], axis=1)
+    # A marker that looks alike after a quarter turn would leave the foot's direction open.
+    distances = np.stack([(patterns != rotated[:, turns]).sum(axis=(1, 2)) for turns in (1, 2, 3)]).min(axis=0)
     # Nearly black and nearly white patterns look like shadows and like paper.
     distances[np.abs(patterns.sum(axis=(1, 2)) - 4.5) > 2.0] = 0
     chosen: list[int] = []
     for _ in range(_OWN_COUNT):
         chosen.append(int(np.argmax(distances)))
-        to_newest = (patterns[:, None] != turned[chosen[-1]]).sum(axis=(2, 3)).min(axis=1)
+        to_newest = (patterns[:, None] != rotated[chosen[-1]]).sum(axis=(2, 3)).min(axis=1)
         distances = np.minimum(distances, to_newest)
     return tuple(patterns[number] for number in chosen)

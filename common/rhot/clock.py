@@ -162,7 +162,7 @@ class ClockEstimator:
         return self._drift * 1e6
 
     def add(self, exchange: Exchange) -> bool:
-        """Take an exchange; tell whether it was believed.
+        """Add an exchange; return whether it was accepted.
 
         One with a negative round trip or a rig clock that ran backwards within it is not. An exchange whose bounds
         exclude the present estimate shows that a clock was set: everything before it is forgotten.

@@ -78,10 +78,10 @@ async def test_work_is_shown_and_stopped(tmp_path: Path) -> None:
     working = asyncio.create_task(step.work(60.0))
     await step.begun.wait()
     view = step.view()
-    assert (view.state, view.done, view.enabled) == ("working", False, {"stop"})
+    assert (view.state, view.done, view.enabled) == ("working", False, frozenset({"stop"}))
     step.stop()
     assert await working is None
-    assert (step.view().state, step.view().enabled) == ("none", {"try"})
+    assert (step.view().state, step.view().enabled) == ("none", frozenset({"try"}))
     assert await step.work(0.0) == "done"
 
 

@@ -9,7 +9,7 @@ import pytest
 from rhot.errors import ConfigError
 from rhot_capture.detection.cutouts import marker_mask
 from rhot_capture.detection.detector import MarkerDetector
-from rhot_capture.preview import mark_places, preview_jpeg, preview_png
+from rhot_capture.preview import mark_positions, preview_jpeg, preview_png
 
 
 def decoded(data: bytes) -> Any:
@@ -56,7 +56,7 @@ def test_unknown_marker_is_named(table: Any) -> None:
 def test_texts_do_not_cover_one_another() -> None:
     apart, together = np.zeros((200, 300, 3), np.uint8), np.zeros((200, 300, 3), np.uint8)
     for text, place in {"index": (50.0, 50.0), "middle": (60.0, 130.0)}.items():
-        mark_places(apart, {text: place})
-    mark_places(together, {"index": (50.0, 50.0), "middle": (60.0, 51.0)})
+        mark_positions(apart, {text: place})
+    mark_positions(together, {"index": (50.0, 50.0), "middle": (60.0, 51.0)})
     # Crosses and texts one upon the other would leave far fewer bright pixels.
     assert np.count_nonzero(together == 255) > 0.9 * np.count_nonzero(apart == 255)

@@ -124,7 +124,7 @@ class Played:
 
 
 @dataclass(slots=True)
-class _Places:
+class _TrackerOutput:
     """What a tracker said, tick by tick."""
 
     position: dict[Side, list[FloatArray]] = field(default_factory=lambda: {side: [] for side in SIDES})
@@ -182,7 +182,7 @@ class _Playing:
         self._sensors = {side: SimulatedSource(self._world, side) for side in feet.feet}
         for sensor in self._sensors.values():
             sensor.open(START_NS)
-        self._ours, self._theirs = _Places(), _Places()
+        self._ours, self._theirs = _TrackerOutput(), _TrackerOutput()
         self._bodies: list[BodyPose] = []
         self._t_s: list[float] = []
         self._late_s: list[float] = []
@@ -197,11 +197,11 @@ class _Playing:
             self._stage.add_head_pose(head)
             self._thesis.add_head_pose(head)
             self._body.feed(head)
-        felt = {side: sensor.read(now_ns) for side, sensor in self._sensors.items()}
-        for side, samples in felt.items():
+        imu_samples = {side: sensor.read(now_ns) for side, sensor in self._sensors.items()}
+        for side, samples in imu_samples.items():
             self._thesis.add_imu_samples(side, samples)
         begun = time.process_time()
-        for side, samples in felt.items():
+        for side, samples in imu_samples.items():
             self._stage.add_imu_samples(side, samples)
         imu_s = time.process_time() - begun
         while self._world.timing(self._index).delivered_s + COMPUTE_S <= now_s:

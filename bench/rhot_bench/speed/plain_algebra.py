@@ -39,14 +39,14 @@ def plain_projections(sums: ArrayLike) -> tuple[FloatArray, list[bool]]:
 
 
 def plain_levels(
-    lines: FloatArray, places: ArrayLike, products: ArrayLike, squares: ArrayLike
+    lines: FloatArray, moments: ArrayLike, products: ArrayLike, squares: ArrayLike
 ) -> tuple[FloatArray, list[bool]]:
     """Do what `unmixing.fitted_levels` does."""
-    places, products = np.asarray(places, dtype=np.float64), np.asarray(products, dtype=np.float64)
-    matrices = places[..., _SYMMETRIC] + np.diag([TINY, RIDGE, RIDGE])
+    moments, products = np.asarray(moments, dtype=np.float64), np.asarray(products, dtype=np.float64)
+    matrices = moments[..., _SYMMETRIC] + np.diag([TINY, RIDGE, RIDGE])
     planes = np.linalg.solve(matrices, products[..., None])[..., 0].swapaxes(0, 1)
     left_over = squares - np.vecdot(planes[1], products[:, 1])
-    noise = (MISFIT * NOISE) ** 2 * np.vecdot(lines[:, :3], lines[:, :3]) * places[:, 1, 0]
+    noise = (MISFIT * NOISE) ** 2 * np.vecdot(lines[:, :3], lines[:, :3]) * moments[:, 1, 0]
     return planes.reshape(-1, 3), (left_over > noise).tolist()
 
 

@@ -49,7 +49,7 @@ class Places:
         x_rig: (N, 3) metres, rig frame: the marker as the cameras measured it.
         sigma_m: (N,) standard deviation of each coordinate, metres: how well cameras and tracker agree about a place.
         R_space_device: (N, 3, 3) orientation of the device in the tracking system's space.
-        p_space_device: (N, 3) metres, its place there.
+        p_space_device: (N, 3) metres, its position there.
     """
 
     names: tuple[str, ...]
@@ -98,7 +98,7 @@ class Estimate:
 
     @property
     def position_sd_m(self) -> FloatArray:
-        """(3,) standard deviation of the centre's place in the rig, along the rig's axes."""
+        """(3,) standard deviation of the centre's position in the rig, along the rig's axes."""
         return np.sqrt(np.diag(self.covariance)[POSITION])
 
     @property
@@ -122,8 +122,8 @@ class Estimate:
 
     def offset_from(self, other: Estimate) -> FloatArray:
         """Return the step (9,) from another estimate with the same centre to this one, to first order in rotation."""
-        turn = self.R_rig_tracker @ other.R_rig_tracker.T
-        rotation = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        R = self.R_rig_tracker @ other.R_rig_tracker.T
+        rotation = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
         return np.concatenate([rotation, self.center_rig - other.center_rig, self.lever_m - other.lever_m])
 
 
@@ -133,7 +133,7 @@ class RegistrationFit:
 
     Attributes:
         estimate: with the covariance that the residuals bear out.
-        residual_m: (N,) distance of each measured place from the fitted one, metres, left-out ones too.
+        residual_m: (N,) distance of each measured position from the fitted one, metres, left-out ones too.
         kept: (N,) which places were used.
         noise_ratio: estimated over stated noise of the places.
     """
@@ -249,7 +249,7 @@ def _information(covariance: FloatArray) -> FloatArray:
 
 
 def _residual(places: Places, estimate: Estimate) -> FloatArray:
-    """Return fitted minus measured place (N, 3), metres, rig frame."""
+    """Return fitted minus measured position (N, 3), metres, rig frame."""
     difference: FloatArray = estimate.to_rig(places.marker_in_space(estimate.lever_m)) - places.x_rig
     return difference
 

@@ -113,7 +113,7 @@ async def _wait(
     hint: Hint,
 ) -> None:
     """Wait until done, saying what is missing."""
-    begun, told = time.monotonic(), ""
+    begun, hinted = time.monotonic(), ""
     while not done.is_set():
         silent = [key for key in keys if key not in heard]
         if silent and time.monotonic() - begun > patience_s:
@@ -127,9 +127,9 @@ async def _wait(
                 task.result()
                 raise BusError("the connection to the router was closed")
         now = f"nothing on {silent[0]} yet" if silent else collector.hint
-        if now and now != told:
+        if now and now != hinted:
             hint(now)
-        told = now
+        hinted = now
         try:
             async with asyncio.timeout(_HINT_S):
                 await done.wait()

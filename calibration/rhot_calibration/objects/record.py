@@ -28,8 +28,8 @@ class RegistrationQuality(FileModel):
     Attributes:
         method: fitted to places alone, or an earlier registration corrected by them.
         places, left_out: how many were used, and the names of those that were not.
-        residual_rms_mm: distance between measured and fitted places.
-        position_sd_mm: standard deviation of the centre's place, root of the sum of the three variances.
+        residual_rms_mm: distance between measured and fitted positions.
+        position_sd_mm: standard deviation of the centre's position, root of the sum of the three variances.
         rotation_sd_deg: about the least certain axis.
         object, marker: what was shown, empty when a table did not say it.
         center_tracker_m: the point of the tracker's space that the covariance is about.
@@ -91,7 +91,7 @@ def prior_of(
         lever_m: (3,) metres, the marker on the device when it is not the recorded one; None = as recorded.
         lever_sd_m: its standard deviation along each axis.
         drift_m: standard deviation of what the centre may have moved since, along each axis.
-        drift_rad: standard deviation of what the space may have turned since, about each axis.
+        drift_rad: standard deviation of what the space may have rotated since, about each axis.
     """
     R = rotation_from_quaternion(np.array(file.T_rig_tracker.orientation))
     covariance = np.zeros((PARAMETERS, PARAMETERS))
@@ -112,7 +112,7 @@ def prior_of(
 
 
 def change(prior: Estimate, estimate: Estimate) -> tuple[float, float]:
-    """Return how far a correction moved the centre, metres, and turned the space, radians."""
+    """Return how far a correction moved the centre, metres, and rotated the space, radians."""
     step = estimate.offset_from(prior)
     return float(np.linalg.norm(step[POSITION])), float(np.linalg.norm(step[ROTATION]))
 
@@ -126,9 +126,9 @@ def check_change(prior: Estimate, estimate: Estimate) -> None:
     step = estimate.offset_from(prior)
     surprise = float(np.sqrt(step @ np.linalg.solve(prior.covariance, step)))
     if surprise > _LARGEST_SURPRISE:
-        moved_m, turned_rad = change(prior, estimate)
+        moved_m, rotated_rad = change(prior, estimate)
         raise CalibrationError(
-            f"the places lie {1e3 * moved_m:.0f} mm and {np.degrees(turned_rad):.1f}° from the earlier registration, "
+            f"the places lie {1e3 * moved_m:.0f} mm and {np.degrees(rotated_rad):.1f}° from the earlier registration, "
             f"{surprise:.0f} standard deviations; {_LARGEST_SURPRISE:.0f} is the limit of a re-alignment. Register "
             "again without --realign, with ten places, or allow more with --drift-mm and --drift-deg"
         )

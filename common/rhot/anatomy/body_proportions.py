@@ -47,7 +47,7 @@ class BodyModel:
         ankle_height_m: ankle joint over the bare sole.
         foot_length_m: heel to toes.
         neck_height_m: from the middle between the hips up to the pivot of the head, standing upright.
-        neck_m: place of that pivot in the frame of the headset, whose origin lies between the eyes.
+        neck_m: position of that pivot in the frame of the headset, whose origin lies between the eyes.
     """
 
     height_m: float

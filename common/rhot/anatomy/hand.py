@@ -9,8 +9,8 @@ it; it is also called the palm frame. Each finger f bends in a plane that holds 
 
 with F_f the finger's rest frame, + for a right and − for a left hand. Flexion is positive towards the palm, abduction
 towards the thumb's side (for the thumb itself: away from the palm). All angles zero is the flat open hand. The thumb
-is the same chain on its saddle joint: its frame is turned by about 90° so that its nail faces sideways, its three bones
-are metacarpal, proximal and distal, and its four angles are carpometacarpal flexion and abduction,
+is the same chain on its saddle joint: its frame is rotated by about 90° so that its nail faces sideways, its three
+bones are metacarpal, proximal and distal, and its four angles are carpometacarpal flexion and abduction,
 metacarpophalangeal flexion and interphalangeal flexion.
 """
 

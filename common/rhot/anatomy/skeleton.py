@@ -24,8 +24,8 @@ PARENTS: Final[dict[str, str | None]] = {
     "wrist": None,
     "palm": "wrist",
     **{
-        joint: "wrist" if place == 0 else chain[place - 1]
+        joint: "wrist" if index == 0 else chain[index - 1]
         for chain in CHAINS.values()
-        for place, joint in enumerate(chain)
+        for index, joint in enumerate(chain)
     },
 }

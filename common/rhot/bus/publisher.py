@@ -62,7 +62,7 @@ class Publisher(Generic[M]):
         return None if last is None else message_answer(last, request)
 
     async def wait_for_reader(self, timeout_s: float) -> bool:
-        """Wait until somebody subscribes; tell whether somebody did.
+        """Wait until somebody subscribes; return whether somebody did.
 
         A sample put right after the publisher was declared is lost until the router knows of a subscriber.
         """

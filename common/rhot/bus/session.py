@@ -84,7 +84,7 @@ class Bus:
         """
         zenoh_config = session_config(config)
         started = time.monotonic()
-        told = False
+        logged = False
         while True:
             try:
                 return cls(await asyncio.to_thread(zenoh.open, zenoh_config), config)
@@ -97,9 +97,9 @@ class Bus:
                         f"no Zenoh router answers at {where}; is the rig running (`rhot sim`, `rhot up`), and does "
                         f"--connect (or [bus] connect in rig.toml) name its machine? (Zenoh: {_reason(error)})"
                     ) from error
-                if not told:
+                if not logged:
                     logger.info("waiting for the Zenoh router at %s", where)
-                    told = True
+                    logged = True
             await asyncio.sleep(_OPEN_RETRY_S)
 
     async def __aenter__(self) -> Bus:
@@ -149,7 +149,7 @@ class Bus:
         return mailbox
 
     def liveliness(self, key_expr: str) -> EventSubscriber:
-        """Subscribe to who comes and goes; those already there are told first."""
+        """Subscribe to who comes and goes; those already there are reported first."""
         mailbox = EventSubscriber(_EVENT_LIMIT)
         handler = zenoh.handlers.Callback(mailbox, indirect=False)
         self._declared.append(self._session.liveliness().declare_subscriber(key_expr, handler, history=True))

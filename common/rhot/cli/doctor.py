@@ -81,7 +81,7 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
         findings.append(
             Finding(
                 "warn",
-                "cameras.json is missing: lenses and places are only nominal",
+                "cameras.json is missing: lenses and positions are only nominal",
                 f"calibrate the cameras: rhot calibrate cameras RECORDING --rig {path} --board 9x6 --square-mm 25",
             )
         )
@@ -145,7 +145,7 @@ def _check_cameras(rig: Rig) -> Finding:
         error_mm = figure(file.quality, "expected_error_mm", distance, "with_marker_noise")
         if error_mm is not None:
             text += f"; {error_mm:.1f} mm expected at {distance}"
-    remedy = f"rhot evaluate calibration --live 30 --rig {rig.path} tells whether they have moved since"
+    remedy = f"rhot evaluate calibration --live 30 --rig {rig.path} shows whether they have moved since"
     return Finding("ok", text, remedy)
 
 

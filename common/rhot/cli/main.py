@@ -73,6 +73,8 @@ _EVALUATIONS: Final = {
     "recording": LazyCommand("Record a session at full rate, replay it, and compare.", extra="bench"),
     "tracking": LazyCommand("Track simulated pictures and compare with the truth.", extra="bench"),
     "hands": LazyCommand("Predict the inner joints of recorded real hands.", extra="bench"),
+    "motion": LazyCommand("Track recorded hand motion before a family of random rigs.", extra="bench"),
+    "pictures": LazyCommand("Track photo-real pictures of another rig and hand.", extra="bench"),
     "streams": LazyCommand("Fuse recorded marker tracks: measure steps, delay and noise at rest.", extra="bench"),
     "feet": LazyCommand(
         "Track the feet of a simulated person, and compare with the 2021 thesis's tracker.", extra="bench"

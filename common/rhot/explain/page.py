@@ -101,8 +101,8 @@ def _figure(
             _cross(marker.u, marker.v, "" if picture else marker_name) for marker_name, marker in frame.markers.items()
         ]
     if points is not None and points.points:
-        places = np.array([point.position for point in points.points.values()])
-        uv = CameraModel.from_calibration(camera).project(places)
+        positions = np.array([point.position for point in points.points.values()])
+        uv = CameraModel.from_calibration(camera).project(positions)
         for marker_name, (u, v) in zip(points.points, uv.tolist(), strict=True):
             if np.isfinite((u, v)).all():
                 text = f"<title>{escape(marker_name)} as fusion has it</title>"

@@ -74,7 +74,7 @@ class PictureExplanation:
 
 @runtime_checkable
 class Explaining(Protocol):
-    """A core that tells what it knows; asking changes nothing."""
+    """A core that shows what it knows; asking changes nothing."""
 
     def explain(self) -> Sequence[Explanation]:
         """Return what the core knows after the message it was fed last."""

@@ -79,12 +79,14 @@ def trace_of(t_ns: int, messages: Iterable[tuple[str, Message]]) -> Trace:
 
 def difference_m(first: HandPose | PointSet, second: HandPose | PointSet) -> float:
     """Return the largest distance between joints or points that both have; NaN when there is none."""
-    one, other = _places(first), _places(second)
-    gaps = [float(np.linalg.norm(np.subtract(place, other[name]))) for name, place in one.items() if name in other]
+    one, other = _positions(first), _positions(second)
+    gaps = [
+        float(np.linalg.norm(np.subtract(position, other[name]))) for name, position in one.items() if name in other
+    ]
     return max(gaps, default=float("nan"))
 
 
-def _places(message: HandPose | PointSet) -> dict[str, tuple[float, float, float]]:
+def _positions(message: HandPose | PointSet) -> dict[str, tuple[float, float, float]]:
     parts = message.joints if isinstance(message, HandPose) else message.points
     return {name: part.position for name, part in parts.items()}
 

@@ -1,6 +1,6 @@
 """A skeleton's motion as BVH (Biovision Hierarchy), for Blender and other animation programs.
 
-Lengths are centimetres. BVH programs expect Y up: the file's frame is the rig frame turned by half a turn about x,
+Lengths are centimetres. BVH programs expect Y up: the file's frame is the rig frame rotated by half a turn about x,
 
     p_file = (x, −y, −z) · 100,
 

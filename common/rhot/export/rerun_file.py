@@ -97,8 +97,8 @@ def _parts(rerun: Any, key: str, message: Message) -> list[tuple[str, Any]]:
         case PointSet():
             points = message.points
             colors = [_MEASURED if point.state == "measured" else _PREDICTED for point in points.values()]
-            places = [point.position for point in points.values()]
-            return [(path, rerun.Points3D(places, radii=_POINT_M, colors=colors, labels=list(points)))]
+            positions = [point.position for point in points.values()]
+            return [(path, rerun.Points3D(positions, radii=_POINT_M, colors=colors, labels=list(points)))]
         case ObjectPose():
             pose = rerun.Transform3D(
                 translation=message.position, quaternion=rerun.Quaternion(xyzw=message.orientation)

@@ -1,7 +1,7 @@
 """A hand's recorded motion as a skeleton of constant bones that turn.
 
 Each joint but the wrist hangs on its parent by an offset that is constant in the parent's axes; its length is the
-median of the recorded bone's. Axes are the recorded ones (OpenXR), each turned by the smallest rotation that makes the
+median of the recorded bone's. Axes are the recorded ones (OpenXR), each rotated by the smallest rotation that makes the
 bone to its child point where the recorded child is:
 
     p_child = p_parent + R_parent · offset_child
@@ -35,7 +35,7 @@ class SkeletonMotion:
 
     Attributes:
         interval_s: time between frames.
-        offsets: (26, 3) metres, each joint's place in its parent's axes; zero for the wrist.
+        offsets: (26, 3) metres, each joint's position in its parent's axes; zero for the wrist.
         root: (N, 3) metres, position of the wrist, rig frame.
         local: (N, 26, 3, 3) rotation of each joint relative to its parent's; of the wrist relative to the rig frame.
         timing_error_s: largest distance between a pose's time and that of its frame.
@@ -91,7 +91,7 @@ def skeleton_motion(motion: HandMotion, rate_hz: float | None = None) -> Skeleto
 
 
 def _offsets(motion: HandMotion) -> FloatArray:
-    """Return each joint's constant place in its parent's axes: median direction, median length."""
+    """Return each joint's constant position in its parent's axes: median direction, median length."""
     offsets = np.zeros((len(JOINTS), 3))
     for joint, parent in enumerate(PARENT_OF):
         if parent < 0:
@@ -115,12 +115,12 @@ def _turned_to_children(motion: HandMotion, offsets: FloatArray) -> FloatArray:
 
 
 def _in_axes(rotations: FloatArray, vectors: FloatArray) -> FloatArray:
-    turned: FloatArray = (np.swapaxes(rotations, -1, -2) @ vectors[..., None])[..., 0]
-    return turned
+    rotated: FloatArray = (np.swapaxes(rotations, -1, -2) @ vectors[..., None])[..., 0]
+    return rotated
 
 
 def _smallest_rotations(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the smallest rotations (N, 3, 3) that turn vectors `start` (N, 3) into the directions of `end` (N, 3).
+    """Return the smallest rotations (N, 3, 3) that rotate vectors `start` (N, 3) into the directions of `end` (N, 3).
 
     As quaternions: (start × end, start·end + |start|·|end|), normalised; opposite or zero vectors are left alone.
     """

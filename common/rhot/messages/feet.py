@@ -23,7 +23,7 @@ class FootPose(Message):
         velocity: metres per second.
         sigma: standard deviation of the position, metres (root of the sum of the three variances).
         stage: the best evidence of the last moment: the `marker`, the foot's blob in the `depth` image, the `inertial`
-            sensor alone, or nothing (`lost`: the last place is held).
+            sensor alone, or nothing (`lost`: the last position is held).
         stationary: the foot stands still.
         state: measured while a marker, the depth image or a stand-still backs the position, else predicted.
     """

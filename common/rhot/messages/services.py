@@ -1,4 +1,4 @@
-"""What services tell each other of themselves: start and stop, time, how they do."""
+"""What services report to each other: start and stop, time, how they do."""
 
 from __future__ import annotations
 

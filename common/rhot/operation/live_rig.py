@@ -18,7 +18,7 @@ _RUNNING_LIMIT_S = 5.0
 
 
 async def rig_clock(bus: Bus) -> Callable[[], int]:
-    """Return what tells rig time; where nobody owns the rig clock, this process does from now on."""
+    """Return a function that reads rig time; where nobody owns the rig clock, this process takes it over."""
     try:
         offset_ns = await rig_now_ns(bus, 0.0) - time.monotonic_ns()
     except BusError:

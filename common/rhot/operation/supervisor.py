@@ -84,7 +84,7 @@ class Supervisor:
                 task.cancel()
 
     def failure(self, child: Child) -> RhotError:
-        """Return the error that tells of a child that ended by itself."""
+        """Return the error that names a child that ended by itself."""
         tail = child.tail()
         said = f"; it said:\n{tail}" if tail else ""
         return RhotError(f"{child.name} ended by itself with exit code {child.process.returncode}{said}")

@@ -43,7 +43,7 @@ class PictureFolder:
             notes: for people.
 
         Raises:
-            ConfigError: there is something at that place.
+            ConfigError: the path is taken.
         """
         if path.exists():
             raise ConfigError(f"{path} exists already and is not overwritten; choose another --out")

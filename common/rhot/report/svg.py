@@ -32,14 +32,14 @@ def line_plot(title: str, x_label: str, y_label: str, lines: Mapping[str, tuple[
         return _frame(title, x_label, y_label, (0.0, 1.0), (0.0, 1.0), ["<text x='60' y='120'>no data</text>"])
     x_range, y_range = (float(xs.min()), float(xs.max())), (0.0, float(ys.max()) * 1.05 or 1.0)
     parts = []
-    for place, (name, (x, y)) in enumerate(lines.items()):
-        color = COLORS[place % len(COLORS)]
+    for index, (name, (x, y)) in enumerate(lines.items()):
+        color = COLORS[index % len(COLORS)]
         for stretch in _stretches(y):
             points = " ".join(
                 f"{_x(a, x_range):.1f},{_y(b, y_range):.1f}" for a, b in zip(x[stretch], y[stretch], strict=True)
             )
             parts.append(f"<polyline fill='none' stroke='{color}' stroke-width='1.3' points='{points}'/>")
-        at = _LEGEND_X + place * min(62.0, (WIDTH - _LEGEND_X) / len(lines))
+        at = _LEGEND_X + index * min(62.0, (WIDTH - _LEGEND_X) / len(lines))
         parts.append(f"<text x='{at:.1f}' y='18' fill='{color}'>{escape(name)}</text>")
     return _frame(title, x_label, y_label, x_range, y_range, parts)
 

@@ -16,6 +16,6 @@ def figures_table(*columns: str, title: str | None = None) -> Table:
         show_edge=False,
         padding=(0, 1, 0, 0),
     )
-    for place, column in enumerate(columns):
-        table.add_column(column, justify="right" if place else "left")
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="right" if index else "left")
     return table

@@ -68,7 +68,7 @@ class CameraConfig(FileModel):
         readout_s: time between the read-out of the first and of the last row (rolling shutter).
         sync: libcamera's software synchronisation between Pis: who gives the beat.
         fov_deg: horizontal field of view, used until the cameras are calibrated.
-        position_m: place of the camera in the rig frame, used until the cameras are calibrated.
+        position_m: position of the camera in the rig frame, used until the cameras are calibrated.
         loop: start a folder or a video again at its end.
     """
 
@@ -296,12 +296,12 @@ class RigConfig(FileModel):
     def _one_marker_per_joint(self) -> RigConfig:
         seen: dict[tuple[str, str], str] = {}
         for name, marker in self.markers.items():
-            place = (marker.hand, marker.joint)
-            if place in seen:
+            joint = (marker.hand, marker.joint)
+            if joint in seen:
                 raise ValueError(
-                    f"markers.{name} and markers.{seen[place]} both mark {marker.joint} of the {marker.hand} hand"
+                    f"markers.{name} and markers.{seen[joint]} both mark {marker.joint} of the {marker.hand} hand"
                 )
-            seen[place] = name
+            seen[joint] = name
         return self
 
     @property

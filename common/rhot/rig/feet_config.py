@@ -92,7 +92,7 @@ class FootConfig(FileModel):
     Attributes:
         marker_id: of its ArUco marker.
         imu: its inertial sensor, if it has one.
-        ankle_m: place of the ankle joint in the foot's frame (see `FootPose`).
+        ankle_m: position of the ankle joint in the foot's frame (see `FootPose`).
     """
 
     marker_id: Annotated[int, Field(ge=0, le=1023)]

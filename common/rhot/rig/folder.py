@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
-import tempfile
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
+from rhot.atomic_file import write_atomic
 from rhot.errors import CalibrationError, ConfigError, RhotError
 from rhot.messages import first_problem
 from rhot.rig.calibration import CameraCalibration, CamerasFile, HandFile, Matrix3, Matrix4, RegistrationFile
@@ -39,7 +38,7 @@ class Rig:
         config: `rig.toml`.
         cameras: geometry of every configured camera, in the order of `rig.toml`.
         calibrated: whether that geometry comes from `cameras.json`; otherwise it is nominal (field of view and
-            place from `rig.toml`, no distortion).
+            position from `rig.toml`, no distortion).
         hand: `hand.json`, or the default scaled by `[hand] length_m`.
         registration: `registration.json`, or identity.
     """
@@ -172,20 +171,9 @@ def write_json_model(file: Path, model: BaseModel) -> None:
 
 
 def write_text_atomic(file: Path, text: str) -> None:
-    """Replace a text file in one step.
+    """Replace a text file in one step, also over a power cut.
 
     Raises:
         ConfigError: the folder cannot be written.
     """
-    try:
-        handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.", suffix=".tmp")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(text)
-            Path(temporary).chmod(0o644)
-            Path(temporary).replace(file)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be written: {error.strerror or error}") from error
+    write_atomic(file, text.encode())

@@ -1,14 +1,15 @@
 """A calibration file that can be tried before it is saved, and undone.
 
-The former file is put aside in the rig folder itself, so that a trial survives the program that began it.
+The former file is put aside in the rig folder itself, so that a trial survives the program that began it; a power cut
+between any two steps leaves the file as it was before or after.
 """
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Final, Generic, TypeVar
 
+from rhot.atomic_file import remove, rename, write_atomic
 from rhot.errors import ConfigError
 from rhot.rig.calibration import CalibrationFile
 from rhot.rig.folder import read_json_model, write_json_model
@@ -37,6 +38,7 @@ class KeptFile(Generic[F]):
         self._model = model
         self._untried = path.with_name(f".{path.stem}.untried.json")
         self._previous = path.with_name(f"{path.stem}.previous.json")
+        self._swapped = path.with_name(f".{path.stem}.swapped.json")
         self._stamp = _ABSENT
         self._content: F | None = None
 
@@ -48,7 +50,7 @@ class KeptFile(Generic[F]):
     @property
     def can_undo(self) -> bool:
         """Whether there is a former state to go back to."""
-        return self.on_trial or self._previous.exists()
+        return self.on_trial or self._previous.exists() or self._swapped.exists()
 
     @property
     def content(self) -> F | None:
@@ -69,14 +71,13 @@ class KeptFile(Generic[F]):
         Raises:
             ConfigError: the folder cannot be written.
         """
-        try:
-            if not self.on_trial:
-                if self.path.exists():
-                    _copy(self.path, self._untried)
-                else:
-                    self._untried.touch()
-        except OSError as error:
-            raise self._unwritable(error) from error
+        self._finish_swap()
+        if not self.on_trial:
+            try:
+                former = self.path.read_bytes() if self.path.exists() else b""
+            except OSError as error:
+                raise self._unwritable(error) from error
+            write_atomic(self._untried, former)
         write_json_model(self.path, content)
 
     def save(self) -> None:
@@ -89,9 +90,9 @@ class KeptFile(Generic[F]):
             raise ConfigError(f"{self.path}: nothing new to save; try something first")
         try:
             if self._untried.stat().st_size:
-                self._untried.replace(self._previous)
+                rename(self._untried, self._previous)
             else:
-                self._untried.unlink()
+                remove(self._untried)
         except OSError as error:
             raise self._unwritable(error) from error
 
@@ -105,32 +106,38 @@ class KeptFile(Generic[F]):
         """
         if not self.can_undo:
             raise ConfigError(f"{self.path}: there is no former one to go back to")
+        self._finish_swap()
         try:
             if self.on_trial:
                 if self._untried.stat().st_size:
-                    self._untried.replace(self.path)
+                    rename(self._untried, self.path)
                 else:
-                    self.path.unlink(missing_ok=True)
-                    self._untried.unlink()
+                    remove(self.path)
+                    remove(self._untried)
                 return
-            swapped = self.path.with_name(f".{self.path.stem}.swapped.json")
             if self.path.exists():
-                _copy(self.path, swapped)
-            self._previous.replace(self.path)
-            if swapped.exists():
-                swapped.replace(self._previous)
+                write_atomic(self._swapped, self.path.read_bytes())
+            rename(self._previous, self.path)
+            if self._swapped.exists():
+                rename(self._swapped, self._previous)
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _finish_swap(self) -> None:
+        """Bring an undoing to its end that a crash has interrupted: what was saved becomes the former file again."""
+        if not self._swapped.exists():
+            return
+        try:
+            if self._previous.exists():
+                # The former file had not been brought back yet: nothing has changed.
+                remove(self._swapped)
+            else:
+                rename(self._swapped, self._previous)
         except OSError as error:
             raise self._unwritable(error) from error
 
     def _unwritable(self, error: OSError) -> ConfigError:
         return ConfigError(f"{self.path}: cannot be kept: {error.strerror or error}")
-
-
-def _copy(source: Path, target: Path) -> None:
-    """Copy in one step: a crash leaves no half of a file."""
-    half = target.with_name(f"{target.name}.tmp")
-    shutil.copyfile(source, half)
-    half.replace(target)
 
 
 def file_stamp(path: Path) -> _Stamp:

@@ -121,7 +121,7 @@ def rig_template(
         folder: the rig folder, as the comments name it.
         name: of the rig.
         connect, listen: Zenoh endpoints.
-        cameras, camera_xs_m: names and nominal places along x, metres.
+        cameras, camera_xs_m: names and nominal positions along x, metres.
         source, rate_hz, exposure_s, readout_s: of all cameras.
         sides: hands that wear markers; with two, the second hand's markers carry its side's name.
         length_m: of the hand.

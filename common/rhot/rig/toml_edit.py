@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AbstractTable
 
+from rhot.atomic_file import locked
 from rhot.errors import ConfigError
 from rhot.messages import first_problem
 from rhot.rig.config import RigConfig
@@ -36,14 +37,14 @@ def with_values(text: str, table: Sequence[str], values: Mapping[str, Value]) ->
         document = tomlkit.parse(text)
     except TOMLKitError as error:
         raise ConfigError(str(error)) from error
-    place: Any = document
+    found: Any = document
     for name in table:
-        place = place.get(name) if isinstance(place, MutableMapping) else None
-    if not isinstance(place, MutableMapping):
+        found = found.get(name) if isinstance(found, MutableMapping) else None
+    if not isinstance(found, MutableMapping):
         raise ConfigError(f"[{'.'.join(table)}] is not there; add it by hand")
     newline = "\r\n" if "\r\n" in text else "\n"
     for key, value in values.items():
-        _set(place, key, value, newline)
+        _set(found, key, value, newline)
     return tomlkit.dumps(document)
 
 
@@ -64,10 +65,16 @@ def _set(table: MutableMapping[str, Any], key: str, value: Value, newline: str) 
 def change_rig_file(rig_path: Path, changes: Mapping[tuple[str, ...], Mapping[str, Value]]) -> None:
     """Set values of `rig.toml`, by table; all of them or, with an error, none.
 
+    Two processes that change it at the same moment do so one after the other: neither loses the other's change.
+
     Raises:
         ConfigError: the file cannot be read, changed or written, or a value is not valid.
     """
-    file = rig_path / RIG_FILE
+    with locked(rig_path):
+        _change(rig_path / RIG_FILE, changes)
+
+
+def _change(file: Path, changes: Mapping[tuple[str, ...], Mapping[str, Value]]) -> None:
     try:
         text = file.read_bytes().decode()
     except (OSError, UnicodeDecodeError) as error:

@@ -30,7 +30,7 @@ class ControlState:
         return newest if newest is not None and newest.action == "start" else None
 
     def offer(self, control: Control, now_ns: int | None) -> bool:
-        """Take a message if it is newer than what is known; tell whether it was taken.
+        """Accept a message if it is newer than the last; return whether it was.
 
         Args:
             control: the message.

@@ -19,7 +19,7 @@ _JOIN_S: Final = 1.0
 
 
 class Numbered(Protocol):
-    """A frame that knows its place in the source's own counting."""
+    """A frame that knows its number in the source's own counting."""
 
     @property
     def index(self) -> int:
@@ -154,5 +154,5 @@ class Grabber(Generic[F]):
         try:
             self._loop.call_soon_threadsafe(self._wake.set)
         except RuntimeError:
-            # The loop closed while the driver was still reading; nobody is left to be told.
+            # The loop closed while the driver was still reading; nobody is left to notify.
             self._stopping.set()

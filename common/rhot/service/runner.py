@@ -190,7 +190,7 @@ class _Runner:
         if delay_s > 0:
             await asyncio.sleep(delay_s)
         self._status.clear_latencies()
-        retry_s, told = _RETRY_FIRST_S, ""
+        retry_s, logged = _RETRY_FIRST_S, ""
         while True:
             self._status.state, self._status.session = "running", start.session
             logger.info("session %s runs", start.session)
@@ -200,8 +200,8 @@ class _Runner:
                 self._status.error(str(error))
                 self._status.count("device_errors")
                 self._status.state = "waiting"
-                if str(error) != told:
-                    told = str(error)
+                if str(error) != logged:
+                    logged = str(error)
                     logger.error("%s; trying again, at least every %.0f s", error, _RETRY_MAX_S)
                 await asyncio.sleep(retry_s)
                 retry_s = min(2 * retry_s, _RETRY_MAX_S)
@@ -241,14 +241,14 @@ class _Runner:
         """Keep systemd's watchdog quiet while the event loop turns, and note when it did not."""
         interval_s = systemd.watchdog_interval_s()
         loop = asyncio.get_running_loop()
-        told = loop.time()
+        published_s = loop.time()
         while True:
             before = loop.time()
             await asyncio.sleep(_LOOP_CHECK_S)
             self._status.latency("loop_lag", max(0.0, loop.time() - before - _LOOP_CHECK_S))
-            if interval_s is not None and loop.time() - told >= interval_s:
+            if interval_s is not None and loop.time() - published_s >= interval_s:
                 systemd.notify("WATCHDOG=1")
-                told = loop.time()
+                published_s = loop.time()
 
     async def _hear_control(self, node: Node) -> None:
         async for sample in node.bus.events(CONTROL_KEY):

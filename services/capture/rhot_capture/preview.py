@@ -73,17 +73,17 @@ def _coded(
         canvas[mask == 0] //= 5
     for detection in (detections or {}).values():
         _draw_rim(canvas, detection)
-    mark_places(canvas, {f"{name} {each.score:.2f}": (each.u, each.v) for name, each in (detections or {}).items()})
+    mark_positions(canvas, {f"{name} {each.score:.2f}": (each.u, each.v) for name, each in (detections or {}).items()})
     ok, data = cv2.imencode(suffix, canvas, options)
     if not ok:
         raise ConfigError(f"preview: a frame of shape {image.shape} cannot be coded as a picture")
     return bytes(data)
 
 
-def mark_places(canvas: ImageArray, places: Mapping[str, tuple[float, float]]) -> None:
-    """Draw a cross at each place (u, v) and its text beside it; texts that would cover one another move down."""
+def mark_positions(canvas: ImageArray, positions: Mapping[str, tuple[float, float]]) -> None:
+    """Draw a cross at each position (u, v) and its text beside it; texts that would cover one another move down."""
     taken: list[tuple[int, int, int]] = []
-    for text, (u, v) in sorted(places.items(), key=lambda each: each[1][1]):
+    for text, (u, v) in sorted(positions.items(), key=lambda each: each[1][1]):
         centre = (round(u), round(v))
         width = cv2.getTextSize(text, _FONT, _FONT_SCALE, 1)[0][0]
         x, y = centre[0] + 8, centre[1] - 8

@@ -237,7 +237,7 @@ class CaptureService:
         return detections, seconds
 
     def _answer_keep(self, loop: asyncio.AbstractEventLoop, request: Request) -> Answer:
-        """Save or undo exposure, gain and white balance, and tell how they stand; runs on a worker thread."""
+        """Save or undo exposure, gain and white balance, and report how they stand; runs on a worker thread."""
         wanted = request.parameters.get("do")
         if wanted == "save":
             self._kept.save(self._settings)

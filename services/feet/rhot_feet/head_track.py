@@ -39,7 +39,7 @@ class HeadTrack:
             del self._poses[self._times.pop(0)]
 
     def awaits(self, t_ns: int) -> bool:
-        """Tell whether poses come, but none yet that is late enough for a moment."""
+        """Return whether poses come, but none yet that is late enough for a moment."""
         return bool(self._times) and _AHEAD_NS < t_ns - self._times[-1] < _KEPT_NS
 
     def at(self, t_ns: int) -> FloatArray | None:

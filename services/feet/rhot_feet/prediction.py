@@ -36,7 +36,7 @@ class Region:
         return (self.right - self.left) * (self.bottom - self.top)
 
     def overlaps(self, other: Region) -> bool:
-        """Tell whether two regions share pixels."""
+        """Return whether two regions share pixels."""
         return (
             self.left < other.right and other.left < self.right and self.top < other.bottom and other.top < self.bottom
         )
@@ -60,7 +60,7 @@ class FootPrediction:
         covariance: (3, 3) of the position, square metres; it has to grow honestly while the foot is not seen,
             because what lies outside is refused.
         R_camera_foot: (3, 3), see `rhot.messages.FootPose`; None when nothing is known of it.
-        orientation_covariance: (3, 3) of a turn about the camera's axes, square radians; used with `R_camera_foot`.
+        orientation_covariance: (3, 3) of a rotation about the camera's axes, square radians; used with `R_camera_foot`.
     """
 
     position: FloatArray

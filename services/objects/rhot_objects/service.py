@@ -72,18 +72,18 @@ class ObjectsService:
                 tasks.create_task(self._follow(node, start, plan))
 
     async def _follow(self, node: Node, start: Control, plan: SourcePlan) -> None:
-        told = ""
+        logged = ""
         while True:
             try:
                 await asyncio.to_thread(plan.source.open, start.start_t_ns)
-                told = ""
+                logged = ""
                 await self._poll(node, plan)
             except DeviceError as error:
                 node.status.count("device_errors")
                 node.status.error(str(error))
-                if str(error) != told:
+                if str(error) != logged:
                     logger.warning("%s: %s; looking again every %.0f s", plan.name, error, _RETRY_S)
-                    told = str(error)
+                    logged = str(error)
             finally:
                 plan.source.close()
             await asyncio.sleep(_RETRY_S)

@@ -29,7 +29,7 @@ def viewer(host: str, port: int, rig_path: Path, connect: tuple[str, ...], names
     Only this machine can open the page. For a tablet, add --host 0.0.0.0 and open http://ADDRESS:8080; then everybody
     on the network can look and move the sliders.
     """
-    # It tells of every connection; who looks is told by the page itself.
+    # It logs every connection; the page itself reports who looks.
     logging.getLogger("websockets").setLevel(logging.WARNING)
     bus = tool_bus(rig_path, connect, namespace)
     return asyncio.run(serve_page(load_rig(rig_path), bus, host, port))

@@ -25,7 +25,7 @@ class HandErrors:
 
     Attributes:
         t_s: (N,) seconds since the start.
-        tips_m: (N, 5) distance of each fingertip joint from its true place, NaN where the pose has none.
+        tips_m: (N, 5) distance of each fingertip joint from its true position, NaN where the pose has none.
         joints_m: (N, 26) the same for all joints.
         measured: (N, 5) whether the pose says that the finger was measured.
     """
@@ -54,7 +54,7 @@ def hand_errors(world: World, start_t_ns: int, poses: Sequence[HandSample]) -> H
 
 
 def point_errors(world: World, start_t_ns: int, sets: Sequence[PointsSample]) -> dict[str, FloatArray]:
-    """Return per marker the vector (N, 3) from its true to its measured place, metres, without the predicted."""
+    """Return per marker the vector (N, 3) from its true to its measured position, metres, without the predicted."""
     if not sets:
         return {}
     truth = world.sample(seconds_since(start_t_ns, [points.t_ns for points in sets])).markers

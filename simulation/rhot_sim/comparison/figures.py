@@ -66,8 +66,8 @@ def tracking_figures(world: World, start_t_ns: int, collected: Collected, from_s
         tips.append(errors.tips_m.ravel())
         joints.append(errors.joints_m.ravel())
         poses_measured.append(errors.measured.astype(float).ravel())
-        for place, finger in enumerate(FINGERS):
-            per_finger[finger].append(errors.tips_m[:, place])
+        for index, finger in enumerate(FINGERS):
+            per_finger[finger].append(errors.tips_m[:, index])
         ages += [pose.age_s for pose in poses]
         stamps += [pose.t_ns for pose in poses]
     figures["rate_hz"] = len(stamps) / seconds / max(len(world.hands), 1)

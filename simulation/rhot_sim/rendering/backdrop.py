@@ -57,7 +57,7 @@ class Backdrop:
 
 
 class SensorNoise:
-    """Normal noise, drawn once and laid over each picture at a place of its own.
+    """Normal noise, drawn once and laid over each picture at an offset of its own.
 
     Rounded to grey levels its variance is σ² + 1/12.
 

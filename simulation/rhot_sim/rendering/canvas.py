@@ -79,7 +79,8 @@ def disjoint(windows: Iterable[Window]) -> list[Window]:
 
 def far_to_near(groups: Sequence[Group], distances: FloatArray) -> list[Group]:
     """Return groups in drawing order by the mean distance of their anchors; `distances` (R,) metres."""
-    return sorted(groups, key=lambda group: -float(distances[list(group.anchors)].mean()))
+    metres = distances.tolist()
+    return sorted(groups, key=lambda group: -sum(metres[ring] for ring in group.anchors) / len(group.anchors))
 
 
 def paint_groups(
@@ -114,7 +115,9 @@ def paint_groups(
                 if width not in fixed:
                     lit = middle + width * (points - middle) + (1.0 - width) * radius * np.array(_LIGHT)
                     fixed[width] = on_canvas(lit, window, scale)
-                hull = cv2.convexHull(fixed[width][part.rings, :].reshape(-1, 1, 2))
+                outline = fixed[width][part.rings, :].reshape(-1, 1, 2)
+                # A single ring is convex as it is.
+                hull = outline if len(part.rings) == 1 else cv2.convexHull(outline)
                 cv2.fillConvexPoly(canvas, hull, colors[part.paint, brightness], cv2.LINE_AA, FIXED_BITS)
 
 

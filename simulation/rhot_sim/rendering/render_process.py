@@ -1,12 +1,13 @@
 """Rendering in a process of its own, as a real camera exposes without asking the Pi's processor.
 
-The child (see `rhot_sim.rendering.picture_child`) reads times (one float64 each) and writes one picture for each.
+The child (see `rhot_sim.rendering.picture_child`) reads times (one float64 each) from its standard input, draws each
+picture into the next slot of a ring in shared memory, and says so by one byte on its standard output.
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
+import mmap
 import os
 import struct
 import subprocess
@@ -22,9 +23,11 @@ from rhot.rig import load_rig
 from rhot_capture.detection.color_table import ImageArray
 from rhot_sim.rendering.picture_child import end, keep_out_of_the_way
 
+AHEAD: Final = 6
+"""Pictures that may be begun and not yet taken. A tenth of a second at 60 Hz: longer than the scheduler of a busy
+machine lets a process wait, and short enough to be filled within the start-up."""
 _REQUEST: Final = struct.Struct("d")
-_PIPE_BYTES: Final = 1 << 20
-"""A whole 640x480 picture waits in the pipe, so that the next can be begun before this one is taken."""
+_DONE: Final = b"."
 
 
 class RenderProcess:
@@ -39,16 +42,23 @@ class RenderProcess:
             width, height: of its pictures, pixels.
         """
         self._camera = camera
-        self._shape = (height, width, 3)
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", __name__, str(rig_path), camera], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
-        if self._child.stdout is not None:
-            with contextlib.suppress(OSError):  # more than this user may have: the child then waits a little more often
-                fcntl.fcntl(self._child.stdout, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+        file = os.memfd_create(f"rhot-{camera}")
+        try:
+            self._ring = _ring(file, width, height)
+            self._child = subprocess.Popen(
+                [sys.executable, "-m", __name__, str(rig_path), camera, str(file)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                pass_fds=[file],
+            )
+        finally:
+            os.close(file)
+        self._taken = 0
 
     def begin(self, t_first_row_s: float) -> None:
         """Ask for the picture whose first row begins at a time, seconds since the world's start.
+
+        At most `AHEAD` pictures may be begun and not yet taken: the next would be drawn over the first.
 
         Raises:
             DeviceError: the child has ended.
@@ -67,18 +77,14 @@ class RenderProcess:
         Raises:
             DeviceError: the child has ended.
         """
-        image: ImageArray = np.empty(self._shape, np.uint8)
-        left = image.data.cast("B")
         try:
-            while len(left) and self._child.stdout is not None:
-                taken = os.readv(self._child.stdout.fileno(), [left])
-                if not taken:
-                    break
-                left = left[taken:]
+            done = b"" if self._child.stdout is None else os.read(self._child.stdout.fileno(), 1)
         except (OSError, ValueError) as error:
             raise self._ended() from error
-        if len(left):
+        if not done:
             raise self._ended()
+        image: ImageArray = self._ring[self._taken % AHEAD].copy()
+        self._taken += 1
         return image
 
     def close(self) -> None:
@@ -89,7 +95,16 @@ class RenderProcess:
         return DeviceError(f"camera {self._camera}: its renderer ended by itself, exit code {self._child.poll()}")
 
 
-def serve(rig_path: Path, camera: str) -> None:
+def _ring(file: int, width: int, height: int) -> ImageArray:
+    """Return the ring of pictures (AHEAD, height, width, 3) that a file in memory holds."""
+    shape = (AHEAD, height, width, 3)
+    size = int(np.prod(shape))
+    os.ftruncate(file, size)
+    ring: ImageArray = np.frombuffer(mmap.mmap(file, size), np.uint8).reshape(shape)
+    return ring
+
+
+def serve(rig_path: Path, camera: str, file: int) -> None:
     """Render whatever standard input asks for until it closes."""
     # Imported here: the parent needs none of it.
     from rhot_sim.rendering.renderer import Renderer  # noqa: PLC0415
@@ -99,16 +114,19 @@ def serve(rig_path: Path, camera: str) -> None:
     keep_out_of_the_way()
     rig = load_rig(rig_path)
     model: CameraModel = true_cameras(rig)[camera]
-    place = list(rig.config.cameras).index(camera)
-    renderer = Renderer(model, World.from_rig(rig), rig.config.sim, rig.config.cameras[camera], place)
+    index = list(rig.config.cameras).index(camera)
+    renderer = Renderer(model, World.from_rig(rig), rig.config.sim, rig.config.cameras[camera], index)
+    ring = _ring(file, model.width, model.height)
+    number = 0
     with contextlib.suppress(BrokenPipeError):
         while request := sys.stdin.buffer.read(_REQUEST.size):
             if len(request) < _REQUEST.size:
                 return
-            image = renderer.render(_REQUEST.unpack(request)[0])
-            sys.stdout.buffer.write(image.data.cast("B"))
+            renderer.render(_REQUEST.unpack(request)[0], out=ring[number % AHEAD])
+            number += 1
+            sys.stdout.buffer.write(_DONE)
             sys.stdout.buffer.flush()
 
 
 if __name__ == "__main__":
-    serve(Path(sys.argv[1]), sys.argv[2])
+    serve(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]))

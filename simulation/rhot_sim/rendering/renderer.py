@@ -82,13 +82,21 @@ class Renderer:
         wave = 0.7 * np.sin(2.0 * np.pi * t_s / 23.0 + first) + 0.3 * np.sin(2.0 * np.pi * t_s / 5.3 + second)
         return 1.0 + self._config.light_drift * float(wave)
 
-    def render(self, t_first_row_s: float, exposure_s: float | None = None, readout_s: float | None = None) -> Image:
+    def render(
+        self,
+        t_first_row_s: float,
+        exposure_s: float | None = None,
+        readout_s: float | None = None,
+        *,
+        out: Image | None = None,
+    ) -> Image:
         """Return the picture (height, width, 3), uint8, blue green red.
 
         Args:
             t_first_row_s: start of the first row's exposure, seconds since the world's start.
             exposure_s: exposure of every row; the camera's own when not given.
             readout_s: time from the first to the last row; the camera's own when not given.
+            out: where to draw the picture; a new array when not given.
         """
         exposure = self._camera_config.exposure_s if exposure_s is None else exposure_s
         readout = self._camera_config.readout_s if readout_s is None else readout_s
@@ -98,17 +106,14 @@ class Renderer:
         paths = self._outliner.paths(rings)
         light = self.light(t_first_row_s + span / 2.0)
         plain, large = self._backdrop.at(light)
-        image: Image = plain.copy()
+        image: Image = np.empty_like(plain) if out is None else out
+        np.copyto(image, plain)
         if paths.middle.size:
             groups = far_to_near(groups, paths.distances)
             moments = self._moments(paths, exposure, span)
             drawn = [row_timed(paths, moment, exposure, readout, self.camera.height) for moment in moments]
-            colors = {
-                (part.paint, shade[1]): self._color(part.paint, shade[1] * light)
-                for group in groups
-                for part in group.parts
-                for shade in part.shades
-            }
+            shades = {(part.paint, shade[1]) for group in groups for part in group.parts for shade in part.shades}
+            colors = {(paint, shade): self._color(paint, shade * light) for paint, shade in shades}
             windows = self._windows(drawn, groups)
             for window in disjoint(windows.values()):
                 area = (slice(window.top, window.bottom), slice(window.left, window.right))

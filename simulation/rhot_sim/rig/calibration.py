@@ -54,9 +54,9 @@ class SimulatedCalibration:
 def simulated_rig_calibration(cameras: Mapping[str, CameraConfig], seed: int) -> SimulatedCalibration:
     """Return true and found geometry of a rig's cameras.
 
-    The first camera is the reference and defines the rig frame; the second stands 75 mm to its right and is turned by
+    The first camera is the reference and defines the rig frame; the second stands 75 mm to its right and is rotated by
     about 1°; further ones stand around and look at where hands are. A camera's geometry follows from the seed, its
-    name and its place alone.
+    name and its number alone.
 
     Args:
         cameras: by name, in the order of `rig.toml`.
@@ -64,11 +64,11 @@ def simulated_rig_calibration(cameras: Mapping[str, CameraConfig], seed: int) ->
     """
     truth: dict[str, CameraCalibration] = {}
     found_intrinsics: dict[str, tuple[FloatArray, FloatArray]] = {}
-    for place, (name, camera) in enumerate(cameras.items()):
-        rng = seeded(seed, 20, place, zlib.crc32(name.encode()))
+    for index, (name, camera) in enumerate(cameras.items()):
+        rng = seeded(seed, 20, index, zlib.crc32(name.encode()))
         K = _intrinsics(camera, rng)
         distortion = np.array(DISTORTION) * rng.uniform(0.85, 1.15, 5)
-        T = _pose(place, rng)
+        T = _pose(index, rng)
         truth[name] = CameraModel.from_arrays(camera.width, camera.height, K, distortion, T).to_calibration()
         found_intrinsics[name] = _intrinsics_found(K, distortion, rng)
     found = _poses_found(truth, found_intrinsics, seed)
@@ -93,22 +93,22 @@ def _poses_found(
     """Return every camera with the pose that fits its found intrinsics best.
 
     Errors drawn for each parameter alone would not do: a calibration minimises what it sees, so an error of the centre
-    comes with a turn that makes up for it, and points near the boards come out far better than either error suggests.
+    comes with a rotation that makes up for it, and points near the boards come out far better than either suggests.
     """
     boards = _board_points(seeded(seed, 21))
     poses: dict[str, FloatArray] = {}
-    for place, (name, calibration) in enumerate(truth.items()):
+    for index, (name, calibration) in enumerate(truth.items()):
         camera = CameraModel.from_calibration(calibration)
-        noise = seeded(seed, 22, place, zlib.crc32(name.encode())).normal(0.0, CORNER_SIGMA_PX, (len(boards), 2))
+        noise = seeded(seed, 22, index, zlib.crc32(name.encode())).normal(0.0, CORNER_SIGMA_PX, (len(boards), 2))
         pixels = camera.project(boards)
         seen = camera.contains(pixels)
-        turn = vector_from_rotation(camera.R_camera_rig)
+        rotation = vector_from_rotation(camera.R_camera_rig)
         _, turn_found, t_found = cv2.solvePnP(
-            boards[seen], (pixels + noise)[seen], *intrinsics[name], turn.copy(), camera.t_camera_rig.copy(), True
+            boards[seen], (pixels + noise)[seen], *intrinsics[name], rotation.copy(), camera.t_camera_rig.copy(), True
         )
         R_found = rotation_from_vector(np.asarray(turn_found, dtype=np.float64).ravel())
         poses[name] = inverse(rigid(R_found, np.asarray(t_found, dtype=np.float64).ravel()))
-    # The rig frame that a calibration defines is its own reference camera, small turn and all.
+    # The rig frame that a calibration defines is its own reference camera, small rotation and all.
     T_reference_rig = inverse(next(iter(poses.values())))
     return {
         name: CameraModel.from_arrays(
@@ -119,14 +119,14 @@ def _poses_found(
 
 
 def _board_points(rng: np.random.Generator) -> FloatArray:
-    """Return corners (N, 3) of a chessboard held at many places above the desk, metres, rig frame."""
+    """Return corners (N, 3) of a chessboard held at many positions above the desk, metres, rig frame."""
     columns, rows = _BOARD_SIZE
     x, y = np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2)
     board = _BOARD_SQUARE_M * np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     views = []
     for _ in range(_BOARD_VIEWS):
-        place = rng.uniform((-0.15, -0.12, 0.5), (0.2, 0.12, 0.9))
-        views.append(board @ rotation_from_vector(rng.uniform(-0.5, 0.5, 3)).T + place)
+        position = rng.uniform((-0.15, -0.12, 0.5), (0.2, 0.12, 0.9))
+        views.append(board @ rotation_from_vector(rng.uniform(-0.5, 0.5, 3)).T + position)
     return np.concatenate(views)
 
 
@@ -138,16 +138,16 @@ def _intrinsics(camera: CameraConfig, rng: np.random.Generator) -> FloatArray:
     return K
 
 
-def _pose(place: int, rng: np.random.Generator) -> FloatArray:
+def _pose(index: int, rng: np.random.Generator) -> FloatArray:
     T = np.eye(4)
-    if place == 0:
+    if index == 0:
         return T
-    if place == 1:
+    if index == 1:
         T[:3, :3] = rotation_from_vector(np.radians(rng.uniform(-1.0, 1.0, 3)))
         T[:3, 3] = np.array([BASELINE_M, 0.0, 0.0]) + rng.uniform(-0.001, 0.001, 3)
         return T
     # A ring about the reference, at 0.25 to 0.4 m: turned by the golden angle, no two cameras come to stand together.
-    angle = np.radians(137.5) * (place - 2) + np.pi
+    angle = np.radians(137.5) * (index - 2) + np.pi
     reach = rng.uniform(0.25, 0.40)
     T[:3, 3] = reach * np.cos(angle), 0.7 * reach * np.sin(angle), rng.uniform(0.0, 0.05)
     forward = np.array([0.0, 0.0, FOCUS_Z_M]) - T[:3, 3]

@@ -63,7 +63,7 @@ def write_simulated_rig(
         connect=(endpoint,),
         listen=(endpoint,),
         cameras=names,
-        camera_xs_m=[0.075 * place for place in range(cameras)],
+        camera_xs_m=[0.075 * index for index in range(cameras)],
         source="simulated",
         rate_hz=rate_hz,
         # A simulated exposure of 6 ms smears like a Pi camera indoors.
@@ -118,8 +118,8 @@ def _calibrate_colors(path: Path) -> None:
     world = World.from_rig(rig)
     with tempfile.TemporaryDirectory() as folder:
         pictures, picks = [], []
-        for place, (name, camera) in enumerate(true_cameras(rig).items()):
-            renderer = Renderer(camera, world, rig.config.sim, rig.config.cameras[name], place)
+        for index, (name, camera) in enumerate(true_cameras(rig).items()):
+            renderer = Renderer(camera, world, rig.config.sim, rig.config.cameras[name], index)
             seen = MarkerCoverage(camera, world)
             for t_s in _PICK_TIMES_S:
                 picture = Path(folder) / f"{name}-{t_s}.png"

@@ -51,15 +51,15 @@ class FrameSchedule:
 
     Args:
         camera: name.
-        place: its number in the rig; camera k is k · `phase_s` behind the first.
+        index: its number in the rig; camera k is k · `phase_s` behind the first.
         camera_config: rate, exposure and read-out.
         config: phase, jitter and loss.
     """
 
-    def __init__(self, camera: str, place: int, camera_config: CameraConfig, config: SimConfig) -> None:
+    def __init__(self, camera: str, index: int, camera_config: CameraConfig, config: SimConfig) -> None:
         self._key = f"{config.seed} {camera}"
         self._rate_hz = camera_config.rate_hz
-        self._phase_s = math.fmod(place * config.phase_s, 1.0 / camera_config.rate_hz)
+        self._phase_s = math.fmod(index * config.phase_s, 1.0 / camera_config.rate_hz)
         self._busy_s = camera_config.exposure_s + camera_config.readout_s
         self._jitter_s = config.jitter_s
         self._drop_rate = config.drop_rate

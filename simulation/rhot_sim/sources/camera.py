@@ -1,13 +1,14 @@
 """A simulated camera: renders the world that every other simulated node knows too, in real time.
 
-The next frame is rendered ahead of its time and delivered when a real camera would deliver it. Frames are timed on
-the camera's own clock, which is off and drifts when it is a `SkewedClock`.
+Frames are rendered ahead of their time, a few at once, and delivered when a real camera would deliver them. They are
+timed on the camera's own clock, which is off and drifts when it is a `SkewedClock`.
 """
 
 from __future__ import annotations
 
 import time
-from typing import Protocol
+from collections import deque
+from typing import Final, Protocol
 
 from rhot.clock import NodeClock, SkewedClock
 from rhot.errors import ConfigError, DeviceError
@@ -16,7 +17,10 @@ from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.pacing import Pacer
-from rhot_sim.rendering.render_process import RenderProcess
+from rhot_sim.rendering.render_process import AHEAD, RenderProcess
+
+_FORGETTING: Final = 0.1
+"""Share of the newest picture in the mean time that a picture is waited for."""
 
 
 class FrameMoment(Protocol):
@@ -51,7 +55,7 @@ class Schedule(Protocol):
 
 
 class FrameRenderer(Protocol):
-    """Renders pictures; one may be begun while the one before it waits to be taken."""
+    """Renders pictures; `AHEAD` may be begun and not yet taken."""
 
     def begin(self, t_first_row_s: float) -> None:
         """Begin the picture whose first row begins at a time, seconds since the world's start."""
@@ -102,7 +106,8 @@ class SimulatedSource:
         self._pacer = Pacer(TrueClock())
         self._world_start_ns = 0
         self._number = 0
-        self._begun: tuple[int, FrameMoment] | None = None
+        self._begun: deque[tuple[int, FrameMoment]] = deque()
+        self._drawing_s = 0.0
         self._settings: CameraSettings | None = None
 
     @classmethod
@@ -125,18 +130,17 @@ class SimulatedSource:
         self._number = self._schedule.first_after(passed_s) if passed_s > 0.0 else 0
 
     def read(self) -> Frame | None:
-        """Wait until the next frame is due and return it; the one after it is begun by then."""
+        """Wait until the next frame is due and return it; the ones after it are begun by then."""
         while True:
-            begun = self._begun or self._begin_next()
+            self._begin_ahead()
             image = self._finish()
-            # Rendered ahead: the picture waits for its time, never the other way round.
-            self._begun = self._begin_next()
-            if begun is None or image is None:
+            if image is None:
                 return None
-            number, moment = begun
-            if self._is_late(moment):
-                # The renderer was still starting; a camera would have delivered this frame long ago.
+            number, moment = self._begun.popleft()
+            if self._is_late(moment, 0.0):
+                # The machine was too busy; a camera would have delivered this frame long ago.
                 continue
+            self._begin_ahead()
             if not self._pacer.wait_until(self._due_ns(moment)):
                 return None
             break
@@ -148,25 +152,27 @@ class SimulatedSource:
             self._camera.readout_s,
         )
 
-    def _begin_next(self) -> tuple[int, FrameMoment] | None:
-        """Begin to render the next frame that is not lost; None when closed."""
-        while not self._pacer.stopped:
+    def _begin_ahead(self) -> None:
+        """Begin to render the next frames that are not lost and can be ready in time."""
+        while len(self._begun) < AHEAD and not self._pacer.stopped:
             number, moment = self._number, self._schedule.frame(self._number)
             self._number += 1
             # Where rendering does not keep up, frames fall out as they would from a camera that nobody empties.
-            if moment.dropped or self._is_late(moment):
+            if moment.dropped or self._is_late(moment, len(self._begun) * self._drawing_s):
                 continue
             self._renderer.begin(moment.t_first_row_s)
-            return number, moment
-        return None
+            self._begun.append((number, moment))
 
     def _finish(self) -> ImageArray | None:
+        since_s = time.monotonic()
         try:
-            return None if self._pacer.stopped else self._renderer.finish()
+            image = self._renderer.finish() if self._begun and not self._pacer.stopped else None
         except DeviceError:
             if self._pacer.stopped:
                 return None
             raise
+        self._drawing_s += _FORGETTING * (time.monotonic() - since_s - self._drawing_s)
+        return image
 
     def apply(self, settings: CameraSettings) -> None:
         """Accept settings that leave the optics alone: the simulated light is what it is."""
@@ -185,8 +191,9 @@ class SimulatedSource:
     def _due_ns(self, moment: FrameMoment) -> int:
         return self._world_start_ns + round(1e9 * moment.delivered_s)
 
-    def _is_late(self, moment: FrameMoment) -> bool:
-        return self._due_ns(moment) < self._pacer.now_ns() - round(1e9 / self._camera.rate_hz)
+    def _is_late(self, moment: FrameMoment, ready_in_s: float) -> bool:
+        ready_ns = self._pacer.now_ns() + round(1e9 * (ready_in_s - 1.0 / self._camera.rate_hz))
+        return self._due_ns(moment) < ready_ns
 
     def _node_ns(self, true_ns: int) -> int:
         if isinstance(self._clock, SkewedClock):

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from rhot.geometry.rotations import cross_matrix, nearest_rotation, quaternion_from_rotation
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
+from rhot_feet.imu.samples import GRAVITY_M_S2
 from rhot_sim.walker.foot_path import Step
 from rhot_sim.walker.plan import OUTWARDS, SIDES
 from rhot_sim.world.script import seeded
@@ -35,7 +36,6 @@ from rhot_sim.world.spline import evaluate_spline
 FloatArray = NDArray[np.float64]
 Poses = Callable[[FloatArray], FloatArray]
 
-GRAVITY_M_S2: Final = 9.81
 ACCELERATION_STEP: Final = 2.0**-8
 QUATERNION_STEP: Final = 2.0**-14
 RATE_STEP: Final = 2.0**-9

@@ -47,8 +47,8 @@ def _wiggle(t: FloatArray, rng: Random) -> tuple[FloatArray, FloatArray]:
 def _curl(t: FloatArray, rng: Random) -> tuple[FloatArray, FloatArray]:
     fingers = _eased(t)
     bent = np.array([[30.0, 0.0, 45.0], [62.0, 0.0, 85.0], [62.0, 0.0, 85.0], [60.0, 0.0, 85.0], [58.0, 0.0, 80.0]])
-    for place, finger in enumerate(rng.permutation(5)):
-        start = 0.2 + 0.68 * place
+    for index, finger in enumerate(rng.permutation(5)):
+        start = 0.2 + 0.68 * index
         amount = bump(t, start, start + 0.85, 0.4)[:, None]
         fingers[:, finger] += amount * (bent[finger] - EASE_DEG[finger])
     return fingers, _sway(t, rng, bump(t, 0.1, 3.9, 0.6))

@@ -85,7 +85,7 @@ class StillMotion:
             side: np.array([home_x_m(side, sides), -0.03, desk_z_m - height_m, 0.0, 0.0, 0.0]) for side in sides
         }
         self._objects = {
-            name: lying_pose(np.array([0.19 - 0.12 * place, 0.14, 0.0]), desk_z_m) for place, name in enumerate(objects)
+            name: lying_pose(np.array([0.19 - 0.12 * index, 0.14, 0.0]), desk_z_m) for index, name in enumerate(objects)
         }
         angles = np.radians([[8, 5, 10, 10], [8, 4, 12, 8], [6, 0, 12, 8], [8, -3, 14, 9], [10, -6, 16, 11]])
         self._angles: FloatArray = angles.astype(np.float64)

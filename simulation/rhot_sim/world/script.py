@@ -69,6 +69,7 @@ class ScriptedMotion:
         self._controls: dict[Side, Callable[[int], FloatArray]] = {
             side: lru_cache(maxsize=32)(self._table_builder(side)) for side in self._sides
         }
+        self._spot = lru_cache(maxsize=32)(self._random_spot)
 
     def sample(self, t_s: FloatArray) -> MotionSample:
         """Return the motion at times (N,), seconds since the world's start."""
@@ -106,7 +107,7 @@ class ScriptedMotion:
             poses[held, :3, 3] = T[:, :3, 3] + T[:, :3, :3] @ GRIP_M
         return poses
 
-    def _spot(self, place: int, number: int) -> FloatArray:
+    def _random_spot(self, place: int, number: int) -> FloatArray:
         """Return where an object lies after `number` grasps: x, y (metres) and yaw (radians)."""
         rng = seeded(self._seed, _STREAMS["objects"], place, number)
         count = len(self._objects)

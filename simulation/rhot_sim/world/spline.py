@@ -23,9 +23,9 @@ def evaluate_spline(t_s: FloatArray, knot_s: float, control: Callable[[int], Flo
         knot_s: distance of the knots, seconds.
         control: returns the control values (C,) of a knot by its number.
     """
-    place = np.asarray(t_s, dtype=np.float64) / knot_s
-    knot = np.floor(place).astype(np.int64)
-    weights = basis(place - knot)
+    knots = np.asarray(t_s, dtype=np.float64) / knot_s
+    knot = np.floor(knots).astype(np.int64)
+    weights = basis(knots - knot)
     first, last = int(knot.min()) - 1, int(knot.max()) + 2
     if last - first <= 4 * len(knot) + 4:
         table = np.stack([control(k) for k in range(first, last + 1)])

@@ -30,7 +30,7 @@ def test_a_candidate_is_the_same_however_little_of_its_surroundings_was_cut_out(
     for margin in (30, room):
         whole = Region(52 - margin, 49 - margin, 69 + margin, 72 + margin)
         cutouts = Cutouts(image, table, [(4, whole)])
-        ((blob,),) = blobs_of(cutouts.own, cutouts.places, [(12.0, 4000.0)], (121, 121))
+        ((blob,),) = blobs_of(cutouts.own, cutouts.parts, [(12.0, 4000.0)], (121, 121))
         candidate = judge(cutouts, blob, 4, 12.0, MarkerTrack(), alone=True)
         assert isinstance(candidate, Candidate)
         found.append(candidate)

@@ -20,7 +20,7 @@ def test_parts_are_labelled_as_they_are_in_the_whole_picture(image: Any, table: 
     in_whole, _ = table.classify(image)
     looks = [(4, Region(70, 50, 130, 120)), (2, Region(270, 170, 350, 230)), (1, Region(270, 170, 350, 230))]
     parts = Cutouts(image, table, looks)
-    for (label, region), place in zip(looks, parts.places, strict=True):
+    for (label, region), place in zip(looks, parts.parts, strict=True):
         assert (place.label, place.region) == (label, region)
         width, height = region.right - region.left, region.bottom - region.top
         labels = parts.labels[place.row : place.row + height, :width]
@@ -38,7 +38,7 @@ def test_nothing_is_found_between_the_parts(image: Any, table: ColorTable, black
     labels[0] = 4 if black_is_paint else 0
     looks = [(4, Region(70, 50, 130, 120)), (2, Region(270, 170, 390, 230))]
     parts = Cutouts(image, replace(table, labels=labels), looks)
-    first, second = (place.row for place in parts.places)
+    first, second = (place.row for place in parts.parts)
     assert not parts.own[first + 70 : second].any(), "between the first and the second"
     assert not parts.own[first : first + 70, 61:].any(), "beside the first, which is narrower"
 
@@ -48,7 +48,7 @@ def test_single_wrong_pixels_go(table: ColorTable, paints: Any) -> None:
     image[10, 10] = paints["ring"][::-1]
     image[20:23, 20:23] = paints["ring"][::-1]
     cutouts = Cutouts(image, table, [(4, Region(0, 0, 40, 40))])
-    own = cutouts.own[cutouts.places[0].row :]
+    own = cutouts.own[cutouts.parts[0].row :]
     assert own[10, 10] == 0
     assert own[21, 21] == 1
     assert not own[:, 40:].any()

@@ -6,7 +6,7 @@ from rhot_capture.detection.track import MarkerTrack
 def moving_track(frames: int = 3, step: float = 10.0) -> MarkerTrack:
     track = MarkerTrack()
     for frame in range(frames):
-        track.hit(100.0 + step * frame, 50.0, 200.0)
+        track.update(100.0 + step * frame, 50.0, 200.0)
     return track
 
 
@@ -37,7 +37,7 @@ def test_a_lost_marker_is_looked_for_ever_further_and_then_anywhere() -> None:
 def test_motion_is_forgotten_across_a_gap() -> None:
     track = moving_track(step=40.0)
     track.miss()
-    track.hit(300.0, 50.0, 200.0)
+    track.update(300.0, 50.0, 200.0)
     assert track.preference(300.0, 50.0, 200.0) == 1.0
 
 

@@ -64,5 +64,5 @@ def test_what_cannot_be_done_says_so(kept: KeptFile[HandFile]) -> None:
 
 
 def test_a_folder_that_is_gone_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be kept"):
+    with pytest.raises(ConfigError, match="cannot be written"):
         KeptFile(tmp_path / "gone" / "hand.json", HandFile).try_out(HandFile())

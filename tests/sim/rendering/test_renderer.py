@@ -240,9 +240,9 @@ def test_a_frame_costs_little(world: World, cameras: dict[str, CameraModel]) -> 
     def least(work: Callable[[], object], count: int) -> float:
         costs = []
         for _ in range(count):
-            start = time.perf_counter()
+            start = time.process_time()
             work()
-            costs.append(time.perf_counter() - start)
+            costs.append(time.process_time() - start)
         return min(costs)
 
     yardstick = least(lambda: cv2.GaussianBlur(image, (9, 9), 2.0), 30)

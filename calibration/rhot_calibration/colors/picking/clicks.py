@@ -9,7 +9,7 @@ from rhot_calibration.colors.picking.boxes import BoolArray
 from rhot_calibration.colors.picking.picks import Place, Places
 from rhot_calibration.colors.picking.regions import regions
 from rhot_capture.detection.color_table import ImageArray
-from rhot_capture.preview import mark_places, preview_jpeg
+from rhot_capture.preview import mark_positions, preview_jpeg
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class ClickedPicture:
         """The picture with a cross at every place."""
         canvas = self.image.copy()
         places = {name: at if isinstance(at, tuple) else at.middle for name, at in self.places.items()}
-        mark_places(canvas, places)
+        mark_positions(canvas, places)
         return canvas
 
 

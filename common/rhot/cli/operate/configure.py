@@ -47,11 +47,11 @@ def parse_assignments(words: tuple[str, ...]) -> dict[str, Any]:
             value: Any = json.loads(text)
         except ValueError:
             value = text
-        place = change
+        target = change
         *parents, last = path.split(".")
         for parent in parents:
-            place = place.setdefault(parent, {})
-        place[last] = value
+            target = target.setdefault(parent, {})
+        target[last] = value
     return parse_change(json.dumps(change).encode())
 
 

@@ -92,8 +92,8 @@ def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth:
     console = Console(stderr=True, soft_wrap=True)
     if not rig.calibrated:
         console.print(
-            f"[yellow]{rig_path} is not calibrated (no cameras.json): cameras are taken as parallel, at the places and "
-            "with the field of view of rig.toml[/]"
+            f"[yellow]{rig_path} is not calibrated (no cameras.json): cameras are taken as parallel, at the positions "
+            "and with the field of view of rig.toml[/]"
         )
     with _output(out_path) as stream, Progress(*columns, console=console) as progress:
         task = progress.add_task("tracking", total=_frame_count(recording))

@@ -1,6 +1,6 @@
 """Our messages as what Foxglove and Lichtblick draw: hands, points, objects and markers over the pictures.
 
-Frames: `rig` as everywhere, `world` the same turned by half a turn about x, so that what is up for cameras that look
+Frames: `rig` as everywhere, `world` the same rotated by half a turn about x, so that what is up for cameras that look
 down is up on the screen, and one frame for each camera and each pose.
 """
 
@@ -147,11 +147,11 @@ def _hand_bones(hand: HandPose) -> list[LinePrimitive]:
     return _bones({name: joint.position for name, joint in hand.joints.items()}, _color(hand.state))
 
 
-def _bones(places: dict[str, tuple[float, float, float]], color: Color) -> list[LinePrimitive]:
+def _bones(positions: dict[str, tuple[float, float, float]], color: Color) -> list[LinePrimitive]:
     ends = [
-        Point3(x=places[end][0], y=places[end][1], z=places[end][2])
+        Point3(x=positions[end][0], y=positions[end][1], z=positions[end][2])
         for joint, parent in PARENTS.items()
-        if parent is not None and joint in places and parent in places
+        if parent is not None and joint in positions and parent in positions
         for end in (parent, joint)
     ]
     if not ends:

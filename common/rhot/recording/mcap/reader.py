@@ -72,7 +72,7 @@ class RecordedChannel:
 
 
 @dataclass(frozen=True, slots=True)
-class _ChunkPlace:
+class _ChunkSpan:
     offset: int
     length: int
     start_ns: int
@@ -97,7 +97,7 @@ class McapRecording:
     note: str
     start_ns: int
     end_ns: int
-    _chunks: tuple[_ChunkPlace, ...]
+    _chunks: tuple[_ChunkSpan, ...]
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -111,21 +111,21 @@ class McapRecording:
             from_ns, to_ns: only samples that arrived in this span, both ends included.
 
         Raises:
-            ConfigError: a chunk is damaged; names the place.
+            ConfigError: a chunk is damaged; names the byte.
         """
         first = self.start_ns if from_ns is None else from_ns
         last = self.end_ns if to_ns is None else to_ns
         with _opened(self.path) as stream:
-            for place in self._chunks:
-                if place.end_ns < first or place.start_ns > last:
+            for span in self._chunks:
+                if span.end_ns < first or span.start_ns > last:
                     continue
-                for record in _chunk_records(self.path, stream, place):
+                for record in _chunk_records(self.path, stream, span):
                     if not isinstance(record, MessageRecord) or not first <= record.log_time <= last:
                         continue
                     channel = self.channels.get(record.channel_id)
                     if channel is None:
                         raise ConfigError(
-                            f"{self.path}: damaged: a sample in the chunk at byte {place.offset} belongs to channel "
+                            f"{self.path}: damaged: a sample in the chunk at byte {span.offset} belongs to channel "
                             f"{record.channel_id}, which the file does not describe"
                         )
                     yield RecordedSample(
@@ -169,16 +169,16 @@ def open_mcap(path: Path) -> McapRecording:
         if not scan.complete:
             _drop_broken_tail(path, stream, scan)
         if not (scan.complete and scan.channels):
-            for place in scan.chunks:
-                for record in _chunk_records(path, stream, place):
+            for span in scan.chunks:
+                for record in _chunk_records(path, stream, span):
                     scan.describe(record)
     return McapRecording(
         path=path,
         channels={number: _recorded(channel, scan.schemas) for number, channel in scan.channels.items()},
         attachments=scan.attachments,
         note="" if scan.complete else _cut_off(path, size - scan.end),
-        start_ns=min((place.start_ns for place in scan.chunks), default=0),
-        end_ns=max((place.end_ns for place in scan.chunks), default=0),
+        start_ns=min((span.start_ns for span in scan.chunks), default=0),
+        end_ns=max((span.end_ns for span in scan.chunks), default=0),
         _chunks=tuple(scan.chunks),
     )
 
@@ -187,7 +187,7 @@ class _Scan:
     """What lies where in a file; `end` is the end of the last complete chunk or, before the first, of what was read."""
 
     def __init__(self) -> None:
-        self.chunks: list[_ChunkPlace] = []
+        self.chunks: list[_ChunkSpan] = []
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
         self.attachments: dict[str, bytes] = {}
@@ -230,7 +230,7 @@ def _take(scan: _Scan, stream: IO[bytes], opcode: int, body: int, length: int) -
         if length > _MAX_CHUNK_BYTES:
             raise ValueError(f"a chunk of {length} bytes is over the limit of {_MAX_CHUNK_BYTES}")
         start_ns, end_ns = _CHUNK_TIMES.unpack(stream.read(_CHUNK_TIMES.size))
-        scan.chunks.append(_ChunkPlace(body, length, start_ns, end_ns))
+        scan.chunks.append(_ChunkSpan(body, length, start_ns, end_ns))
     elif opcode == Opcode.MESSAGE:
         raise ValueError("messages stand outside chunks; only files written in chunks, as `rhot record` does, are read")
     elif opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
@@ -257,10 +257,10 @@ def _drop_broken_tail(path: Path, stream: IO[bytes], scan: _Scan) -> None:
         scan.end = last.offset - _RECORD_HEAD.size
 
 
-def _chunk_records(path: Path, stream: IO[bytes], place: _ChunkPlace) -> Iterator[Channel | Schema | MessageRecord]:
-    stream.seek(place.offset)
+def _chunk_records(path: Path, stream: IO[bytes], span: _ChunkSpan) -> Iterator[Channel | Schema | MessageRecord]:
+    stream.seek(span.offset)
     try:
-        chunk = Chunk.read(ReadDataStream(io.BytesIO(stream.read(place.length))))
+        chunk = Chunk.read(ReadDataStream(io.BytesIO(stream.read(span.length))))
         data, size = get_chunk_data_stream(chunk, validate_crc=True)
         while data.count < size:
             opcode, length = data.read1(), data.read8()
@@ -274,7 +274,7 @@ def _chunk_records(path: Path, stream: IO[bytes], place: _ChunkPlace) -> Iterato
                 data.read(length)
     except Exception as error:
         # Whatever the decompressors and the record parser raise on wrong bytes: the file is at fault.
-        raise _damaged(path, place.offset, error) from error
+        raise _damaged(path, span.offset, error) from error
 
 
 def _recorded(channel: Channel, schemas: dict[int, Schema]) -> RecordedChannel:

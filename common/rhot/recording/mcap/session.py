@@ -33,7 +33,7 @@ async def record(
     on_beat: Callable[[], None],
     duration_s: float | None = None,
 ) -> None:
-    """Write every sample of a mailbox until told to stop, then what has arrived by then.
+    """Write every sample of a mailbox until stopped, then what has arrived by then.
 
     Args:
         mailbox: `subscribe` makes it.

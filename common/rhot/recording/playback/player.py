@@ -60,7 +60,7 @@ def play(
     stopping: threading.Event,
     figures: PlayFigures,
 ) -> None:
-    """Put samples out in their order, spaced as they arrived divided by `rate`, until the end or told to stop.
+    """Put samples out in their order, spaced as they arrived divided by `rate`, until the end or until stopped.
 
     A thread of its own runs this: the event loop wakes to the millisecond only.
     """
@@ -71,7 +71,7 @@ def play(
             begun_ns, first_ns = time.monotonic_ns(), sample.log_ns
         due_ns = begun_ns + round((sample.log_ns - first_ns) / rate)
         wait_ns = due_ns - time.monotonic_ns()
-        # Also where nothing is to wait for: told to stop, it stops.
+        # It stops at once, also where there is nothing to wait for.
         if stopping.wait(max(wait_ns, 0) / 1e9) if wait_ns > 0 else stopping.is_set():
             return
         late_ns = time.monotonic_ns() - due_ns

@@ -148,23 +148,23 @@ class Outsized(NamedTuple):
 
     Attributes:
         parts: of it.
-        place: where it was found.
+        cutout: where it was found.
         shape: height and width of the image.
     """
 
     parts: list[_Part]
-    place: Cutout
+    cutout: Cutout
     shape: tuple[int, int]
 
     @property
     def blob(self) -> Blob:
         """The blob."""
-        return _blob(self.parts, self.place, None, self.shape)
+        return _blob(self.parts, self.cutout, None, self.shape)
 
 
 def blobs_of(
     own: ImageArray,
-    places: Sequence[Cutout],
+    cutouts: Sequence[Cutout],
     gates: Sequence[tuple[float, float]],
     shape: tuple[int, int],
     outsized: list[Outsized] | None = None,
@@ -173,27 +173,27 @@ def blobs_of(
 
     Args:
         own: (H, W) uint8, 1 where a pixel has the label that is looked for there, else 0.
-        places: the cutouts, from top to bottom.
+        cutouts: the cutouts, from top to bottom.
         gates: smallest and largest area of a blob in each of them.
         shape: height and width of the image.
         outsized: what is too small or too large is added here.
     """
     outsized = [] if outsized is None else outsized
     found, _ = cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    rows = [place.row for place in places]
-    parts: list[list[_Part]] = [[] for _ in places]
+    rows = [cutout.row for cutout in cutouts]
+    parts: list[list[_Part]] = [[] for _ in cutouts]
     enclosed = 0.0
     for outline in cast(Sequence[ContourArray], found):
         area = pixel_area(outline)
         enclosed += area
         if area >= _LEAST_PX:
             box = cv2.boundingRect(outline)
-            place = bisect_right(rows, box[1]) - 1
+            cutout = bisect_right(rows, box[1]) - 1
             part = _Part(area, outline, box)
-            if area >= _MERGE_MIN_SHARE * gates[place][0]:
-                parts[place].append(part)
+            if area >= _MERGE_MIN_SHARE * gates[cutout][0]:
+                parts[cutout].append(part)
             else:
-                outsized.append(Outsized([part], places[place], shape))
+                outsized.append(Outsized([part], cutouts[cutout], shape))
     alone = [each[0].outline for each in parts if len(each) == 1]
     has_holes = cv2.countNonZero(own) != enclosed
     if has_holes or len(alone) < len(found):
@@ -202,12 +202,12 @@ def blobs_of(
     else:
         filled = own * _INSIDE
     drawing = _Drawing(filled, has_holes)
-    return [_grouped(*each, drawing, shape, outsized) for each in zip(parts, places, gates, strict=True)]
+    return [_grouped(*each, drawing, shape, outsized) for each in zip(parts, cutouts, gates, strict=True)]
 
 
 def _grouped(
     parts: list[_Part],
-    place: Cutout,
+    cutout: Cutout,
     gate: tuple[float, float],
     drawing: _Drawing,
     shape: tuple[int, int],
@@ -217,7 +217,7 @@ def _grouped(
 
     Args:
         parts: in the cutout.
-        place: it.
+        cutout: it.
         gate: smallest and largest area of a blob.
         drawing: of what is alone in its cutout.
         shape: height and width of the image.
@@ -225,17 +225,17 @@ def _grouped(
     """
     if len(parts) == 1:
         if gate[0] <= parts[0].area <= gate[1]:
-            return [_blob(parts, place, drawing, shape)]
-        outsized.append(Outsized(parts, place, shape))
+            return [_blob(parts, cutout, drawing, shape)]
+        outsized.append(Outsized(parts, cutout, shape))
         return []
     free = sorted(parts, key=lambda part: part.area, reverse=True)[: 4 * _MAX_CANDIDATES]
     blobs: list[Blob] = []
     while free and len(blobs) < _MAX_CANDIDATES:
         group, free = _gather(free)
         if gate[0] <= sum([part.area for part in group]) <= gate[1]:
-            blobs.append(_blob(group, place, None, shape))
+            blobs.append(_blob(group, cutout, None, shape))
         else:
-            outsized.append(Outsized(group, place, shape))
+            outsized.append(Outsized(group, cutout, shape))
     return blobs
 
 
@@ -275,18 +275,18 @@ def _hull_area(points: ContourArray) -> float:
     return cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1.0
 
 
-def _blob(parts: Sequence[_Part], place: Cutout, drawing: _Drawing | None, shape: tuple[int, int]) -> Blob:
+def _blob(parts: Sequence[_Part], cutout: Cutout, drawing: _Drawing | None, shape: tuple[int, int]) -> Blob:
     """Return the blob that some parts are.
 
     Args:
         parts: of the blob.
-        place: where they were found.
+        cutout: where they were found.
         drawing: of the cutouts, when this blob is the only one in its cutout.
         shape: height and width of the image.
     """
-    region = place.region
+    region = cutout.region
     contours = tuple([part.outline for part in parts])
-    shift_x, shift_y = region.left, region.top - place.row
+    shift_x, shift_y = region.left, region.top - cutout.row
     box = parts[0].box if len(parts) == 1 else cv2.boundingRect(np.concatenate(contours))
     left, top = box[0] + shift_x, box[1] + shift_y
     right, bottom = left + box[2], top + box[3]

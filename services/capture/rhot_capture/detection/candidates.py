@@ -40,7 +40,7 @@ class Candidate(NamedTuple):
     Attributes:
         blob: where it is.
         plausibility: 0 to 1, how much it is like the marker; decides which blob is chosen and whether one is.
-        evidence: for its score, but for what tracks and other blobs tell.
+        evidence: for its score, but for what tracks and other blobs add.
         fill: share of it that has the marker's own colour.
     """
 
@@ -82,7 +82,7 @@ def judge(
     if blob.has_holes:
         own = cutouts.own[window] & blob.seen
         own_pixels = cv2.countNonZero(own)
-    fill = own_pixels / blob.area
+    fill = own_pixels / max(blob.area, 1.0)
     if fill < MIN_FILL:
         return Refusal(blob, "hollow", fill)
     # A thin line or a ring is the mixed rim of another marker, not paint of its own; unless the marker was just
@@ -90,7 +90,7 @@ def judge(
     thin = not _has_core(blob, own, own_pixels)
     if thin and not track.continues(*blob.middle):
         return Refusal(blob, "thin", fill)
-    # In most frames the first of these tells already.
+    # In most frames the first of these decides.
     larger = _CLING_RATIO * blob.area
     surrounded = cutouts.foreign_pixels > larger and cutouts.foreign_in(window) > larger
     if surrounded and clings(blob, cutouts.labels[window], label):

@@ -1,7 +1,7 @@
 """One table that names the marker of every colour, so that a whole frame is classified in one look-up.
 
 A frame becomes a 16-bit 5-6-5 picture; each of its 65,536 possible colours has one entry here. The label of a
-colour is the place of its marker in the list, counted from 1; 0 is nobody's colour.
+colour is the position of its marker in the list, counted from 1; 0 is nobody's colour.
 """
 
 from __future__ import annotations

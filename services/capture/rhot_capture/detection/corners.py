@@ -36,9 +36,9 @@ _AREA_TOLERANCE: Final = 0.15
 _MAX_CONVERGENCE: Final = 0.2
 """How far opposite sides of a seen rectangle may differ, as a share of their length: 0.04 m at 0.3 m converge by 0.13;
 more tells of a side that is no side but the edge of what hides a corner."""
-_PLACES: Final = np.linspace(_SIDE_MARGIN, 1.0 - _SIDE_MARGIN, _POINTS_PER_SIDE)
+_POSITIONS: Final = np.linspace(_SIDE_MARGIN, 1.0 - _SIDE_MARGIN, _POINTS_PER_SIDE)
 """Of the points on a side, as shares of its length."""
-_POWERS: Final = np.vander(_PLACES, 3, increasing=True)
+_POWERS: Final = np.vander(_POSITIONS, 3, increasing=True)
 _LINEAR: Final = np.ascontiguousarray(_POWERS[:, :2].T)
 _FIT: Final = np.linalg.pinv(_LINEAR)
 """Times (4, _POINTS_PER_SIDE) edges gives intercepts and slopes, where all points count."""
@@ -48,15 +48,15 @@ _TRAPEZIUM[[0, -1]] *= 0.5
 
 
 def _sampling() -> CoverageArray:
-    """Return what four corners and then four outward normals contribute to each sample's place.
+    """Return what four corners and then four outward normals contribute to each sample's position.
 
     Returns:
-        (4 · _POINTS_PER_SIDE · _STEPS, 8) float32; times (8, 2) of corners and normals gives places in pixels.
+        (4 · _POINTS_PER_SIDE · _STEPS, 8) float32; times (8, 2) of corners and normals gives positions in pixels.
     """
     parts = np.zeros((4, _POINTS_PER_SIDE, _STEPS, 8), np.float32)
     for side in range(4):
-        parts[side, :, :, side] = 1.0 - _PLACES[:, None]
-        parts[side, :, :, (side + 1) % 4] = _PLACES[:, None]
+        parts[side, :, :, side] = 1.0 - _POSITIONS[:, None]
+        parts[side, :, :, (side + 1) % 4] = _POSITIONS[:, None]
         parts[side, :, :, 4 + side] = np.linspace(*_SEARCH_PX, _STEPS)
     return parts.reshape(-1, 8)
 
@@ -75,7 +75,7 @@ def find_corners(
         shift: x and y, pixels, from the outline's coordinates to those of the window.
         area: painted area, square pixels.
         expected: four corners near the true ones, clockwise, pixels in the window, when they are known; that the
-            coarse quadrilateral is found anew takes a third of the time.
+            coarse quadrilateral is found again takes a third of the time.
 
     Returns:
         (4, 2) float64, pixels in the window, clockwise as seen in the image; the first is the one nearest to the
@@ -122,7 +122,7 @@ def _refine(shares: Shares, corners: Sequence[Point]) -> list[Point] | None:
     fitted = _fit_lines(length, ((profile[:, 0] > 0.75) & (profile[:, -1] < 0.25)).reshape(4, -1))
     if fitted is None:
         return None
-    # edge = start of the search + intercept + slope · place, so the line runs from corner + (start + intercept) ·
+    # edge = start of the search + intercept + slope · position, so the line runs from corner + (start + intercept) ·
     # outward, which shifts by slope.
     start = _SEARCH_PX[0]
     lines = [
@@ -133,7 +133,7 @@ def _refine(shares: Shares, corners: Sequence[Point]) -> list[Point] | None:
 
 
 def _fit_lines(edge: CoverageArray, usable: NDArray[np.bool_]) -> list[tuple[float, float]] | None:
-    """Fit edge = intercept + slope · place along each side, again without what lies far off where something does.
+    """Fit edge = intercept + slope · position along each side, again without what lies far off where something does.
 
     Args:
         edge: (4, _POINTS_PER_SIDE) float32, pixels.

@@ -49,7 +49,7 @@ class Cutouts:
     """Regions of a picture one below the other.
 
     Attributes:
-        places: the regions, from top to bottom.
+        parts: the regions, from top to bottom.
         labels: (H, W) uint8, label of every pixel.
         own: (H, W) uint8, 1 where a pixel and most of its neighbours have the label that is looked for there.
         foreign_pixels: how many pixels have the label of another marker.
@@ -64,17 +64,17 @@ class Cutouts:
             table: colours of the labels.
             looks: label and region of each part, at least one.
         """
-        self.places: list[Cutout] = []
+        self.parts: list[Cutout] = []
         row, width = _GAP_PX, 0
         for label, region in looks:
-            self.places.append(Cutout(label, region, row))
+            self.parts.append(Cutout(label, region, row))
             row += region.bottom - region.top + _GAP_PX
             width = max(width, region.right - region.left)
         pixels: ImageArray = np.zeros((row, width + _GAP_PX, 3), np.uint8)
         if table.labels[0] != 0:
             pixels[:] = _nobodys_color(table)
         wanted: ImageArray = np.ones((row, 1), np.uint8)
-        for label, (left, top, right, bottom), row in self.places:
+        for label, (left, top, right, bottom), row in self.parts:
             end = row + bottom - top
             pixels[row:end, : right - left] = image[top:bottom, left:right]
             wanted[row : end + _GAP_PX] = label
@@ -105,7 +105,7 @@ def marker_mask(image: ImageArray, table: ColorTable, marker: str) -> ImageArray
         raise ConfigError(f"mask={marker}: no such marker; one of {', '.join(table.names)}")
     height, width = image.shape[:2]
     cutouts = Cutouts(image, table, [(table.names.index(marker) + 1, Region(0, 0, width, height))])
-    row = cutouts.places[0].row
+    row = cutouts.parts[0].row
     return cutouts.own[row : row + height, :width] * np.uint8(255)
 
 

@@ -1,9 +1,9 @@
 """All markers of a frame in one pass.
 
-While every marker is where it was expected, only the places where they are expected are looked at. As soon as one is
-not there, and every `_SURVEY_FRAMES` frames anyway, the whole frame is searched for places, so a lost marker is found
-again wherever it turns up; where a marker was before only decides between several blobs of its colour. Either way all
-places are classified together and measured alike.
+While every marker is where it was expected, only these windows are searched. As soon as one is not there, and every
+`_SURVEY_FRAMES` frames anyway, the whole frame is searched, so a lost marker is found again wherever it turns up; where
+a marker was before only decides between several blobs of its colour. Either way all windows are classified together
+and measured alike.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class MarkerDetector:
         """What was decided about the blobs of the last frame; put together only when asked for."""
         judged = list(self._judged)
         for each in self._outsized:
-            label, blob = each.place.label, each.blob
+            label, blob = each.cutout.label, each.blob
             reason: Reason = "too small" if blob.area < self._gates[label - 1][0] else "too large"
             judged.append((self._names[label - 1], Refusal(blob, reason)))
         return Decisions(self._looks, judged, self._chosen)
@@ -210,20 +210,20 @@ class MarkerDetector:
         candidates: dict[str, list[Candidate]] = {}
         self._looks, self._judged, self._outsized = looks, [], []
         gates = [self._gates[label - 1] for label, _ in looks]
-        found = blobs_of(cutouts.own, cutouts.places, gates, self._size, self._outsized)
+        found = blobs_of(cutouts.own, cutouts.parts, gates, self._size, self._outsized)
         count = [0] * (len(self._names) + 1)
-        for place, blobs in zip(cutouts.places, found, strict=True):
-            count[place.label] += len(blobs)
-        for place, blobs in zip(cutouts.places, found, strict=True):
-            name = self._names[place.label - 1]
-            track, alone = self._tracks[name], count[place.label] == 1
+        for cutout, blobs in zip(cutouts.parts, found, strict=True):
+            count[cutout.label] += len(blobs)
+        for cutout, blobs in zip(cutouts.parts, found, strict=True):
+            name = self._names[cutout.label - 1]
+            track, alone = self._tracks[name], count[cutout.label] == 1
             for blob in blobs:
-                if not blob.inside(place.region, self._size):
+                if not blob.inside(cutout.region, self._size):
                     if every:
                         return None
                     self._judged.append((name, Refusal(blob, "cut")))
                     continue
-                verdict = judge(cutouts, blob, place.label, self._gates[place.label - 1][0], track, alone)
+                verdict = judge(cutouts, blob, cutout.label, self._gates[cutout.label - 1][0], track, alone)
                 self._judged.append((name, verdict))
                 if isinstance(verdict, Candidate):
                     candidates.setdefault(name, []).append(verdict)
@@ -279,5 +279,5 @@ class MarkerDetector:
                     corners += (blob.x0, blob.y0)
                     corners.setflags(write=False)
             found[name] = Detection(u, v, centre.area, probability(one.evidence), corners, blob)
-            self._tracks[name].hit(u, v, centre.area, (0.5 * blob.box[2], 0.5 * blob.box[3]))
+            self._tracks[name].update(u, v, centre.area, (0.5 * blob.box[2], 0.5 * blob.box[3]))
         return found

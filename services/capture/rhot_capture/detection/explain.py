@@ -139,7 +139,7 @@ def _reason(judged: Candidate | Refusal, marker: MarkerConfig, other_taken: bool
             area=blob.area, marker=marker, solidity=blob.solidity, fill=100 * judged.fill
         )
     if other_taken:
-        return "another blob: fits better by likeness, size and place"
+        return "another blob: fits better by likeness, size and position"
     return (
         f"not like the marker: colour {math.exp(judged.evidence.colour):.2f} of typical, "
         f"{100 * blob.border_share:.0f} % on the border"

@@ -7,7 +7,7 @@ evidence x (each entry oriented so that more of it never makes a detection less 
     p = 1 / (1 + exp(−(b + w·x))).
 
 Solidity, size, thinness, neighbouring markers and the distance and size against the track were tried beside these
-three and got weight 0: they decide which blobs are candidates at all, and tell nothing more about those that remain.
+three and got weight 0: they decide which blobs are candidates at all, and say nothing more about those that remain.
 """
 
 from __future__ import annotations

@@ -22,13 +22,13 @@ _ROOM_PX: Final = 9
 of parts that shine has split overlap and become one."""
 _BEFORE: Final = _FIRST - _ROOM_PX
 _AFTER: Final = _FIRST - _STEP + _ROOM_PX + 1
-_MOST_PLACES: Final = 100
+_MOST_CONTOURS: Final = 100
 _MOST_REGIONS: Final = 6
 """For one label; the largest are kept."""
 
 
 def find_regions(image: ImageArray, table: ColorTable) -> list[tuple[int, Region]]:
-    """Return label and place of every region that may hold a marker.
+    """Return label and bounds of every region that may hold a marker.
 
     Args:
         image: (H, W, 3) uint8 BGR.
@@ -41,8 +41,8 @@ def find_regions(image: ImageArray, table: ColorTable) -> list[tuple[int, Region
     height, width = image.shape[:2]
     labels = _sampled_labels(image, table)
     contours, _ = cv2.findContours(labels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    if len(contours) > _MOST_PLACES:
-        contours = sorted(contours, key=cv2.contourArea, reverse=True)[:_MOST_PLACES]
+    if len(contours) > _MOST_CONTOURS:
+        contours = sorted(contours, key=cv2.contourArea, reverse=True)[:_MOST_CONTOURS]
     boxes: dict[int, list[tuple[int, Region]]] = {}
     for contour in contours:
         left, top, across, down = cv2.boundingRect(contour)

@@ -22,7 +22,7 @@ _MARGIN_PER_MOTION: Final = 0.5
 
 
 class MarkerTrack:
-    """One marker's last place, motion per frame and size in one camera."""
+    """One marker's last position, motion per frame and size in one camera."""
 
     def __init__(self) -> None:
         self._u = 0.0
@@ -76,7 +76,7 @@ class MarkerTrack:
         return max(_FLOOR, math.exp(-0.5 * (away / gate) ** 2) * math.sqrt(ratio))
 
     def continues(self, u: float, v: float) -> bool:
-        """Tell whether a place is so near to where the marker must be that even a sliver of its colour is believed.
+        """Tell whether a position is so near to where the marker must be that even a sliver of its colour is believed.
 
         Args:
             u: middle of the blob, pixels to the right.
@@ -86,8 +86,8 @@ class MarkerTrack:
         away = math.hypot(u - self._u - frames * self._motion_u, v - self._v - frames * self._motion_v)
         return frames <= _SLIVER_FRAMES and away <= _SLIVER_GATE_PX
 
-    def hit(self, u: float, v: float, area: float, reach_px: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Take the marker's place in this frame.
+    def update(self, u: float, v: float, area: float, reach_px: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Update the track with the marker's position in this frame.
 
         Args:
             u: centre, pixels to the right.

@@ -27,7 +27,7 @@ class Pacer:
         return self._clock.now_ns()
 
     def wait_until(self, due_ns: int) -> bool:
-        """Wait for a moment; tell whether it came before the pacer was stopped."""
+        """Wait for a moment; return whether it came before the pacer was stopped."""
         while not self._stopped.is_set():
             remaining_s = 1e-9 * (due_ns - self._clock.now_ns())
             if remaining_s <= 0.0:

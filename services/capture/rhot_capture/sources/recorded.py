@@ -55,7 +55,7 @@ class RecordedSource:
         return next(self._frames, None)
 
     def apply(self, settings: CameraSettings) -> None:
-        """Accept settings that leave the optics alone: a recording cannot be exposed anew."""
+        """Accept settings that leave the optics alone: a recording cannot be exposed again."""
         if self._settings is not None and not settings.same_optics(self._settings):
             raise ConfigError(
                 f"camera {self._name} replays {self._camera.path}: exposure, gain, white balance and focus are "

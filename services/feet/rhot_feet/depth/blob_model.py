@@ -1,4 +1,4 @@
-"""What is learnt about a foot while marker and blob are both seen, and what of a blob is believed by it later."""
+"""The model of a foot's blob: averaged while its marker is seen, used later to check blobs and find the marker."""
 
 from __future__ import annotations
 
@@ -20,27 +20,40 @@ FloatArray = NDArray[np.float64]
 
 BlobRefusal = Literal["hidden", "size", "cut", "unsettled", "other", "motion"]
 
-_FORGETTING: Final = 0.03
-_FIRST_SIGMA_M: Final = 0.02
-"""Per axis, of an offset that was seen once."""
-_LEAST_SIGMA_M: Final = 0.004
-_AREA_RATIO: Final = (0.4, 2.0)
-"""A blob that shows less or more of its usual surface than this is half hidden, or more than a foot."""
-_AREA_SIGMA: Final = 1.5
-_HIDDEN_SIGMA: Final = 1.0
-"""By how much more a position is in doubt when hardly anything of the foot is in sight."""
-_MAX_CUT: Final = 0.5
-_LEAST_IN_SIGHT: Final = 0.2
-"""Share of the foot's surface; of less the rest cannot be told."""
-_WHOLE_SHARE: Final = 0.95
-"""A sighting of nearly the most surface ever seen renews a foot's shape."""
-_LEVEL_SHARE: Final = 0.4
-"""Part of an error of the expected height that remains in the found one: the blob is cut off in relation to it."""
-_OTHER_FOOT_M: Final = 0.08
-"""Two feet's markers cannot be closer: it is one foot, and the other one's."""
-_BESIDE_M: Final = 0.15
-_BOTH_SHARE: Final = 1.4
-"""Feet so close that show less surface than this together, each foot's usual one being 1, are one foot in two parts."""
+
+@dataclass(frozen=True, slots=True)
+class BlobModelSettings:
+    """How a foot's blob is averaged and checked; values chosen on `rhot evaluate feet --runs depth`.
+
+    Attributes:
+        forgetting: least weight of a new picture in the averages.
+        first_sigma_m, least_sigma_m: of an offset seen once, and of the best one, per axis.
+        area_ratio: a blob that shows less or more of its usual surface is half hidden, or more than a foot.
+        area_sigma, hidden_sigma: how much the noise grows per e-fold of that ratio, and with the hidden share.
+        most_cut: share of the outline at the picture's edge up to which a blob is used.
+        least_visible: share of the foot's surface; from less the rest cannot be inferred.
+        whole_share: an observation of nearly the most surface ever seen renews the shape.
+        level_share: part of an error of the predicted height that remains in the found one: the blob is cut off there.
+        other_foot_m: two feet's markers cannot be closer; it is one foot, and the other one's.
+        beside_m, both_share: feet this close that show less surface together, each one's usual being 1, are one foot.
+    """
+
+    forgetting: float = 0.03
+    first_sigma_m: float = 0.02
+    least_sigma_m: float = 0.004
+    area_ratio: tuple[float, float] = (0.4, 2.0)
+    area_sigma: float = 1.5
+    hidden_sigma: float = 1.0
+    most_cut: float = 0.5
+    least_visible: float = 0.2
+    whole_share: float = 0.95
+    level_share: float = 0.4
+    other_foot_m: float = 0.08
+    beside_m: float = 0.15
+    both_share: float = 1.4
+
+
+SETTINGS: Final = BlobModelSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +69,9 @@ class Neighbour:
     share: float
 
     def excludes(self, position: FloatArray, share: float) -> bool:
-        """Tell whether a blob at a position (3,), which shows such a share of a foot, is this foot or part of it."""
+        """Return whether a blob at a position (3,), which shows such a share of a foot, is this foot or part of it."""
         distance = float(np.linalg.norm(position - self.position))
-        return distance < (_BESIDE_M if self.share + share < _BOTH_SHARE else _OTHER_FOOT_M)
+        return distance < (SETTINGS.beside_m if self.share + share < SETTINGS.both_share else SETTINGS.other_foot_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +95,12 @@ class BlobModel:
     in_foot: bool
 
     def serves(self, foot: FootPrediction) -> bool:
-        """Tell whether it holds in the axes in which a foot is expected."""
+        """Return whether it holds in the axes in which a foot is expected."""
         return self.in_foot == (foot.R_camera_foot is not None)
 
     def share(self, blob: FootBlob) -> float:
         """Return how much of the surface that should be in sight a blob shows."""
-        return blob.area / (max(blob.in_sight, _LEAST_IN_SIGHT) * self.area)
+        return blob.area / (max(blob.in_sight, SETTINGS.least_visible) * self.area)
 
     def check(
         self, foot: FootPrediction, blob: FootBlob, others: Sequence[Neighbour], up: FloatArray
@@ -102,10 +115,10 @@ class BlobModel:
         """
         ratio = self.share(blob)
         wrong: dict[BlobRefusal, bool] = {
-            "hidden": blob.in_sight < _LEAST_IN_SIGHT,
+            "hidden": blob.in_sight < SETTINGS.least_visible,
             "other": any(other.excludes(blob.position, ratio) for other in others),
-            "size": not _AREA_RATIO[0] <= ratio <= _AREA_RATIO[1],
-            "cut": blob.cut > _MAX_CUT,
+            "size": not SETTINGS.area_ratio[0] <= ratio <= SETTINGS.area_ratio[1],
+            "cut": blob.cut > SETTINGS.most_cut,
             "unsettled": not blob.settled,
         }
         reason = next((reason for reason, holds in wrong.items() if holds), None)
@@ -117,9 +130,9 @@ class BlobModel:
     def _covariance(self, foot: FootPrediction, blob: FootBlob, ratio: float, up: FloatArray) -> FloatArray:
         R = axes(foot)
         # A blob that shows less of the foot than usual has its centre elsewhere.
-        doubt = 1.0 + _AREA_SIGMA * abs(float(np.log(ratio))) + _HIDDEN_SIGMA * (1.0 - blob.in_sight)
-        variance = (self.variance + _LEAST_SIGMA_M**2) * doubt**2
-        level_variance = _LEVEL_SHARE**2 * float(up @ foot.covariance @ up)
+        doubt = 1.0 + SETTINGS.area_sigma * abs(float(np.log(ratio))) + SETTINGS.hidden_sigma * (1.0 - blob.in_sight)
+        variance = (self.variance + SETTINGS.least_sigma_m**2) * doubt**2
+        level_variance = SETTINGS.level_share**2 * float(up @ foot.covariance @ up)
         covariance: FloatArray = R @ np.diag(variance) @ R.T + level_variance * np.outer(up, up)
         if foot.orientation_covariance is not None:
             seen = blob.compared
@@ -140,7 +153,7 @@ def update_blob_model(
         camera: its lens.
         known: what was known before, in the same axes.
     """
-    if blob.cut > _MAX_CUT or blob.in_sight < _LEAST_IN_SIGHT:
+    if blob.cut > SETTINGS.most_cut or blob.in_sight < SETTINGS.least_visible:
         return known
     R = axes(foot)
     offset = R.T @ (foot.position - blob.centroid)
@@ -148,8 +161,8 @@ def update_blob_model(
     view = SurfaceView(grid, camera, foot.position, R)
     shape = sample_shape((blob.points - foot.position) @ R, blob.weights, blob.whole_area, view)
     if known is None:
-        return BlobModel(offset, np.full(3, _FIRST_SIGMA_M**2), area, 1, shape, foot.R_camera_foot is not None)
-    share = max(1.0 / (known.count + 1), _FORGETTING)
+        return BlobModel(offset, np.full(3, SETTINGS.first_sigma_m**2), area, 1, shape, foot.R_camera_foot is not None)
+    share = max(1.0 / (known.count + 1), SETTINGS.forgetting)
     difference = offset - known.mean
     now = BlobModel(
         known.mean + share * difference,
@@ -160,12 +173,12 @@ def update_blob_model(
         known.in_foot,
     )
     # The shape is what was seen most of. Another one has its centroid and its surface elsewhere.
-    if shape.area > _WHOLE_SHARE * known.shape.area:
+    if shape.area > SETTINGS.whole_share * known.shape.area:
         moved = known.shape.mean - shape.mean
         return replace(now, mean=now.mean + moved, area=now.area * shape.area / known.shape.area, shape=shape)
     return now
 
 
 def axes(foot: FootPrediction) -> FloatArray:
-    """Return the frame (3, 3) in which a foot is learnt: its own, or the camera's while it is not known."""
+    """Return the frame (3, 3) in which a foot's model is kept: its own, or the camera's while it is not known."""
     return np.eye(3) if foot.R_camera_foot is None else foot.R_camera_foot

@@ -42,7 +42,7 @@ _BELOW_MARKER_M: Final = 0.16
 SETTLED_M: Final = 1e-3
 MIN_POINTS: Final = 40
 _LEAST_KNOWN: Final = 0.1
-"""Share of a blob; of less than that nothing is told by comparing it."""
+"""Share of a blob; comparing less says nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class FootBlob:
     """A foot in the depth image.
 
     Attributes:
-        position: (3,) of the marker as the blob tells it, metres, camera frame.
+        position: (3,) of the marker as the blob shows it, metres, camera frame.
         centroid: (3,) of those of the blob's points that are compared, moved to where that of the known foot would be.
         points: (N, 3) of the blob.
         weights: (N,) how much they count.
@@ -158,7 +158,7 @@ class BlobSearch:
         return True
 
     def mark_unknown(self) -> None:
-        """Tell which of the points are of a part of the foot that was in sight when it was learnt."""
+        """Return which of the points are of a part of the foot that was in sight when it was learned."""
         if self._seed.shape is not None and self._member is not None:
             self._unknown = np.zeros(len(self._solid.points), dtype=np.bool_)
             self._unknown[self._member] = ~self._seed.shape.view.revealed(
@@ -192,7 +192,7 @@ class BlobSearch:
         )
 
     def _compared(self) -> Mask:
-        """Tell which points are of the part of the foot that is known; all of them where hardly any would be."""
+        """Return which points are of the part of the foot that is known; all of them where hardly any would be."""
         member = self._member
         if member is None:
             raise RuntimeError("no points were taken")

@@ -4,9 +4,9 @@ The centroid of what remains lies elsewhere in the foot than that of the whole. 
 those before which the depth image shows something nearer, or nothing, are hidden, and the others' mean is what the
 blob's centroid has to be compared with.
 
-The other way round, a foot that turns shows a side that was hidden when its surface was learnt: the shank stands before
-the heel until that is lifted. So the depth image of that moment is remembered, too, and a point that would have lain
-behind something in it is not compared.
+The other way round, a foot that turns shows a side that was hidden when its surface was recorded: the shank stands
+before the heel until that is lifted. So the depth image of that moment is remembered, too, and a point that would have
+lain behind something in it is not compared.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _POINTS: Final = 150
 _NEARER_M: Final = 0.04
 """What is nearer than a point by more than this stands before it."""
 _NEARER_THEN_M: Final = 0.02
-"""The same of what was there when the foot was learnt: the shank meets the instep without a gap."""
+"""The same of what was there when the model was made: the shank meets the instep without a gap."""
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceView:
-    """The depth image in which a foot's surface was learnt.
+    """The depth image in which a foot's surface was learned.
 
     Attributes:
         grid: its points, `FINE_PX` apart.
@@ -107,7 +107,7 @@ def visible_part(
 
 
 def _visible(points: FloatArray, grid: PointGrid, camera: CameraModel, nearer_m: float) -> Mask:
-    """Tell before which points (N, 3), camera frame, nothing stands in a depth image that is nearer by so much."""
+    """Return before which points (N, 3), camera frame, nothing stands in a depth image that is nearer by so much."""
     pixels = camera.project(points)
     columns = np.rint((pixels[:, 0] - grid.region.left) / FINE_PX).astype(np.intp)
     rows = np.rint((pixels[:, 1] - grid.region.top) / FINE_PX).astype(np.intp)

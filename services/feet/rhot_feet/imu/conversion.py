@@ -90,7 +90,7 @@ class FusedImuConverter:
         first_t, first_R = self._last if self._last is not None else (int(t_ns[0]) - 1, R[0])
         before = np.concatenate([first_R[None], R[:-1]])
         spans = np.diff(t_ns, prepend=first_t) * 1e-9
-        rotations = _vectors(before.swapaxes(1, 2) @ R)
+        rotations = rotation_vectors(before.swapaxes(1, 2) @ R)
         whole = spans <= LONGEST_STEP_S
         rates = np.where(whole[:, None], rotations / np.maximum(spans, 1e-6)[:, None], 0.0)
         self._last = int(t_ns[-1]), R[-1]
@@ -140,11 +140,11 @@ class RawImuConverter:
         return self._R
 
 
-def _vectors(R: FloatArray) -> FloatArray:
-    """Return the rotation vectors (N, 3), radians, of rotations (N, 3, 3)."""
-    quaternions = quaternion_from_rotation(R)
-    quaternions *= np.where(quaternions[:, 3:] < 0.0, -1.0, 1.0)
-    sines = np.linalg.norm(quaternions[:, :3], axis=1)
-    scales = np.where(sines < 1e-9, 2.0, 2.0 * np.arctan2(sines, quaternions[:, 3]) / np.maximum(sines, 1e-12))
-    vectors: FloatArray = quaternions[:, :3] * scales[:, None]
+def rotation_vectors(R: FloatArray) -> FloatArray:
+    """Return the rotation vectors (..., 3), radians, of rotations (..., 3, 3)."""
+    xyzw = quaternion_from_rotation(R)
+    xyzw = np.where(xyzw[..., 3:] < 0.0, -xyzw, xyzw)
+    sine = np.linalg.norm(xyzw[..., :3], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, xyzw[..., 3:])
+    vectors: FloatArray = xyzw[..., :3] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
     return vectors

@@ -102,14 +102,14 @@ class MarkerFinder:
         found = []
         shift = np.array([part.left, part.top], dtype=np.float64)
         # Without any marker `ids` is None.
-        positions = np.asarray([] if not corners else ids, dtype=int).ravel()
-        for quad, place in zip(corners, positions.tolist(), strict=True):
+        indices = np.asarray([] if not corners else ids, dtype=int).ravel()
+        for quad, index in zip(corners, indices.tolist(), strict=True):
             rough = np.asarray(quad, dtype=np.float64).reshape(4, 2)
             uv, sigma_px = refine_corners(np.asarray(grey, dtype=np.uint8), rough, self._cells)
             side_px = float(np.sqrt(max(cv2.contourArea(uv.astype(np.float32)), 0.0)))
             if side_px < MIN_SIDE_PX:
                 continue
-            marker_id = self._ids[place]
+            marker_id = self._ids[index]
             likeness = self._likeness(np.asarray(grey, dtype=np.uint8), uv, marker_id)
             if likeness >= MIN_LIKENESS:
                 found.append(MarkerDetection(marker_id, uv + shift, sigma_px, likeness, side_px))

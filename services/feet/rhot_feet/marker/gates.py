@@ -6,6 +6,7 @@ A misread square moves a foot by metres; a marker that is not believed costs one
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
@@ -25,33 +26,46 @@ FloatArray = NDArray[np.float64]
 
 Refusal = Literal["border", "shape", "size", "depth", "tilt", "floor", "other", "motion", "turn"]
 
-_BORDER_PX: Final = 3.0
-"""Corners closer to the picture's edge are refined on pixels that are not there."""
-_MAX_REPROJECTION: Final = 0.04
-"""Of the corners, as a share of the side: a square that is bent so far is none."""
-_MAX_ASPECT: Final = 5.0
-_DEPTH_SHARE: Final = 0.04
-"""By so much of the distance may the depth image and the size of the marker contradict each other, besides noise: a
-printout at 97 % does as much."""
-_DEPTH_SIGMAS: Final = 4.0
-_LEAST_HEIGHT_M: Final = 0.025
-"""An instep stands higher over the floor; paper that lies on it does not."""
-_OTHER_FOOT_M: Final = 0.06
-"""Two feet's markers cannot be closer: what sits on the other foot is misread or stuck there."""
-_MAX_TURN_RAD: Final = float(np.radians(45.0))
-_TURN_SIGMAS: Final = 5.0
-"""A marker that is turned otherwise than its foot by both of these is not on it."""
-_MAX_TILT_RAD: Final = float(np.radians(100.0))
+
+@dataclass(frozen=True, slots=True)
+class MarkerGateSettings:
+    """What a marker has to pass; chosen on `rhot evaluate feet`, tasks with false markers.
+
+    Attributes:
+        border_px: corners closer to the picture's edge are refined on pixels that are not there. most_reprojection: of
+        the corners, as a share of the side: a square bent so far is none. most_aspect: longest side over shortest.
+        depth_share, depth_sigmas: how far the depth image and the marker's size may disagree, as a share of the
+        distance
+            and beside the noise: a printout at 97 % does as much.
+        least_height_m: an instep stands higher over the floor; paper that lies on it does not.
+        other_foot_m: two feet's markers cannot be closer: what sits on the other foot is misread or stuck there.
+        most_rotation_rad, rotation_sigmas: a marker rotated against its foot by both of these is not on it.
+        most_tilt_rad: of its normal from up.
+    """
+
+    border_px: float = 3.0
+    most_reprojection: float = 0.04
+    most_aspect: float = 5.0
+    depth_share: float = 0.04
+    depth_sigmas: float = 4.0
+    least_height_m: float = 0.025
+    other_foot_m: float = 0.06
+    most_rotation_rad: float = float(np.radians(45.0))
+    rotation_sigmas: float = 5.0
+    most_tilt_rad: float = float(np.radians(100.0))
+
+
+SETTINGS: Final = MarkerGateSettings()
 
 
 def refuse_detection(detection: MarkerDetection, camera: CameraModel) -> Refusal | None:
     """Return why corners are not worth a pose, None when they are."""
     corners = detection.corners
-    highest = np.array([camera.width, camera.height]) - 1.0 - _BORDER_PX
-    if (corners < _BORDER_PX).any() or (corners > highest).any():
+    highest = np.array([camera.width, camera.height]) - 1.0 - SETTINGS.border_px
+    if (corners < SETTINGS.border_px).any() or (corners > highest).any():
         return "border"
     sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-    return "shape" if sides.max() > _MAX_ASPECT * sides.min() else None
+    return "shape" if sides.max() > SETTINGS.most_aspect * sides.min() else None
 
 
 def refuse_pose(
@@ -78,15 +92,15 @@ def refuse_pose(
         floor: the floor, where it is known.
         expected: the filter's prediction, where there is one.
         other: the same of the other foot.
-        prior: how the marker is expected to be turned, where that is known.
+        prior: the predicted orientation, where it is known.
     """
     position = pose.t_camera_marker
     wrong: dict[Refusal, bool] = {
         "size": not depth_range_m[0] <= float(position[2]) <= depth_range_m[1],
-        "shape": view.reprojection_px > max(1.0, _MAX_REPROJECTION * detection.side_px),
+        "shape": view.reprojection_px > max(1.0, SETTINGS.most_reprojection * detection.side_px),
         "depth": plane is not None and not _depth_agrees(view, plane),
-        "tilt": up_camera is not None and float(pose.normal @ up_camera) < np.cos(_MAX_TILT_RAD),
-        "floor": floor is not None and float(floor.heights_m(position)) < _LEAST_HEIGHT_M,
+        "tilt": up_camera is not None and float(pose.normal @ up_camera) < np.cos(SETTINGS.most_tilt_rad),
+        "floor": floor is not None and float(floor.heights_m(position)) < SETTINGS.least_height_m,
         "other": other is not None and _is_nearer(position, other, expected),
         "motion": expected is not None
         and innovation_distance(position, pose.covariance[3:, 3:], expected) > GATE_SIGMAS,
@@ -98,17 +112,19 @@ def refuse_pose(
 def _is_turned(pose: MarkerPose, prior: OrientationPrior) -> bool:
     turn = rotation_between(prior.R_camera_marker, pose.R_camera_marker)
     sigmas = math.sqrt(squared_distance(turn, pose.covariance[:3, :3] + prior.covariance))
-    return float(np.linalg.norm(turn)) > _MAX_TURN_RAD and sigmas > _TURN_SIGMAS
+    return float(np.linalg.norm(turn)) > SETTINGS.most_rotation_rad and sigmas > SETTINGS.rotation_sigmas
 
 
 def _is_nearer(position: FloatArray, other: FootPrediction, own: FootPrediction | None) -> bool:
-    """Tell whether a position is that of the other foot, and rather its than one's own."""
+    """Return whether a position is that of the other foot, and rather its than one's own."""
     to_other = float(np.linalg.norm(position - other.position))
-    return to_other < _OTHER_FOOT_M and (own is None or to_other < float(np.linalg.norm(position - own.position)))
+    return to_other < SETTINGS.other_foot_m and (
+        own is None or to_other < float(np.linalg.norm(position - own.position))
+    )
 
 
 def _depth_agrees(view: SquareView, plane: DepthPlane) -> bool:
     x, y, z = view.t[0]
     xy = np.array([x / z, y / z])
     sigma = float(np.hypot(np.sqrt(pose_covariance(view)[0, 5, 5]), plane.depth_sigma_m(xy)))
-    return abs(plane.depth_m(xy) - float(z)) <= _DEPTH_SIGMAS * sigma + _DEPTH_SHARE * float(z)
+    return abs(plane.depth_m(xy) - float(z)) <= SETTINGS.depth_sigmas * sigma + SETTINGS.depth_share * float(z)

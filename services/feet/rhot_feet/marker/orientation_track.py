@@ -18,29 +18,46 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_cosine, rotation_from_vector
+from rhot.geometry.rotations import rotation_cosine, rotation_from_vector
+from rhot_feet.imu.conversion import rotation_vectors
 from rhot_feet.marker.pose import MarkerPose
 
 FloatArray = NDArray[np.float64]
 
-_ACCELERATION: Final = 8.0
-"""Root of the spectral density of the angular acceleration, rad/s^1.5: hands and feet."""
-_DECAY_S: Final = 0.15
-_FLOOR_RAD: Final = float(np.radians(2.0))
-"""What no reprojection error shows: bowed paper, lens, size."""
-_MAX_DISTANCE: Final = 24.0
-"""A squared Mahalanobis distance counts for no more; measurements farther out pull as if they were so far."""
-_MAX_EVIDENCE: Final = 3.0
-"""One picture says no more than this about its two poses, in log-likelihood: its corners share their errors."""
-_FACING_WEIGHT: Final = 60.0
-"""Log-likelihood lost per second and square radian away from where the marker has looked lately."""
-_FACING_S: Final = 2.0
-_HYPOTHESES: Final = 6
-_MERGE_COSINE: Final = float(np.cos(np.radians(4.0)))
-_DROP: Final = 15.0
-_MAX_GAP_S: Final = 0.5
-_FIRST_RATE: Final = 2.0
-"""Standard deviation of the angular velocity of a marker that has just appeared, rad/s."""
+
+@dataclass(frozen=True, slots=True)
+class OrientationTrackSettings:
+    """Motion model and hypotheses; chosen on d435_qualisys, dev trials (`rhot evaluate steps`).
+
+    Attributes:
+        acceleration: root of the spectral density of the angular acceleration, rad/s^1.5: hands and feet.
+        decay_s: time constant of the angular rate.
+        floor_rad: noise that no reprojection error shows: bowed paper, lens, size.
+        most_nis: a squared Mahalanobis distance counts for no more; measurements farther out pull as if this far.
+        most_evidence: log-likelihood that one picture says at most: its corners share their errors.
+        facing_weight, facing_s: log-likelihood lost per second and square radian away from where the marker has looked
+            over this time constant.
+        hypotheses, merge_cosine, drop: how many are kept, which count as alike, and log-likelihood below the best at
+            which one is dropped.
+        longest_gap_s: a longer pause counts as one of this length.
+        first_rate_rad_s: standard deviation of the angular rate of a new marker.
+    """
+
+    acceleration: float = 8.0
+    decay_s: float = 0.15
+    floor_rad: float = float(np.radians(2.0))
+    most_nis: float = 24.0
+    most_evidence: float = 3.0
+    facing_weight: float = 60.0
+    facing_s: float = 2.0
+    hypotheses: int = 6
+    merge_cosine: float = float(np.cos(np.radians(4.0)))
+    drop: float = 15.0
+    longest_gap_s: float = 0.5
+    first_rate_rad_s: float = 2.0
+
+
+SETTINGS: Final = OrientationTrackSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +111,9 @@ class OrientationTrack:
             poses: at least one.
         """
         R = np.stack([pose.R_camera_marker for pose in poses])
-        noise = np.stack([pose.covariance[:3, :3] for pose in poses]) + _FLOOR_RAD**2 * np.eye(3)
+        noise = np.stack([pose.covariance[:3, :3] for pose in poses]) + SETTINGS.floor_rad**2 * np.eye(3)
         costs = np.array([pose.cost for pose in poses])
-        evidence = np.maximum(-0.5 * (costs - costs.min()), -_MAX_EVIDENCE)
+        evidence = np.maximum(-0.5 * (costs - costs.min()), -SETTINGS.most_evidence)
         if self._state is None:
             self._state = _first(t_s, R, noise, evidence)
         else:
@@ -117,17 +134,17 @@ class OrientationTrack:
 def _first(t_s: float, R: FloatArray, noise: FloatArray, evidence: FloatArray) -> _Hypotheses:
     order = np.argsort(-evidence)
     P = np.zeros((len(R), 6, 6))
-    P[:, :3, :3], P[:, 3:, 3:] = noise[order], _FIRST_RATE**2 * np.eye(3)
+    P[:, :3, :3], P[:, 3:, 3:] = noise[order], SETTINGS.first_rate_rad_s**2 * np.eye(3)
     weight = evidence[order] - evidence[order[0]]
     return _Hypotheses(t_s, R[order], np.zeros((len(R), 3)), P, weight, R[order][:, :, 2].copy())
 
 
 def _predicted(state: _Hypotheses, t_s: float) -> _Hypotheses:
-    dt = min(t_s - state.t_s, _MAX_GAP_S)
-    keep = float(np.exp(-dt / _DECAY_S))
+    dt = min(t_s - state.t_s, SETTINGS.longest_gap_s)
+    keep = float(np.exp(-dt / SETTINGS.decay_s))
     F = np.eye(6)
     F[:3, 3:], F[3:, 3:] = dt * np.eye(3), keep * np.eye(3)
-    q = _ACCELERATION**2
+    q = SETTINGS.acceleration**2
     Q = np.kron(np.array([[q * dt**3 / 3.0, q * dt**2 / 2.0], [q * dt**2 / 2.0, q * dt]]), np.eye(3))
     rotated = np.stack([rotation_from_vector(rate * dt) @ R for rate, R in zip(state.rate, state.R, strict=True)])
     return _Hypotheses(t_s, rotated, keep * state.rate, F @ state.P @ F.T + Q, state.weight, state.facing)
@@ -138,17 +155,17 @@ def _updated(
 ) -> _Hypotheses:
     """Return the best of all pairs of a hypothesis and a pose."""
     count, poses = len(state.R), len(R)
-    dt = min(state.t_s - before_s, _MAX_GAP_S)
-    innovation = _vectors(R[None] @ np.swapaxes(state.R, 1, 2)[:, None])
+    dt = min(state.t_s - before_s, SETTINGS.longest_gap_s)
+    innovation = rotation_vectors(R[None] @ np.swapaxes(state.R, 1, 2)[:, None])
     S = state.P[:, None, :3, :3] + noise[None]
     inverse = np.linalg.inv(S)
     distance = np.einsum("nmi,nmij,nmj->nm", innovation, inverse, innovation)
     facing = state.facing / np.maximum(np.linalg.norm(state.facing, axis=1, keepdims=True), 1e-9)
     away = np.arccos(np.clip(facing @ R[:, :, 2].T, -1.0, 1.0))
-    likelihood = -0.5 * (np.minimum(distance, _MAX_DISTANCE) + np.log(np.linalg.det(S)))
-    weight = (state.weight[:, None] + likelihood + evidence - _FACING_WEIGHT * dt * away**2).ravel()
+    likelihood = -0.5 * (np.minimum(distance, SETTINGS.most_nis) + np.log(np.linalg.det(S)))
+    weight = (state.weight[:, None] + likelihood + evidence - SETTINGS.facing_weight * dt * away**2).ravel()
     gain = state.P[:, None, :, :3] @ inverse
-    pull = np.sqrt(np.minimum(1.0, _MAX_DISTANCE / np.maximum(distance, 1e-12)))
+    pull = np.sqrt(np.minimum(1.0, SETTINGS.most_nis / np.maximum(distance, 1e-12)))
     step = np.einsum("nmij,nmj->nmi", gain, innovation * pull[..., None]).reshape(-1, 6)
     P = (state.P[:, None] - gain @ state.P[:, None, :3, :]).reshape(-1, 6, 6)
     rate = np.repeat(state.rate, poses, axis=0) + step[:, 3:]
@@ -156,24 +173,14 @@ def _updated(
     kept: list[int] = []
     orientations: list[FloatArray] = []
     best = float(weight.max())
-    for place in np.argsort(-weight).tolist():
-        if weight[place] < best - _DROP or len(kept) == _HYPOTHESES:
+    for index in np.argsort(-weight).tolist():
+        if weight[index] < best - SETTINGS.drop or len(kept) == SETTINGS.hypotheses:
             break
-        orientation = rotation_from_vector(step[place, :3]) @ state.R[parent[place]]
-        if all(rotation_cosine(orientation, other) < _MERGE_COSINE for other in orientations):
-            kept.append(place)
+        orientation = rotation_from_vector(step[index, :3]) @ state.R[parent[index]]
+        if all(rotation_cosine(orientation, other) < SETTINGS.merge_cosine for other in orientations):
+            kept.append(index)
             orientations.append(orientation)
     chosen = np.stack(orientations)
-    share = min(1.0, dt / _FACING_S)
+    share = min(1.0, dt / SETTINGS.facing_s)
     mean = (1.0 - share) * state.facing[parent[kept]] + share * chosen[:, :, 2]
     return _Hypotheses(state.t_s, chosen, rate[kept], P[kept], weight[kept] - best, mean)
-
-
-def _vectors(R: FloatArray) -> FloatArray:
-    """Return axis times angle (..., 3), radians, of rotations (..., 3, 3)."""
-    xyzw = quaternion_from_rotation(R)
-    xyzw = np.where(xyzw[..., 3:] < 0.0, -xyzw, xyzw)
-    sine = np.linalg.norm(xyzw[..., :3], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, xyzw[..., 3:])
-    vectors: FloatArray = xyzw[..., :3] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
-    return vectors

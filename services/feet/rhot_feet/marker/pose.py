@@ -1,4 +1,4 @@
-"""Where a marker is and how it is turned, from its corners and the depth inside it, with an honest covariance.
+"""The pose of a marker, from its corners and the depth inside it, with an honest covariance.
 
 A square's picture has two poses that explain it nearly as well, mirrored at the line of sight (Collins and Bartoli,
 "Infinitesimal plane-based pose estimation", IJCV 2014). Both are refined here to the most likely pose given
@@ -40,7 +40,7 @@ class MarkerPose:
     Attributes:
         R_camera_marker: (3, 3).
         t_camera_marker: (3,) centre of the marker, metres, camera frame.
-        covariance: (6, 6) of (δ, τ): turn about the camera's axes, radians, then position, metres.
+        covariance: (6, 6) of (δ, τ): rotation about the camera's axes, radians, then position, metres.
         cost: squared residuals of corners and depth over their variances, χ² with 2 degrees of freedom or 5 with depth.
     """
 

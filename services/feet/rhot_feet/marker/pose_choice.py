@@ -26,11 +26,11 @@ _UPRIGHT_SIGMA_RAD: Final = float(np.radians(10.0))
 
 @dataclass(frozen=True, slots=True)
 class OrientationPrior:
-    """How a marker is expected to be turned.
+    """The predicted orientation of a marker.
 
     Attributes:
         R_camera_marker: (3, 3).
-        covariance: (3, 3) of a turn about the camera's axes, square radians.
+        covariance: (3, 3) of a rotation about the camera's axes, square radians.
     """
 
     R_camera_marker: FloatArray

@@ -45,7 +45,7 @@ class FootMarker:
         t_ns: middle of the picture's exposure, rig clock.
         position: (3,) centre of the marker, the foot's origin, metres, camera frame.
         R_camera_foot: (3, 3), see `rhot.messages.FootPose`.
-        covariance: (6, 6) of (δ, τ): a turn about the camera's axes, radians, then the position, metres.
+        covariance: (6, 6) of (δ, τ): a rotation about the camera's axes, radians, then the position, metres.
         orientation_known: the two poses of the square could be told apart; else only the position is worth anything.
         corners: (4, 2) pixels.
         with_depth: the depth image took part.
@@ -218,7 +218,7 @@ class MarkerTracker:
         return distances[0] < distances[1]
 
     def _confirmed(self, t_ns: int, candidate: _Candidate, memory: _Memory, is_expected: bool) -> bool:
-        """Tell whether a marker was seen often enough to be believed: at once where it was expected."""
+        """Return whether a marker was seen often enough to be believed: at once where it was expected."""
         position = candidate.choice.pose.t_camera_marker
         gap_s = 1e-9 * (t_ns - memory.streak_ns)
         previous = memory.streak_position
@@ -234,7 +234,7 @@ class MarkerTracker:
     def _marker(self, t_ns: int, candidate: _Candidate, memory: _Memory, expected: FootPrediction | None) -> FootMarker:
         pose, clear = candidate.choice.pose, candidate.choice.clear
         if _prior(expected) is None:
-            # Nobody knows how the foot is turned: its own past has to tell.
+            # The filter does not know the orientation: the marker's own past decides.
             pose = candidate.poses[memory.track.update(1e-9 * t_ns, candidate.poses)]
             clear = memory.track.margin >= CLEAR_MARGIN
         return FootMarker(

@@ -35,12 +35,14 @@ pixels, or this share of the 95th percentile at the calibration."""
 _OBSERVED_SD_RAD = np.radians(0.5)
 """A turn counts as observed where its standard deviation is below."""
 _SIGNIFICANT = 4.0
+"""Standard deviations from which what a fit explains is no chance: 1 in 16,000 of normal noise."""
 _BUMPED_RAD, _DRIFTING_RAD = np.radians(0.3), np.radians(0.1)
 """A turn by more, three standard deviations or more, counts as well, however few pixels it makes where the hand was."""
 _TURN_SIGMAS = 3.0
 _NAMED_SHARE = 0.25
 """One camera is named when its turn alone leaves less than this share of what the next best leaves, noise apart."""
 _LINE_PRIOR = np.array([100.0, 0.2, 0.2])
+"""Standard deviations of offset (px) and slopes of the residuals' line: wide, they only keep the fit solvable."""
 
 
 @dataclass(frozen=True, slots=True)

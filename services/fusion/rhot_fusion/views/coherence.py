@@ -12,6 +12,7 @@ from rhot.rig import MarkerConfig
 _REACH = 1.2
 """Furthest marker from the middle of its hand's markers, in hand lengths: an open hand, with room for noise."""
 _FEWEST = 3
+"""Of two markers nobody knows which one is out of reach."""
 
 
 class HandCoherence:

@@ -11,6 +11,7 @@ from rhot.messages import MarkerFrame
 _FUTURE_NS = 500_000_000
 """A frame further ahead of the stream than this is doubted until frames agree with it."""
 _BACK_NS = 1_000_000_000
+"""The same for a frame from before the stream's newest; the network reorders by far less."""
 _AGREEING_AHEAD = 3
 """So many doubted frames in a row that follow each other are a stream that had paused."""
 _AGREEING_BACK = 8

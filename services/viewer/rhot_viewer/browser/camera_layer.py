@@ -23,7 +23,7 @@ PictureClick = Callable[[str, float, float], None]
 def show_jpeg(handle: viser.ImageHandle | viser.GuiImageHandle, jpeg: bytes) -> None:
     """Show a JPEG as it came.
 
-    viser's public way takes pixels and codes them again, 640x480 in some milliseconds, per place and picture; the
+    viser's public way takes pixels and codes them again, 640x480 in some milliseconds, per element and picture; the
     property that travels to the browser is set instead.
     """
     handle._data = jpeg

@@ -23,8 +23,8 @@ def marker_colors(rig: Rig) -> dict[str, Rgb]:
     """Return a colour for each marker of a rig: from `colors.json`, or spread over the colour circle without it."""
     names = list(rig.config.markers)
     spread = {
-        name: _bytes(np.array(colorsys.hls_to_rgb(place / len(names), _UNPAINTED_LIGHTNESS, 0.8)) * 255.0)
-        for place, name in enumerate(names)
+        name: _bytes(np.array(colorsys.hls_to_rgb(index / len(names), _UNPAINTED_LIGHTNESS, 0.8)) * 255.0)
+        for index, name in enumerate(names)
     }
     if not rig.colors_path.exists():
         return spread

@@ -109,7 +109,7 @@ _BOX: Final = "padding:0.2em 0.8em;font-size:0.9em;line-height:1.45"
 def _row(cells: tuple[str, ...], *, bold: bool = False) -> str:
     tag = "th" if bold else "td"
     done = [
-        f"<{tag} style='{_CELL.format(align='left' if place < 2 else 'right')}'>{cell}</{tag}>"
-        for place, cell in enumerate(cells)
+        f"<{tag} style='{_CELL.format(align='left' if index < 2 else 'right')}'>{cell}</{tag}>"
+        for index, cell in enumerate(cells)
     ]
     return f"<tr>{''.join(done)}</tr>"

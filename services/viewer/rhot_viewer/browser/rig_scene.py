@@ -210,18 +210,18 @@ class RigScene:
         objects = self._inbox.all_newest("rhot/object/", ObjectPose, _SLOW_AGE_S)
         head = self._inbox.newest("rhot/head", HeadPose, _SLOW_AGE_S)
         self._objects.show(object_boxes(objects, head))
-        placed = {name: pose.position for name, pose in objects.items()}
+        positions = {name: pose.position for name, pose in objects.items()}
         if head is not None:
-            placed["head"] = head.position
+            positions["head"] = head.position
         up = up_direction(self._rig)
-        for name, position in placed.items():
+        for name, position in positions.items():
             if name not in self._labels:
                 self._labels[name] = self._page.server.scene.add_label(
                     f"/labels/{name}", name, anchor="bottom-center", font_screen_scale=0.9
                 )
             self._labels[name].position = tuple(np.array(position) + 0.06 * up)
         for name, label in self._labels.items():
-            label.visible = name in placed
+            label.visible = name in positions
 
     def _show_feet(self) -> None:
         feet = self._inbox.all_newest("rhot/foot/", FootPose, _SLOW_AGE_S)

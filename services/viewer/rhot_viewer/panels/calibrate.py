@@ -42,7 +42,7 @@ class _StepParts:
     buttons: dict[str, viser.GuiButtonHandle]
     tables: viser.GuiHtmlHandle
     looks: tuple[viser.GuiButtonHandle, ...]
-    place: viser.GuiFolderHandle
+    folder: viser.GuiFolderHandle
     pictures: dict[str, viser.GuiImageHandle] = field(default_factory=dict)
     shown: dict[str, bytes] = field(default_factory=dict)
     values: Mapping[str, str] = field(default_factory=dict)
@@ -146,7 +146,7 @@ class CalibratePanel:
         self._chosen.set()
         for name, parts in self._steps.items():
             shown = name == title
-            for part in (parts.about, parts.remarks, parts.tables, parts.place):
+            for part in (parts.about, parts.remarks, parts.tables, parts.folder):
                 part.visible = shown
             for handle in (*parts.fields.values(), *parts.buttons.values()):
                 handle.visible = shown
@@ -187,7 +187,7 @@ class CalibratePanel:
             parts.shown.pop(title, None)
         for title, jpeg in pictures.items():
             if title not in parts.pictures:
-                with parts.place:
+                with parts.folder:
                     parts.pictures[title] = self._gui.add_image(dark_picture(4, 3), label=title, format="jpeg")
             if parts.shown.get(title) != jpeg:
                 parts.shown[title] = jpeg

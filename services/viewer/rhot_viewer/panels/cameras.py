@@ -44,14 +44,14 @@ class CamerasPanel:
         self._folders: dict[str, _CameraFolder] = {}
 
     def build(self, gui: viser.GuiApi) -> None:
-        """Add a folder per camera; the sliders stay grey until the camera has told its settings."""
+        """Add a folder per camera; the sliders stay grey until the camera has sent its settings."""
         text = (
             "The sliders act at once, until the service restarts. To keep exposure, gain and white balance, save them "
             "in the first step of the tab Calibrate."
         )
         gui.add_html(_NOTE.format(color="inherit", text=text))
-        for place, camera in enumerate(self._settings.cameras):
-            with gui.add_folder(f"Camera {camera}", expand_by_default=place == 0):
+        for index, camera in enumerate(self._settings.cameras):
+            with gui.add_folder(f"Camera {camera}", expand_by_default=index == 0):
                 note = gui.add_html("")
                 optics = [slider for slider in self._sliders if not isinstance(slider.part, str)]
                 handles = {slider: self._add(gui, camera, slider) for slider in optics}

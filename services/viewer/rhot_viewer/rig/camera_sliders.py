@@ -16,7 +16,7 @@ class CameraSlider:
     Attributes:
         label: for people, with its unit.
         field: of `CameraSettings`.
-        part: within the field: a place in a pair, or a marker's name; None = the field itself.
+        part: within the field: an index in a pair, or a marker's name; None = the field itself.
         factor: slider value = factor · setting.
         low, high, step: of the slider.
         hint: what it does, one sentence.

@@ -86,7 +86,7 @@ def ghost_shape(joints: Mapping[str, TruePose], radii: FloatArray) -> HandShape 
 
 
 def fingertips(side: Side, pose: HandPose) -> dict[str, tuple[float, float, float]]:
-    """Return the places of a hand's tip joints by `<side> <finger>`, metres, rig frame; a missing one is absent."""
+    """Return the positions of a hand's tip joints by `<side> <finger>`, metres, rig frame; a missing one is absent."""
     return {
         f"{side} {finger}": pose.joints[f"{finger}_tip"].position
         for finger in FINGERS

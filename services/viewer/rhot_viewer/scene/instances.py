@@ -1,7 +1,7 @@
 """Copies of a unit mesh: the one form in which moving things reach the browser, a few arrays a frame.
 
 A ball is a unit sphere, a rod a unit cylinder along z (radius 1, from z = −0.5 to 0.5), a box a unit cube. Each copy
-has its own place, turn, stretch and colour.
+has its own position, rotation, stretch and colour.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ class Instances:
 
 def instances(positions: ArrayLike, wxyzs: ArrayLike, scales: ArrayLike, colors: ArrayLike) -> Instances:
     """Return copies of a mesh from arrays of the shapes in `Instances`; one row of `wxyzs` stands for all."""
-    places = np.asarray(positions, dtype=np.float32).reshape(-1, 3)
-    turns = np.broadcast_to(np.asarray(wxyzs, dtype=np.float32), (len(places), 4))
+    positions_f32 = np.asarray(positions, dtype=np.float32).reshape(-1, 3)
+    rotations = np.broadcast_to(np.asarray(wxyzs, dtype=np.float32), (len(positions_f32), 4))
     sizes = np.asarray(scales, dtype=np.float64).reshape(-1, 3)
     rounded = (np.round(sizes / _SCALE_STEP_M) * _SCALE_STEP_M).astype(np.float32)
-    return Instances(places, turns, rounded, np.asarray(colors, dtype=np.uint8).reshape(-1, 3))
+    return Instances(positions_f32, rotations, rounded, np.asarray(colors, dtype=np.uint8).reshape(-1, 3))
 
 
 def balls(centers: FloatArray, radii: FloatArray, colors: ArrayLike) -> Instances:
@@ -75,7 +75,7 @@ def rods(starts: FloatArray, ends: FloatArray, radii: FloatArray, colors: ArrayL
 
 
 def turn_of_z(directions: FloatArray) -> FloatArray:
-    """Return quaternions (N, 4), w first, that turn +z into directions (N, 3) of any length; none for length 0.
+    """Return quaternions (N, 4), w first, that rotate +z into directions (N, 3) of any length; none for length 0.
 
     The half-way quaternion (1 + z·d, z × d), normalised; where d is −z, half a turn about x.
     """
@@ -85,8 +85,8 @@ def turn_of_z(directions: FloatArray) -> FloatArray:
     wxyz[:, 0] = 1.0 + unit[:, 2]
     wxyz[:, 1], wxyz[:, 2] = -unit[:, 1], unit[:, 0]
     wxyz[wxyz[:, 0] < 1e-6] = 0.0, 1.0, 0.0, 0.0
-    turned: FloatArray = wxyz / np.linalg.norm(wxyz, axis=1, keepdims=True)
-    return turned
+    rotated: FloatArray = wxyz / np.linalg.norm(wxyz, axis=1, keepdims=True)
+    return rotated
 
 
 def unit_ball(rings: int = 8, sectors: int = 14) -> Mesh:

@@ -18,7 +18,7 @@ PREDICTED_SHARE: Final = 0.6
 UNKNOWN_COLOR: Final[Rgb] = (150, 150, 150)
 OBJECT_COLOR: Final[Rgb] = (214, 160, 60)
 OBJECT_SIZE_M: Final = (0.06, 0.06, 0.06)
-"""An object's pose says nothing of its shape: a cube stands for it, its axes show how it is turned."""
+"""An object's pose says nothing of its shape: a cube stands for it, its axes show how it is rotated."""
 HEAD_COLOR: Final[Rgb] = (110, 118, 130)
 HEADSET_SIZE_M: Final = (0.18, 0.10, 0.12)
 FOOT_COLOR: Final[Rgb] = (92, 128, 172)
@@ -56,10 +56,10 @@ def object_boxes(objects: Mapping[str, ObjectPose], head: HeadPose | None) -> In
 def foot_boxes(feet: Mapping[str, FootPose]) -> Instances:
     """Return feet as boxes around the marker on their instep."""
     poses = list(feet.values())
-    turns = rotation_from_quaternion(np.array([pose.orientation for pose in poses]).reshape(-1, 4))
-    places = np.array([pose.position for pose in poses]).reshape(-1, 3)
+    rotations = rotation_from_quaternion(np.array([pose.orientation for pose in poses]).reshape(-1, 4))
+    positions = np.array([pose.position for pose in poses]).reshape(-1, 3)
     return instances(
-        places + turns @ np.array(FOOT_MIDDLE_M),
+        positions + rotations @ np.array(FOOT_MIDDLE_M),
         np.array([_wxyz(pose.orientation) for pose in poses]).reshape(-1, 4),
         np.tile(FOOT_SIZE_M, (len(poses), 1)),
         [FOOT_COLOR if pose.state == "measured" else PREDICTED_COLOR for pose in poses],

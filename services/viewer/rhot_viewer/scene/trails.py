@@ -15,11 +15,11 @@ FloatArray = NDArray[np.float64]
 
 _STEP_NS: Final = 50_000_000
 _BREAK_NS: Final = 400_000_000
-"""After a longer pause the path begins anew: a straight line would tell of a motion nobody saw."""
+"""After a longer pause the path begins anew: a straight line would show a motion nobody saw."""
 
 
 class Trails:
-    """Newest places of named points, thinned to one in 50 ms."""
+    """Newest positions of named points, thinned to one in 50 ms."""
 
     def __init__(self, names: Sequence[str], seconds: float) -> None:
         """Prepare trails.
@@ -32,10 +32,10 @@ class Trails:
         self._places: dict[str, deque[tuple[float, float, float]]] = {n: deque(maxlen=self._steps + 1) for n in names}
         self._newest_ns: dict[str, int] = {}
 
-    def add(self, t_ns: int, places: Mapping[str, tuple[float, float, float]]) -> bool:
-        """Take places, metres, of the moment `t_ns`; unknown names are left out. Tell whether a line has changed."""
+    def add(self, t_ns: int, positions: Mapping[str, tuple[float, float, float]]) -> bool:
+        """Add positions, metres, of the moment `t_ns`, but for unknown names; return whether a line has changed."""
         changed = False
-        for name, place in places.items():
+        for name, position in positions.items():
             trail = self._places.get(name)
             if trail is None:
                 continue
@@ -44,7 +44,7 @@ class Trails:
                 continue
             if pause_ns > _BREAK_NS or pause_ns < 0:
                 trail.clear()
-            trail.append(place)
+            trail.append(position)
             self._newest_ns[name] = t_ns
             changed = True
         return changed

@@ -21,7 +21,7 @@ _PERSON_M: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Viewpoint:
-    """A place to look from, rig frame.
+    """A position to look from, rig frame.
 
     Attributes:
         position, look_at: (3,) metres.

@@ -31,7 +31,7 @@ _MIN_CORE_SHARE: Final = 0.08
 _LARGE_PX: Final = 64
 """From this many pixels on unlabelled paint beside a blob is taken back."""
 _TAKEN_BACK: Final = np.float32(0.4)
-"""t from which an unlabelled pixel beside a large blob is paint: the darkest shadow that is still told from a rim."""
+"""t from which an unlabelled pixel beside a large blob is paint: the darkest shadow that still differs from a rim."""
 _GROWN_MUCH: Final = 1.15
 """Only what motion smears or shade hides would grow by more, by what is taken back; else the mask is left as it is."""
 
@@ -48,11 +48,11 @@ class Batch:
     Attributes:
         shape: N, H and W.
         colours: (N, 4, H·W) float32: blue, green, red, 1.
-        places: (6, H·W) float32: 1, x, y from the middle, x², xy, y².
+        monomials: (6, H·W) float32: 1, x, y from the middle, x², xy, y².
         area: (N,) pixels inside the blobs.
         weights: (N, 2, H·W) float32, 1 in the surroundings, which hold no paint, and in the core. The core is where
             paint is pure; the whole blob where it is too small for rim and core.
-        sums: (N, 2, 6) float32, of `places` by `weights`.
+        sums: (N, 2, 6) float32, of `monomials` by `weights`.
     """
 
     def __init__(self, grids: Sequence[Grid]) -> None:
@@ -76,14 +76,14 @@ class Batch:
         self.colours[:, 3] = 1.0
         self.colours[:, :3] = pixels.reshape(count, size, 3).transpose(0, 2, 1)
         self._weighted: CoverageArray = np.empty((count, 5, size), np.float32)
-        self.places = _places(height, width)
+        self.monomials = _monomials(height, width)
         self._gain, self._most = _gains(tuple([grid.window.round_part for grid in grids]))
         self._coarse = [k for k, grid in enumerate(grids) if grid.scale > 1]
         self._look_around()
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Where places are counted from, x and y."""
+        """Where positions are counted from, x and y."""
         _, height, width = self.shape
         return 0.5 * (width - 1), 0.5 * (height - 1)
 
@@ -114,7 +114,7 @@ class Batch:
         self.weights: CoverageArray = self._weighted[:, :2]
         self.weights[:] = planes[:2].transpose(1, 0, 2)
         self._rim, self._pure = planes[2:]
-        self.sums: CoverageArray = self.weights @ self.places.T
+        self.sums: CoverageArray = self.weights @ self.monomials.T
 
     @property
     def insides(self) -> CoverageArray:
@@ -142,7 +142,7 @@ class Batch:
         return t
 
     def take_back(self, t: CoverageArray) -> bool:
-        """Add to the masks of large blobs what t tells to be paint beside them; return whether any has grown much.
+        """Add to the masks of large blobs what t shows to be paint beside them; return whether any has grown much.
 
         Args:
             t: (N, H·W).
@@ -180,7 +180,7 @@ class Batch:
             core.
         """
         weighted: CoverageArray = self.weights * t[:, None]
-        products: CoverageArray = weighted @ self.places[:3].T
+        products: CoverageArray = weighted @ self.monomials[:3].T
         return products, np.vecdot(weighted[:, 1], t)
 
     def shares(self, t: CoverageArray, planes: ArrayLike) -> CoverageArray:
@@ -190,7 +190,7 @@ class Batch:
             t: (N, H·W).
             planes: (2·N, 3), coefficients of 1, x, y: first N levels outside, then N inside.
         """
-        found = np.array(planes, np.float32) @ self.places[:3]
+        found = np.array(planes, np.float32) @ self.monomials[:3]
         outside, step = found[: len(t)], found[len(t) :]
         step -= outside
         np.maximum(step, MIN_STEP, out=step)
@@ -212,8 +212,8 @@ class Batch:
         """
         counted = share * self._gain
         np.minimum(counted, self._most, out=counted)
-        sums = cast(list[Sums], (counted @ self.places[:3].T).tolist())
-        return list(zip((share @ self.places[0]).tolist(), sums, strict=True))
+        sums = cast(list[Sums], (counted @ self.monomials[:3].T).tolist())
+        return list(zip((share @ self.monomials[0]).tolist(), sums, strict=True))
 
 
 def _eroded(mask: ImageArray, kernel: ImageArray) -> ImageArray:
@@ -230,10 +230,10 @@ def _gains(round_parts: tuple[bool, ...]) -> tuple[CoverageArray, CoverageArray]
 
 
 @lru_cache(maxsize=256)
-def _places(height: int, width: int) -> CoverageArray:
+def _monomials(height: int, width: int) -> CoverageArray:
     """Return 1, x, y, x², xy, y² of the pixels of a window, counted from its middle, (6, height · width)."""
     y, x = np.indices((height, width), np.float32).reshape(2, -1)
     x, y = x - np.float32(0.5 * (width - 1)), y - np.float32(0.5 * (height - 1))
-    places = np.array([np.ones_like(x), x, y, x * x, x * y, y * y])
-    places.setflags(write=False)
-    return places
+    monomials = np.array([np.ones_like(x), x, y, x * x, x * y, y * y])
+    monomials.setflags(write=False)
+    return monomials

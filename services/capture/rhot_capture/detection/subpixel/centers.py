@@ -8,11 +8,11 @@ surroundings vary (the matched filter of spectral unmixing). Between its levels 
 sides of the rim and leaves its centroid.
 
 Light falls unevenly, so both levels are planes over the picture, fitted to the surroundings and to the pure paint; the
-sums of t by 1, x, y in both places hold all that these fits need. Where a plane does not describe the paint of a large
+sums of t by 1, x, y over both hold all that these fits need. Where a plane does not describe the paint of a large
 blob, as at the edge of a shadow, both levels are local means instead, on the full grid.
 
 Paint in shadow, in a highlight or smeared by motion may have been labelled as nobody's; beside a large blob it is taken
-back by t, which tells paint from the surroundings better than the label does.
+back by t, which separates paint from the surroundings better than the label does.
 
 As t is linear, the mean of four pixels has their mean share: large windows are measured on a coarser grid, at the cost
 of small ones. All windows of about one size are laid into one array, so that each step is one call for all of them.

@@ -38,24 +38,24 @@ class Shares(NamedTuple):
     left: int
     top: int
 
-    def on_grid(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Return where on the grid a place of the window is, both x and y in pixels."""
-        x, y = place
+    def on_grid(self, position: tuple[float, float]) -> tuple[float, float]:
+        """Return where on the grid a position of the window is, both x and y in pixels."""
+        x, y = position
         half = 0.5 * (self.scale - 1)
         return (x - self.left - half) / self.scale, (y - self.top - half) / self.scale
 
-    def at(self, places: CoverageArray) -> CoverageArray:
-        """Return the shares at some places; beyond the grid as at its border.
+    def at(self, positions: CoverageArray) -> CoverageArray:
+        """Return the shares at some positions; beyond the grid as at its border.
 
         A line across an edge has the same integral on a coarser grid: means blur it evenly to both sides.
 
         Args:
-            places: (n, m, 2) float32, x and y on the grid.
+            positions: (n, m, 2) float32, x and y on the grid.
 
         Returns:
             (n, m) float32.
         """
-        found = cv2.remap(self.share, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+        found = cv2.remap(self.share, positions, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
         return np.asarray(found, dtype=np.float32)
 
 

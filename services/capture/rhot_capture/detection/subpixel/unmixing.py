@@ -18,7 +18,7 @@ Line = tuple[float, float, float, float]
 NOISE: Final = 5.0
 """σ, grey levels: variation of the surroundings that is no reason to avoid a direction."""
 MIN_CONTRAST: Final = 12.0
-"""Grey levels between paint and surroundings below which their mixture cannot be told; 2.4 times `NOISE`."""
+"""Grey levels between paint and surroundings below which their mixture cannot be measured; 2.4 times `NOISE`."""
 MIN_SURROUNDINGS: Final = 8
 """Pixels, for the nine numbers of a mean and a covariance."""
 RIDGE: Final = 30.0
@@ -66,13 +66,13 @@ def _projection(
 
 
 def fitted_levels(
-    lines: Sequence[Line], places: CoverageArray, products: CoverageArray, squares: CoverageArray
+    lines: Sequence[Line], moments: CoverageArray, products: CoverageArray, squares: CoverageArray
 ) -> tuple[list[Vector], list[bool]]:
     """Return the planes that fit t best, and whether they describe the pure paint badly.
 
     Args:
         lines: N times t of blue, green, red, 1.
-        places: (N, 2, 6) sums of 1, x, y, x², xy, y² over the surroundings and over the pure paint.
+        moments: (N, 2, 6) sums of 1, x, y, x², xy, y² over the surroundings and over the pure paint.
         products: (N, 2, 3) sums of the products of t with 1, x, y over both.
         squares: (N,) sum of t² over the pure paint.
 
@@ -81,7 +81,7 @@ def fitted_levels(
     """
     outside, inside, misfits = [], [], []
     for line, (around, core), (t_around, t_core), square in zip(
-        lines, places.tolist(), products.tolist(), squares.tolist(), strict=True
+        lines, moments.tolist(), products.tolist(), squares.tolist(), strict=True
     ):
         outside.append(_plane(around, t_around))
         inside.append(_plane(core, t_core))

@@ -56,7 +56,7 @@ def find_device(sdk: Sdk, serial: str | None) -> Any:
 
 
 def is_usb2(sdk: Sdk, device: Any) -> bool:
-    """Tell whether a device hangs on USB 2."""
+    """Return whether a device hangs on USB 2."""
     descriptor = sdk.camera_info.usb_type_descriptor
     return bool(device.supports(descriptor)) and str(device.get_info(descriptor)).startswith("2")
 

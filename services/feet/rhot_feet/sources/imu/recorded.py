@@ -98,8 +98,8 @@ def read_samples(path: Path) -> ImuSamples:
                     f"{path}, line 1: the header must hold {','.join(_FUSED)} or {','.join(_RAW)}, got "
                     f"{','.join(header)[:100]!r}"
                 )
-            places = [header.index(name) for name in columns]
-            table = _table(path, rows, columns, places)
+            indices = [header.index(name) for name in columns]
+            table = _table(path, rows, columns, indices)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     if len(table) < 2:
@@ -112,13 +112,13 @@ def read_samples(path: Path) -> ImuSamples:
     return RawImuConverter().convert(t_ns, table[:, 1:4], table[:, 4:7])
 
 
-def _table(path: Path, rows: Iterable[list[str]], columns: tuple[str, ...], places: list[int]) -> FloatArray:
+def _table(path: Path, rows: Iterable[list[str]], columns: tuple[str, ...], indices: list[int]) -> FloatArray:
     table: list[list[float]] = []
     for number, row in enumerate(rows, start=2):
         if not row:
             continue
         where = f"{path}, line {number}"
-        values = _values(row, columns, places, where)
+        values = _values(row, columns, indices, where)
         if table and values == table[-1]:
             # Loggers repeat a sample when no new one has come.
             continue
@@ -132,16 +132,16 @@ def _table(path: Path, rows: Iterable[list[str]], columns: tuple[str, ...], plac
     return np.array(table).reshape(-1, len(columns))
 
 
-def _values(row: list[str], columns: tuple[str, ...], places: list[int], where: str) -> list[float]:
-    if len(row) <= max(places):
-        raise ConfigError(f"{where}: {len(row)} values, {max(places) + 1} are needed")
+def _values(row: list[str], columns: tuple[str, ...], indices: list[int], where: str) -> list[float]:
+    if len(row) <= max(indices):
+        raise ConfigError(f"{where}: {len(row)} values, {max(indices) + 1} are needed")
     values = []
-    for column, position in zip(columns, places, strict=True):
+    for column, index in zip(columns, indices, strict=True):
         try:
-            value = float(row[position])
+            value = float(row[index])
         except ValueError as error:
-            raise ConfigError(f"{where}: {column} {row[position]!r} is not a number") from error
+            raise ConfigError(f"{where}: {column} {row[index]!r} is not a number") from error
         if not np.isfinite(value) or abs(value) > 1e6:
-            raise ConfigError(f"{where}: {column} {row[position]!r} is out of bounds (finite, below 1e6 in size)")
+            raise ConfigError(f"{where}: {column} {row[index]!r} is out of bounds (finite, below 1e6 in size)")
         values.append(value)
     return values

@@ -1,0 +1,1 @@
+"""`rhot evaluate motion`: recorded hand motion before a family of rigs, and what the tracker makes of it."""

@@ -1,0 +1,1 @@
+"""Simple trackers that every figure is compared with: a plain EKF and a spline per camera."""

@@ -1,0 +1,171 @@
+"""Rendered stereo pictures as a stranger's rig: set up, calibrated by our own commands, and its markers found.
+
+The folder holds chessboards (`C`), one pair of the open hand with boxes round its markers (`K`), sequences (`G1`,
+`G2`), `calib.json` with the true timing, and a scorer; see its README. Nothing of the truth reaches the rig but what a
+person would know: the picture size, the rate, exposure and read-out that the camera was set to, the size of the patch
+that was glued on, and two measures of the hand by a ruler.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from rhot.errors import CalibrationError, ConfigError
+from rhot.messages import MarkerFrame
+from rhot.offline import core
+from rhot.recording import Recording, load_recording
+from rhot.rig import Rig, load_rig
+from rhot.rig.folder import CAMERAS_FILE, COLORS_FILE, HAND_FILE, RIG_FILE, write_text_atomic
+from rhot.rig.template import rig_template
+from rhot.rig.toml_edit import change_rig_file
+
+CAMERAS: Final = ("left", "right")
+SEQUENCES: Final = ("G1", "G2")
+_BOARDS, _COLOURS = "C", "K"
+MARKER_FRAMES: Final = "{sequence}.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class Measures:
+    """What a person measures with a ruler before the first recording.
+
+    Attributes:
+        length_m: of the hand, wrist crease to the tip of the middle finger; issue 12 gives 172 mm.
+        width_m: of the hand across the knuckles; issue 12 gives 74 mm.
+        patch_m: the patch across and along the hand; the README of the pictures gives 35 by 25 mm.
+        board: inner corners along and across; the README of the pictures.
+        square_m: side of a chessboard's square; the README of the pictures.
+    """
+
+    length_m: float = 0.172
+    width_m: float = 0.074
+    patch_m: tuple[float, float] = (0.035, 0.025)
+    board: tuple[int, int] = (9, 6)
+    square_m: float = 0.025
+
+
+def require_pictures(data: Path) -> Path:
+    """Return the folder that holds the rendered pictures: `data` itself or `data/rendered`.
+
+    Raises:
+        ConfigError: neither holds them.
+    """
+    for folder in (data, data / "rendered"):
+        if (folder / "score.py").is_file() and (folder / SEQUENCES[0]).is_dir():
+            return folder
+    raise ConfigError(
+        f"{data}: holds no rendered pictures (score.py, {', '.join(SEQUENCES)}); name the folder that does"
+    )
+
+
+def prepare_rig(data: Path, folder: Path, measures: Measures | None = None) -> Rig:
+    """Set up a rig in a folder and calibrate it by our own commands; what is already calibrated stays.
+
+    Args:
+        data: the rendered pictures.
+        folder: of the rig; made when it is not there.
+        measures: by ruler.
+
+    Raises:
+        CalibrationError: one of the commands refused.
+    """
+    measures = measures or Measures()
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / RIG_FILE).exists():
+        timing = load_recording(data / SEQUENCES[0]).cameras[CAMERAS[0]].timing
+        text = rig_template(
+            folder=str(folder), name="rendered", exposure_s=timing.exposure_s, readout_s=timing.readout_s
+        )
+        write_text_atomic(folder / RIG_FILE, text)
+        change_rig_file(folder, {("markers", "base"): {"size_m": list(measures.patch_m)}})
+    columns, rows = measures.board
+    if not (folder / CAMERAS_FILE).exists():
+        square = f"{1e3 * measures.square_m:g}"
+        _calibrate(folder, "cameras", str(data / _BOARDS), "--board", f"{columns}x{rows}", "--square-mm", square)
+    if not (folder / COLORS_FILE).exists():
+        _calibrate(folder, "colors", *_colour_boxes(data / _COLOURS))
+    if not (folder / HAND_FILE).exists():
+        length, width = f"{1e3 * measures.length_m:g}", f"{1e3 * measures.width_m:g}"
+        _calibrate(folder, "hand", "--length-mm", length, "--width-mm", width)
+    return load_rig(folder)
+
+
+def at_rate_of(rig: Rig, recording: Recording) -> Rig:
+    """Return the rig with its cameras set to the rate that the recording was taken at, as its user would have."""
+    cameras = {}
+    for name, camera in rig.config.cameras.items():
+        period_s = float(np.median(np.diff(recording.cameras[name].t_ns))) * 1e-9
+        cameras[name] = camera.model_copy(update={"rate_hz": round(1.0 / period_s, 3)})
+    return replace(rig, config=rig.config.model_copy(update={"cameras": cameras}))
+
+
+def found_markers(
+    rig: Rig, data: Path, sequence: str, keep: Path | None, advance: Callable[[], None] = lambda: None
+) -> list[MarkerFrame]:
+    """Return the marker frames of a sequence: as kept by an earlier run, or found in its pictures.
+
+    Args:
+        rig: calibrated.
+        data: the rendered pictures.
+        sequence: `G1` or `G2`.
+        keep: folder for the frames as JSON Lines; None = keep nothing.
+        advance: called after each frame.
+    """
+    file = None if keep is None else keep / MARKER_FRAMES.format(sequence=sequence)
+    if file is not None and file.exists():
+        frames = list(read_marker_frames(file))
+        for _ in frames:
+            advance()
+        return frames
+    frames = []
+    for frame in core("capture")(rig, load_recording(data / sequence)):
+        frames.append(frame)
+        advance()
+    if file is not None:
+        write_text_atomic(file, "".join(_line(frame) for frame in frames))
+    return frames
+
+
+def read_marker_frames(file: Path) -> Iterator[MarkerFrame]:
+    """Yield the marker frames of a file as `found_markers` keeps it, or of `rhot process`; other keys are left out."""
+    with file.open(encoding="utf-8") as lines:
+        for line in lines:
+            message = json.loads(line)
+            if message["key"].startswith("rhot/markers/"):
+                yield MarkerFrame.model_validate_json(json.dumps(message["value"]))
+
+
+def _line(frame: MarkerFrame) -> str:
+    value = frame.model_dump_json(exclude_none=True)
+    return f'{{"key": "rhot/markers/{frame.camera}", "value": {value}}}\n'
+
+
+def _colour_boxes(data: Path) -> list[str]:
+    """Return pictures and boxes as the arguments of `rhot calibrate colors`."""
+    boxes: dict[str, Any] = json.loads((data / "boxes.json").read_text(encoding="utf-8"))["cameras"]
+    pictures, picks = [], []
+    for number, camera in enumerate(CAMERAS, start=1):
+        pictures.append(str(min((data / camera).glob("*.jpg"))))
+        for marker, seen in boxes[camera].items():
+            left, top, right, bottom = seen["box"]
+            picks += ["--box", f"{marker}={left:.0f},{top:.0f},{right - left:.0f},{bottom - top:.0f}@{number}"]
+    return [*pictures, *picks]
+
+
+def _calibrate(rig: Path, what: str, *arguments: str) -> None:
+    command: Sequence[str] = [sys.executable, "-m", "rhot", "-q", "calibrate", what, *arguments, "--rig", str(rig)]
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, env=environment
+    )
+    if done.returncode:
+        raise CalibrationError(f"`rhot calibrate {what}` refused the rendered pictures: {done.stderr.strip()}")

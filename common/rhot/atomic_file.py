@@ -1,0 +1,169 @@
+"""Files that are replaced in one step and survive a power cut: they hold the old content or the new, never half.
+
+New content goes into a file beside the old one, is brought to the disk (fsync), takes the name (rename), and the folder
+is brought to the disk too: without that last step the name may still mean the old file after a power cut. After a crash
+a hidden `.NAME.….tmp` may be left over; nothing reads it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+from rhot.errors import ConfigError
+
+try:
+    import fcntl
+except ImportError:  # Windows, where only the objects service runs and nobody else changes its rig
+    fcntl = None  # type: ignore[assignment]
+
+_LOCK_LIMIT_S: Final = 5.0
+"""A change of rig.toml takes milliseconds, on a worn SD card perhaps a second; who holds the lock longer hangs."""
+_LOCK_RETRY_S: Final = 0.01
+_MODE: Final = 0o644
+
+
+def write_atomic(file: Path, data: bytes) -> None:
+    """Replace a file in one step.
+
+    Raises:
+        ConfigError: it cannot be written; the old one stays.
+    """
+    with replacing(file) as part:
+        handle = os.open(part, os.O_WRONLY)
+        try:
+            rest = memoryview(data)
+            while rest:
+                rest = rest[os.write(handle, rest) :]
+        finally:
+            os.close(handle)
+
+
+@contextlib.contextmanager
+def replacing(file: Path, make_error: Callable[[str], Exception] = ConfigError) -> Iterator[Path]:
+    """Yield the path of an empty file to write; it takes the place of `file` when the block ends without an error.
+
+    What is no ordinary file, such as `/dev/null` or a pipe, is written directly.
+
+    Raises:
+        ConfigError (or what `make_error` makes of the message): it cannot be written; the old one stays.
+    """
+    try:
+        if file.exists() and not file.is_file():
+            yield file
+            return
+        handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.", suffix=".tmp")
+        part = Path(name)
+        try:
+            os.close(handle)
+            yield part
+            part.chmod(_MODE)
+            sync_file(part)
+            part.replace(file)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
+            raise
+        sync_folder(file.parent)
+    except OSError as error:
+        other = error.filename if isinstance(error.filename, str) and not error.filename.endswith(".tmp") else None
+        raise make_error(f"{other or file}: cannot be written: {error.strerror or error}") from error
+
+
+def rename(source: Path, target: Path) -> None:
+    """Give a file another name of its folder for good.
+
+    Raises:
+        OSError: as `Path.replace`.
+    """
+    source.replace(target)
+    sync_folder(target.parent)
+
+
+def remove(file: Path) -> None:
+    """Remove a file for good; one that is not there is no error.
+
+    Raises:
+        OSError: as `Path.unlink`.
+    """
+    file.unlink(missing_ok=True)
+    sync_folder(file.parent)
+
+
+def sync_file(file: Path) -> None:
+    """Bring a file's content to the disk.
+
+    Raises:
+        OSError: the disk reports that it could not be written.
+    """
+    # Windows flushes only what may be written.
+    handle = os.open(file, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk, on systems that know of such a thing.
+
+    Raises:
+        OSError: the disk reports that it could not be written.
+    """
+    if os.name == "nt":
+        return
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems of other systems and of networks
+            raise
+    finally:
+        os.close(handle)
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other processes that ask for the same from changing files of a folder during the block.
+
+    The lock is on the folder itself, ends with the process, and needs no file.
+
+    Raises:
+        ConfigError: another process holds it for longer than any change takes, or the folder cannot be opened.
+    """
+    if fcntl is None:
+        yield
+        return
+    try:
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be opened: {error.strerror or error}") from error
+    try:
+        _take(handle, folder)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _take(handle: int, folder: Path) -> None:
+    deadline = time.monotonic() + _LOCK_LIMIT_S
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            if time.monotonic() > deadline:
+                raise ConfigError(
+                    f"{folder}: another program has been changing it for {_LOCK_LIMIT_S:.0f} s; end it "
+                    f"(`fuser {folder}` names it) and try again"
+                ) from error
+            time.sleep(_LOCK_RETRY_S)
+        except OSError:
+            return  # a file system without locks: as it was before there were any
+        else:
+            return
