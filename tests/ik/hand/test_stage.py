@@ -389,6 +389,5 @@ def test_where_the_patch_sits_and_how_long_fingers_are_is_learned(
         moved = base.model_copy(update={"position": (x, y, z), "corners": corners})
         pose = only_pose(stage, points.model_copy(update={"points": points.points | {"base": moved}}))
         late.append(np.linalg.norm(positions(pose) - joints.positions, axis=1).mean())
-    # Left as it is, the hand would be off by 8 mm and 5°.
-    assert np.mean(late[300:]) < 0.006
-    assert np.mean(late[300:]) < 0.9 * np.mean(late[:20])
+    # A hand on the patch as the model has it would be off by 8 mm and 5°, which is 8 mm more at the knuckles.
+    assert np.mean(late[300:]) < 0.005

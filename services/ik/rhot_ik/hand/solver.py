@@ -196,7 +196,7 @@ class HandSolver:
         expected = self._filter.predict(before.state, dt_s, ~measured)
         evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), before.corner_noise)
         state = self._filter.update(expected, evidence, shapes=shapes)
-        state, lost_s = self._reinitialised_if_lost(state, seen, before.lost_s + dt_s)
+        state, lost_s = self._reinitialised_if_lost(state, seen, before.lost_s, dt_s)
         angles = self._angles(state, seen, before.shown)
         left_s = np.where(measured & before.measured, before.rejoins_s, self._rejoin.lasts_s)
         shown, left_s = rejoined(self._geometry, angles, before.shown, left_s, dt_s, self._rejoin)
@@ -213,13 +213,18 @@ class HandSolver:
             lost_s=lost_s,
         )
 
-    def _reinitialised_if_lost(self, state: HandState, seen: HandObservation, lost_s: float) -> tuple[HandState, float]:
+    def _reinitialised_if_lost(
+        self, state: HandState, seen: HandObservation, lost_s: float, dt_s: float
+    ) -> tuple[HandState, float]:
         """Return the state, or a better one when the tips have missed the model for too long, and for how long."""
-        if state.mean_residual_m < LOST_M or np.count_nonzero(seen.tips_seen) < 3:
-            return state, 0.0
-        if lost_s < LOST_S:
+        if not (seen.tips_seen & seen.tips_measured).any():
             return state, lost_s
-        found = self._initialiser.find(seen, state.what_is_personal)
+        if state.mean_residual_m < LOST_M:
+            return state, 0.0
+        if lost_s + dt_s < LOST_S:
+            return state, lost_s + dt_s
+        # What was learned of the person on a hand that was taken up wrongly is wrong as well.
+        found = self._initialiser.find(seen)
         if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):
             return state, 0.0
         return found[0], 0.0

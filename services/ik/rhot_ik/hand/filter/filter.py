@@ -177,7 +177,7 @@ class HandFilter(HandProcess):
             solved = np.linalg.solve(S, wanted)
             posterior = P - PHt @ solved[:, :SIZE]
             about, (dx, posterior) = dx, self._within_limits(PHt @ solved[:, SIZE], prior.angles, posterior)
-            # What is learned slowly is given for all the rest: its mean is taken under the person as he is known so far.
+            # What is learned slowly is given for all the rest, whose mean is that under the person as known so far.
             by_person = np.linalg.solve(posterior[PERSON, PERSON], (1.0 - learned) * dx[PERSON])
             dx -= posterior[:, PERSON] @ by_person
             at = self._moved(prior, dx)
@@ -186,7 +186,7 @@ class HandFilter(HandProcess):
                 break
         kept = (1.0 - learned) ** 2
         posterior[PERSON, PERSON] = kept * prior.P[PERSON, PERSON] + (1.0 - kept) * posterior[PERSON, PERSON]
-        left = ((innovation - H @ dx)[:15].reshape(5, 3) ** 2).sum(-1)
+        left = ((innovation - H @ dx)[:15].reshape(5, 3) ** 2).sum(-1) * rows.seen[:5]
         return dataclasses.replace(
             at,
             angles=np.minimum(np.maximum(at.angles, self._low), self._high),
@@ -338,6 +338,8 @@ class HandFilter(HandProcess):
             dx, P = dx + over[bad] @ gain, P - columns @ gain
         return dx, P
 
-    def tips(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 5) by own angles and length."""
-        return self._kinematics.markers(q, np.zeros(5))
+    def tips(self, state: HandState) -> FloatArray:
+        """Return the markers (5, 3), metres, rig frame, as a state has them."""
+        local, _ = self._kinematics.markers(state.angles, state.longer)
+        placed: FloatArray = local @ state.R.T + state.p
+        return placed
