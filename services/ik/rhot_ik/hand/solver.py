@@ -217,7 +217,8 @@ class HandSolver:
         self, state: HandState, seen: HandObservation, lost_s: float, dt_s: float
     ) -> tuple[HandState, float]:
         """Return the state, or a better one when the tips have missed the model for too long, and for how long."""
-        if not (seen.tips_seen & seen.tips_measured).any():
+        # One tip alone does not tell one end of a patch from the other.
+        if np.count_nonzero(seen.tips_seen & seen.tips_measured) < 2:
             return state, lost_s
         if state.mean_residual_m < LOST_M:
             return state, 0.0

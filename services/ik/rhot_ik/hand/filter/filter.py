@@ -177,9 +177,12 @@ class HandFilter(HandProcess):
             solved = np.linalg.solve(S, wanted)
             posterior = P - PHt @ solved[:, :SIZE]
             about, (dx, posterior) = dx, self._within_limits(PHt @ solved[:, SIZE], prior.angles, posterior)
-            # What is learned slowly is given for all the rest, whose mean is that under the person as known so far.
-            by_person = np.linalg.solve(posterior[PERSON, PERSON], (1.0 - learned) * dx[PERSON])
-            dx -= posterior[:, PERSON] @ by_person
+            # What is not learned at once is partly given for all the rest, whose mean moves towards that under it.
+            denied = (1.0 - learned) * dx[PERSON]
+            dx -= self.settings.person_given * (
+                posterior[:, PERSON] @ np.linalg.solve(posterior[PERSON, PERSON], denied)
+            )
+            dx[PERSON] -= (1.0 - self.settings.person_given) * denied
             at = self._moved(prior, dx)
             moved = np.abs(dx - about)
             if max(moved[ROTATION].max(), moved[ANGLES].max()) < self.settings.close_rad:

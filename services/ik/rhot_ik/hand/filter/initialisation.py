@@ -62,7 +62,7 @@ class HandInitialiser:
         for _, state in sorted(tried, key=lambda item: item[0])[:_REFINED]:
             # The corners of a patch fit two ways round; the tips have told by now which one it is.
             evidence = self._evidence.assess(seen, state.R)
-            final = self._filter.update(self._filter.start(state.R, state.p, state.angles, person), evidence, steps=5)
+            final = self._filter.update(self._filter.start(state.R, state.p, state.angles, person), evidence, steps=4)
             refined.append((self.cost(final, evidence), final, evidence))
         _, best, evidence = min(refined, key=lambda item: item[0])
         return best, evidence
