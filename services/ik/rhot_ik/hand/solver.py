@@ -74,6 +74,7 @@ class HandTrack:
         base_seen_ns, measured_ns: when the base marker was there last, and when anything was measured.
         measured: (5,) whether each finger was.
         lost_s: for how long the seen tips have missed the model.
+        most_tips: how many tips met it at once so far; at least 1.
     """
 
     t_ns: int
@@ -86,6 +87,7 @@ class HandTrack:
     measured_ns: int
     measured: BoolArray
     lost_s: float = 0.0
+    most_tips: int = 1
 
 
 class HandSolver:
@@ -196,7 +198,7 @@ class HandSolver:
         expected = self._filter.predict(before.state, dt_s, ~measured)
         evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), before.corner_noise)
         state = self._filter.update(expected, evidence, shapes=shapes)
-        state, lost_s = self._reinitialised_if_lost(state, seen, before.lost_s, dt_s)
+        state, lost_s = self._reinitialised_if_lost(before, state, seen, dt_s)
         angles = self._angles(state, seen, before.shown)
         left_s = np.where(measured & before.measured, before.rejoins_s, self._rejoin.lasts_s)
         shown, left_s = rejoined(self._geometry, angles, before.shown, left_s, dt_s, self._rejoin)
@@ -211,19 +213,20 @@ class HandSolver:
             measured_ns=seen.t_ns if seen.measured_any else before.measured_ns,
             measured=measured,
             lost_s=lost_s,
+            most_tips=max(before.most_tips, int(np.count_nonzero(measured)) if lost_s == 0.0 else 1),
         )
 
     def _reinitialised_if_lost(
-        self, state: HandState, seen: HandObservation, lost_s: float, dt_s: float
+        self, before: HandTrack, state: HandState, seen: HandObservation, dt_s: float
     ) -> tuple[HandState, float]:
         """Return the state, or a better one when the tips have missed the model for too long, and for how long."""
-        # One tip alone does not tell one end of a patch from the other.
-        if np.count_nonzero(seen.tips_seen & seen.tips_measured) < 2:
-            return state, lost_s
+        # One tip alone does not tell one end of a patch from the other, so it corrects only what rests on no more.
+        if np.count_nonzero(seen.tips_seen & seen.tips_measured) < min(2, before.most_tips):
+            return state, before.lost_s
         if state.mean_residual_m < LOST_M:
             return state, 0.0
-        if lost_s + dt_s < LOST_S:
-            return state, lost_s + dt_s
+        if before.lost_s + dt_s < LOST_S:
+            return state, before.lost_s + dt_s
         # What was learned of the person on a hand that was taken up wrongly is wrong as well.
         found = self._initialiser.find(seen)
         if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):
