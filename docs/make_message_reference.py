@@ -56,6 +56,8 @@ _SAID: Final = {
     "Count": "integer",
     "int": "integer",
     "str": "text",
+    "Label": "text",
+    "Sentence": "text",
     "bool": "true or false",
     "float": "number",
     "Pixel": "px",

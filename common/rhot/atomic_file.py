@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -18,15 +19,15 @@ from typing import Final
 
 from rhot.errors import ConfigError
 
-try:
+if sys.platform != "win32":
     import fcntl
-except ImportError:  # Windows, where only the objects service runs and nobody else changes its rig
-    fcntl = None  # type: ignore[assignment]
 
 _LOCK_LIMIT_S: Final = 5.0
 """A change of rig.toml takes milliseconds, on a worn SD card perhaps a second; who holds the lock longer hangs."""
 _LOCK_RETRY_S: Final = 0.01
 _MODE: Final = 0o644
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_FORBIDDEN: Final = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 
 def write_atomic(file: Path, data: bytes) -> None:
@@ -73,7 +74,17 @@ def replacing(file: Path, make_error: Callable[[str], Exception] = ConfigError) 
         sync_folder(file.parent)
     except OSError as error:
         other = error.filename if isinstance(error.filename, str) and not error.filename.endswith(".tmp") else None
-        raise make_error(f"{other or file}: cannot be written: {error.strerror or error}") from error
+        raise make_error(f"{other or file}: cannot be written: {why(error)}") from error
+
+
+def why(error: OSError) -> str:
+    """Return what went wrong and what to do about it."""
+    said = error.strerror or str(error)
+    if error.errno in _FULL:
+        return f"{said}; make room on that disk and try again"
+    if error.errno in _FORBIDDEN:
+        return f"{said}; choose a folder that you may write to, or try as the user whose folder it is"
+    return said
 
 
 def rename(source: Path, target: Path) -> None:
@@ -137,7 +148,7 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         ConfigError: another process holds it for longer than any change takes, or the folder cannot be opened.
     """
-    if fcntl is None:
+    if sys.platform == "win32":  # where only the objects service runs, and nobody else changes its rig
         yield
         return
     try:

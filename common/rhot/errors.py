@@ -4,6 +4,13 @@ A message names the value, the place (file and field, key, device) and the remed
 alone, without a traceback.
 """
 
+from typing import Final
+
+from rhot.text import printable
+
+EXIT_AGAIN: Final = 75
+"""What a process ends with that should be started anew, as after `HungDeviceError`: EX_TEMPFAIL of sysexits.h."""
+
 
 class RhotError(Exception):
     """Base of all errors a user may see; catch it at the edge of a program."""
@@ -18,11 +25,21 @@ class CalibrationError(RhotError):
 
 
 class WireError(RhotError):
-    """A payload from the bus is not a valid message of its key."""
+    """A payload from the bus is not a valid message of its key; its text holds nothing of it unescaped."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(printable(text))
 
 
 class DeviceError(RhotError):
     """A camera, tracker or other device is absent or refuses what was asked of it."""
+
+
+class HungDeviceError(RhotError):
+    """A driver does not return and holds its device; only a new process gets it back, so this one ends.
+
+    No DeviceError: those are tried again in the same process.
+    """
 
 
 class BusError(RhotError):

@@ -7,8 +7,9 @@ import time
 
 import numpy as np
 import pytest
+from wall_clock import in_time
 
-from rhot.errors import ConfigError, DeviceError
+from rhot.errors import ConfigError, DeviceError, HungDeviceError
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources import Frame, grab
 
@@ -129,19 +130,54 @@ async def test_stop_ends_a_waiting_reader_and_closes_the_source() -> None:
     assert source.closed.is_set()
 
 
-async def test_a_driver_that_hangs_does_not_hold_up_the_stop() -> None:
+async def test_a_read_that_hangs_does_not_hold_up_the_stop() -> None:
     class Hanging(ScriptedSource):
         def close(self) -> None:
             self.closed.set()
 
     source = Hanging()
-    grabber = grab(source)
+    grabber = grab(source, "left")
     grabber.start()
     await wait_for_reads(source, 1)
     begun = time.monotonic()
-    await grabber.stop()
-    assert time.monotonic() - begun < 2.0
+    with pytest.raises(HungDeviceError, match=r"camera left: read: its driver has not returned for 0\.2 s"):
+        await grabber.stop(limit_s=0.2)
+    in_time(time.monotonic() - begun, 1.0, "giving up a read that hangs")
     source.items.put(None)
+
+
+async def test_a_close_that_hangs_is_given_up_and_the_frames_with_it() -> None:
+    class Hanging(ScriptedSource):
+        release = threading.Event()
+
+        def close(self) -> None:
+            self.release.wait()
+
+    source = Hanging()
+    grabber = grab(source, "left")
+    source.items.put(frame(0))
+    grabber.start()
+    await wait_for_reads(source, 2)
+    begun = time.monotonic()
+    with pytest.raises(HungDeviceError, match=r"camera left: close.*this process ends"):
+        await grabber.stop(limit_s=0.2)
+    in_time(time.monotonic() - begun, 1.0, "giving up a close that hangs")
+    assert await grabber.next_frame() is None
+    source.release.set()
+    source.items.put(None)
+
+
+async def test_what_a_driver_raises_at_the_close_does_no_harm(caplog: pytest.LogCaptureFixture) -> None:
+    class PulledOut(ScriptedSource):
+        def close(self) -> None:
+            super().close()
+            raise RuntimeError("no such device")
+
+    source = PulledOut()
+    grabber = grab(source, "left")
+    grabber.start()
+    await grabber.stop()
+    assert "camera left: close: RuntimeError: no such device" in caplog.text
 
 
 async def test_reading_before_the_start_is_an_error() -> None:

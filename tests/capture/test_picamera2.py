@@ -12,7 +12,8 @@ from rhot.errors import DeviceError
 from rhot.rig import CameraConfig
 from rhot.rig.colors import nominal_colors
 from rhot_capture.settings import CameraSettings
-from rhot_capture.sources.picamera2 import Picamera2Source, PicameraModules, import_picamera
+from rhot_capture.sources.libcamera import PicameraModules, import_picamera
+from rhot_capture.sources.picamera2 import Picamera2Source
 from rhot_capture.sources.sensor_modes import choose_mode
 
 MODES = [
@@ -103,6 +104,9 @@ class FakePicamera2:
 
     def close(self) -> None:
         self.calls.append("close")
+
+    def cancel_all_and_flush(self) -> None:
+        self.calls.append("flush")
 
     def set_controls(self, controls: dict[str, Any]) -> None:
         self.controls_set.append(controls)
@@ -212,7 +216,7 @@ def test_old_libcamera_cannot_synchronise() -> None:
     old = SimpleNamespace(draft=CONTROLS.draft, AfModeEnum=CONTROLS.AfModeEnum)
     with pytest.raises(DeviceError, match=r"libcamera 0\.4"):
         opened(CameraConfig(sync="server"), controls=old)
-    assert FakePicamera2.created[-1].calls == ["stop", "close"]
+    assert FakePicamera2.created[-1].calls == ["flush", "stop", "close"]
 
 
 def test_one_job_is_waited_for_in_pieces() -> None:
@@ -253,7 +257,7 @@ def test_close_frees_the_camera_and_ends_reading() -> None:
     source, device = opened(CameraConfig())
     source.close()
     source.close()
-    assert device.calls == ["start", "stop", "close"]
+    assert device.calls == ["start", "flush", "stop", "close"]
     assert source.read() is None
 
 

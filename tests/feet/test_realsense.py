@@ -1,13 +1,18 @@
 from __future__ import annotations
 
+import asyncio
+import threading
+import time
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from wall_clock import in_time
 
-from rhot.errors import DeviceError
+from rhot.errors import DeviceError, HungDeviceError
 from rhot.rig.feet_config import DepthCameraConfig
+from rhot_feet.sources.depth_camera.grabber import DepthGrabber
 from rhot_feet.sources.depth_camera.realsense import DepthFiltering, DepthPipeline, RealSenseSource
 from rhot_feet.sources.depth_camera.realsense_device import camera_of
 
@@ -322,3 +327,18 @@ def software_frames(sdk: Any, depth_mm: int) -> Any:
         if frames.get_depth_frame() and frames.get_color_frame():
             return frames
     pytest.fail("the software device gave no complete set of frames")
+
+
+async def test_a_stop_that_hangs_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`rs2::pipeline::stop` may never return, as for a silent camera (librealsense issues 9184 and 6301)."""
+    sdk, released = Sdk(Info("a")), threading.Event()
+    monkeypatch.setattr(sdk, "_stop", released.wait)
+    source = RealSenseSource(DepthCameraConfig(), lambda: 0, load=lambda: sdk)
+    grabber = DepthGrabber(source)
+    await grabber.open(lambda: source.open(0))
+    grabber.start()
+    begun = time.monotonic()
+    with pytest.raises(HungDeviceError, match=r"depth camera: close: its driver has not returned for 0\.3 s"):
+        await asyncio.wait_for(grabber.stop(limit_s=0.3), 20.0)
+    in_time(time.monotonic() - begun, 1.5, "giving up a driver that hangs")
+    released.set()

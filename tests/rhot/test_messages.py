@@ -35,7 +35,7 @@ FRAME = MarkerFrame(
     timing={"classify": 0.001},
 )
 
-times = st.integers(0, 2**63 - 1)
+times = st.integers(0, 2**62 - 1)
 pixels = st.floats(-1e5, 1e5, allow_nan=False)
 metres = st.floats(-1e3, 1e3, allow_nan=False)
 names = st.text("abcdefghijklmnopqrstuvwxyzABC0123456789_-.", min_size=1, max_size=12)

@@ -20,6 +20,7 @@ from rhot.bus import Bus
 from rhot.clock import SkewedClock, SystemClock
 from rhot.errors import BusError, ConfigError, DeviceError, WireError
 from rhot.messages import Control, Marker, MarkerFrame, Point, PointSet, ServiceStatus, decode, encode
+from rhot.operation.control import broadcast
 from rhot.rig import BusConfig, FusionConfig
 from rhot.service import ControlState, Node, StageService, configuration, runner
 from rhot.service.runner import serve
@@ -335,16 +336,100 @@ async def test_a_node_with_a_wrong_clock_learns_rig_time(router: BusConfig) -> N
             await asyncio.gather(task, return_exceptions=True)
 
 
-def test_control_takes_the_newest_word_and_refuses_the_future() -> None:
+HOUR_NS = 3_600_000_000_000
+
+
+async def test_start_and_stop_are_heard_after_the_rig_clock_was_set_back(
+    router: BusConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with running(doubler(), router), await Bus.open(router) as bus:
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
+        true_time_ns = time.time_ns
+        with monkeypatch.context() as ahead:
+            ahead.setattr(time, "time_ns", lambda: true_time_ns() + HOUR_NS)
+            await broadcast(bus, "start", "before", 0.0, LIMIT_S)
+            await wait_for_status(bus, "fusion/main", lambda status: status.session == "before")
+        # From here on the rig clock is an hour earlier.
+        await broadcast(bus, "stop", "", 0.0, LIMIT_S)
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting" and not status.session)
+        await broadcast(bus, "start", "after", 0.0, LIMIT_S)
+        await wait_for_status(bus, "fusion/main", lambda status: status.session == "after")
+        async with running(doubler(owns_clock=False, name="late"), router):
+            await wait_for_status(bus, "late/main", lambda status: status.session == "after")
+
+
+async def test_who_joins_after_the_clock_was_set_back_does_not_wait_for_the_old_start(
+    router: BusConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with running(doubler(), router), await Bus.open(router) as bus:
+        true_time_ns = time.time_ns
+        with monkeypatch.context() as ahead:
+            ahead.setattr(time, "time_ns", lambda: true_time_ns() + HOUR_NS)
+            await broadcast(bus, "start", "before", 0.0, LIMIT_S)
+            await wait_for_status(bus, "fusion/main", lambda status: status.session == "before")
+        async with running(doubler(owns_clock=False, name="late"), router):
+            await wait_for_status(bus, "late/main", lambda status: status.state == "running")
+
+
+async def test_refused_starts_are_counted_and_say_why(router: BusConfig) -> None:
+    key, encoding = "rhot/control", "application/msgpack;Control"
+    async with running(doubler(), router), await Bus.open(router) as bus:
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
+        garbage = msgpack.packb({"t_ns": 2**63 - 1, "action": "start", "session": "x", "start_t_ns": 2**63 - 1})
+        old = encode(Control(t_ns=time.time_ns() - HOUR_NS, action="start", session="old"))
+        for number, payload in enumerate((garbage, old), start=1):
+            await bus.put(key, payload, encoding)
+            status = await wait_for_status(bus, "fusion/main", partial(has_refused, number))
+        assert "3600 s off rig time" in status.last_error
+        assert status.state == "waiting"
+        await start(bus)
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "running")
+        await bus.put(key, encode(Control(t_ns=5, action="stop")), encoding)
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting" and not status.session)
+
+
+async def test_a_stop_needs_no_rig_clock(router: BusConfig) -> None:
+    async with running(doubler(owns_clock=False), router), await Bus.open(router) as bus:
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
+        assert (await broadcast(bus, "stop", "", 0.0, 0.0)).action == "stop"
+
+
+def test_the_last_broadcast_wins_and_learnt_messages_are_ordered_by_revision() -> None:
     control, now = ControlState(), 10**18
-    assert control.offer(Control(t_ns=now, action="start", session="a", start_t_ns=now), now)
-    assert not control.offer(Control(t_ns=now - 1, action="stop"), now), "older than what is known"
-    assert not control.offer(Control(t_ns=now + 1, action="stop", session="b"), now), "another session's stop"
-    with pytest.raises(WireError, match="in the future"):
-        control.offer(Control(t_ns=now + 10**14, action="stop"), now)
+    first = Control(t_ns=now, action="start", session="a", start_t_ns=now)
+    assert control.hear(first, now)
+    assert not control.hear(first, now), "the same once more"
+    with pytest.raises(WireError, match="session b"):
+        control.hear(Control(t_ns=now + 1, action="stop", session="b"), now)
     assert control.running is not None
-    assert control.offer(Control(t_ns=now + 2, action="stop"), now)
+    assert control.hear(Control(t_ns=now - HOUR_NS, action="stop"), now), "a stop always stops"
     assert control.running is None
+    assert control.newest is not None
+    assert control.newest.revision == 2
+    assert not control.learn(first.model_copy(update={"revision": 1})), "of before the stop"
+    assert control.learn(first.model_copy(update={"revision": 3}))
+    with pytest.raises(WireError, match="cannot be true"):
+        control.learn(first.model_copy(update={"revision": 2**52}))
+    assert control.hear(Control(t_ns=now, action="stop", revision=2**52), now)
+    assert control.newest.revision == 4, "nor does a broadcast raise it beyond reach"
+
+
+def test_a_start_from_before_rig_time_is_known_waits_until_it_can_be_judged() -> None:
+    now = 10**18
+    believable, garbage = (Control(t_ns=t, action="start", session="a", start_t_ns=t) for t in (now, 2**62 - 1))
+    control = ControlState()
+    assert not control.hear(believable, None)
+    assert control.running is None
+    assert control.judge(now)
+    assert control.running is not None
+    control = ControlState()
+    assert not control.hear(garbage, None)
+    with pytest.raises(WireError, match="off rig time"):
+        control.judge(now)
+    assert not control.judge(now)
+    assert not control.hear(believable, None)
+    assert control.hear(Control(t_ns=5, action="stop"), None)
+    assert not control.judge(now), "stopped since"
 
 
 class Nested(BaseModel):

@@ -2,8 +2,9 @@
 
 Calls of `os` below a folder are counted; from the n-th on they fail with `PowerCut` and do nothing, so that no clean-up
 of the program runs, either. What a disk may then hold differs: `Loss.CONTENT` empties the files that were not synced
-(names reached the disk before contents, as ext4 and others do), `Loss.NAMES` takes back renames and removals in folders that were
-not synced, `Loss.NOTHING` keeps all. See fsync(2) and rename(2), and LWN, "Ensuring data reaches disk" (2011).
+(names reached the disk before contents, as ext4 and others do), `Loss.NAMES` takes back renames and removals in folders
+that were not synced, `Loss.NOTHING` keeps all. See fsync(2) and rename(2), and "Ensuring data reaches
+disk" (LWN, 2011).
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class Disk:
         return not isinstance(path, int) and Path(os.fsdecode(path)).absolute().is_relative_to(self.folder)
 
     @contextlib.contextmanager
-    def watched(self) -> Iterator[None]:
+    def watched(self) -> Iterator[None]:  # noqa: PLR0915  # one stand-in after the other
         """Count the calls of a block; it ends quietly when the power does."""
         real: dict[str, Any] = {
             name: getattr(os, name)

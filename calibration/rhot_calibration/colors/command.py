@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from rich.console import Console
 
+from rhot.atomic_file import write_atomic
 from rhot.cli.options import bus_options, tool_bus
 from rhot.errors import ConfigError
 from rhot.rig import Rig, load_rig, write_json_model
@@ -141,7 +142,7 @@ def colors(
     if report_path is not None:
         _write_image(report_path, report_picture(pictures, titles, result, learnt.table, detections, remarks))
     if preview_path is not None:
-        _write_bytes(preview_path, preview_jpeg(pictures[0], detections[0]))
+        write_atomic(preview_path, preview_jpeg(pictures[0], detections[0]))
     _say_written(console, rig)
 
 
@@ -217,14 +218,7 @@ def _write_image(path: Path, picture: ImageArray) -> None:
     ok, data = cv2.imencode(path.suffix.lower(), picture)
     if not ok:
         raise ConfigError(f"{path}: a picture of {picture.shape[1]}x{picture.shape[0]} cannot be coded")
-    _write_bytes(path, bytes(data))
-
-
-def _write_bytes(path: Path, data: bytes) -> None:
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from error
+    write_atomic(path, bytes(data))
 
 
 def _import(rig: Rig, import_path: Path, settings_path: Path | None) -> None:

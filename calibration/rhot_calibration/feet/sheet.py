@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from rhot.aruco_dictionary import Bits, marker_cells
+from rhot.atomic_file import write_atomic
 from rhot.errors import CalibrationError, ConfigError
 from rhot.messages import Side
 
@@ -79,10 +80,7 @@ def write_marker_sheet(
     for tick in range(0, int(_RULER_MM) + 1, 10):
         pdf.rect(0.5 * (page[0] - _RULER_MM) + tick - 0.05, y, 0.1, 3.0, style="F")
     pdf.text(0.5 * (page[0] - _RULER_MM), y + 8.0, "Print at 100 %: this line must measure 100 mm.")
-    try:
-        file.write_bytes(bytes(pdf.output()))
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be written: {error.strerror or error}") from error
+    write_atomic(file, bytes(pdf.output()))
 
 
 def _draw_marker(pdf: Any, cells: Bits, x: float, y: float, side: float) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from rhot.errors import ConfigError, RhotError
+from rhot.errors import EXIT_AGAIN, ConfigError, HungDeviceError, RhotError
 
 logger = logging.getLogger(__name__)
 
@@ -98,7 +98,8 @@ class MainGroup(LazyGroup):
             self._exit(error.exit_code)
         except RhotError as error:
             click.echo(f"rhot: error: {error}", err=True)
-            self._exit(EXIT_USAGE if isinstance(error, ConfigError) else EXIT_ERROR)
+            codes = {ConfigError: EXIT_USAGE, HungDeviceError: EXIT_AGAIN}
+            self._exit(next((code for kind, code in codes.items() if isinstance(error, kind)), EXIT_ERROR))
         except KeyboardInterrupt:
             self._exit(EXIT_INTERRUPTED)
         except BrokenPipeError:

@@ -8,6 +8,7 @@ from typing import Final
 import click
 from rich.console import Console
 
+from rhot.atomic_file import why
 from rhot.errors import ConfigError
 from rhot.plugins import load_plugin
 from rhot.rig.folder import RIG_FILE, write_text_atomic
@@ -28,7 +29,7 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be made: {error.strerror or error}") from error
+        raise ConfigError(f"{path}: cannot be made: {why(error)}") from error
 
 
 @click.command()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
@@ -10,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from rhot.anatomy.skeleton import PARENTS
+from rhot.atomic_file import replacing
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, MarkerFrame, Message, ObjectPose, PointSet
 from rhot.recording.mcap.beside import StoredPicture
@@ -40,7 +43,19 @@ def write_rerun(
         raise ConfigError("--rerun needs the Python module rerun; pip install 'rhot[rerun]'") from error
     if not file.parent.is_dir():
         raise ConfigError(f"{file}: the folder {file.parent} does not exist")
-    stream = rerun.RecordingStream("rhot", recording_id=file.stem)
+    with replacing(file) as part:
+        return _write(rerun, part, file.stem, messages, cameras, pictures)
+
+
+def _write(
+    rerun: Any,
+    file: Path,
+    title: str,
+    messages: Iterable[tuple[str, Message]],
+    cameras: dict[str, CameraCalibration],
+    pictures: Iterable[StoredPicture],
+) -> int:
+    stream = rerun.RecordingStream("rhot", recording_id=title)
     stream.save(file)
     # Cameras look down: what they see is far along z, and what is up in their pictures is towards −y.
     stream.log("rig", rerun.ViewCoordinates.RDF, static=True)
@@ -66,6 +81,9 @@ def write_rerun(
         stream.log(f"rig/{picture.camera}/image", rerun.EncodedImage(path=picture.file))
     stream.flush()
     stream.disconnect()
+    if not file.stat().st_size:
+        # Rerun writes on a thread of its own and only logs when it cannot.
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     return count
 
 

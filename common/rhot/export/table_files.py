@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rhot.atomic_file import replacing, why
 from rhot.errors import ConfigError
 from rhot.export.columns import Table
 
@@ -24,16 +25,13 @@ def write_csv(folder: Path, tables: Sequence[Table]) -> list[Path]:
     files = []
     for table in tables:
         file = _file(folder, table, ".csv")
-        try:
-            with file.open("w", newline="", encoding="utf-8") as stream:
-                writer = csv.writer(stream)
-                writer.writerow(["t_s", "t_ns", *table.columns])
-                for row in table.order():
-                    t_ns = table.t_ns[row]
-                    cells = [_cell(column[row]) for column in table.columns.values()]
-                    writer.writerow([f"{(t_ns - origin_ns) / 1e9:.9f}", t_ns, *cells])
-        except OSError as error:
-            raise ConfigError(f"{file}: cannot be written: {error.strerror or error}") from error
+        with replacing(file) as part, part.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(["t_s", "t_ns", *table.columns])
+            for row in table.order():
+                t_ns = table.t_ns[row]
+                cells = [_cell(column[row]) for column in table.columns.values()]
+                writer.writerow([f"{(t_ns - origin_ns) / 1e9:.9f}", t_ns, *cells])
         files.append(file)
     return files
 
@@ -60,10 +58,8 @@ def write_parquet(folder: Path, tables: Sequence[Table]) -> list[Path]:
                 columns[name] = arrow.array([column[row] or None for row in order], arrow.string())
             else:
                 columns[name] = arrow.array(np.array(column)[order], from_pandas=True)
-        try:
-            parquet.write_table(arrow.table(columns), file)
-        except OSError as error:
-            raise ConfigError(f"{file}: cannot be written: {error.strerror or error}") from error
+        with replacing(file) as part:
+            parquet.write_table(arrow.table(columns), part)
         files.append(file)
     return files
 
@@ -77,7 +73,7 @@ def _file(folder: Path, table: Table, suffix: str) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be made: {error.strerror or error}") from error
+        raise ConfigError(f"{folder}: cannot be made: {why(error)}") from error
     return folder / f"{table.name}{suffix}"
 
 

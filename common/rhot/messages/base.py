@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator
+
+from rhot.text import printable
 
 SCHEMA_VERSION: Final = 1
 _QUATERNION_NORM_TOLERANCE: Final = 1e-3
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 """A camera, marker, joint, object or service name: it can stand as one chunk of a key."""
-TimeNs = Annotated[int, Field(ge=0, lt=1 << 63)]
+TimeNs = Annotated[int, Field(ge=0, lt=1 << 62)]
+"""Nanoseconds since the Unix epoch, until the year 2116: what is later is garbage, and sums of two still fit."""
 Count = Annotated[int, Field(ge=0, lt=1 << 63)]
 Pixel = Annotated[float, Field(ge=-1e5, le=1e5)]
 Metres = Annotated[float, Field(ge=-1e3, le=1e3)]
 Seconds = Annotated[float, Field(ge=-1e6, le=1e6)]
 Unit = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+def _shown(most: int, text: str) -> str:
+    return printable(text, most)[:most]
+
+
+Sentence = Annotated[str, Field(max_length=4096), AfterValidator(partial(_shown, 4096))]
+Label = Annotated[str, Field(max_length=64), AfterValidator(partial(_shown, 64))]
+"""Text for people, without what could act on the terminal that shows it."""
 
 PixelPoint = tuple[Pixel, Pixel]
 Position = tuple[Metres, Metres, Metres]

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from rhot.errors import WireError
 from rhot.messages.base import Message
+from rhot.text import printable
 
 MAX_PAYLOAD_BYTES: Final = 1 << 20
 """Largest payload that is decoded; a full HandPose takes about 3 kB."""
@@ -57,8 +58,8 @@ def first_problem(error: ValidationError) -> str:
     """Return one line that names the first offending field of a validation error, its value and how many more."""
     problems = error.errors(include_url=False)
     first = problems[0]
-    where = ".".join(str(part) for part in first["loc"]) or "(whole)"
-    text = f"{where}: {first['msg'].removeprefix('Value error, ')}"
+    where = printable(".".join(str(part) for part in first["loc"]), 120) or "(whole)"
+    text = f"{where}: {printable(first['msg'].removeprefix('Value error, '))}"
     if first["type"] != "missing":
         text += f", got {_short(first['input'])}"
     return text if len(problems) == 1 else f"{text} (and {len(problems) - 1} more)"

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from rhot.messages.base import Count, Message, Name, TimeNs
+from rhot.messages.base import Count, Label, Message, Name, Sentence, TimeNs
 
 
 class Control(Message):
@@ -17,11 +17,14 @@ class Control(Message):
         session: identifies the run; a stop without a session stops whatever runs.
         start_t_ns: rig time at which everybody starts; it lies in the future when the message is sent, so that
             all cameras begin with the same moment.
+        revision: one more than that of the newest control message that any service knew; orders messages whose times
+            do not, because the rig clock was set back in between. 0 from a sender that did not ask.
     """
 
     action: Literal["start", "stop"]
-    session: Annotated[str, Field(max_length=64)] = ""
+    session: Label = ""
     start_t_ns: TimeNs = 0
+    revision: Annotated[int, Field(ge=0, lt=1 << 53)] = 0
 
 
 class ClockReply(Message):
@@ -59,14 +62,14 @@ class ServiceStatus(Message):
     service: Name
     instance: Name
     state: Literal["starting", "waiting", "running", "stopping"]
-    session: str = ""
+    session: Label = ""
     uptime_s: Annotated[float, Field(ge=0.0)] = 0.0
     rates: Annotated[dict[Name, float], Field(max_length=256)] = {}
     counts: Annotated[dict[Name, Count], Field(max_length=256)] = {}
     latency_s: Annotated[dict[Name, dict[Name, float]], Field(max_length=64)] = {}
     figures: Annotated[dict[Name, float], Field(max_length=64)] = {}
-    problem: Annotated[str, Field(max_length=4096)] = ""
-    last_error: Annotated[str, Field(max_length=4096)] = ""
-    config_digest: str = ""
+    problem: Sentence = ""
+    last_error: Sentence = ""
+    config_digest: Label = ""
     clock_offset_s: float | None = None
     clock_uncertainty_s: float | None = None

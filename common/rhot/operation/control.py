@@ -42,12 +42,29 @@ async def rig_now_ns(bus: Bus, wait_s: float) -> int:
 
 
 async def broadcast(bus: Bus, action: Literal["start", "stop"], session: str, delay_s: float, wait_s: float) -> Control:
-    """Publish a control message and return it once a service holds it."""
-    now_ns = await rig_now_ns(bus, wait_s)
+    """Publish a control message and return it as sent.
+
+    Raises:
+        BusError: a start, and nobody owns the rig clock; a stop needs no clock.
+    """
+    try:
+        now_ns = await rig_now_ns(bus, wait_s)
+    except BusError:
+        if action == "start":
+            raise
+        now_ns = time.time_ns()
+    newest = await newest_control(bus)
+    control = Control(
+        t_ns=now_ns,
+        action=action,
+        session=session,
+        start_t_ns=now_ns + round(delay_s * 1e9) if action == "start" else 0,
+        revision=0 if newest is None else newest.revision + 1,
+    )
     publisher = bus.publisher(CONTROL_KEY, Control, reliable=True)
     await publisher.wait_for_reader(2.0)
-    start_ns = now_ns + round(delay_s * 1e9) if action == "start" else 0
-    return publisher.put(Control(t_ns=now_ns, action=action, session=session, start_t_ns=start_ns))
+    # Reliable: it waits where the network is full, so not on the event loop.
+    return await asyncio.to_thread(publisher.put, control)
 
 
 async def newest_control(bus: Bus) -> Control | None:
@@ -56,7 +73,7 @@ async def newest_control(bus: Bus) -> Control | None:
     for reply in await bus.get(CONTROL_KEY, timeout_s=1.0):
         with contextlib.suppress(WireError):
             control = decode(reply.payload, Control)
-            if newest is None or control.t_ns > newest.t_ns:
+            if newest is None or (control.revision, control.t_ns) > (newest.revision, newest.t_ns):
                 newest = control
     return newest
 

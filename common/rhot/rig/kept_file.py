@@ -6,10 +6,11 @@ between any two steps leaves the file as it was before or after.
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Final, Generic, TypeVar
 
-from rhot.atomic_file import remove, rename, write_atomic
+from rhot.atomic_file import remove, rename, why, write_atomic
 from rhot.errors import ConfigError
 from rhot.rig.calibration import CalibrationFile
 from rhot.rig.folder import read_json_model, write_json_model
@@ -72,13 +73,18 @@ class KeptFile(Generic[F]):
             ConfigError: the folder cannot be written.
         """
         self._finish_swap()
-        if not self.on_trial:
-            try:
-                former = self.path.read_bytes() if self.path.exists() else b""
-            except OSError as error:
-                raise self._unwritable(error) from error
-            write_atomic(self._untried, former)
-        write_json_model(self.path, content)
+        begins = not self.on_trial
+        try:
+            if begins:
+                write_atomic(self._untried, self.path.read_bytes() if self.path.exists() else b"")
+            write_json_model(self.path, content)
+        except ConfigError:
+            if begins:
+                with contextlib.suppress(OSError):
+                    self._untried.unlink(missing_ok=True)
+            raise
+        except OSError as error:
+            raise self._unwritable(error) from error
 
     def save(self) -> None:
         """End the trial: what was tried stays, what was there before becomes the previous file.
@@ -137,7 +143,7 @@ class KeptFile(Generic[F]):
             raise self._unwritable(error) from error
 
     def _unwritable(self, error: OSError) -> ConfigError:
-        return ConfigError(f"{self.path}: cannot be kept: {error.strerror or error}")
+        return ConfigError(f"{self.path}: cannot be kept: {why(error)}")
 
 
 def file_stamp(path: Path) -> _Stamp:

@@ -1,21 +1,30 @@
-"""The start signal as a service knows it: the newest word wins, however it arrived."""
+"""The start signal as a service knows it: the last word wins, however it arrived and whatever the clocks did meanwhile.
+
+A message that arrives as a broadcast is the newest by its very arrival. One that is learnt from other services may be
+older than what is known; its revision says so. Times order nothing: the rig clock may be set back at any moment, and a
+message of before would silence all later ones.
+"""
 
 from __future__ import annotations
 
 import asyncio
+from typing import Final
 
 from rhot.errors import WireError
 from rhot.messages import Control
 
-MAX_AHEAD_NS = 60_000_000_000
-"""A start further in the future than this is a mistake or garbage."""
+MAX_OFF_NS: Final = 60_000_000_000
+"""A broadcast whose time is further from now than this is a mistake, a replay or garbage; chosen."""
+_MOST_AHEAD: Final = 1_000_000
+"""A learnt revision further ahead than this is garbage: nobody starts a rig that often while one service is away."""
 
 
 class ControlState:
-    """The newest control message; services that join late learn it from those already there."""
+    """The control message in force; services that join late learn it from those already there."""
 
     def __init__(self) -> None:
         self._newest: Control | None = None
+        self._unjudged: Control | None = None
         self._changed = asyncio.Event()
 
     @property
@@ -29,32 +38,60 @@ class ControlState:
         newest = self._newest
         return newest if newest is not None and newest.action == "start" else None
 
-    def offer(self, control: Control, now_ns: int | None) -> bool:
-        """Accept a message if it is newer than the last; return whether it was.
+    def hear(self, control: Control, now_ns: int | None) -> bool:
+        """Take a message that was broadcast just now; return whether anything changed.
+
+        A stop is always obeyed, whatever its time says. A start that comes before rig time is known waits for `judge`.
 
         Args:
             control: the message.
             now_ns: rig time, None where it is not known yet.
 
         Raises:
-            WireError: the message comes from the future, so it would silence every later one.
+            WireError: a start of another time, or the stop of another session.
         """
-        if now_ns is not None and max(control.t_ns, control.start_t_ns) > now_ns + MAX_AHEAD_NS:
-            ahead_s = (max(control.t_ns, control.start_t_ns) - now_ns) / 1e9
-            raise WireError(f"control message lies {ahead_s:.0f} s in the future, at most {MAX_AHEAD_NS / 1e9:.0f} s")
-        if self._newest is not None and control.t_ns <= self._newest.t_ns:
+        newest = self._newest
+        if newest is not None and control.model_copy(update={"revision": newest.revision}) == newest:
             return False
-        if (
-            control.action == "stop"
-            and control.session
-            and self._newest is not None
-            and control.session != self._newest.session
-        ):
+        if control.action == "start":
+            if now_ns is None:
+                self._unjudged = control
+                return False
+            _check_start(control, now_ns)
+        elif control.session and newest is not None and control.session != newest.session:
+            raise WireError(f"the stop is for session {control.session}, not for {newest.session or 'a stopped rig'}")
+        known = 0 if newest is None else newest.revision
+        believable = known < control.revision <= known + _MOST_AHEAD
+        self._take(control if believable else control.model_copy(update={"revision": known + 1}))
+        return True
+
+    def judge(self, now_ns: int) -> bool:
+        """Take the start that came before rig time was known; return whether there was one.
+
+        Raises:
+            WireError: it is of another time.
+        """
+        waiting, self._unjudged = self._unjudged, None
+        return waiting is not None and self.hear(waiting, now_ns)
+
+    def learn(self, control: Control) -> bool:
+        """Take a message that another service holds, if it is newer than ours; return whether it was.
+
+        Raises:
+            WireError: its revision cannot be true.
+        """
+        known = 0 if self._newest is None else self._newest.revision
+        if control.revision > known + _MOST_AHEAD:
+            raise WireError(f"control revision {control.revision} cannot be true; the newest that is known is {known}")
+        if self._newest is not None and control.revision <= known:
             return False
-        self._newest = control
+        self._take(control)
+        return True
+
+    def _take(self, control: Control) -> None:
+        self._newest, self._unjudged = control, None
         self._changed.set()
         self._changed = asyncio.Event()
-        return True
 
     async def wait_until_not(self, running_session: str | None) -> None:
         """Return once the running session is another one than `running_session` (None = stopped)."""
@@ -63,3 +100,20 @@ class ControlState:
             if (running.session if running is not None else None) != running_session:
                 return
             await self._changed.wait()
+
+
+def _check_start(control: Control, now_ns: int) -> None:
+    off_ns = max((control.t_ns - now_ns, control.start_t_ns - now_ns, now_ns - control.t_ns))
+    if off_ns > MAX_OFF_NS:
+        raise WireError(
+            f"the start is {off_ns / 1e9:.0f} s off rig time, at most {MAX_OFF_NS / 1e9:.0f} s is believed: was the "
+            "rig clock set, or is it a replay?"
+        )
+
+
+def with_start_in_reach(start: Control, now_ns: int) -> Control:
+    """Return a start as it is, or as one of now where its time is further ahead than any sender may choose.
+
+    That happens where the rig clock was set back since: the others run already, and waiting would take that long.
+    """
+    return start if start.start_t_ns - now_ns <= MAX_OFF_NS else start.model_copy(update={"start_t_ns": now_ns})

@@ -8,14 +8,16 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar
 
 from rhot.errors import DeviceError, RhotError
+from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread, hung
 
 _LOG = logging.getLogger(__name__)
-_JOIN_S: Final = 1.0
+_LOOK_S: Final = 0.01
 
 
 class Numbered(Protocol):
@@ -55,7 +57,8 @@ class Grabber(Generic[F]):
             name: for the thread and for messages, such as `camera left`.
             frames: called once; iterated on the grabber's thread; yields frames, None where there is none yet, and ends
                 when there are no more.
-            close: ends a read that is under way and lets go of the device; called when the grabber is stopped.
+            close: ends a read that is under way and lets go of the device; called when the grabber is stopped, on a
+                thread of its own.
         """
         self._name = name
         self._frames = frames
@@ -70,12 +73,23 @@ class Grabber(Generic[F]):
         self._wake: asyncio.Event | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
+        # Opening and closing, one after the other even when the session ends during the opening.
+        self._device = DeviceThread(name)
 
     @property
     def counts(self) -> GrabberCounts:
         """Counts so far; may be read from any thread."""
         with self._lock:
             return self._counts
+
+    async def open(self, function: Callable[[], None], limit_s: float = OPEN_LIMIT_S) -> None:
+        """Open the device by a call that may take some time, off the event loop; `stop` waits for it.
+
+        Raises:
+            RhotError: what the call raised; a foreign error comes as DeviceError.
+            HungDeviceError: the driver has not returned within `limit_s`.
+        """
+        await self._device.call("open", function, limit_s)
 
     def start(self) -> None:
         """Start the thread; call it inside the event loop that will read."""
@@ -108,18 +122,33 @@ class Grabber(Generic[F]):
                 return None
             await self._wake.wait()
 
-    async def stop(self) -> None:
-        """Stop the thread and close the source; returns within about a second even when a driver hangs."""
+    async def stop(self, limit_s: float = CLOSE_LIMIT_S) -> None:
+        """Stop reading and close the source.
+
+        Args:
+            limit_s: longest wait for the driver, for closing and for the end of the last read together.
+
+        Raises:
+            HungDeviceError: the driver has not returned by then; the device is free again only after this process.
+        """
         self._stopping.set()
+        begun = time.monotonic()
+        try:
+            await self._device.call("close", self._close, limit_s)
+        except DeviceError as error:
+            # What cannot be closed, such as a camera that was pulled out, is closed.
+            _LOG.warning("%s", error)
+        finally:
+            self._device.end()
+            with self._lock:
+                self._frame = None
+                self._ended = True
+            self._notify()
         thread = self._thread
-        await asyncio.to_thread(self._close)
-        if thread is not None:
-            await asyncio.to_thread(thread.join, _JOIN_S)
-            if thread.is_alive():
-                _LOG.warning("%s: its driver does not return; left behind", self._name)
-        with self._lock:
-            self._frame = None
-            self._ended = True
+        while thread is not None and thread.is_alive():
+            if time.monotonic() - begun > limit_s:
+                raise hung(self._name, "read", limit_s)
+            await asyncio.sleep(_LOOK_S)
 
     def _run(self) -> None:
         try:

@@ -18,15 +18,15 @@ from pydantic import BaseModel
 from rhot.bus import Bus, Request, message_answer
 from rhot.bus.query import Answer
 from rhot.clock import LocalRigClock, NodeClock, SyncedRigClock, SystemClock
-from rhot.errors import BusError, ConfigError, DeviceError, RhotError, WireError
+from rhot.errors import BusError, ConfigError, DeviceError, HungDeviceError, RhotError, WireError
 from rhot.messages import Control, ServiceStatus, decode
 from rhot.rig.config import BusConfig
 from rhot.service import configuration, systemd
 from rhot.service.clock_sync import keep_synced, serve_clock
-from rhot.service.control import ControlState
+from rhot.service.control import ControlState, with_start_in_reach
 from rhot.service.node import Node
 from rhot.service.status import StatusBoard
-from rhot.service.stop import install_stop
+from rhot.service.stop import install_stop, run_to_the_end
 
 logger = logging.getLogger(__name__)
 
@@ -79,9 +79,9 @@ def run_service(service: Service, bus_config: BusConfig, *, node_clock: NodeCloc
     """Run a service until a signal ends it and return the process's exit code.
 
     Raises:
-        RhotError: the service cannot work as it is configured.
+        RhotError: the service cannot work as it is configured, or its device hangs.
     """
-    return asyncio.run(serve(service, bus_config, node_clock or SystemClock()))
+    return run_to_the_end(serve(service, bus_config, node_clock or SystemClock()))
 
 
 async def serve(
@@ -103,12 +103,11 @@ async def serve(
         with contextlib.suppress(asyncio.CancelledError):
             await work
     except BaseExceptionGroup as group:
-        raise _first_cause(group) from group
+        raise _first_cause(group) or group from group
     return stop.exit_code
 
 
-def _first_cause(group: BaseExceptionGroup) -> BaseException:
-    first: BaseException = group
+def _first_cause(first: BaseException | None) -> BaseException | None:
     while isinstance(first, BaseExceptionGroup):
         ours = [error for error in first.exceptions if isinstance(error, RhotError)]
         first = ours[0] if ours else first.exceptions[0]
@@ -151,6 +150,7 @@ class _Runner:
                     tasks.create_task(self._publish_status(node))
                     tasks.create_task(self._hear_control(node))
                     tasks.create_task(self._ask_control(node))
+                    tasks.create_task(self._judge_control(node))
                     tasks.create_task(self._hear_config(node))
                     tasks.create_task(self._check_loop())
                     tasks.create_task(self._run_sessions(node))
@@ -182,10 +182,14 @@ class _Runner:
                 change.cancel()
                 # Waited for, not awaited: a signal that arrives meanwhile must still end this task.
                 await asyncio.wait((run, change))
+            if not run.cancelled() and isinstance(_first_cause(run.exception()), HungDeviceError):
+                # The session is over, but the device is lost to this process.
+                run.result()
 
     async def _run_session(self, node: Node, start: Control) -> None:
         """Run one session; a device that fails is tried again until the session ends."""
         await self._clock_ready.wait()
+        start = with_start_in_reach(start, node.clock.now_ns())
         delay_s = (start.start_t_ns - node.clock.now_ns()) / 1e9
         if delay_s > 0:
             await asyncio.sleep(delay_s)
@@ -252,25 +256,43 @@ class _Runner:
 
     async def _hear_control(self, node: Node) -> None:
         async for sample in node.bus.events(CONTROL_KEY):
-            self._take_control(node, sample.payload)
+            if not sample.deleted:
+                self._take_control(node, sample.payload, live=True)
 
     async def _ask_control(self, node: Node) -> None:
         """Learn the start signal from whoever knows it: for services that join late or missed it."""
         while True:
             for reply in await node.bus.get(CONTROL_KEY, timeout_s=1.0):
                 if not reply.error:
-                    self._take_control(node, reply.payload)
+                    self._take_control(node, reply.payload, live=False)
             await asyncio.sleep(_CONTROL_QUERY_S)
 
-    def _take_control(self, node: Node, payload: bytes) -> None:
+    async def _judge_control(self, node: Node) -> None:
+        """Take a start that came before rig time was known."""
+        await self._clock_ready.wait()
+        try:
+            if self._control.judge(node.clock.now_ns()):
+                self._log_control()
+        except WireError as error:
+            node.refuse(CONTROL_KEY, error)
+
+    def _take_control(self, node: Node, payload: bytes, *, live: bool) -> None:
         try:
             control = decode(payload, Control)
-            taken = self._control.offer(control, node.clock.now_ns() if node.clock.ready else None)
+            if not live:
+                taken = self._control.learn(control)
+            else:
+                taken = self._control.hear(control, node.clock.now_ns() if node.clock.ready else None)
         except WireError as error:
             node.refuse(CONTROL_KEY, error)
             return
         if taken:
-            logger.info("%s %s", control.action, control.session)
+            self._log_control()
+
+    def _log_control(self) -> None:
+        newest = self._control.newest
+        if newest is not None:
+            logger.info("%s %s", newest.action, newest.session)
 
     def _answer_control(self, request: Request) -> Answer | None:
         newest = self._control.newest

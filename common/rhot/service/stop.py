@@ -6,11 +6,17 @@ import asyncio
 import os
 import signal
 import sys
+import threading
+from collections.abc import Coroutine
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
+
+from rhot.errors import EXIT_AGAIN, HungDeviceError
 
 EXIT_WITH_PARENT: Final = "RHOT_EXIT_WITH_PARENT"
 """Set by a parent that holds the other end of standard input: when that closes, however the parent died, end too."""
+_HUNG_END_S: Final = 2.0
+"""From the verdict that a driver hangs to the process's end at the latest."""
 
 
 @dataclass(slots=True)
@@ -57,3 +63,23 @@ def _watch_parent(loop: asyncio.AbstractEventLoop, stopping: asyncio.Event) -> N
             stopping.set()
 
     loop.add_reader(sys.stdin.fileno(), readable)
+
+
+def run_to_the_end(work: Coroutine[Any, Any, int]) -> int:
+    """Run a service on a new event loop; a driver that hangs does not keep the process from ending.
+
+    Raises:
+        RhotError: as the service does.
+    """
+
+    async def main() -> int:
+        try:
+            return await work
+        except HungDeviceError:
+            # From here on everything may hang: the loop's threads, and the driver's at the interpreter's end.
+            last = threading.Timer(_HUNG_END_S, os._exit, (EXIT_AGAIN,))
+            last.daemon = True
+            last.start()
+            raise
+
+    return asyncio.run(main())

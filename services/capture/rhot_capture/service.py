@@ -29,7 +29,7 @@ from rhot_capture.frame_stream import FrameStream
 from rhot_capture.kept_optics import KeptOptics
 from rhot_capture.preview import preview_jpeg, preview_png
 from rhot_capture.settings import CameraSettings
-from rhot_capture.sources import Frame, Source, grab, open_source
+from rhot_capture.sources import Frame, ReportsProblem, Source, grab, open_source
 from rhot_capture.timing import marker_frame, row_time_ns
 
 _PREVIEW_WAIT_S: Final = 0.4
@@ -108,8 +108,10 @@ class CaptureService:
         if self._source is not None and not settings.same_optics(self._settings):
             try:
                 self._source.apply(settings)
-            except DeviceError as error:
-                raise ConfigError(str(error)) from error
+            except ConfigError:
+                raise
+            except Exception as error:  # whatever the driver raises: a refused setting ends no service
+                raise ConfigError(str(error) or type(error).__name__) from error
         if settings.tolerances != self._settings.tolerances:
             # Takes a fraction of a second; frames go on with the old colours meanwhile.
             self._building.submit(self._rebuild, settings)
@@ -146,6 +148,7 @@ class CaptureService:
         key = f"rhot/keep/capture/{self.instance}"
         node.bus.queryable(key, lambda request: self._answer_keep(loop, request), slow=True)
         node.status.include(self._counts)
+        node.status.watch(lambda: ({}, self._source.problem if isinstance(self._source, ReportsProblem) else ""))
 
     def _counts(self) -> dict[str, int]:
         unsent = {} if self._frame_stream is None else {"pictures_dropped": self._frame_stream.dropped}
@@ -160,10 +163,14 @@ class CaptureService:
         source = open_source(self.instance, self._rig, self._clock)
         start_ns = node.node_clock.now_ns() + start.start_t_ns - node.clock.now_ns()
         grabber = grab(source, self.instance)
-        try:
-            await asyncio.to_thread(source.open, start_ns, start.start_t_ns)
+
+        def open_as_set() -> None:
+            source.open(start_ns, start.start_t_ns)
             if self._is_changed():
                 source.apply(self._settings)
+
+        try:
+            await grabber.open(open_as_set)
             self._source, self._grabber, self._running = source, grabber, True
             self._seen = None  # a picture of an earlier session shows what stands there no longer
             self._detector.reset()
@@ -172,6 +179,10 @@ class CaptureService:
                 await self._process(node, frame)
                 # Kept during the wait for the next one, it would hold one of the camera's own buffers.
                 del frame
+        except DeviceError as error:
+            # Said before the device is closed, which takes its time and may hang.
+            node.status.error(str(error))
+            raise
         finally:
             self._source, self._running = None, False
             await grabber.stop()

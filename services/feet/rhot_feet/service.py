@@ -15,11 +15,12 @@ import cv2
 from pydantic import BaseModel
 
 from rhot.bus import EventSubscriber
-from rhot.errors import ConfigError, DeviceError
+from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.messages import Control, FootPose, HeadPose, Side
 from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig
 from rhot.service import Node
+from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread
 from rhot.service.grabber import GrabberCounts
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame, DepthSource
@@ -170,8 +171,10 @@ class FeetService:
             logger.warning("%s", self._troubles[HEAD_KEY])
 
     async def _watch(self, node: Node, start: Control) -> None:
-        grabber = self._grabber = DepthGrabber(self._open_camera(self._rig, node.clock.now_ns), start.start_t_ns)
+        source = self._open_camera(self._rig, node.clock.now_ns)
+        grabber = self._grabber = DepthGrabber(source)
         try:
+            await grabber.open(partial(source.open, start.start_t_ns))
             grabber.start()
             while (frame := await grabber.next_frame()) is not None:
                 self._works("depth camera")
@@ -197,24 +200,27 @@ class FeetService:
         status.latency("picture", time.perf_counter() - begun)
 
     async def _feel(self, node: Node, start: Control, side: Side, source: ImuSource) -> None:
+        device = DeviceThread(f"{side} sensor")
         try:
-            await asyncio.to_thread(source.open, start.start_t_ns)
+            await device.call("open", partial(source.open, start.start_t_ns), OPEN_LIMIT_S)
             self._sensors[side] = source
             # It is read where poses are made, so that these are of its newest samples; failures are waited for here.
             failed = self._failures[side] = asyncio.get_running_loop().create_future()
             await failed
         finally:
             self._sensors.pop(side, None)
-            await asyncio.to_thread(source.close)
+            await device.call("close", source.close, CLOSE_LIMIT_S)
+            device.end()
 
     def _read_sensors(self, node: Node) -> None:
         for side, source in list(self._sensors.items()):
             try:
                 samples = source.read(node.clock.now_ns())
-            except DeviceError as error:
+            except Exception as error:  # whatever a driver raises: one sensor ends no service
                 del self._sensors[side]
                 if not self._failures[side].done():
-                    self._failures[side].set_exception(error)
+                    known = isinstance(error, RhotError)
+                    self._failures[side].set_exception(error if known else DeviceError(f"{side} sensor: {error!r}"))
                 continue
             if len(samples):
                 self._works(f"{side} sensor")
@@ -247,7 +253,5 @@ class FeetService:
 
     def _failed(self, node: Node, error: Exception) -> None:
         """Begin afresh: what the core cannot digest costs its memory, never the service."""
-        node.status.count("failed")
-        node.status.error(f"feet: {type(error).__name__}: {error}")
-        logger.error("feet could not digest a measurement and start afresh", exc_info=error)
+        node.failed(error)
         self._stage = FootStage(self._config)

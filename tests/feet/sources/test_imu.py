@@ -240,6 +240,7 @@ def test_serial_silence_is_an_error(terminal: tuple[int, str]) -> None:
     with pytest.raises(DeviceError, match="is not open"):
         source.read(START)
     source.open(START)
+    assert len(source.read(START)) == 0
     assert len(source.read(START + 1900 * MS)) == 0
     with pytest.raises(DeviceError, match=r"nothing readable for 2\.1 s.*115200.*'text'"):
         source.read(START + 2100 * MS)

@@ -12,6 +12,7 @@ import numpy as np
 from fpdf import FPDF
 from fpdf.prefs import ViewerPreferences
 
+from rhot.atomic_file import write_atomic
 from rhot.errors import CalibrationError, ConfigError
 from rhot_calibration.cameras.board.boards import aruco_dictionary, charuco_board
 from rhot_calibration.cameras.solve.views import Board
@@ -111,10 +112,7 @@ def write_sheet(sheet: Sheet, file: Path) -> None:
     if suffix not in (".pdf", ".svg"):
         raise ConfigError(f"{file}: boards are written as .pdf or .svg; give the file one of these suffixes")
     data = pdf_bytes(sheet) if suffix == ".pdf" else svg_text(sheet).encode()
-    try:
-        file.write_bytes(data)
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be written: {error.strerror or error}") from error
+    write_atomic(file, data)
 
 
 def svg_text(sheet: Sheet) -> str:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.live import Live
 
+from rhot.atomic_file import write_atomic
 from rhot.bus import Bus
 from rhot.errors import BusError, ConfigError
 from rhot.rig import BusConfig
@@ -182,10 +183,7 @@ class Collector:
     def _keep(self, pictures: dict[str, _Look]) -> None:
         for name, look in pictures.items():
             data = look.payload if look.lossless else bytes(cv2.imencode(".png", _decoded(look.payload))[1])
-            try:
-                (self._out / name).write_bytes(data)
-            except OSError as error:
-                raise ConfigError(f"{self._out / name}: cannot be written: {error}") from error
+            write_atomic(self._out / name, data)
 
     def discard(self, number: int) -> None:
         """Remove the pictures of a set that was undone."""

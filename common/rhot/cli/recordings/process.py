@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,8 +15,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from rhot.atomic_file import replacing
 from rhot.cli.options import rig_option
-from rhot.errors import ConfigError
 from rhot.messages import MarkerFrame, PointSet
 from rhot.offline import marker_frames, track, track_smoothly
 from rhot.recording import Recording, load_recording
@@ -34,21 +33,8 @@ def _output(file: Path) -> Iterator[IO[str]]:
     if str(file) == "-":
         yield sys.stdout
         return
-    try:
-        with tempfile.NamedTemporaryFile(
-            "w", dir=file.parent, prefix=f".{file.name}.", suffix=".part", delete=False, encoding="utf-8"
-        ) as stream:
-            part = Path(stream.name)
-            try:
-                yield stream
-                stream.flush()
-                part.chmod(0o644)
-                part.replace(file)
-            except BaseException:
-                part.unlink(missing_ok=True)
-                raise
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be written: {error.strerror or error}") from error
+    with replacing(file) as part, part.open("w", encoding="utf-8") as stream:
+        yield stream
 
 
 @click.command()

@@ -9,6 +9,7 @@ from typing import Final
 from mcap.writer import CompressionType, Writer
 
 from rhot import __version__
+from rhot.atomic_file import replacing
 from rhot.errors import ConfigError
 from rhot.export.foxglove.scene import Shown, Topic, picture_topic, rig_topics, topics
 from rhot.messages import Message
@@ -38,26 +39,28 @@ def write_foxglove(
     Raises:
         ConfigError: it, or a picture, cannot be written or read.
     """
-    try:
-        with file.open("wb") as stream:
-            writer = _TopicWriter(Writer(stream, compression=CompressionType.ZSTD))
-            start_ns = 0
-            for key, message in messages:
-                if not message.t_ns:
-                    continue
-                if not start_ns:
-                    start_ns = message.t_ns
-                    writer.add_all(rig_topics(cameras, start_ns), start_ns)
-                writer.add_all(topics(key, message), message.t_ns)
-            for picture in pictures:
-                coding = CODINGS[picture.file.suffix.lower()]
-                writer.add_all(
-                    [picture_topic(picture.camera, picture.t_ns, picture.file.read_bytes(), coding)], picture.t_ns
-                )
-            writer.finish()
-    except OSError as error:
-        raise ConfigError(f"{error.filename or file}: {error.strerror or error}") from error
+    with replacing(file) as part, part.open("wb") as stream:
+        writer = _TopicWriter(Writer(stream, compression=CompressionType.ZSTD))
+        start_ns = 0
+        for key, message in messages:
+            if not message.t_ns:
+                continue
+            if not start_ns:
+                start_ns = message.t_ns
+                writer.add_all(rig_topics(cameras, start_ns), start_ns)
+            writer.add_all(topics(key, message), message.t_ns)
+        for picture in pictures:
+            coding = CODINGS[picture.file.suffix.lower()]
+            writer.add_all([picture_topic(picture.camera, picture.t_ns, _read(picture.file), coding)], picture.t_ns)
+        writer.finish()
     return writer.counts
+
+
+def _read(picture: Path) -> bytes:
+    try:
+        return picture.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{picture}: cannot be read: {error.strerror or error}") from error
 
 
 class _TopicWriter:

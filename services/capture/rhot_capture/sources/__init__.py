@@ -1,6 +1,6 @@
 """Where frames come from: every kind of camera behind one seam."""
 
 from rhot_capture.sources.factory import grab, open_source
-from rhot_capture.sources.frame import Frame, Source
+from rhot_capture.sources.frame import Frame, ReportsProblem, Source
 
-__all__ = ["Frame", "Source", "grab", "open_source"]
+__all__ = ["Frame", "ReportsProblem", "Source", "grab", "open_source"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.settings import CameraSettings
@@ -70,4 +70,14 @@ class Source(Protocol):
 
     def close(self) -> None:
         """Stop and free the device; may be called repeatedly."""
+        ...
+
+
+@runtime_checkable
+class ReportsProblem(Protocol):
+    """A source that delivers frames and yet is not as the rig wants it."""
+
+    @property
+    def problem(self) -> str:
+        """What is wrong, for the status; empty when nothing is. Read on another thread than `read`."""
         ...

@@ -8,22 +8,22 @@ end of that row's exposure (raspberrypi/picamera2 issue 821), so
 
 from __future__ import annotations
 
-import importlib
+import contextlib
 import logging
 import threading
 import time
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from rhot.errors import DeviceError
+from rhot.errors import DeviceError, RhotError
 from rhot.rig.config import CameraConfig
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
+from rhot_capture.sources.libcamera import PicameraModules, import_picamera, locked_controls
 from rhot_capture.sources.sensor_modes import choose_mode
 
 logger = logging.getLogger(__name__)
@@ -35,37 +35,10 @@ _BUFFERS: Final = 4
 _TOLERANCE: Final = 0.05
 _WAIT_S: Final = 0.5
 _SILENCE_S: Final = 5.0
+_SYNC_WAIT_S: Final = 10.0
+"""So long are pictures held back for the other cameras in `sync`: chosen, time enough for a rig that starts."""
 _SETTLE_FRAMES: Final = 8
 """Frames until new exposure and gain have passed through the sensor's pipeline."""
-
-
-@dataclass(frozen=True, slots=True)
-class PicameraModules:
-    """The two modules that only a Pi has; replaced in tests.
-
-    Attributes:
-        picamera2: provides `Picamera2` and `MappedArray`.
-        controls: `libcamera.controls`.
-    """
-
-    picamera2: Any
-    controls: Any
-
-
-def import_picamera() -> PicameraModules:
-    """Import picamera2 and libcamera.
-
-    Raises:
-        DeviceError: not installed here; says how to.
-    """
-    try:
-        return PicameraModules(importlib.import_module("picamera2"), importlib.import_module("libcamera").controls)
-    except ImportError as error:
-        raise DeviceError(
-            f"picamera2 cannot be imported ({error}); on a Raspberry Pi: `sudo apt install -y python3-picamera2 "
-            "--no-install-recommends`, with a virtual environment made by `python3 -m venv --system-site-packages`; "
-            'elsewhere set source = "v4l2" or "simulated" in rig.toml'
-        ) from error
 
 
 class _Lease:
@@ -112,7 +85,14 @@ class Picamera2Source:
         self._index = -1
         self._settling = 0
         self._expected: Mapping[str, float] = {}
+        self._unsynchronised_since_ns: int | None = None
+        self._problem = ""
         self._closing = threading.Event()
+
+    @property
+    def problem(self) -> str:
+        """What is wrong while frames come, for the status; empty when nothing is."""
+        return self._problem
 
     def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
         """Open the camera, choose a sensor mode that is fast enough and lock everything.
@@ -126,20 +106,21 @@ class Picamera2Source:
         self._start_ns = start_ns
         self._origin_ns = None
         self._index = -1
+        self._unsynchronised_since_ns, self._problem = None, ""
         number = self._number()
-        present = self._modules.picamera2.Picamera2.global_camera_info()
+        with self._driver_errors("cannot list the cameras"):
+            present = self._modules.picamera2.Picamera2.global_camera_info()
         if number >= len(present):
             found = ", ".join(f"{index}: {info.get('Model', '?')}" for index, info in enumerate(present)) or "none"
             raise DeviceError(
                 f"camera {self._name}: no libcamera camera {number}; present: {found}; check the ribbon cable, and "
                 "`rpicam-hello --list-cameras`"
             )
-        try:
+        with self._driver_errors("cannot be opened; another program uses it?"):
             self._device = self._modules.picamera2.Picamera2(number)
-        except (RuntimeError, IndexError) as error:
-            raise DeviceError(f"camera {self._name}: cannot be opened ({error}); another program uses it?") from error
         try:
-            self._start()
+            with self._driver_errors("cannot be started"):
+                self._start()
         except BaseException:
             self.close()
             raise
@@ -188,17 +169,32 @@ class Picamera2Source:
         """
         if self._device is None:
             raise DeviceError(f"camera {self._name}: not open; start it first")
-        self._device.set_controls(
-            self._controls(settings.exposure_s, settings.gain, settings.white_balance, settings.focus_dioptres)
-        )
+        with self._driver_errors("refuses its settings"):
+            self._device.set_controls(
+                self._controls(settings.exposure_s, settings.gain, settings.white_balance, settings.focus_dioptres)
+            )
 
     def close(self) -> None:
-        """Stop and free the camera."""
+        """Stop and free the camera; may take for ever, as the driver's own stop may."""
         self._closing.set()
         device, self._device = self._device, None
         if device is not None:
-            device.stop()
-            device.close()
+            # A capture that was given up stays first in picamera2's queue, and `stop` waits behind it without a limit.
+            device.cancel_all_and_flush()
+            try:
+                device.stop()
+            finally:
+                device.close()
+
+    @contextlib.contextmanager
+    def _driver_errors(self, what: str) -> Iterator[None]:
+        """Turn whatever the camera stack raises (RuntimeError, KeyError, ValueError, …) into a DeviceError."""
+        try:
+            yield
+        except RhotError:
+            raise
+        except Exception as error:
+            raise DeviceError(f"camera {self._name}: {what} ({type(error).__name__}: {error})") from error
 
     def _number(self) -> int:
         try:
@@ -240,33 +236,14 @@ class Picamera2Source:
     ) -> dict[str, Any]:
         if self._modules is None:
             raise DeviceError(f"camera {self._name}: not open; start it first")
-        enums = self._modules.controls
-        frame_us = round(1e6 / self._camera.rate_hz)
-        controls: dict[str, Any] = {
-            "AeEnable": False,
-            "AwbEnable": False,
-            "ColourGains": white_balance,
-            "ExposureTime": round(1e6 * exposure_s),
-            "AnalogueGain": gain,
-            "FrameDurationLimits": (frame_us, frame_us),
-            "NoiseReductionMode": enums.draft.NoiseReductionModeEnum.Off,
-        }
-        known = getattr(self._device, "camera_controls", {})
-        if focus_dioptres is not None:
-            if "LensPosition" in known:
-                controls |= {"AfMode": enums.AfModeEnum.Manual, "LensPosition": focus_dioptres}
-            else:
-                logger.warning("camera %s: has no focus motor; focus_dioptres is ignored", self._name)
-        if self._camera.sync != "off":
-            if not hasattr(enums, "rpi") or not hasattr(enums.rpi, "SyncModeEnum"):
-                raise DeviceError(
-                    f'camera {self._name}: sync = "{self._camera.sync}" needs libcamera 0.4 or newer; '
-                    '`sudo apt full-upgrade`, or set sync = "off"'
-                )
-            modes = enums.rpi.SyncModeEnum
-            controls["SyncMode"] = modes.Server if self._camera.sync == "server" else modes.Client
+        camera, has_focus = self._camera, "LensPosition" in getattr(self._device, "camera_controls", {})
+        controls = locked_controls(
+            self._modules.controls, camera, self._name, exposure_s, gain, white_balance, focus_dioptres,
+            has_focus=has_focus,
+        )  # fmt: skip
         self._exposure_s = exposure_s
         self._settling = _SETTLE_FRAMES
+        frame_us = 1e6 / camera.rate_hz
         self._expected = {"ExposureTime": 1e6 * exposure_s, "AnalogueGain": gain, "FrameDuration": frame_us}
         return controls
 
@@ -276,8 +253,7 @@ class Picamera2Source:
         exposure_s = 1e-6 * float(metadata.get("ExposureTime", 1e6 * self._exposure_s))
         t_first_row_ns = int(metadata["SensorTimestamp"]) + self._offset_ns() - round(1e9 * exposure_s)
         self._check(metadata)
-        unsynchronised = self._camera.sync != "off" and not metadata.get("SyncReady", True)
-        if t_first_row_ns < self._start_ns or unsynchronised:
+        if t_first_row_ns < self._start_ns or self._awaits_server(metadata, t_first_row_ns):
             request.release()
             return None
         if self._origin_ns is None:
@@ -286,6 +262,24 @@ class Picamera2Source:
         number = round((t_first_row_ns - self._origin_ns) / self._frame_ns)
         self._index = max(self._index + 1, number)
         return Frame(self._image(request), self._index, t_first_row_ns, exposure_s, self._readout_s)
+
+    def _awaits_server(self, metadata: Mapping[str, Any], t_ns: int) -> bool:
+        """Tell whether a frame of a camera in `sync` is held back; for ever it is not, and then it is said why."""
+        if self._camera.sync == "off" or metadata.get("SyncReady", True):
+            if self._problem:
+                logger.info("camera %s: is synchronised", self._name)
+            self._unsynchronised_since_ns, self._problem = None, ""
+            return False
+        if self._unsynchronised_since_ns is None:
+            self._unsynchronised_since_ns = t_ns
+        if not self._problem and t_ns - self._unsynchronised_since_ns > _SYNC_WAIT_S * 1e9:
+            self._problem = (
+                f'camera {self._name}: sync = "{self._camera.sync}" in rig.toml, but nothing was heard of the other '
+                f"cameras for {_SYNC_WAIT_S:.0f} s; its pictures are used unsynchronised. Start the camera with sync = "
+                '"server" in the same network (it speaks by UDP multicast), or set sync = "off"'
+            )
+            logger.warning("%s", self._problem)
+        return not self._problem
 
     def _image(self, request: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
         if self._modules is None:

@@ -13,21 +13,19 @@ _READ_S: Final = 0.5
 
 
 class DepthGrabber(Grabber[DepthFrame]):
-    """Opens a source and reads it on its own thread.
+    """Reads an opened source on its own thread.
 
     Attributes:
         busy_s: processor time of the thread: the driver's work and, in a simulation, the drawing.
     """
 
-    def __init__(self, source: DepthSource, start_ns: int) -> None:
-        """Prepare to open a source at a time, rig clock."""
+    def __init__(self, source: DepthSource) -> None:
+        """Prepare to read a source; `open` opens it."""
         super().__init__("depth camera", self._read, source.close)
         self._source = source
-        self._start_ns = start_ns
         self.busy_s = 0.0
 
     def _read(self) -> Iterator[DepthFrame | None]:
-        self._source.open(self._start_ns)
         while not self._source.finished:
             frame = self._source.read(_READ_S)
             self.busy_s = time.thread_time()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 from typing import Any, Protocol
 
 from rhot.errors import DeviceError
@@ -10,6 +11,8 @@ from rhot.rig.feet_config import ImuConfig
 from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.sources.imu.binary_protocol import BinaryDecoder
 from rhot_feet.sources.imu.text_protocol import TextDecoder
+
+_LOG = logging.getLogger(__name__)
 
 _SILENCE_NS = 2_000_000_000
 """A sensor that sends nothing that can be read for so long is gone, or speaks otherwise than it should."""
@@ -38,7 +41,7 @@ class SerialSource:
         self._config = config
         self._port: Any = None
         self._decoder: _Decoder = self._fresh_decoder()
-        self._heard_ns = 0
+        self._heard_ns: int | None = None
 
     @property
     def faults(self) -> int:
@@ -56,13 +59,15 @@ class SerialSource:
         self.close()
         try:
             self._port = serial.Serial(config.device, config.baud, timeout=0, exclusive=True)
-        except (OSError, ValueError) as error:
+        except Exception as error:
+            # Not only OSError and ValueError: a device that goes during the opening ends in a termios.error.
             raise DeviceError(
                 f"the inertial sensor at {config.device} ({config.baud} baud) cannot be opened: {error}; is it plugged "
                 "in, is no other program using it, and may you read the port (group dialout)?"
             ) from error
         self._decoder = self._fresh_decoder()
-        self._heard_ns = start_ns
+        # From the first reading on: the session may have begun long before the sensor was plugged in.
+        self._heard_ns = None
 
     def read(self, now_ns: int) -> ImuSamples:
         """Return the samples that arrived since the last call.
@@ -75,11 +80,11 @@ class SerialSource:
             raise DeviceError(f"the inertial sensor at {config.device} is not open")
         try:
             data = port.read(port.in_waiting or 1)
-        except (OSError, TypeError) as error:
-            # A port that another thread closes under the reader ends in a TypeError of pyserial.
+        except Exception as error:
+            # OSError, termios.error; a port that another thread closes under the reader: a TypeError of pyserial.
             raise DeviceError(f"the inertial sensor at {config.device} went away: {error}; plug it in again") from error
         samples = self._decoder.decode(data, now_ns)
-        if len(samples):
+        if len(samples) or self._heard_ns is None or now_ns < self._heard_ns:
             self._heard_ns = now_ns
         elif now_ns - self._heard_ns > _SILENCE_NS:
             raise DeviceError(
@@ -93,7 +98,11 @@ class SerialSource:
         """Close the port."""
         port, self._port = self._port, None
         if port is not None:
-            port.close()
+            try:
+                port.close()
+            except Exception as error:
+                # What is pulled out cannot be closed.
+                _LOG.debug("inertial sensor at %s: close: %s", self._config.device, error)
 
     def _fresh_decoder(self) -> _Decoder:
         return TextDecoder(self._config.rate_hz) if self._config.format == "text" else BinaryDecoder()
