@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
+from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import shortest_rotation
 from rhot_ik.hand.filter.patch_rotation import PatchRotation
 from rhot_ik.hand.filter.settings import HandSettings
@@ -97,6 +98,39 @@ class Evidence:
     tips: FloatArray
     tip_covariances: FloatArray
     corner_noise: CornerNoise
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """A sample as 21 rows of measurement: five tips, the base, the rotation.
+
+    Attributes:
+        seen: (7,) which of them were.
+        counts: (21,) the same for each row, as 0 or 1.
+        points: (6, 3) metres, rig frame: tips and base; 0 where not seen.
+        rotation: (3, 3) patch to rig, or not seen.
+        noise: (7, 3, 3) covariances; of what was not seen, any.
+    """
+
+    seen: BoolArray
+    counts: FloatArray
+    points: FloatArray
+    rotation: FloatArray | None
+    noise: FloatArray
+
+
+def rows_of(evidence: Evidence) -> Rows | None:
+    """Return evidence as rows of measurement; none when there is nothing."""
+    points = np.concatenate([evidence.tips, evidence.base[None]])
+    seen = np.empty(7, dtype=np.bool_)
+    seen[:6], seen[6] = np.isfinite(points).all(axis=1), evidence.rotation is not None
+    if not seen.any():
+        return None
+    noise = np.empty((7, 3, 3))
+    noise[:5], noise[5] = evidence.tip_covariances, evidence.base_covariance
+    noise[6] = symmetric_inverse(evidence.rotation_information)
+    points = np.where(seen[:6, None], points, 0.0)
+    return Rows(seen, np.repeat(seen, 3).astype(np.float64), points, evidence.rotation, noise)
 
 
 class EvidenceModel:

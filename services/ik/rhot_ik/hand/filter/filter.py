@@ -17,19 +17,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from rhot.anatomy.hand import MOVING
 from rhot.arrays import BoolArray, FloatArray
-from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
 from rhot_ik.hand.contact import Shape
-from rhot_ik.hand.filter.evidence import Evidence
+from rhot_ik.hand.filter.evidence import Evidence, Rows, rows_of
+from rhot_ik.hand.filter.hidden_tips import HiddenTips
 from rhot_ik.hand.filter.kinematics import HandKinematics
-from rhot_ik.hand.filter.occlusion import Occlusion, OcclusionSettings
 from rhot_ik.hand.filter.prior import COUNT
 from rhot_ik.hand.filter.process import (
     ANGLES,
@@ -63,38 +60,6 @@ _SHIFT, _TILT, _LENGTHS = (
 _UNIT: Final = np.eye(3)
 
 
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """A sample as 21 rows of measurement: five tips, the base, the rotation.
-
-    Attributes:
-        seen: (7,) which of them were.
-        counts: (21,) the same for each row, as 0 or 1.
-        points: (6, 3) metres, rig frame: tips and base; 0 where not seen.
-        rotation: (3, 3) patch to rig, or not seen.
-        noise: (7, 3, 3) covariances; of what was not seen, any.
-    """
-
-    seen: BoolArray
-    counts: FloatArray
-    points: FloatArray
-    rotation: FloatArray | None
-    noise: FloatArray
-
-
-def _rows(evidence: Evidence) -> _Rows | None:
-    points = np.concatenate([evidence.tips, evidence.base[None]])
-    seen = np.empty(7, dtype=np.bool_)
-    seen[:6], seen[6] = np.isfinite(points).all(axis=1), evidence.rotation is not None
-    if not seen.any():
-        return None
-    noise = np.empty((7, 3, 3))
-    noise[:5], noise[5] = evidence.tip_covariances, evidence.base_covariance
-    noise[6] = symmetric_inverse(evidence.rotation_information)
-    points = np.where(seen[:6, None], points, 0.0)
-    return _Rows(seen, np.repeat(seen, 3).astype(np.float64), points, evidence.rotation, noise)
-
-
 class HandFilter(HandProcess):
     """Predicts and corrects `HandState`s of one hand; stateless after construction.
 
@@ -124,11 +89,7 @@ class HandFilter(HandProcess):
         self._resting = geometry.marker_points(self._rest.reshape(5, 4))
         self._base_offset = base_offset
         self._model = model
-        self._viewpoint = viewpoint
-        radii = model.radii[MOVING]
-        flesh = np.concatenate([radii[:, 0], 0.5 * (radii[:, 0] + radii[:, 1]), 0.5 * (radii[:, 1] + radii[:, 2])])
-        self._flesh_m = radii[:, 3]
-        self._occlusion = Occlusion(flesh, OcclusionSettings())
+        self._hidden = HiddenTips(model, settings.contact_m, viewpoint)
         self._H = np.zeros((_ROWS, SIZE))
         self._H[:18, POSITION] = np.tile(_UNIT, (6, 1))
         self._H[18:, PATCH_TILT] = _UNIT
@@ -146,7 +107,7 @@ class HandFilter(HandProcess):
             steps: the most.
             shapes: things that hidden fingers may have met, rig frame.
         """
-        rows = _rows(evidence)
+        rows = rows_of(evidence)
         if rows is None:
             return prior
         P, noise, dx = prior.P, rows.noise, np.zeros(SIZE)
@@ -155,7 +116,7 @@ class HandFilter(HandProcess):
         wanted = np.empty((_ROWS, SIZE + 1))
         modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
         if prior.dt_s > 0.0 and not rows.seen[:5].all():
-            self._expect_hidden(rows, prior, modelled[0], shapes)
+            self._hidden.expect(rows, prior, modelled[0], shapes)
         far = self._is_far(prior, rows, modelled[0])
         if far:
             dx[ANGLES] = self._closed_form(prior, rows) - prior.angles
@@ -227,29 +188,10 @@ class HandFilter(HandProcess):
             person=prior.person + dx[PERSON],
         )
 
-    def _is_far(self, prior: HandState, rows: _Rows, expected: FloatArray) -> bool:
+    def _is_far(self, prior: HandState, rows: Rows, expected: FloatArray) -> bool:
         """Tell whether any seen tip lies so far from the expected ones (5, 3) that derivatives there say little."""
         off = (rows.points[:5] - prior.p) @ prior.R - expected
         return bool((np.abs(off).max(axis=1) * rows.seen[:5]).max() > self.settings.far_m)
-
-    def _expect_hidden(self, rows: _Rows, prior: HandState, markers: FloatArray, shapes: Sequence[Shape]) -> None:
-        """Add to the rows what is expected of tips that nobody sees: behind flesh, and not inside of a thing."""
-        hidden = ~rows.seen[:5]
-        tips = markers @ prior.R.T + prior.p
-        counts = rows.counts[:15].reshape(5, 3)
-        if self._viewpoint is not None:
-            chain = self._model.finger_chains(prior.angles.reshape(5, 4))[0] @ prior.R.T + prior.p
-            wrist = np.broadcast_to(prior.p, (5, 3))
-            starts, ends = np.concatenate([wrist, chain[:, 0], chain[:, 1]]), chain[:, :3].swapaxes(0, 1).reshape(15, 3)
-            would, points, covariances = self._occlusion.expected(tips, starts, ends, self._viewpoint)
-            would &= hidden
-            rows.points[:5][would], rows.noise[:5][would], counts[would] = points[would], covariances[would], 1.0
-        for shape in shapes:
-            distance, out = shape.distance(tips)
-            inside = hidden & (distance < self._flesh_m)
-            rows.points[:5][inside] = (tips + (self._flesh_m - distance)[:, None] * out)[inside]
-            rows.noise[:5][inside] = self._occlusion.along(out, self.settings.contact_m)[inside]
-            counts[inside] = 1.0
 
     def in_model(self, local: FloatArray, longer: FloatArray) -> FloatArray:
         """Return points (5, 3) of the wrist frame as fingers of the model's lengths would meet them."""
@@ -257,7 +199,7 @@ class HandFilter(HandProcess):
         scaled: FloatArray = knuckles + (local - knuckles) / (1.0 + longer)[:, None]
         return scaled
 
-    def _closed_form(self, prior: HandState, rows: _Rows) -> FloatArray:
+    def _closed_form(self, prior: HandState, rows: Rows) -> FloatArray:
         """Return the angles (20,) to linearise about: where the seen tips put their fingers under the expected palm."""
         seen = rows.seen[:5, None]
         local = np.where(seen, self.in_model((rows.points[:5] - prior.p) @ prior.R, prior.longer), self._resting)
@@ -265,7 +207,7 @@ class HandFilter(HandProcess):
         return angles.reshape(COUNT)
 
     def _linearise(
-        self, rows: _Rows, at: HandState, modelled: tuple[FloatArray, FloatArray]
+        self, rows: Rows, at: HandState, modelled: tuple[FloatArray, FloatArray]
     ) -> tuple[FloatArray, FloatArray]:
         """Return H (21, 43) and what was measured beyond what a pose has, (21,); rows of what was not seen are 0.
 
@@ -290,7 +232,7 @@ class HandFilter(HandProcess):
         return H * rows.counts[:, None], y * rows.counts
 
     def _given_room(
-        self, prior: HandState, rows: _Rows, H: FloatArray, innovation: FloatArray
+        self, prior: HandState, rows: Rows, H: FloatArray, innovation: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return P with more room for hands that move faster than usual, and the noise (7, 3, 3) of outliers raised."""
         S = H @ prior.P @ H.T
@@ -312,7 +254,7 @@ class HandFilter(HandProcess):
         return P, noise
 
     def _doubted(
-        self, rows: _Rows, noise: FloatArray, y: FloatArray, by_pose: FloatArray | None, P: FloatArray
+        self, rows: Rows, noise: FloatArray, y: FloatArray, by_pose: FloatArray | None, P: FloatArray
     ) -> FloatArray:
         """Return the noise (7, 3, 3) with that of tips raised that no legal pose meets.
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rhot_ik.hand.filter.occlusion import Occlusion, OcclusionSettings
+from rhot_ik.hand.filter.hidden_tips import Occlusion, OcclusionSettings
 
 STARTS = np.zeros((15, 3))
 ENDS = np.tile([0.0, -0.1, 0.0], (15, 1))
