@@ -27,7 +27,7 @@ from rhot.offline import track
 from rhot.recording.mcap.reader import open_mcap
 from rhot.rig import BusConfig, Rig, load_rig, write_json_model
 from rhot.rig.template import rig_template
-from rhot.service.runner import CONTROL_KEY
+from rhot.service.control_link import CONTROL_KEY
 from rhot_bench.measures.rows import Row, Section, check_output
 from rhot_bench.output import json_option, show
 from rhot_bench.speed.simulated import projected_frames, world_of

@@ -135,6 +135,11 @@ class Exchange:
         return (self.t3 - self.t0) - (self.t2 - self.t1)
 
     @property
+    def possible(self) -> bool:
+        """Whether it can be true: nobody's clock ran backwards, and the rig did not take longer than the whole."""
+        return self.round_trip_ns >= 0 and self.t2 >= self.t1
+
+    @property
     def mid_ns(self) -> int:
         """Middle of the exchange, node clock."""
         return (self.t0 + self.t3) // 2
@@ -167,7 +172,7 @@ class ClockEstimator:
         One with a negative round trip or a rig clock that ran backwards within it is not. An exchange whose bounds
         exclude the present estimate shows that a clock was set: everything before it is forgotten.
         """
-        if exchange.round_trip_ns < 0 or exchange.t2 < exchange.t1:
+        if not exchange.possible:
             return False
         if self.ready:
             distance = abs(exchange.offset_ns - self.offset_at(exchange.mid_ns))

@@ -14,14 +14,14 @@ from typing import Final
 MOST_CHARACTERS: Final = 2000
 """Longest text from outside that is shown or logged; chosen: about a screen."""
 _HARMFUL: Final = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
-"""Unicode categories (UAX #44, table 12): control, format, surrogate, private, unassigned, line and paragraph breaks."""
+"""Unicode categories (UAX #44, table 12): control, format, surrogate, private, unassigned, line and paragraph ends."""
 _SHORT: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
 def printable(text: str, limit: int = MOST_CHARACTERS) -> str:
-    """Return a text on one line, without control characters, and no longer than `limit`.
+    r"""Return a text on one line, without control characters, and no longer than `limit`.
 
-    Ordinary text comes back as it is. What could act on a terminal is written as its escape: `\\u001b`, `\\n`.
+    Ordinary text comes back as it is. What could act on a terminal is written as its escape: `\u001b`, `\n`.
     """
     if len(text) > limit:
         text = f"{text[: limit - 1]}…"
@@ -38,12 +38,12 @@ def printable_lines(text: str, limit: int = 20 * MOST_CHARACTERS) -> str:
 class PrintableFormatter(logging.Formatter):
     """Writes each log record on one line, whatever its arguments hold; only a traceback of ours has more."""
 
-    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802  # logging's own name
+    def formatMessage(self, record: logging.LogRecord) -> str:  # logging's own name
         """Return the line of a record."""
         record.message = printable(record.message)
         return super().formatMessage(record)
 
-    def formatException(self, ei: logging._SysExcInfoType) -> str:  # noqa: N802
+    def formatException(self, ei: logging._SysExcInfoType) -> str:
         """Return a traceback; its last lines quote what came from outside."""
         return printable_lines(super().formatException(ei))
 

@@ -16,10 +16,10 @@ import msgpack
 import pytest
 from pydantic import BaseModel
 
-from rhot.bus import Bus
+from rhot.bus import Answer, Bus, Request, message_answer
 from rhot.clock import SkewedClock, SystemClock
 from rhot.errors import BusError, ConfigError, DeviceError, WireError
-from rhot.messages import Control, Marker, MarkerFrame, Point, PointSet, ServiceStatus, decode, encode
+from rhot.messages import ClockReply, Control, Marker, MarkerFrame, Point, PointSet, ServiceStatus, decode, encode
 from rhot.operation.control import broadcast
 from rhot.rig import BusConfig, FusionConfig
 from rhot.service import ControlState, Node, StageService, configuration, runner
@@ -214,6 +214,51 @@ async def test_a_sample_that_the_core_cannot_digest_costs_only_itself(router: Bu
         await points_follow(bus)
 
 
+async def test_a_flood_of_bad_samples_fills_no_log(router: BusConfig, caplog: pytest.LogCaptureFixture) -> None:
+    async with running(doubler(), router), await Bus.open(router) as bus:
+        await start(bus)
+        await points_follow(bus)
+        toe = {"toe": Marker(u=1.0, v=1.0, area=1.0, score=1.0)}
+        for number in range(1, 30):
+            bad = frame(time.time_ns()).model_copy(update={"markers": toe})
+            await bus.put("rhot/markers/left", encode(bad), "application/msgpack;MarkerFrame")
+            await wait_for_status(bus, "fusion/main", partial(has_failed, number))
+    tracebacks = [record for record in caplog.records if record.exc_info]
+    assert 1 <= len(tracebacks) <= 3
+
+
+def has_failed(number: int, status: ServiceStatus) -> bool:
+    return status.counts.get("failed", 0) >= number
+
+
+async def test_limits_that_were_reached_stand_in_the_status(router: BusConfig) -> None:
+    async with running(doubler(), router), await Bus.open(router) as bus:
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
+        await bus.put("rhot/control", bytes(2 << 20), "application/msgpack;Control")
+        await wait_for_status(bus, "fusion/main", lambda status: status.counts.get("oversized") == 1)
+
+
+async def test_two_clocks_are_noticed_by_everybody_and_nobody_jumps(router: BusConfig) -> None:
+    async with (
+        running(doubler(), router),
+        running(doubler(owns_clock=False, name="node"), router),
+        await Bus.open(router) as bus,
+    ):
+        await wait_for_status(bus, "node/main", lambda status: status.clock_offset_s is not None)
+        async with await Bus.open(router) as rival:
+            rival.queryable("rhot/clock", an_hour_ahead)
+            for name in ("fusion/main", "node/main"):
+                status = await wait_for_status(bus, name, lambda status: "second fusion" in status.problem)
+                assert abs(status.t_ns - time.time_ns()) < 10e9
+        for name in ("fusion/main", "node/main"):
+            await wait_for_status(bus, name, lambda status: not status.problem)
+
+
+def an_hour_ahead(request: Request) -> Answer:
+    reply = ClockReply(t_ns=time.time_ns() + HOUR_NS, received_t_ns=request.arrived_ns + HOUR_NS, instance="0rival")
+    return message_answer(reply, request)
+
+
 async def test_configuration_changes_while_running_and_bad_values_are_refused(router: BusConfig) -> None:
     key = "rhot/config/fusion/main"
     async with running(doubler(), router), await Bus.open(router) as bus:
@@ -394,6 +439,10 @@ async def test_a_stop_needs_no_rig_clock(router: BusConfig) -> None:
         assert (await broadcast(bus, "stop", "", 0.0, 0.0)).action == "stop"
 
 
+def in_force(control: ControlState) -> tuple[str, int] | None:
+    return None if control.newest is None else (control.newest.action, control.newest.revision)
+
+
 def test_the_last_broadcast_wins_and_learnt_messages_are_ordered_by_revision() -> None:
     control, now = ControlState(), 10**18
     first = Control(t_ns=now, action="start", session="a", start_t_ns=now)
@@ -401,17 +450,15 @@ def test_the_last_broadcast_wins_and_learnt_messages_are_ordered_by_revision() -
     assert not control.hear(first, now), "the same once more"
     with pytest.raises(WireError, match="session b"):
         control.hear(Control(t_ns=now + 1, action="stop", session="b"), now)
-    assert control.running is not None
+    assert in_force(control) == ("start", 1)
     assert control.hear(Control(t_ns=now - HOUR_NS, action="stop"), now), "a stop always stops"
-    assert control.running is None
-    assert control.newest is not None
-    assert control.newest.revision == 2
+    assert in_force(control) == ("stop", 2)
     assert not control.learn(first.model_copy(update={"revision": 1})), "of before the stop"
     assert control.learn(first.model_copy(update={"revision": 3}))
     with pytest.raises(WireError, match="cannot be true"):
         control.learn(first.model_copy(update={"revision": 2**52}))
     assert control.hear(Control(t_ns=now, action="stop", revision=2**52), now)
-    assert control.newest.revision == 4, "nor does a broadcast raise it beyond reach"
+    assert in_force(control) == ("stop", 4), "nor does a broadcast raise it beyond reach"
 
 
 def test_a_start_from_before_rig_time_is_known_waits_until_it_can_be_judged() -> None:
@@ -419,9 +466,9 @@ def test_a_start_from_before_rig_time_is_known_waits_until_it_can_be_judged() ->
     believable, garbage = (Control(t_ns=t, action="start", session="a", start_t_ns=t) for t in (now, 2**62 - 1))
     control = ControlState()
     assert not control.hear(believable, None)
-    assert control.running is None
+    assert in_force(control) is None
     assert control.judge(now)
-    assert control.running is not None
+    assert in_force(control) == ("start", 1)
     control = ControlState()
     assert not control.hear(garbage, None)
     with pytest.raises(WireError, match="off rig time"):

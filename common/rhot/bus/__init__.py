@@ -6,9 +6,10 @@ last value.
 """
 
 from rhot.bus.publisher import Publisher
-from rhot.bus.query import Answer, Reply, Request, json_answer, message_answer
-from rhot.bus.session import Bus, session_config
+from rhot.bus.query import Answer, Reply, Request, TimedAnswer, json_answer, message_answer
+from rhot.bus.session import Bus
 from rhot.bus.subscriber import EventSubscriber, LatestSubscriber, Sample
+from rhot.bus.zenoh_config import session_config
 
 __all__ = [
     "Answer",
@@ -19,6 +20,7 @@ __all__ = [
     "Reply",
     "Request",
     "Sample",
+    "TimedAnswer",
     "json_answer",
     "message_answer",
     "session_config",

@@ -10,12 +10,18 @@ from typing import Any, Final
 
 import zenoh
 
+from rhot.bus.limits import MAX_REPLIES, MAX_REPLY_BYTES
 from rhot.errors import RhotError
 from rhot.messages import Message, encode, encoding_of
+from rhot.sparing_log import SparingLog
+from rhot.text import printable
 
 logger = logging.getLogger(__name__)
+_sparing = SparingLog()
 
 JSON_ENCODING: Final = "application/json"
+ACT: Final = "do"
+"""The parameter that asks for more than an answer, as in `rhot/keep/capture/left?do=save`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,8 +30,9 @@ class Request:
 
     Attributes:
         key: key expression that was asked for; it may hold wildcards.
-        parameters: what stood behind `?` in the selector.
-        payload: what came with the query.
+        parameters: what stood behind `?` in the selector; `do` is left out of a question with wildcards.
+        payload: what came with the query; left out of a question with wildcards. Whoever wants something done names
+            the one who shall do it, so that the router can judge whether they may.
         arrived_ns: `time.time_ns` on arrival, taken before anything else was done.
     """
 
@@ -53,16 +60,25 @@ class Reply:
     """One answer as the asking side receives it.
 
     Attributes:
-        key: key of the answer; empty for an error.
+        key: key of the answer, printable; empty for an error.
         payload: bytes of the answer.
         encoding: its Zenoh encoding.
-        error: the other side's words where it refused.
+        error: the other side's words where it refused, printable.
     """
 
     key: str
     payload: bytes
     encoding: str
     error: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TimedAnswer:
+    """One answer, with when it was asked for and when it arrived, on the asker's clock, nanoseconds."""
+
+    payload: bytes
+    sent_ns: int
+    arrived_ns: int
 
 
 Answerer = Callable[[Request], Answer | None]
@@ -85,10 +101,14 @@ def respond(query: zenoh.Query, key: str, answerer: Answerer, arrived_ns: int) -
     """Answer one Zenoh query; whatever goes wrong reaches the asker as an error, never as a timeout."""
     # A query that is not dropped keeps the asker waiting until its timeout.
     with query:
+        asked = str(query.key_expr)
+        parameters = dict(_parameters(str(query.parameters)))
+        if asked != key:
+            parameters.pop(ACT, None)
         request = Request(
-            key=str(query.key_expr),
-            parameters=dict(_parameters(str(query.parameters))),
-            payload=query.payload.to_bytes() if query.payload is not None else b"",
+            key=printable(asked),
+            parameters=parameters,
+            payload=query.payload.to_bytes() if query.payload is not None and asked == key else b"",
             arrived_ns=arrived_ns,
         )
         try:
@@ -98,8 +118,15 @@ def respond(query: zenoh.Query, key: str, answerer: Answerer, arrived_ns: int) -
         except RhotError as error:
             query.reply_err(str(error).encode(), encoding=zenoh.Encoding("text/plain"))
         except Exception as error:
-            logger.exception("%s: answering a query failed", key)
+            if (quiet := _sparing.due(key)) is not None:
+                logger.exception("%s: answering a query failed; %d times unsaid before", key, quiet)
             query.reply_err(f"internal error: {error}".encode(), encoding=zenoh.Encoding("text/plain"))
+
+
+def refuse(query: zenoh.Query, reason: str) -> None:
+    """Answer a query with a refusal."""
+    with query:
+        query.reply_err(reason.encode(), encoding=zenoh.Encoding("text/plain"))
 
 
 def received(replies: Iterable[zenoh.Reply], timeout_s: float) -> list[Reply]:
@@ -110,16 +137,24 @@ def received(replies: Iterable[zenoh.Reply], timeout_s: float) -> list[Reply]:
     """
     found: list[Reply] = []
     silent = False
+    left_bytes = MAX_REPLY_BYTES
     for reply in replies:
+        if len(found) >= MAX_REPLIES or left_bytes < 0:
+            logger.warning(
+                "a question has over %d answers or %d bytes; the rest is left out", MAX_REPLIES, MAX_REPLY_BYTES
+            )
+            break
         if reply.ok is not None:
             sample = reply.ok
-            found.append(Reply(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding)))
+            left_bytes -= len(sample.payload)
+            key, encoding = printable(str(sample.key_expr)), printable(str(sample.encoding))
+            found.append(Reply(key, sample.payload.to_bytes(), encoding))
             continue
         text = reply.err.payload.to_string() if reply.err is not None else "no answer"
         if text == "Timeout":
             silent = True
         else:
-            found.append(Reply("", b"", "", error=text))
+            found.append(Reply("", b"", "", error=printable(text)))
     return [*found, Reply("", b"", "", error=f"no answer within {timeout_s:g} s")] if silent else found
 
 

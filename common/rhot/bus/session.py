@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import logging
-import re
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final, Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
 import zenoh
 
+from rhot.bus.limits import MAX_SAMPLE_BYTES, MAX_WAITING_ANSWERS, LimitCounts
 from rhot.bus.publisher import Publisher
-from rhot.bus.query import Answerer, Reply, received, respond
+from rhot.bus.query import Answerer, Reply, TimedAnswer, received, refuse, respond
 from rhot.bus.subscriber import EventSubscriber, LatestSubscriber
+from rhot.bus.zenoh_config import plain_reason, session_config
 from rhot.errors import BusError
 from rhot.messages import Message
 from rhot.rig.config import BusConfig
@@ -29,39 +29,12 @@ M = TypeVar("M", bound=Message)
 _OPEN_RETRY_S: Final = 0.25
 _CLOSE_LIMIT_S: Final = 1.0
 _EVENT_LIMIT: Final = 4096
+_MOST_TIMED: Final = 8
+"""Timed answers that are kept: a rig has one clock."""
 
 
 class _Undeclarable(Protocol):
     def undeclare(self) -> None: ...
-
-
-def session_config(config: BusConfig) -> zenoh.Config:
-    """Return the Zenoh configuration of a session.
-
-    It is handed over as one document: nested keys such as `connect/retry` are refused one by one.
-    """
-    document: dict[str, Any] = {
-        "mode": config.mode,
-        "connect": {
-            "endpoints": list(config.connect),
-            # A router that was killed and came back is used again after half a second instead of four.
-            "retry": {"period_init_ms": 200, "period_max_ms": 500, "period_increase_factor": 1.5},
-        },
-        "listen": {"endpoints": list(config.listen)},
-        "scouting": {"multicast": {"enabled": config.multicast}, "gossip": {"enabled": config.multicast}, "delay": 0},
-        "transport": {
-            # On by default from 3 kB; drops under load without a word.
-            "shared_memory": {"enabled": False},
-            # A frozen process is noticed in 2 s instead of 10.
-            "link": {"tx": {"lease": 2000}},
-        },
-    }
-    if config.namespace:
-        document["namespace"] = config.namespace
-    try:
-        return zenoh.Config.from_json5(json.dumps(document))
-    except zenoh.ZError as error:
-        raise BusError(f"[bus] in rig.toml is not a usable Zenoh configuration: {_reason(error)}") from error
 
 
 class Bus:
@@ -73,6 +46,8 @@ class Bus:
         self._declared: list[_Undeclarable] = []
         self._mailboxes: list[LatestSubscriber | EventSubscriber] = []
         self._workers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="rhot-answer")
+        self._room = threading.BoundedSemaphore(MAX_WAITING_ANSWERS)
+        self._limits = LimitCounts()
         self._closed = False
 
     @classmethod
@@ -91,11 +66,11 @@ class Bus:
             except zenoh.ZError as error:
                 where = ", ".join(config.connect or config.listen)
                 if config.mode == "router" or "invalid" in str(error).lower():
-                    raise BusError(f"cannot open a Zenoh {config.mode} on {where}: {_reason(error)}") from error
+                    raise BusError(f"cannot open a Zenoh {config.mode} on {where}: {plain_reason(error)}") from error
                 if timeout_s is not None and time.monotonic() - started >= timeout_s:
                     raise BusError(
                         f"no Zenoh router answers at {where}; is the rig running (`rhot sim`, `rhot up`), and does "
-                        f"--connect (or [bus] connect in rig.toml) name its machine? (Zenoh: {_reason(error)})"
+                        f"--connect (or [bus] connect in rig.toml) name its machine? (Zenoh: {plain_reason(error)})"
                     ) from error
                 if not logged:
                     logger.info("waiting for the Zenoh router at %s", where)
@@ -107,6 +82,10 @@ class Bus:
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
+
+    def limit_counts(self) -> dict[str, int]:
+        """Return how often each limit kept something out, by name; empty when none did."""
+        return self._limits.counts()
 
     def publisher(self, key: str, model: type[M], *, reliable: bool = False, bulk: bool = False) -> Publisher[M]:
         """Declare a publisher; its last value can be queried under the same key.
@@ -133,11 +112,11 @@ class Bus:
 
     def latest(self, key_expr: str) -> LatestSubscriber:
         """Subscribe newest-wins: one slot per key."""
-        return self._subscribe(key_expr, LatestSubscriber())
+        return self._subscribe(key_expr, LatestSubscriber(self._limits))
 
     def events(self, key_expr: str, limit: int = _EVENT_LIMIT) -> EventSubscriber:
         """Subscribe to every sample, up to `limit` unread ones."""
-        return self._subscribe(key_expr, EventSubscriber(limit))
+        return self._subscribe(key_expr, EventSubscriber(limit, self._limits))
 
     _Mail = TypeVar("_Mail", LatestSubscriber, EventSubscriber)
 
@@ -150,7 +129,7 @@ class Bus:
 
     def liveliness(self, key_expr: str) -> EventSubscriber:
         """Subscribe to who comes and goes; those already there are reported first."""
-        mailbox = EventSubscriber(_EVENT_LIMIT)
+        mailbox = EventSubscriber(_EVENT_LIMIT, self._limits)
         handler = zenoh.handlers.Callback(mailbox, indirect=False)
         self._declared.append(self._session.liveliness().declare_subscriber(key_expr, handler, history=True))
         self._mailboxes.append(mailbox)
@@ -179,13 +158,22 @@ class Bus:
 
         def on_query(query: zenoh.Query) -> None:
             arrived_ns = time.time_ns()
-            if slow and not self._closed:
-                self._workers.submit(respond, query, key, answerer, arrived_ns)
-            else:
+            if not slow or self._closed:
                 respond(query, key, answerer, arrived_ns)
+            elif self._room.acquire(blocking=False):
+                self._workers.submit(self._respond_slowly, query, key, answerer, arrived_ns)
+            else:
+                self._limits.hit("questions_refused")
+                refuse(query, f"{key}: {MAX_WAITING_ANSWERS} questions wait already; ask less often")
 
         handler = zenoh.handlers.Callback(on_query, indirect=False)
         self._declared.append(self._session.declare_queryable(key, handler))
+
+    def _respond_slowly(self, query: zenoh.Query, key: str, answerer: Answerer, arrived_ns: int) -> None:
+        try:
+            respond(query, key, answerer, arrived_ns)
+        finally:
+            self._room.release()
 
     async def get(self, selector: str, payload: bytes = b"", *, timeout_s: float = 2.0) -> list[Reply]:
         """Query everybody who answers a selector (`key?parameters`) and return all replies.
@@ -208,39 +196,53 @@ class Bus:
             )
             return received(replies, timeout_s)
         except zenoh.ZError as error:
-            raise BusError(f"{selector}: {_reason(error)}") from error
+            raise BusError(f"{selector}: {plain_reason(error)}") from error
 
-    async def ask(self, key: str, clock_ns: Callable[[], int], timeout_s: float) -> tuple[bytes, int, int] | None:
-        """Query one key and time it: (payload of the first answer, time sent, time received), None without answer.
+    async def ask(self, key: str, clock_ns: Callable[[], int], timeout_s: float) -> list[TimedAnswer]:
+        """Query everybody who answers one key, and time each answer; before everything else on the link.
 
-        Both times are read from `clock_ns`, the second on Zenoh's thread at the moment of arrival, so that a busy event
-        loop does not lengthen the round trip.
+        Both times are read from `clock_ns`, in the threads that send and receive, so that a busy event loop does not
+        lengthen the round trip. The question is dropped where the link is full: a late one would tell nothing.
         """
         loop = asyncio.get_running_loop()
-        answered: asyncio.Future[tuple[bytes, int, int] | None] = loop.create_future()
+        ended: asyncio.Future[None] = loop.create_future()
+        answers: list[TimedAnswer] = []
         sent_ns = 0
 
-        def finish(result: tuple[bytes, int, int] | None) -> None:
-            if not answered.done():
-                answered.set_result(result)
+        def finish() -> None:
+            if not ended.done():
+                ended.set_result(None)
 
         def on_reply(reply: zenoh.Reply) -> None:
             arrived_ns = clock_ns()
-            if reply.ok is not None:
-                with contextlib.suppress(RuntimeError):
-                    loop.call_soon_threadsafe(finish, (reply.ok.payload.to_bytes(), sent_ns, arrived_ns))
+            if reply.ok is not None and len(answers) < _MOST_TIMED and len(reply.ok.payload) <= MAX_SAMPLE_BYTES:
+                answers.append(TimedAnswer(reply.ok.payload.to_bytes(), sent_ns, arrived_ns))
 
         def on_end() -> None:
             with contextlib.suppress(RuntimeError):
-                loop.call_soon_threadsafe(finish, None)
+                loop.call_soon_threadsafe(finish)
 
-        handler = zenoh.handlers.Callback(on_reply, drop=on_end, indirect=False)
-        try:
+        def send() -> None:
+            nonlocal sent_ns
+            handler = zenoh.handlers.Callback(on_reply, drop=on_end, indirect=False)
             sent_ns = clock_ns()
-            self._session.get(key, handler, timeout=timeout_s)
+            self._session.get(
+                key,
+                handler,
+                timeout=timeout_s,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME,
+            )
+
+        try:
+            # Off the event loop: a link that is dead but not yet closed may hold it for seconds.
+            await asyncio.to_thread(send)
         except zenoh.ZError as error:
-            raise BusError(f"{key}: {_reason(error)}") from error
-        return await answered
+            raise BusError(f"{key}: {plain_reason(error)}") from error
+        await ended
+        return answers
 
     async def put(self, key: str, payload: bytes, encoding: str) -> None:
         """Put raw bytes on a key, reliably; for configuration and for replays.
@@ -257,7 +259,7 @@ class Bus:
                 congestion_control=zenoh.CongestionControl.BLOCK,
             )
         except zenoh.ZError as error:
-            raise BusError(f"{key}: {_reason(error)}") from error
+            raise BusError(f"{key}: {plain_reason(error)}") from error
 
     async def close(self) -> None:
         """Undeclare everything and close the session, within a second even where Zenoh hangs."""
@@ -291,8 +293,3 @@ class Bus:
             logger.debug("close: %s", error)
         with contextlib.suppress(RuntimeError):  # the loop gave up waiting and is closed
             loop.call_soon_threadsafe(closed.set)
-
-
-def _reason(error: zenoh.ZError) -> str:
-    """Return Zenoh's words without the places in its own source code."""
-    return re.sub(r"( at \S+\.rs:\d+\.?|[\[\]])", "", str(error)).strip()

@@ -15,7 +15,15 @@ from dataclasses import dataclass
 
 import zenoh
 
+from rhot.bus.limits import (
+    MAX_FOREIGN_KEYS,
+    MAX_KNOWN_KEYS,
+    MAX_SAMPLE_BYTES,
+    MAX_UNREAD_BYTES,
+    LimitCounts,
+)
 from rhot.errors import BusError
+from rhot.text import printable
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +31,7 @@ class Sample:
     """One received sample.
 
     Attributes:
-        key: its key, without the namespace.
+        key: its key, without the namespace, printable.
         payload: bytes as sent; empty for a deletion.
         encoding: Zenoh encoding.
         deleted: the key was deleted (for liveliness: the service is gone).
@@ -40,7 +48,8 @@ class Sample:
 class _Mailbox:
     """Common part: wakes the loop, counts, ends."""
 
-    def __init__(self) -> None:
+    def __init__(self, limits: LimitCounts | None = None) -> None:
+        self._limits = limits or LimitCounts()
         self._loop = asyncio.get_running_loop()
         self._wake = asyncio.Event()
         self._lock = threading.Lock()
@@ -63,10 +72,13 @@ class _Mailbox:
 
     def __call__(self, zenoh_sample: zenoh.Sample) -> None:
         """Take one sample, on Zenoh's thread."""
+        if len(zenoh_sample.payload) > MAX_SAMPLE_BYTES:
+            self._limits.hit("oversized")
+            return
         sample = Sample(
-            key=str(zenoh_sample.key_expr),
+            key=printable(str(zenoh_sample.key_expr)),
             payload=zenoh_sample.payload.to_bytes(),
-            encoding=str(zenoh_sample.encoding),
+            encoding=printable(str(zenoh_sample.encoding)),
             deleted=zenoh_sample.kind == zenoh.SampleKind.DELETE,
             arrived_ns=time.monotonic_ns(),
         )
@@ -121,45 +133,69 @@ class _Mailbox:
 class LatestSubscriber(_Mailbox):
     """Keeps the newest sample of each key: a slow reader loses old ones and never sees late ones.
 
+    The number of slots is bounded. Keys that have brought something valid keep theirs; the others, which anybody may
+    make up, share a few, and the oldest of them goes.
+
     Attributes:
         received: samples that arrived.
         overwritten: samples that a newer one replaced before they were read.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, limits: LimitCounts | None = None) -> None:
+        super().__init__(limits)
+        self._known: set[str] = set()
         self._slots: dict[str, Sample] = {}
+        self._foreign: dict[str, Sample] = {}
+
+    def keep_slot_of(self, key: str) -> None:
+        """Say that a key has brought something valid: strangers' keys no longer push it out."""
+        if key not in self._known and len(self._known) < MAX_KNOWN_KEYS:
+            with self._lock:
+                self._known.add(key)
 
     def _store(self, sample: Sample) -> None:
         # Taken out first, so that keys are read in the order of their newest arrival.
-        if self._slots.pop(sample.key, None) is not None:
+        if self._slots.pop(sample.key, None) or self._foreign.pop(sample.key, None):
             self.overwritten += 1
-        self._slots[sample.key] = sample
+        if sample.key in self._known:
+            self._slots[sample.key] = sample
+            return
+        if len(self._foreign) >= MAX_FOREIGN_KEYS:
+            del self._foreign[next(iter(self._foreign))]
+            self._limits.hit("foreign_keys_dropped")
+        self._foreign[sample.key] = sample
 
     def _take(self) -> list[Sample]:
-        samples = list(self._slots.values())
+        samples = [*self._slots.values(), *self._foreign.values()]
         self._slots.clear()
+        self._foreign.clear()
         return samples
 
 
 class EventSubscriber(_Mailbox):
-    """Keeps every sample up to a limit, for what must not be lost; beyond it the oldest go and are counted.
+    """Keeps every sample up to a limit of number and bytes, for what must not be lost; beyond it the oldest go.
 
     Attributes:
         received: samples that arrived.
         overwritten: samples lost because the reader was too slow.
     """
 
-    def __init__(self, limit: int) -> None:
-        super().__init__()
-        self._queue: deque[Sample] = deque(maxlen=limit)
+    def __init__(self, limit: int, limits: LimitCounts | None = None) -> None:
+        super().__init__(limits)
+        self._limit = limit
+        self._queue: deque[Sample] = deque()
+        self._bytes = 0
 
     def _store(self, sample: Sample) -> None:
-        if len(self._queue) == self._queue.maxlen:
-            self.overwritten += 1
         self._queue.append(sample)
+        self._bytes += len(sample.payload)
+        while len(self._queue) > self._limit or self._bytes > MAX_UNREAD_BYTES:
+            self._bytes -= len(self._queue.popleft().payload)
+            self.overwritten += 1
+            self._limits.hit("unread_dropped")
 
     def _take(self) -> list[Sample]:
         samples = list(self._queue)
         self._queue.clear()
+        self._bytes = 0
         return samples

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from typing import Final, TypeVar
@@ -13,6 +12,7 @@ from rhot.clock import NodeClock, RigClock
 from rhot.errors import WireError
 from rhot.messages import Message, decode
 from rhot.service.status import StatusBoard
+from rhot.sparing_log import SparingLog
 
 logger = logging.getLogger(__name__)
 
@@ -21,7 +21,6 @@ M = TypeVar("M", bound=Message)
 MAX_AGE_NS: Final = 2_000_000_000
 MAX_AHEAD_NS: Final = 100_000_000
 """A sample older or newer than this is not of this moment: a clock is wrong, or somebody writes garbage."""
-_LOG_INTERVAL_S: Final = 5.0
 
 
 @dataclass(slots=True)
@@ -42,7 +41,7 @@ class Node:
     node_clock: NodeClock
     clock: RigClock
     status: StatusBoard
-    _logged_at: dict[str, float] = field(default_factory=dict)
+    _sparing: SparingLog = field(default_factory=SparingLog)
     _publishers: dict[str, Publisher[Message]] = field(default_factory=dict)
 
     def publish(self, key: str, message: Message) -> None:
@@ -79,6 +78,8 @@ class Node:
             except WireError as error:
                 self.refuse(sample.key, error)
                 continue
+            if isinstance(mailbox, LatestSubscriber):
+                mailbox.keep_slot_of(sample.key)
             yield message
 
     def refuse(self, key: str, error: WireError) -> None:
@@ -86,13 +87,17 @@ class Node:
         self.status.count("invalid")
         text = f"{key}: {error}"
         self.status.error(text)
-        now = time.monotonic()
-        # The key is an outsider's choice under a wildcard: the table must not grow with it.
-        if len(self._logged_at) > 64:
-            self._logged_at.clear()
-        if now - self._logged_at.get(key, -_LOG_INTERVAL_S) >= _LOG_INTERVAL_S:
-            self._logged_at[key] = now
-            logger.warning("invalid sample dropped: %s", text)
+        if (quiet := self._sparing.due(key)) is not None:
+            logger.warning("invalid sample dropped: %s (%d unsaid before)", text, quiet)
+
+    def failed(self, error: Exception) -> None:
+        """Count a sample that the core could not digest, and log why, with a traceback at most once in five seconds."""
+        self.status.count("failed")
+        self.status.error(f"{self.service}: {type(error).__name__}: {error}")
+        if (quiet := self._sparing.due("failed")) is not None:
+            logger.error(
+                "%s could not digest a sample and starts afresh (%d unsaid before)", self.service, quiet, exc_info=error
+            )
 
     def _check_time(self, message: Message) -> None:
         if not self.clock.ready:

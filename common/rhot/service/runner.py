@@ -15,24 +15,23 @@ from typing import Final, Protocol
 
 from pydantic import BaseModel
 
-from rhot.bus import Bus, Request, message_answer
+from rhot.bus import Bus, Request
 from rhot.bus.query import Answer
 from rhot.clock import LocalRigClock, NodeClock, SyncedRigClock, SystemClock
 from rhot.errors import BusError, ConfigError, DeviceError, HungDeviceError, RhotError, WireError
-from rhot.messages import Control, ServiceStatus, decode
+from rhot.messages import Control, ServiceStatus
 from rhot.rig.config import BusConfig
 from rhot.service import configuration, systemd
-from rhot.service.clock_sync import keep_synced, serve_clock
-from rhot.service.control import ControlState, with_start_in_reach
+from rhot.service.clock_sync import ClockWatch, keep_synced, serve_clock, watch_for_rivals
+from rhot.service.control import with_start_in_reach
+from rhot.service.control_link import CONTROL_KEY, ControlLink
 from rhot.service.node import Node
 from rhot.service.status import StatusBoard
 from rhot.service.stop import install_stop, run_to_the_end
 
 logger = logging.getLogger(__name__)
 
-CONTROL_KEY: Final = "rhot/control"
 _STATUS_INTERVAL_S: Final = 1.0
-_CONTROL_QUERY_S: Final = 2.0
 _RETRY_FIRST_S: Final = 0.5
 _RETRY_MAX_S: Final = 5.0
 _LOOP_CHECK_S: Final = 0.1
@@ -119,20 +118,24 @@ class _Runner:
         self._service = service
         self._bus_config = bus_config
         self._node_clock = node_clock
-        self._control = ControlState()
+        self._control_link = ControlLink()
+        self._control = self._control_link.state
         self._status = StatusBoard()
         self._clock_ready = asyncio.Event()
+        self._clock_watch = ClockWatch()
 
     async def run(self) -> None:
         service = self._service
         async with await Bus.open(self._bus_config) as bus:
             clock = LocalRigClock(self._node_clock) if service.owns_clock else SyncedRigClock(self._node_clock)
             node = Node(service.name, service.instance, bus, self._node_clock, clock, self._status)
+            self._status.include(bus.limit_counts)
+            self._status.watch(lambda: ({}, self._clock_watch.problem))
             service.attach(node)
-            if service.owns_clock:
-                serve_clock(bus)
+            own_clock = serve_clock(bus) if service.owns_clock else ""
+            if own_clock:
                 self._clock_ready.set()
-            bus.queryable(CONTROL_KEY, self._answer_control)
+            bus.queryable(CONTROL_KEY, self._control_link.answer)
             loop = asyncio.get_running_loop()
             bus.queryable(self._key("config"), lambda request: self._answer_config(loop, request), slow=True)
             bus.alive(self._key("alive"))
@@ -146,11 +149,11 @@ class _Runner:
             try:
                 async with asyncio.TaskGroup() as tasks:
                     if isinstance(clock, SyncedRigClock):
-                        tasks.create_task(keep_synced(bus, clock, self._clock_ready))
+                        tasks.create_task(keep_synced(bus, clock, self._clock_ready, self._clock_watch))
+                    else:
+                        tasks.create_task(watch_for_rivals(bus, self._node_clock, own_clock, self._clock_watch))
                     tasks.create_task(self._publish_status(node))
-                    tasks.create_task(self._hear_control(node))
-                    tasks.create_task(self._ask_control(node))
-                    tasks.create_task(self._judge_control(node))
+                    self._control_link.follow(node, self._clock_ready, tasks)
                     tasks.create_task(self._hear_config(node))
                     tasks.create_task(self._check_loop())
                     tasks.create_task(self._run_sessions(node))
@@ -253,50 +256,6 @@ class _Runner:
             if interval_s is not None and loop.time() - published_s >= interval_s:
                 systemd.notify("WATCHDOG=1")
                 published_s = loop.time()
-
-    async def _hear_control(self, node: Node) -> None:
-        async for sample in node.bus.events(CONTROL_KEY):
-            if not sample.deleted:
-                self._take_control(node, sample.payload, live=True)
-
-    async def _ask_control(self, node: Node) -> None:
-        """Learn the start signal from whoever knows it: for services that join late or missed it."""
-        while True:
-            for reply in await node.bus.get(CONTROL_KEY, timeout_s=1.0):
-                if not reply.error:
-                    self._take_control(node, reply.payload, live=False)
-            await asyncio.sleep(_CONTROL_QUERY_S)
-
-    async def _judge_control(self, node: Node) -> None:
-        """Take a start that came before rig time was known."""
-        await self._clock_ready.wait()
-        try:
-            if self._control.judge(node.clock.now_ns()):
-                self._log_control()
-        except WireError as error:
-            node.refuse(CONTROL_KEY, error)
-
-    def _take_control(self, node: Node, payload: bytes, *, live: bool) -> None:
-        try:
-            control = decode(payload, Control)
-            if not live:
-                taken = self._control.learn(control)
-            else:
-                taken = self._control.hear(control, node.clock.now_ns() if node.clock.ready else None)
-        except WireError as error:
-            node.refuse(CONTROL_KEY, error)
-            return
-        if taken:
-            self._log_control()
-
-    def _log_control(self) -> None:
-        newest = self._control.newest
-        if newest is not None:
-            logger.info("%s %s", newest.action, newest.session)
-
-    def _answer_control(self, request: Request) -> Answer | None:
-        newest = self._control.newest
-        return None if newest is None else message_answer(newest, request)
 
     def _answer_config(self, loop: asyncio.AbstractEventLoop, request: Request) -> Answer:
         """Answer a query for the configuration; one that carries a payload changes it first."""

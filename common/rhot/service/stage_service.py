@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import time
 from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar
@@ -14,8 +13,6 @@ from rhot.bus import LatestSubscriber
 from rhot.messages import Control, Message
 from rhot.service.node import Node
 from rhot.stage import Output, Stage
-
-logger = logging.getLogger(__name__)
 
 M = TypeVar("M", bound=Message)
 C = TypeVar("C", bound=BaseModel)
@@ -124,8 +121,6 @@ class StageService(Generic[M, C]):
             return self._stage.feed(message)
         except (ValueError, ArithmeticError) as error:
             # A sample that the core cannot digest costs that sample and the core's memory, never the service.
-            node.status.count("failed")
-            node.status.error(f"{self.name}: {type(error).__name__}: {error}")
-            logger.exception("%s could not digest a sample and starts afresh", self.name)
+            node.failed(error)
             self._stage = self._make_stage(self._config)
             return []

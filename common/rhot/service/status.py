@@ -10,6 +10,8 @@ from typing import Final
 
 import numpy as np
 
+from rhot.text import printable
+
 _LATENCY_SAMPLES: Final = 600
 """Newest latencies kept per stage: ten seconds at 60 Hz."""
 
@@ -80,7 +82,7 @@ class StatusBoard:
 
     def error(self, text: str) -> None:
         """Note the newest error."""
-        self.last_error = text[:4096]
+        self.last_error = printable(text, 4000)
 
     def clear_latencies(self) -> None:
         """Forget latencies of an earlier session."""
