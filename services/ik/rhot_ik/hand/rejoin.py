@@ -59,7 +59,10 @@ def rejoined(
     for _ in range(2):
         # A share of the angles is not the same share of the way: what is too far still is shortened once more.
         way = geometry.marker_points(shown + share[:, None] * change) - begin
-        share *= np.minimum(1.0, most_m / np.maximum(np.sqrt((way * way).sum(-1)), _NONE_M))
+        shorter = np.minimum(1.0, most_m / np.maximum(np.sqrt((way * way).sum(-1)), _NONE_M))
+        if not (led & (shorter < 1.0)).any():
+            break
+        share *= shorter
     angles = np.where(led[:, None], shown + share[:, None] * change, estimated)
     # Who has not arrived is led on, however long it takes.
     left = np.where(share < 1.0, np.maximum(left_s - dt_s, _NONE_S), left_s - dt_s)

@@ -72,7 +72,7 @@ class HandSettings:
     finger_share: float = 0.08
     known_m: float = 0.001
     known_rad: float = 0.02
-    known_share: float = 0.01
+    known_share: float = 0.005
     model_m: float = 0.0015
     corner_factor: float = 16.0
     corner_samples: tuple[float, float] = (8.0, 100.0)
