@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from fake_picamera2 import FakePicamera2
+from devices.fake_picamera2 import FakePicamera2
 from wall_clock import in_time
 
 from rhot.errors import DeviceError, HungDeviceError

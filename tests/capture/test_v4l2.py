@@ -1,177 +1,238 @@
+"""V4L2 cameras: what is locked and what is refused, times, losses, hangs, and closing beside a running read."""
+
 from __future__ import annotations
 
+import ctypes
 import logging
-from collections.abc import Iterator
-from types import SimpleNamespace
+import threading
 from typing import Any
 
 import cv2
-import numpy as np
 import pytest
+from devices.fake_v4l2 import Control, FakeV4l2, Picture
 
-from rhot.errors import DeviceError
+from rhot.errors import ConfigError, DeviceError
 from rhot.rig import CameraConfig
 from rhot.rig.colors import nominal_colors
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.v4l2 import V4l2Source
+from rhot_capture.sources.v4l2.buffers import V4l2Buffer
 
-NOW_NS = 5_000_000_000
-
-
-class FakeCapture:
-    """A driver: keeps what it is told except for what it refuses."""
-
-    def __init__(self, opened: bool = True, **forced: float) -> None:
-        self.opened = opened
-        self.forced = {getattr(cv2, f"CAP_PROP_{name}"): value for name, value in forced.items()}
-        self.values: dict[int, float] = {}
-        self.frames: list[bool] = [True] * 10
-        self.stamps_ms: Iterator[float] = iter(4_990.0 + 16.0 * number for number in range(100))
-        self.stamp_ms = 0.0
-        self.released = False
-
-    def isOpened(self) -> bool:
-        return self.opened
-
-    def set(self, identifier: int, value: float) -> bool:
-        self.values[identifier] = value
-        return self.forced.get(identifier, value) == value
-
-    def get(self, identifier: int) -> float:
-        if identifier == cv2.CAP_PROP_POS_MSEC:
-            return self.stamp_ms
-        return self.forced.get(identifier, self.values.get(identifier, 0.0))
-
-    def read(self) -> tuple[bool, Any]:
-        ok = self.frames.pop(0) if self.frames else False
-        self.stamp_ms = next(self.stamps_ms)
-        return ok, np.zeros((480, 640, 3), np.uint8) if ok else None
-
-    def release(self) -> None:
-        self.released = True
+CAMERA = CameraConfig(source="v4l2", device="2", rate_hz=60.0, exposure_s=0.004, readout_s=0.01)
+PERIOD_US = 16_667
 
 
-def source_with(capture: FakeCapture, camera: CameraConfig | None = None) -> tuple[V4l2Source, list[Any]]:
-    asked: list[Any] = []
-
-    def video_capture(device: Any, backend: int) -> FakeCapture:
-        asked.append((device, backend))
-        return capture
-
-    names = [name for name in dir(cv2) if name.startswith("CAP_")]
-    module = SimpleNamespace(
-        VideoCapture=video_capture,
-        VideoWriter_fourcc=cv2.VideoWriter.fourcc,
-        **{name: getattr(cv2, name) for name in names},
-    )
-    camera = camera or CameraConfig(source="v4l2", device="2", rate_hz=60.0, exposure_s=0.004)
-    return V4l2Source("left", camera, module, lambda: max(NOW_NS, round(1e6 * capture.stamp_ms))), asked
+def pictures(*sequences: int, first_us: int = 4_990_000) -> list[Picture | None]:
+    return [Picture(number, first_us + PERIOD_US * number) for number in sequences]
 
 
-def test_everything_is_locked(caplog: pytest.LogCaptureFixture) -> None:
-    capture = FakeCapture()
-    source, asked = source_with(capture, CameraConfig(source="v4l2", device="2", focus_dioptres=1.5))
+def source_of(device: FakeV4l2, camera: CameraConfig = CAMERA) -> V4l2Source:
+    def now_ns() -> int:
+        return max(device.clock_ns(), 1000 * device._stamp_us)
+
+    return V4l2Source("left", camera, device.opencv(), now_ns, device.query)
+
+
+def opened(device: FakeV4l2, camera: CameraConfig = CAMERA, start_ns: int = 0) -> V4l2Source:
+    source = source_of(device, camera)
+    source.open(start_ns)
+    return source
+
+
+def settings(**changes: Any) -> CameraSettings:
+    return CameraSettings.from_config(CAMERA, nominal_colors({})).changed(changes, 60.0)
+
+
+def test_everything_automatic_is_off_and_the_rest_is_the_drivers_own(caplog: pytest.LogCaptureFixture) -> None:
+    device = FakeV4l2()
     with caplog.at_level(logging.WARNING):
-        source.open(0)
-    assert asked == [(2, cv2.CAP_V4L2)]
-    wanted = {
-        cv2.CAP_PROP_FRAME_WIDTH: 640,
-        cv2.CAP_PROP_FRAME_HEIGHT: 480,
-        cv2.CAP_PROP_FPS: 60.0,
-        cv2.CAP_PROP_AUTO_EXPOSURE: 1.0,
-        cv2.CAP_PROP_EXPOSURE: 40.0,
-        cv2.CAP_PROP_GAIN: 4.0,
-        cv2.CAP_PROP_AUTO_WB: 0.0,
-        cv2.CAP_PROP_AUTOFOCUS: 0.0,
-        cv2.CAP_PROP_FOCUS: 1.5,
-    }
-    assert {key: capture.values[key] for key in wanted} == pytest.approx(wanted)
+        source = opened(device)
+    values = {name: control.value for name, control in device.controls.items()}
+    assert (values["AUTO_EXPOSURE"], values["EXPOSURE"], values["AUTO_WB"], values["AUTOFOCUS"]) == (
+        1.0,
+        40.0,
+        0.0,
+        0.0,
+    )
+    # A gain of 4 and a white balance of (1.6, 1.6) are no values of this driver's.
+    assert (values["GAIN"], values["WB_TEMPERATURE"], values["FOCUS"]) == (64.0, 4000.0, 30.0)
+    assert "gain stays at 64, white_balance_temperature stays at 4000" in caplog.text
+    assert "[cameras.left.v4l2_controls]" in caplog.text
+    assert source.problem == ""
+
+
+def test_a_drivers_own_values_are_set_as_such(caplog: pytest.LogCaptureFixture) -> None:
+    own = {"gain": 20, "focus_absolute": 51, "white_balance_temperature": 4600}
+    camera = CameraConfig.model_validate({**CAMERA.model_dump(), "focus_dioptres": 1.5, "v4l2_controls": own})
+    device = FakeV4l2()
+    with caplog.at_level(logging.WARNING):
+        opened(device, camera)
+    values = {name: control.value for name, control in device.controls.items()}
+    assert (values["GAIN"], values["FOCUS"], values["WB_TEMPERATURE"]) == (20.0, 51.0, 4600.0)
     assert not caplog.records
 
 
-def test_what_the_driver_refuses_is_named(caplog: pytest.LogCaptureFixture) -> None:
-    source, _ = source_with(FakeCapture(AUTO_EXPOSURE=3.0, FPS=30.0))
+def test_what_the_driver_refuses_is_named_and_stays_in_the_status(caplog: pytest.LogCaptureFixture) -> None:
+    camera = CAMERA.model_copy(update={"v4l2_controls": {"gain": 400}})
+    device = FakeV4l2(forced={"AUTO_EXPOSURE": 3.0, "FPS": 30.0})
     with caplog.at_level(logging.WARNING):
-        source.open(0)
-    text = caplog.text
-    assert "manual exposure" in text
-    assert "rate_hz = 60" in text
-    assert "gain" not in text
+        source = opened(device, camera)
+    for words in ("manual exposure", "rate_hz = 60 (driver says 30)", "v4l2_controls.gain = 400 (driver says 255)"):
+        assert words in caplog.text
+        assert words in source.problem
+
+
+def test_a_camera_without_these_controls_is_no_fault() -> None:
+    device = FakeV4l2(controls={"AUTO_EXPOSURE": Control(3.0, 0.0, 3.0), "EXPOSURE": Control(250.0, 3.0, 2047.0)})
+    assert opened(device).problem == ""
 
 
 def test_a_wrong_size_is_an_error_and_frees_the_device() -> None:
-    capture = FakeCapture(FRAME_WIDTH=1280.0)
-    source, _ = source_with(capture)
+    device = FakeV4l2(forced={"FRAME_WIDTH": 1280.0})
     with pytest.raises(DeviceError, match="1280x480 instead of 640x480"):
-        source.open(0)
-    assert capture.released
+        opened(device)
+    assert device.released
 
 
 def test_an_absent_device_is_named() -> None:
-    source, _ = source_with(FakeCapture(opened=False), CameraConfig(source="v4l2", device="/dev/video9"))
     with pytest.raises(DeviceError, match=r"/dev/video9.*plugged in"):
-        source.open(0)
+        opened(FakeV4l2(present=False), CAMERA.model_copy(update={"device": "/dev/video9"}))
 
 
-def test_the_drivers_timestamp_less_the_exposure_counts() -> None:
-    source, _ = source_with(FakeCapture())
-    source.open(0)
-    frame = source.read()
+def test_what_opencv_raises_is_a_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> bool:
+        raise cv2.error("cap_v4l.cpp: assertion failed")
+
+    device = FakeV4l2()
+    monkeypatch.setattr(device, "set", fail)
+    with pytest.raises(DeviceError, match=r"camera left.*assertion failed"):
+        opened(device)
+    assert device.released
+
+
+def test_a_stamp_labelled_start_of_exposure_is_the_start() -> None:
+    frame = opened(FakeV4l2(pictures(0))).read()
     assert frame is not None
-    assert frame.t_first_row_ns == 4_990_000_000 - 4_000_000
-    assert (frame.index, frame.exposure_s) == (0, 0.004)
+    assert frame.t_first_row_ns == 4_990_000_000
+    assert (frame.exposure_s, frame.readout_s) == (0.004, 0.01)
 
 
-def test_an_impossible_timestamp_is_replaced_and_reported_once(caplog: pytest.LogCaptureFixture) -> None:
-    capture = FakeCapture()
-    capture.stamps_ms = iter([0.0] * 10)
-    source, _ = source_with(capture, CameraConfig(source="v4l2", exposure_s=0.004, readout_s=0.01, rate_hz=60.0))
+@pytest.mark.parametrize("answers", [True, False])
+def test_any_other_stamp_is_the_end_of_the_frame(answers: bool) -> None:
+    frame = opened(FakeV4l2(pictures(0), label=0, answers_queries=answers)).read()
+    assert frame is not None
+    assert frame.t_first_row_ns == 4_990_000_000 - 14_000_000
+
+
+def test_an_impossible_stamp_is_replaced_and_reported_once(caplog: pytest.LogCaptureFixture) -> None:
+    device = FakeV4l2([Picture(0, 0), Picture(1, 0)])
+    source = opened(device)
     with caplog.at_level(logging.WARNING):
-        source.open(0)
         frames = [source.read(), source.read()]
-    assert [frame.t_first_row_ns for frame in frames if frame] == [NOW_NS - 14_000_000] * 2
+    assert [frame.t_first_row_ns for frame in frames if frame] == [device.now_ns - 14_000_000] * 2
     assert caplog.text.count("away from the monotonic clock") == 1
 
 
+@pytest.mark.parametrize("answers", [True, False])
+def test_lost_frames_leave_a_gap_in_the_count(answers: bool) -> None:
+    device = FakeV4l2(pictures(7, 8, 11, 12), answers_queries=answers)
+    source = opened(device)
+    frames = [source.read() for _ in range(4)]
+    # By the driver's number; by the times between frames where it tells none.
+    assert [frame.index for frame in frames if frame] == [0, 1, 4, 5]
+
+
 def test_frames_before_the_start_are_thrown_away() -> None:
-    source, _ = source_with(FakeCapture())
-    source.open(5_000_000_000)
-    source_frame = source.read()
-    assert source_frame is not None
-    assert source_frame.t_first_row_ns == 5_006_000_000 - 4_000_000
-    assert source_frame.index == 1
+    source = opened(FakeV4l2(pictures(0, 1)), start_ns=5_000_000_000)
+    frame = source.read()
+    assert frame is not None
+    assert frame.t_first_row_ns == 1000 * (4_990_000 + PERIOD_US)
 
 
-def test_a_hiccup_is_survived_and_silence_is_an_error() -> None:
-    capture = FakeCapture()
-    capture.frames = [False, False, True]
-    source, _ = source_with(capture)
-    source.open(0)
-    assert source.read() is not None
-    with pytest.raises(DeviceError, match="stopped delivering"):
+def test_a_hiccup_is_survived() -> None:
+    assert opened(FakeV4l2([None, *pictures(0)])).read() is not None
+
+
+def test_a_hang_is_noticed_after_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", raising=False)
+    device = FakeV4l2()
+    source = opened(device)
+    begun_ns = device.now_ns
+    with pytest.raises(DeviceError, match=r"stopped delivering 3\.0 s ago"):
+        source.read()
+    assert device.now_ns - begun_ns <= 3_000_000_000
+
+
+def test_a_camera_that_is_pulled_out_is_noticed_at_once() -> None:
+    device = FakeV4l2()
+    source = opened(device)
+    device.present = False
+    with pytest.raises(DeviceError, match=r"unplugged"):
         source.read()
 
 
-def test_live_settings_reach_the_driver_and_the_timestamps() -> None:
-    capture = FakeCapture()
-    source, _ = source_with(capture)
-    camera = CameraConfig(source="v4l2")
-    settings = CameraSettings.from_config(camera, nominal_colors({})).changed({"exposure_s": 0.002, "gain": 2.0}, 60.0)
+def test_the_exposure_changes_while_running_and_with_it_the_times() -> None:
+    device = FakeV4l2(pictures(0), label=0)
+    source = source_of(device)
     with pytest.raises(DeviceError, match="not open"):
-        source.apply(settings)
+        source.apply(settings(exposure_s=0.002))
     source.open(0)
-    source.apply(settings)
-    assert capture.values[cv2.CAP_PROP_EXPOSURE] == pytest.approx(20.0)
+    source.apply(settings(exposure_s=0.002))
+    assert device.controls["EXPOSURE"].value == 20.0
     frame = source.read()
     assert frame is not None
-    assert frame.exposure_s == 0.002
+    assert frame.exposure_s == pytest.approx(0.002)
+    assert frame.t_first_row_ns == 4_990_000_000 - 12_000_000
+
+
+@pytest.mark.parametrize("change", [{"gain": 2.0}, {"white_balance": (2.0, 1.2)}, {"focus_dioptres": 2.0}])
+def test_what_v4l2_has_no_unit_for_is_refused_and_nothing_changes(change: dict[str, Any]) -> None:
+    device = FakeV4l2()
+    source = opened(device)
+    before = dict(device.controls)
+    with pytest.raises(ConfigError, match=r"mean nothing to a V4L2 driver.*cameras\.left\.v4l2_controls"):
+        source.apply(settings(exposure_s=0.002, **change))
+    assert device.controls == before
+    assert device.controls["EXPOSURE"].value == 40.0
+
+
+def test_an_exposure_that_the_driver_refuses_is_refused() -> None:
+    device = FakeV4l2()
+    source = opened(device)
+    with pytest.raises(ConfigError, match=r"refuses exposure_s = 0\.0001 \(driver says 3\)"):
+        source.apply(settings(exposure_s=0.0001))
+    assert device.controls["EXPOSURE"].value == 40.0
+
+
+def test_closing_waits_for_the_read_that_is_under_way() -> None:
+    device = FakeV4l2(pictures(0), hang=threading.Event())
+    source = opened(device)
+    reader = threading.Thread(target=source.read)
+    reader.start()
+    assert device.grabbing.wait(10.0)
+    closer = threading.Thread(target=source.close)
+    closer.start()
+    closer.join(0.1)
+    assert not device.is_released()
+    assert device.hang is not None
+    device.hang.set()
+    reader.join(10.0)
+    closer.join(10.0)
+    assert device.is_released()
+    assert device.misuse == []
 
 
 def test_after_close_there_is_nothing() -> None:
-    capture = FakeCapture()
-    source, _ = source_with(capture)
-    source.open(0)
+    device = FakeV4l2(pictures(0))
+    source = opened(device)
     source.close()
     source.close()
-    assert capture.released
+    assert device.released
     assert source.read() is None
+
+
+def test_the_kernels_buffer_has_its_size() -> None:
+    # The size is part of the number of VIDIOC_QUERYBUF.
+    assert ctypes.sizeof(V4l2Buffer) == 88
+    offsets = {name: getattr(V4l2Buffer, name).offset for name in ("flags", "seconds", "sequence")}
+    assert offsets == {"flags": 12, "seconds": 24, "sequence": 56}

@@ -13,6 +13,7 @@ from collections.abc import AsyncIterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from bus_watch import PATIENCE_S, answers, until
@@ -37,6 +38,7 @@ from rhot.messages import (
 from rhot.operation.status import fetch_status
 from rhot.operation.supervisor import Supervisor
 from rhot.recording import load_recording
+from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
 from rhot.recording.mcap.reader import RecordedSample, open_mcap
 from rhot.rig import BusConfig
 from rhot_bench.speed.simulated import Cameras, Capture, moments, world_of
@@ -232,6 +234,39 @@ async def test_a_disk_that_fills_up_ends_the_recording_with_one_message(router: 
     sent = await publishing
     found = content(list(open_mcap(file).samples()))
     assert 0 < len(found) < len(sent)
+
+
+async def test_strangers_cannot_end_a_recording_nor_spoil_it(router: BusConfig, tmp_path: Path) -> None:
+    pictures, flood = 60, 400
+    jpeg = bytes(cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))[1])
+
+    def picture(camera: str, frame: int, t_ns: int) -> CameraPicture:
+        return CameraPicture(t_ns=t_ns, camera=camera, frame=frame, exposure_s=0.004, readout_s=0.012, jpeg=jpeg)
+
+    async with recording(router, tmp_path / "take.mcap", "--frames"), await Bus.open(router) as bus:
+        names = ("left", "..", "right.csv")
+        publishers = {name: bus.publisher(f"{PICTURES_KEY}/{name}", CameraPicture) for name in names}
+        points = bus.publisher("rhot/points", PointSet)
+        for publisher in publishers.values():
+            assert await publisher.wait_for_reader(10.0)
+        assert await points.wait_for_reader(10.0)
+        for number in range(flood):
+            await bus.put(f"rhot/[/red]/{number}", b"x", "text/plain")
+        begin_ns = time.time_ns()
+        for frame in range(pictures):
+            t_ns = begin_ns + frame * 10_000_000
+            publishers["left"].put(picture("left", frame, t_ns))
+            points.put(point_set(t_ns))
+            if frame == 10:
+                publishers["left"].put(picture("left", frame, t_ns + 10**15))
+                publishers[".."].put(picture("..", frame, t_ns))
+                publishers["right.csv"].put(picture("right.csv", frame, t_ns))
+            await asyncio.sleep(0.01)
+    track = load_recording(tmp_path / "take").cameras
+    assert {name: len(camera.t_ns) for name, camera in track.items()} == {"left": pictures}
+    recorded = open_mcap(tmp_path / "take.mcap")
+    assert "rhot/points" in recorded.keys
+    assert len(recorded.keys) < flood
 
 
 async def test_a_running_service_is_not_mixed_with(router: BusConfig, tmp_path: Path) -> None:

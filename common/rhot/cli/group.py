@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from rhot.errors import EXIT_AGAIN, ConfigError, HungDeviceError, RhotError
+from rhot.text import printable_lines
 
 logger = logging.getLogger(__name__)
 
@@ -97,7 +98,7 @@ class MainGroup(LazyGroup):
             _show(error)
             self._exit(error.exit_code)
         except RhotError as error:
-            click.echo(f"rhot: error: {error}", err=True)
+            click.echo(f"rhot: error: {printable_lines(str(error))}", err=True)
             codes = {ConfigError: EXIT_USAGE, HungDeviceError: EXIT_AGAIN}
             self._exit(next((code for kind, code in codes.items() if isinstance(error, kind)), EXIT_ERROR))
         except KeyboardInterrupt:
@@ -117,4 +118,4 @@ def _show(error: click.ClickException) -> None:
     if isinstance(error, click.UsageError) and error.ctx is not None:
         click.echo(error.ctx.get_usage(), err=True)
         click.echo(f"Try '{error.ctx.command_path} --help' for help.", err=True)
-    click.echo(f"rhot: error: {error.format_message()}", err=True)
+    click.echo(f"rhot: error: {printable_lines(error.format_message())}", err=True)

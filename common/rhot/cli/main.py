@@ -9,6 +9,7 @@ import click
 
 from rhot import __version__
 from rhot.cli.group import LazyCommand, LazyGroup, MainGroup
+from rhot.text import PrintableFormatter
 
 _COMMANDS: Final = {
     "sim": LazyCommand("Run a whole simulated rig on this machine and show how well it tracks.", extra="sim"),
@@ -97,7 +98,9 @@ def main(verbose: int, quiet: bool) -> None:
     --rig RIG.
     """
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
-    logging.basicConfig(level=level, format="%(asctime)s %(levelname)-7s %(name)s: %(message)s")
+    handler = logging.StreamHandler()
+    handler.setFormatter(PrintableFormatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s"))
+    logging.basicConfig(level=level, handlers=[handler])
     logging.getLogger("zenoh").setLevel(logging.ERROR)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Final
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -12,6 +13,9 @@ from rich.text import Text
 from rhot.bus import Bus
 from rhot.errors import WireError
 from rhot.messages import ServiceStatus, decode
+
+_MOST_ROWS: Final = 100
+"""Services that are shown; a rig has about ten."""
 
 
 async def fetch_status(bus: Bus, timeout_s: float = 1.0) -> tuple[set[str], dict[str, ServiceStatus]]:
@@ -29,18 +33,24 @@ async def fetch_status(bus: Bus, timeout_s: float = 1.0) -> tuple[set[str], dict
 
 
 def status_table(alive: set[str], statuses: dict[str, ServiceStatus]) -> RenderableType:
-    """Return what people read: one row a service, below it what is wrong in whole sentences."""
+    """Return what people read: one row a service, below it what is wrong in whole sentences.
+
+    Names are set as text, not as markup: anybody on the bus may choose one.
+    """
     table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for column in ("service", "state", "out /s", "late", "missed", "invalid", "p50 ms", "p99 ms", "± ms"):
         table.add_column(column, justify="left" if column in ("service", "state") else "right", no_wrap=True)
     trouble: list[RenderableType] = []
-    for name in sorted(alive | set(statuses)):
+    names = sorted(alive | set(statuses))
+    for name in names[:_MOST_ROWS]:
         status = statuses.get(name)
         if status is None:
-            table.add_row(name, "[yellow]new[/]", *["–"] * 7)
+            table.add_row(Text(name), "[yellow]new[/]", *["–"] * 7)
             continue
-        table.add_row(name, status.state if name in alive else "[red]gone[/]", *_cells(status))
+        table.add_row(Text(name), status.state if name in alive else "[red]gone[/]", *_cells(status))
         trouble += [Text.assemble((f"{name}: ", "bold"), text) for text in (status.problem, status.last_error) if text]
+    if len(names) > _MOST_ROWS:
+        trouble.append(Text(f"… and {len(names) - _MOST_ROWS} more: does somebody flood the bus?", "yellow"))
     return Group(table, *trouble)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import tomllib
 from pathlib import Path
@@ -22,6 +23,8 @@ from rhot.recording.model import (
     frozen_array,
 )
 from rhot.recording.tables import read_marker_track, read_times
+
+logger = logging.getLogger(__name__)
 
 RECORDING_FILE = "recording.toml"
 MARKERS_FILE = "markers.csv"
@@ -70,18 +73,20 @@ def load_recording(path: Path) -> Recording:
             f"{path / RECORDING_FILE}: cameras.{unknown[0]} is not in this recording, which holds {', '.join(origins)}"
         )
     cameras = {
-        name: load_camera(origin, name, settings.cameras.get(name, TrackTiming())) for name, origin in origins.items()
+        name: load_camera(origin, name, settings.cameras.get(name, TrackTiming()), complete=settings.complete)
+        for name, origin in origins.items()
     }
     return Recording(path, cameras, settings.notes)
 
 
-def load_camera(path: Path, name: str, timing: TrackTiming | None = None) -> CameraTrack:
+def load_camera(path: Path, name: str, timing: TrackTiming | None = None, *, complete: bool = True) -> CameraTrack:
     """Load one camera of a recording: a folder of pictures or of `markers.csv`, or a video file.
 
     Args:
         path: the folder or the video.
         name: of the camera.
         timing: read-out and exposure; absent = 0.
+        complete: false where the recorder was cut off: the last pictures and their times need not match then.
 
     Raises:
         ConfigError: missing, empty, ambiguous or wrong; names file and line.
@@ -101,10 +106,12 @@ def load_camera(path: Path, name: str, timing: TrackTiming | None = None) -> Cam
         return read_marker_track(markers, name, timing)
     if not pictures:
         raise ConfigError(f"{path}: holds neither numbered pictures (000000.jpg or .png) nor {MARKERS_FILE}")
-    frames, t_ns = _times_of(path / TIMES_FILE, path.parent / f"{path.name}.csv")
+    frames, t_ns = _times_of(path / TIMES_FILE, path.parent / f"{path.name}.csv", complete=complete)
     if not len(t_ns):
         return PictureTrack(name, tuple(pictures.values()), frozen_array(list(pictures)), _NO_TIMES, timing)
     table = path / TIMES_FILE if (path / TIMES_FILE).exists() else path.parent / f"{path.name}.csv"
+    if not complete:
+        frames, t_ns = _up_to_the_cut(path, pictures, frames, t_ns)
     listed = set(frames.tolist())
     without_time = [file for frame, file in pictures.items() if frame not in listed]
     if without_time == [pictures[max(pictures)]] and max(pictures) > int(frames[-1]):
@@ -116,6 +123,27 @@ def load_camera(path: Path, name: str, timing: TrackTiming | None = None) -> Cam
         if frame not in pictures:
             raise ConfigError(f"{table}: frame {frame} (row {row + 1} of the table) has no picture in {path}")
     return PictureTrack(name, tuple(pictures[frame] for frame in frames.tolist()), frames, t_ns, timing)
+
+
+def _up_to_the_cut(
+    path: Path, pictures: dict[int, Path], frames: IntArray, t_ns: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Return the times of a recording that was cut off, up to its last picture that is whole.
+
+    After a power cut the last pictures may be empty or without a row, and the last rows without a picture.
+    """
+    numbers = frames.tolist()
+    count = len(numbers)
+    while count and not (numbers[count - 1] in pictures and pictures[numbers[count - 1]].stat().st_size):
+        count -= 1
+    if not count:
+        raise ConfigError(f"{path}: the recording was cut off before its first picture was on the disk")
+    later = [frame for frame in pictures if frame > numbers[count - 1]]
+    if count < len(numbers) or later:
+        logger.warning("%s: the recording was cut off; its last %d pictures are left out", path, len(later))
+    for frame in later:
+        del pictures[frame]
+    return frozen_array(numbers[:count]), frozen_array(t_ns.tolist()[:count])
 
 
 def _settings(path: Path) -> RecordingFile:
@@ -161,8 +189,8 @@ def numbered_pictures(path: Path, suffixes: tuple[str, ...] = PICTURE_SUFFIXES) 
     return dict(sorted(pictures.items()))
 
 
-def _times_of(first: Path, second: Path | None) -> tuple[IntArray, IntArray]:
+def _times_of(first: Path, second: Path | None, *, complete: bool = True) -> tuple[IntArray, IntArray]:
     present = [file for file in (first, second) if file is not None and file.exists()]
     if len(present) == 2:
         raise ConfigError(f"{present[0]} and {present[1]} both state this camera's times; keep one")
-    return read_times(present[0]) if present else (_NO_TIMES, np.array(_NO_TIMES))
+    return read_times(present[0], complete=complete) if present else (_NO_TIMES, np.array(_NO_TIMES))

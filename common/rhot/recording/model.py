@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from rhot.rig.file_model import FileModel, NotNegative
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
+
+MOST_CAMERAS: Final = 64
+"""Of a recording, as of a rig."""
 
 
 class TrackTiming(FileModel):
@@ -38,12 +41,15 @@ class RecordingFile(FileModel):
     Attributes:
         version: of the file's layout.
         notes: for people.
+        complete: false while a recorder writes, and for ever where it was cut off: then the last pictures and their
+            times need not match.
         cameras: timing per camera; what is absent counts as 0.
     """
 
     version: Literal[1] = 1
     notes: str = ""
-    cameras: Annotated[dict[Name, TrackTiming], Field(max_length=64)] = {}
+    complete: bool = True
+    cameras: Annotated[dict[Name, TrackTiming], Field(max_length=MOST_CAMERAS)] = {}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,28 +1,43 @@
-"""Writing pictures of a running rig as a recording folder, which opens whenever the writing ended."""
+"""Writing pictures of a running rig as a recording folder, which opens whenever the writing ended.
+
+Whoever reaches the bus may publish pictures: names that are no folder of ours, stamps from the future and a flood of
+cameras cost nothing but themselves, and are counted.
+"""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Final
 
+import tomlkit
+
+from rhot.atomic_file import sync_file_system, sync_folder, why
 from rhot.errors import ConfigError
 from rhot.recording.camera_picture import CameraPicture
-from rhot.recording.folder import RECORDING_FILE, TIMES_FILE
+from rhot.recording.folder import RECORDING_FILE, TIMES_FILE, VIDEO_SUFFIXES
 from rhot.recording.mcap.gaps import KeyCount
+from rhot.recording.model import MOST_CAMERAS
+from rhot.recording.stamps import StampGate
 from rhot.recording.tables import TIMES_HEADER
 from rhot.rig.folder import write_text_atomic
+
+_TAKEN: Final = (".csv", ".toml", *VIDEO_SUFFIXES)
+"""Endings of files that mean something in a recording folder; a camera's folder must not be called so."""
+_JPEG: Final = b"\xff\xd8\xff"
 
 
 @dataclass(slots=True)
 class _Camera:
-    folder: Path
-    times: IO[str]
-    exposure_s: float
-    readout_s: float
-    count: KeyCount
+    gate: StampGate = field(default_factory=StampGate)
+    waiting: list[tuple[CameraPicture, int]] = field(default_factory=list)
+    count: KeyCount = field(default_factory=KeyCount)
+    folder: Path | None = None
+    times: IO[str] | None = None
+    exposure_s: float = 0.0
+    readout_s: float = 0.0
     offset: int = 0
     frame: int = -1
     t_ns: int = -1
@@ -33,6 +48,7 @@ class PictureFolder:
 
     Attributes:
         path: the folder; it appears with the first picture.
+        refused: pictures whose camera cannot be recorded: its name is no folder's, or there are too many.
     """
 
     def __init__(self, path: Path, notes: str = "") -> None:
@@ -48,52 +64,123 @@ class PictureFolder:
         if path.exists():
             raise ConfigError(f"{path} exists already and is not overwritten; choose another --out")
         self.path = path
+        self.refused = 0
         self._notes = notes
         self._cameras: dict[str, _Camera] = {}
 
     def __enter__(self) -> PictureFolder:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        for camera in self._cameras.values():
-            camera.times.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self._finish()
+        finally:
+            for camera in self._cameras.values():
+                if camera.times is not None:
+                    # Every row was flushed; what a full disk has kept in the buffer was told of then.
+                    with contextlib.suppress(OSError):
+                        camera.times.close()
+
+    def _finish(self) -> None:
+        with self._failing_clearly():
+            for camera in self._cameras.values():
+                camera.gate.settle()
+                self._judge_waiting(camera)
+            if self.path.exists():
+                self._describe(complete=True)
+                self.sync()
 
     @property
     def counts(self) -> dict[str, KeyCount]:
-        """Pictures written and lost, by camera."""
+        """Pictures written, lost and left out, by camera."""
         return {name: camera.count for name, camera in self._cameras.items()}
 
-    def write(self, picture: CameraPicture) -> None:
-        """Add a picture; one that is not later than the camera's last is left out.
+    def write(self, picture: CameraPicture, arrived_ns: int | None = None) -> None:
+        """Add a picture; one that is not later than the camera's last, or whose time has not come, is left out.
+
+        Args:
+            picture: to add.
+            arrived_ns: when it arrived, monotonic; None = its stamp is beyond doubt.
 
         Raises:
             ConfigError: the disk is full, or the folder cannot be written.
         """
-        with self._failing_clearly():
-            camera = self._cameras.get(picture.camera) or self._begin(picture)
-            camera.count.note(picture.seq, len(picture.jpeg))
-            if picture.t_ns <= camera.t_ns:
+        camera = self._cameras.get(picture.camera)
+        if camera is None:
+            if len(self._cameras) >= MOST_CAMERAS or not _is_folder_name(picture.camera):
+                self.refused += 1
                 return
-            if picture.frame + camera.offset <= camera.frame:
-                # The source counts anew: the rig was stopped and started.
-                camera.offset = camera.frame + 1 - picture.frame
-            camera.frame, camera.t_ns = picture.frame + camera.offset, picture.t_ns
-            (camera.folder / f"{camera.frame:06d}.jpg").write_bytes(picture.jpeg)
-            camera.times.write(f"{camera.frame},{camera.t_ns}\n")
-            camera.times.flush()
+            camera = self._cameras[picture.camera] = _Camera()
+        camera.count.note(picture.seq, len(picture.jpeg))
+        if not picture.jpeg.startswith(_JPEG):
+            camera.count.left_out += 1
+            return
+        was_ready = camera.gate.ready
+        with self._failing_clearly():
+            if arrived_ns is None:
+                self._add(camera, picture)
+            elif was_ready:
+                self._add_if_admitted(camera, picture, arrived_ns)
+            else:
+                camera.waiting.append((picture, arrived_ns))
+                camera.gate.admits(picture.t_ns, arrived_ns)
+                if camera.gate.ready:
+                    self._judge_waiting(camera)
 
-    def _begin(self, picture: CameraPicture) -> _Camera:
-        folder = self.path / picture.camera
-        folder.mkdir(parents=True)
-        times = (folder / TIMES_FILE).open("w", encoding="utf-8")
-        times.write(",".join(TIMES_HEADER) + "\n")
-        camera = _Camera(folder, times, picture.exposure_s, picture.readout_s, KeyCount())
-        self._cameras[picture.camera] = camera
-        lines = ["version = 1", f'notes = "{self._notes}"']
-        for name, known in sorted(self._cameras.items()):
-            lines += ["", f"[cameras.{name}]", f"exposure_s = {known.exposure_s}", f"readout_s = {known.readout_s}"]
-        write_text_atomic(self.path / RECORDING_FILE, "\n".join(lines) + "\n")
-        return camera
+    def sync(self) -> None:
+        """Bring what is written to the disk: a power cut costs what came after this.
+
+        Raises:
+            ConfigError: the disk reports that it could not be written.
+        """
+        if self.path.exists():
+            with self._failing_clearly():
+                sync_file_system(self.path)
+
+    def _judge_waiting(self, camera: _Camera) -> None:
+        waiting, camera.waiting = camera.waiting, []
+        for picture, arrived_ns in waiting:
+            self._add_if_admitted(camera, picture, arrived_ns)
+
+    def _add_if_admitted(self, camera: _Camera, picture: CameraPicture, arrived_ns: int) -> None:
+        if camera.gate.admits(picture.t_ns, arrived_ns):
+            self._add(camera, picture)
+        else:
+            camera.count.left_out += 1
+
+    def _add(self, camera: _Camera, picture: CameraPicture) -> None:
+        if picture.t_ns <= camera.t_ns:
+            camera.count.left_out += 1
+            return
+        folder, times = self._place_of(camera, picture)
+        if picture.frame + camera.offset <= camera.frame:
+            # The source counts anew: the rig was stopped and started.
+            camera.offset = camera.frame + 1 - picture.frame
+        camera.frame, camera.t_ns = picture.frame + camera.offset, picture.t_ns
+        (folder / f"{camera.frame:06d}.jpg").write_bytes(picture.jpeg)
+        times.write(f"{camera.frame},{camera.t_ns}\n")
+        times.flush()
+
+    def _place_of(self, camera: _Camera, picture: CameraPicture) -> tuple[Path, IO[str]]:
+        if camera.folder is None or camera.times is None:
+            camera.folder = self.path / picture.camera
+            camera.folder.mkdir(parents=True)
+            camera.exposure_s, camera.readout_s = picture.exposure_s, picture.readout_s
+            camera.times = (camera.folder / TIMES_FILE).open("w", encoding="utf-8")
+            camera.times.write(",".join(TIMES_HEADER) + "\n")
+            self._describe(complete=False)
+            sync_folder(self.path.parent)
+        return camera.folder, camera.times
+
+    def _describe(self, *, complete: bool) -> None:
+        cameras = {
+            name: {"exposure_s": camera.exposure_s, "readout_s": camera.readout_s}
+            for name, camera in sorted(self._cameras.items())
+            if camera.folder is not None
+        }
+        content = {"version": 1, "notes": self._notes, "complete": complete, "cameras": cameras}
+        write_text_atomic(self.path / RECORDING_FILE, tomlkit.dumps(content))
 
     @contextlib.contextmanager
     def _failing_clearly(self) -> Iterator[None]:
@@ -101,6 +188,11 @@ class PictureFolder:
             yield
         except OSError as error:
             raise ConfigError(
-                f"{self.path}: pictures cannot be written any more: {error.strerror or error}; those before this open; "
-                "make room, or record with --out on another disk"
+                f"{self.path}: pictures cannot be written any more: {why(error)}; those before this open; or record "
+                "with --out on another disk"
             ) from error
+
+
+def _is_folder_name(camera: str) -> bool:
+    """Tell whether a camera's name can be a folder's: `..` leads out of the recording, hidden ones are not read."""
+    return not camera.startswith(".") and not camera.lower().endswith(_TAKEN)

@@ -21,15 +21,17 @@ _MAX_INTEGER = (1 << 63) - 1
 _MAX_PIXEL = 1e5
 
 
-def read_times(file: Path) -> tuple[IntArray, IntArray]:
+def read_times(file: Path, *, complete: bool = True) -> tuple[IntArray, IntArray]:
     """Return frame numbers (N,) and times (N,), ns, of a `frame,t_ns` table, both strictly increasing.
+
+    Where the recorder was cut off (not `complete`), a last line without an end is left out.
 
     Raises:
         ConfigError: unreadable, wrong header, not a number, or going backwards; names file and line.
     """
     frames: list[int] = []
     times: list[int] = []
-    for line, (frame_text, time_text) in _rows(file, TIMES_HEADER):
+    for line, (frame_text, time_text) in _rows(file, TIMES_HEADER, complete=complete):
         frame, t_ns = _integer(file, line, "frame", frame_text), _integer(file, line, "t_ns", time_text)
         if frames and frame <= frames[-1]:
             _fail(file, line, f"frame {frame} follows frame {frames[-1]}; frame numbers must increase")
@@ -90,11 +92,12 @@ def read_marker_track(file: Path, name: str, timing: TrackTiming) -> MarkerTrack
     )
 
 
-def _rows(file: Path, header: tuple[str, ...]) -> Iterator[tuple[int, list[str]]]:
+def _rows(file: Path, header: tuple[str, ...], *, complete: bool = True) -> Iterator[tuple[int, list[str]]]:
     try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
+        text = file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read: {error}") from error
+    lines = (text if complete else text[: text.rfind("\n") + 1]).splitlines()
     expected = ",".join(header)
     if not lines or tuple(cell.strip() for cell in lines[0].split(",")) != header:
         found = repr(lines[0][:80]) if lines else "an empty file"

@@ -10,6 +10,7 @@ from rhot.anatomy.skeleton import JOINTS
 from rhot.messages import Name, Side
 from rhot.rig.feet_config import BodyConfig, FeetConfig
 from rhot.rig.file_model import FileModel, NotNegative, Positive, Vector3
+from rhot.rig.v4l2_control import V4l2Control
 
 WalkProgram = Literal[
     "still",
@@ -64,7 +65,8 @@ class CameraConfig(FileModel):
         exposure_s: exposure time; short enough that a fast finger does not smear.
         gain: analogue gain.
         white_balance: red and blue gains; locked, never automatic.
-        focus_dioptres: lens position, for cameras with a focus motor.
+        focus_dioptres: lens position, for cameras with a focus motor. V4L2 has no units for gain, white balance, focus.
+        v4l2_controls: what a V4L2 driver is set to, in its own units (`v4l2-ctl --list-ctrls`).
         readout_s: time between the read-out of the first and of the last row (rolling shutter).
         sync: libcamera's software synchronisation between Pis: who gives the beat.
         fov_deg: horizontal field of view, used until the cameras are calibrated.
@@ -82,6 +84,7 @@ class CameraConfig(FileModel):
     gain: Annotated[float, Field(ge=1.0, le=64.0)] = 4.0
     white_balance: tuple[Positive, Positive] = (1.6, 1.6)
     focus_dioptres: NotNegative | None = None
+    v4l2_controls: dict[V4l2Control, Annotated[int, Field(ge=-(1 << 31), lt=1 << 31)]] = {}
     readout_s: NotNegative = 0.0
     sync: Literal["off", "server", "client"] = "off"
     fov_deg: Annotated[float, Field(gt=1.0, lt=170.0)] = 62.2

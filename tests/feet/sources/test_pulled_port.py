@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import serial
-from pulled_port import PulledPort
+from devices.pulled_port import PulledPort
 
 from rhot.errors import DeviceError
 from rhot.rig.feet_config import ImuConfig

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import resource
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
+from typing import cast
 
 import msgpack
 import numpy as np
 import pytest
 from hand_messages import hand_pose, marker_frame, object_pose
 from mcap.reader import make_reader
+from power_cut import Disk, Loss
 
+from rhot.bus import EventSubscriber, Sample
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, MarkerFrame, Message, encode, encoding_of, with_seq
-from rhot.recording.mcap.gaps import peek
+from rhot.recording.mcap import session
+from rhot.recording.mcap.gaps import Tally, peek
 from rhot.recording.mcap.reader import RecordedSample, open_mcap, read_mcap
 from rhot.recording.mcap.writer import McapWriter, rig_files
 
@@ -189,13 +194,67 @@ def test_a_full_disk_is_one_clear_error_and_what_was_written_opens(tmp_path: Pat
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
     try:
-        with pytest.raises(ConfigError, match=r"cannot be written any more: .*last complete chunk.*make room"):
+        with pytest.raises(ConfigError, match=r"cannot be written any more: .*make room.*last complete chunk"):
             write(tmp_path / "a.mcap", samples(400))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     recording = open_mcap(tmp_path / "a.mcap")
     assert len(list(recording.samples())) > 60
     assert "was cut off" in recording.note
+
+
+def test_a_power_cut_costs_what_was_written_since_the_last_sync(tmp_path: Path) -> None:
+    disk = Disk(tmp_path)
+    wanted = samples(50)
+    with disk.watched():
+        writer = McapWriter(tmp_path / "a.mcap", now_ns=BEGIN_NS)
+        for sample in wanted:
+            writer.write(sample.key, sample.encoding, sample.payload, sample.t_ns, None, sample.log_ns)
+        writer.flush()
+        writer.sync()
+    disk.lose(Loss.CONTENT)
+    assert len(list(open_mcap(tmp_path / "a.mcap").samples())) == len(wanted)
+
+
+class NoSamples:
+    """A mailbox that nothing comes to."""
+
+    def __init__(self) -> None:
+        self._closed = asyncio.Event()
+
+    def close(self) -> None:
+        self._closed.set()
+
+    async def __aiter__(self) -> AsyncIterator[Sample]:
+        await self._closed.wait()
+        nothing: list[Sample] = []
+        for sample in nothing:
+            yield sample
+
+
+async def test_a_recording_is_synced_while_it_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "_SYNC_S", 0.01)
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+
+    class Writer(McapWriter):
+        def sync(self) -> None:
+            super().sync()
+            loop.call_soon_threadsafe(stop.set)
+
+    with Writer(tmp_path / "a.mcap", now_ns=0) as writer:
+        mailbox = cast(EventSubscriber, NoSamples())
+        async with asyncio.timeout(30.0):
+            await session.record(mailbox, writer, Tally(), stop, on_beat=lambda: None)
+
+
+def test_more_keys_than_mcap_can_number_are_one_clear_error(tmp_path: Path) -> None:
+    with (
+        pytest.raises(ConfigError, match="65535 keys at most"),
+        McapWriter(tmp_path / "a.mcap", now_ns=0) as writer,
+    ):
+        for number in range(1 << 16):
+            writer.write(f"rhot/x/{number}", "a/b", b"", None, None, number)
 
 
 def test_nothing_is_overwritten_and_an_impossible_place_is_named(tmp_path: Path) -> None:

@@ -13,11 +13,14 @@ import click
 
 from rhot.bus import Bus, Reply
 from rhot.cli.options import bus_options, rig_option, tool_bus
-from rhot.errors import BusError, WireError
+from rhot.errors import BusError, ConfigError, WireError
 from rhot.messages import unpack
 from rhot.rig import BusConfig
+from rhot.text import printable
 
 _CONNECT_TIMEOUT_S = 2.0
+_MOST_KEYS = 200
+"""Keys whose rates are shown one by one."""
 
 
 def plain_value(payload: bytes, encoding: str) -> Any:
@@ -35,7 +38,8 @@ def plain_value(payload: bytes, encoding: str) -> Any:
 
 
 def _line(key: str, value: Any) -> str:
-    return json.dumps({"key": key, "value": value}, ensure_ascii=False, default=repr)
+    line = json.dumps({"key": key, "value": value}, ensure_ascii=False, default=repr)
+    return printable(line, len(line))
 
 
 def _selector(key_expr: str) -> str:
@@ -78,6 +82,8 @@ def get(
     if raw:
         if not values:
             raise BusError(errors[0] if errors else f"{key_expr}: no service answers this key")
+        if sys.stdout.isatty():
+            raise ConfigError("--raw writes bytes, which a terminal would obey; send them to a file with > FILE")
         sys.stdout.buffer.write(values[0].payload)
         return
     shown: set[str] = set()
@@ -144,7 +150,8 @@ async def _rates(bus_config: BusConfig, key_expr: str, duration_s: float | None)
 
         async def tally() -> None:
             async for sample in mailbox:
-                counts[sample.key] = counts.get(sample.key, 0) + 1
+                key = sample.key if sample.key in counts or len(counts) < _MOST_KEYS else "(other keys)"
+                counts[key] = counts.get(key, 0) + 1
 
         async def show() -> None:
             before, before_at = dict(counts), time.monotonic()

@@ -13,6 +13,7 @@ import click
 from rich import box
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
 from rich.table import Table
 
 from rhot.bus import Bus
@@ -22,12 +23,16 @@ from rhot.recording.mcap.gaps import Tally
 from rhot.recording.mcap.session import record as record_session
 from rhot.recording.mcap.session import record_pictures, subscribe, subscribe_pictures
 from rhot.recording.mcap.writer import McapWriter, rig_files
+from rhot.recording.model import MOST_CAMERAS
 from rhot.recording.picture_folder import PictureFolder
 from rhot.rig import BusConfig
 from rhot.service.stop import Stop, install_stop
+from rhot.text import printable
 
 _CONNECT_TIMEOUT_S = 2.0
 _SWITCH_S = 0.0005
+_MOST_ROWS = 60
+_LONGEST_SHOWN = 100
 
 
 def _target(out: Path) -> Path:
@@ -48,11 +53,20 @@ def counts_table(tally: Tally, title: str, elapsed_s: float) -> Table:
     table = Table(title=title, title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, show_edge=False)
     for column in ("key", "messages", "per s", "kB", "lost", "restarts"):
         table.add_column(column, justify="left" if column == "key" else "right", no_wrap=True)
-    for key, count in sorted(tally.keys.items()):
+    for key, count in sorted(tally.keys.items())[:_MOST_ROWS]:
         lost = f"[red]{count.lost}[/]" if count.lost else "0"
         rate = count.messages / elapsed_s
         kilobytes = f"{count.bytes / 1e3:.0f}"
-        table.add_row(key, str(count.messages), f"{rate:.1f}", kilobytes, lost, str(count.restarts))
+        table.add_row(
+            escape(printable(key, _LONGEST_SHOWN)),
+            str(count.messages),
+            f"{rate:.1f}",
+            kilobytes,
+            lost,
+            str(count.restarts),
+        )
+    if len(tally.keys) > _MOST_ROWS:
+        table.add_row(f"and {len(tally.keys) - _MOST_ROWS} more keys")
     return table
 
 
@@ -74,7 +88,14 @@ async def _taking_pictures(
                 invalid = await storing
     for name, count in sorted(folder.counts.items()):
         lost = f", [red]{count.lost} lost on the way[/]" if count.lost else ""
-        console.print(f"{folder.path / name}: {count.messages} pictures, {count.bytes / 1e6:.1f} MB{lost}")
+        left_out = f", [red]{count.left_out} left out: not later than the one before, or a time that cannot be[/]"
+        written = f"{count.messages - count.left_out} pictures, {count.bytes / 1e6:.1f} MB"
+        console.print(f"{escape(str(folder.path / name))}: {written}{lost}{left_out if count.left_out else ''}")
+    if folder.refused:
+        console.print(
+            f"[red]{folder.refused} pictures are left out: their cameras' names cannot be folders, or there are more "
+            f"than {MOST_CAMERAS}; does a stranger publish on this bus? `rhot doctor` says what is open[/]"
+        )
     if mailbox.overwritten:
         console.print(f"[red]{mailbox.overwritten} pictures were lost because the disk was too slow[/]")
     if invalid:
@@ -102,10 +123,12 @@ async def _record(
             def summary() -> Table:
                 elapsed_s = time.monotonic() - begun
                 megabytes = writer.written_bytes / 1e6
-                return counts_table(tally, f"{writer.files[-1]}: {elapsed_s:.1f} s, {megabytes:.1f} MB", elapsed_s)
+                return counts_table(
+                    tally, f"{escape(str(writer.files[-1]))}: {elapsed_s:.1f} s, {megabytes:.1f} MB", elapsed_s
+                )
 
             mailbox = subscribe(bus)
-            console.print(f"recording to {writer.files[-1]}, Ctrl-C ends")
+            console.print(f"recording to {escape(str(writer.files[-1]))}, Ctrl-C ends")
             with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
 
                 def show() -> None:
@@ -118,6 +141,11 @@ async def _record(
         console.print(f"{len(writer.files)} files, the first is {writer.files[0]}")
     if mailbox.overwritten:
         console.print(f"[red]{mailbox.overwritten} samples were lost because the disk was too slow[/]")
+    if tally.left_out:
+        console.print(
+            f"[red]{tally.left_out} samples on more keys than a rig has are left out; does a stranger publish on this "
+            "bus? `rhot doctor` says what is open[/]"
+        )
     if tally.lost:
         console.print(f"[red]{tally.lost} samples were lost between publisher and recorder: is the network full?[/]")
     if not tally.messages:

@@ -13,6 +13,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
 from rich.text import Text
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
@@ -164,7 +165,8 @@ async def _replay(
                 bus.put_sample(restamp(sample))
 
         elif alive:
-            console.print(f"[yellow]{', '.join(alive)}: services refuse times over 2 s old; --now gives today's[/]")
+            names = escape(", ".join(alive))
+            console.print(f"[yellow]{names}: services refuse times over 2 s old; --now gives today's[/]")
         bus.alive(f"rhot/alive/{REPLAY_SERVICE}/main")
         if step:
             figures = await _step(bus, samples(), start_ns, stop)

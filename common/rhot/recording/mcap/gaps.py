@@ -2,9 +2,22 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
+from typing import Final
 
 import msgpack
+
+MOST_KINDS: Final = 64
+MOST_KEYS_OF_A_KIND: Final = 256
+MOST_ENCODINGS_OF_A_KEY: Final = 3
+"""Bounds of one recording, a multiple of what a rig has: ten kinds (second chunks of keys), as many keys of a kind as
+it has cameras or objects, one encoding. MCAP counts channels in 16 bits, 65,535 at most, and whoever reaches the bus
+may invent keys; those of one kind shut out no others."""
+_LONGEST_KEY: Final = 512
+"""Characters; ours have at most 150."""
+_MOST_LOST: Final = 1_000_000
+"""Numbers skipped at once: more than an hour at 240 a second is another publisher with numbers of its own."""
 
 
 @dataclass(slots=True)
@@ -16,12 +29,14 @@ class KeyCount:
         bytes: sum of their payloads.
         lost: sequence numbers that were skipped.
         restarts: how often the numbers began again, because the publisher did.
+        left_out: arrived and were not recorded.
     """
 
     messages: int = 0
     bytes: int = 0
     lost: int = 0
     restarts: int = 0
+    left_out: int = 0
     _last_seq: int | None = None
 
     def note(self, seq: int | None, size: int) -> None:
@@ -31,7 +46,7 @@ class KeyCount:
         if seq is None:
             return
         if self._last_seq is not None:
-            if seq > self._last_seq:
+            if 0 < seq - self._last_seq <= _MOST_LOST:
                 self.lost += seq - self._last_seq - 1
             else:
                 self.restarts += 1
@@ -44,12 +59,35 @@ class Tally:
 
     Attributes:
         keys: in the order of their first sample.
+        left_out: samples that were not recorded because there were too many keys already.
     """
 
     keys: dict[str, KeyCount] = field(default_factory=dict)
+    left_out: int = 0
+    _encodings: dict[str, set[str]] = field(default_factory=dict)
+    _kinds: Counter[str] = field(default_factory=Counter)
+
+    def admits(self, key: str, encoding: str) -> bool:
+        """Return whether a sample can be recorded; one that would exceed the bounds is counted as left out."""
+        known = self._encodings.get(key)
+        if known is not None and encoding in known:
+            return True
+        if known is None:
+            kind = key.split("/", 2)[1] if "/" in key else ""
+            full = kind not in self._kinds and len(self._kinds) >= MOST_KINDS
+            if full or self._kinds[kind] >= MOST_KEYS_OF_A_KIND or len(key) > _LONGEST_KEY:
+                self.left_out += 1
+                return False
+            self._kinds[kind] += 1
+            known = self._encodings[key] = set()
+        elif len(known) >= MOST_ENCODINGS_OF_A_KEY:
+            self.left_out += 1
+            return False
+        known.add(encoding)
+        return True
 
     def note(self, key: str, seq: int | None, size: int) -> None:
-        """Count one sample."""
+        """Count one sample that was recorded."""
         count = self.keys.get(key)
         if count is None:
             count = self.keys[key] = KeyCount()

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
@@ -20,6 +21,7 @@ from typing import Final
 from mcap.writer import CompressionType, Writer
 
 from rhot import __version__
+from rhot.atomic_file import sync_folder, why
 from rhot.errors import ConfigError
 from rhot.recording.mcap.wire_models import MSGPACK_ENCODING, json_schema, model_of_encoding
 
@@ -29,6 +31,7 @@ ENCODING_METADATA: Final = "encoding"
 """Entry of a channel's metadata: the Zenoh encoding of its samples."""
 RIG_PREFIX: Final = "rig/"
 """Attached files of the rig folder have names that begin with this."""
+_MOST_CHANNELS: Final = (1 << 16) - 1
 _CHUNK_BYTES: Final = 1 << 20
 _MAX_RIG_FILE_BYTES: Final = 16 << 20
 _MEDIA_TYPES: Final = {".toml": "application/toml", ".json": "application/json"}
@@ -140,13 +143,32 @@ class McapWriter:
             self.close()
             self._open()
 
+    def sync(self) -> None:
+        """Bring what was flushed to the disk: a power cut costs what came after this. May be called on any thread.
+
+        Raises:
+            ConfigError: the disk reports that it could not be written.
+        """
+        stream = self._stream
+        try:
+            handle = os.dup(stream.fileno())
+        except (ValueError, OSError):
+            return  # closed in this moment, and synced then
+        try:
+            os.fsync(handle)
+        except OSError as error:
+            raise self._unwritable(error) from error
+        finally:
+            os.close(handle)
+
     def close(self) -> None:
-        """Complete the file in progress with its index."""
+        """Complete the file in progress with its index, for good."""
         if self._stream.closed:
             return
         with self._failing_clearly():
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._stream.flush()
+            os.fsync(self._stream.fileno())
             self._closed_bytes += self._stream.tell()
             self._stream.close()
 
@@ -159,7 +181,7 @@ class McapWriter:
         except FileExistsError as error:
             raise ConfigError(f"{file} exists already and is not overwritten; choose another --out") from error
         except OSError as error:
-            raise ConfigError(f"{file}: cannot be written: {error.strerror or error}; choose another --out") from error
+            raise ConfigError(f"{file}: cannot be written: {why(error)}; choose another --out") from error
         self.files.append(file)
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
@@ -173,8 +195,11 @@ class McapWriter:
                     create_time=0, log_time=self._now_ns, name=name, media_type=media_type, data=data
                 )
             self._stream.flush()
+            sync_folder(file.parent)
 
     def _channel(self, key: str, encoding: str) -> int:
+        if len(self._channels) >= _MOST_CHANNELS:
+            raise ConfigError(f"{self.files[-1]}: MCAP numbers {_MOST_CHANNELS} keys at most; record fewer")
         kind = encoding.partition(";")[0]
         channel: int = self._writer.register_channel(
             topic=key,
@@ -203,7 +228,10 @@ class McapWriter:
             # The buffer cannot be written either; closing says so once more and closes the file all the same.
             with contextlib.suppress(OSError):
                 self._stream.close()
-            raise ConfigError(
-                f"{self.files[-1]}: cannot be written any more: {error.strerror or error}; the file opens up to its "
-                "last complete chunk, at most a second before this; make room, or record with --out on another disk"
-            ) from error
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> ConfigError:
+        return ConfigError(
+            f"{self.files[-1]}: cannot be written any more: {why(error)}; the file opens up to its last complete "
+            "chunk, at most a second before this; or record with --out on another disk"
+        )

@@ -114,6 +114,8 @@ class LiveRecording:
             self.megabytes = sum(each.stat().st_size for each in writer.files) / 1e6
         if mailbox.overwritten:
             self.problem = f"{mailbox.overwritten} samples were lost because the disk was too slow"
+        elif self.tally.left_out:
+            self.problem = f"{self.tally.left_out} samples on more keys than a rig has are left out"
 
 
 async def explain(recording: Path, at: str, rig_path: Path) -> Path:

@@ -7,7 +7,7 @@ import pytest
 from hand_messages import hand_pose
 
 from rhot.messages import encode, with_seq
-from rhot.recording.mcap.gaps import Tally, peek
+from rhot.recording.mcap.gaps import MOST_ENCODINGS_OF_A_KEY, MOST_KEYS_OF_A_KIND, Tally, peek
 
 
 def test_skipped_numbers_are_losses_and_a_new_beginning_is_none() -> None:
@@ -18,6 +18,24 @@ def test_skipped_numbers_are_losses_and_a_new_beginning_is_none() -> None:
     count = tally.keys["rhot/points"]
     assert (count.messages, count.lost, count.restarts, count.bytes) == (7, 3, 1, 70)
     assert (tally.messages, tally.lost) == (8, 3)
+
+
+def test_another_publishers_numbers_are_no_losses() -> None:
+    tally = Tally()
+    for seq in (5, 6, 2**62, 7, 8):
+        tally.note("rhot/points", seq, 10)
+    assert tally.lost == 0
+
+
+def test_invented_keys_and_encodings_are_bounded_and_shut_out_no_others() -> None:
+    tally = Tally()
+    admitted = sum(tally.admits(f"rhot/x/{n}", "a/b") for n in range(70_000))
+    assert (admitted, tally.left_out) == (MOST_KEYS_OF_A_KIND, 70_000 - MOST_KEYS_OF_A_KIND)
+    assert tally.admits("rhot/hand/right", "a/b")
+    assert sum(tally.admits("rhot/hand/right", f"a/{n}") for n in range(1000)) == MOST_ENCODINGS_OF_A_KEY - 1
+    assert tally.admits("rhot/hand/right", "a/b")
+    assert sum(tally.admits(f"rhot/{n}/x", "a/b") for n in range(1000)) < 64
+    assert not tally.admits(f"rhot/hand/{'x' * 600}", "a/b")
 
 
 def test_time_and_number_are_read_without_the_rest() -> None:

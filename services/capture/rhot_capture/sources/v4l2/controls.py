@@ -1,0 +1,86 @@
+"""A driver's controls, each read back: drivers take a setting and quietly do something else.
+
+V4L2 gives a unit to the exposure alone (`V4L2_CID_EXPOSURE_ABSOLUTE`: 100 µs). Gain has none, "the unit is undefined"
+for the focus, and the white balance is a colour temperature where it can be set at all (kernel documentation, "User
+Control Reference", "Camera Control Reference"). So `gain`, `white_balance` and `focus_dioptres` of a rig mean nothing
+to such a driver; its own values are named as its own: `v4l2_controls`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from rhot.rig.config import CameraConfig
+
+_MANUAL_EXPOSURE: Final = 1.0
+"""`V4L2_EXPOSURE_MANUAL` of the menu of `V4L2_CID_EXPOSURE_AUTO`."""
+_EXPOSURE_UNIT_S: Final = 1e-4
+_TOLERANCE: Final = 0.1
+_ABSENT: Final = -1.0
+"""What OpenCV reads where the driver has no such control (`cap_v4l.cpp`, `getProperty`)."""
+_PROPERTIES: Final = {
+    "gain": "CAP_PROP_GAIN",
+    "focus_absolute": "CAP_PROP_FOCUS",
+    "white_balance_temperature": "CAP_PROP_WB_TEMPERATURE",
+    "brightness": "CAP_PROP_BRIGHTNESS",
+    "contrast": "CAP_PROP_CONTRAST",
+    "saturation": "CAP_PROP_SATURATION",
+    "sharpness": "CAP_PROP_SHARPNESS",
+    "gamma": "CAP_PROP_GAMMA",
+    "backlight_compensation": "CAP_PROP_BACKLIGHT",
+}
+
+
+class DriverControls:
+    """The controls of one opened capture."""
+
+    def __init__(self, opencv: Any, capture: Any) -> None:
+        """Take OpenCV's module and its capture."""
+        self._cv = opencv
+        self._capture = capture
+
+    def lock(self, camera: CameraConfig) -> list[str]:
+        """Switch off what is automatic, set what the rig says, and return what the driver refused."""
+        refused = self.set_exposure(camera.exposure_s)
+        for name, property_name in (("white balance", "CAP_PROP_AUTO_WB"), ("focus", "CAP_PROP_AUTOFOCUS")):
+            # A camera without a motor has no autofocus to switch off, and one without white balance keeps its colours.
+            if self.value(property_name) not in (_ABSENT, 0.0):
+                refused += self.set(f"manual {name}", property_name, 0.0)
+        for name, value in camera.v4l2_controls.items():
+            refused += self.set(f"v4l2_controls.{name} = {value}", _PROPERTIES[name], float(value))
+        return refused
+
+    def set_exposure(self, exposure_s: float) -> list[str]:
+        """Set the exposure by hand, and return what the driver refused."""
+        return [
+            *self.set("manual exposure", "CAP_PROP_AUTO_EXPOSURE", _MANUAL_EXPOSURE),
+            *self.set(f"exposure_s = {exposure_s:g}", "CAP_PROP_EXPOSURE", exposure_s / _EXPOSURE_UNIT_S),
+        ]
+
+    def exposure_s(self, asked_s: float) -> float:
+        """Return the exposure that the driver runs with, or the one asked for where it does not tell."""
+        units = self.value("CAP_PROP_EXPOSURE")
+        return units * _EXPOSURE_UNIT_S if units > 0.0 else asked_s
+
+    def unset(self, camera: CameraConfig) -> str:
+        """Say which values of the rig mean nothing to the driver, and what it runs with instead."""
+        own = [("gain", camera.gain), ("white_balance_temperature", camera.white_balance)]
+        if camera.focus_dioptres is not None:
+            own.append(("focus_absolute", camera.focus_dioptres))
+        left = [name for name, _ in own if name not in camera.v4l2_controls]
+        values = {name: self.value(_PROPERTIES[name]) for name in left}
+        return ", ".join(
+            f"{name} {'cannot be set' if value == _ABSENT else f'stays at {value:g}'}" for name, value in values.items()
+        )
+
+    def set(self, name: str, property_name: str, value: float) -> list[str]:
+        """Set one control; return its name, and the driver's own value, where the driver does otherwise."""
+        accepted = bool(self._capture.set(getattr(self._cv, property_name), value))
+        got = self.value(property_name)
+        if accepted and abs(got - value) <= _TOLERANCE * max(abs(value), 1e-9):
+            return []
+        return [f"{name} (driver says {got:g})" if accepted else name]
+
+    def value(self, property_name: str) -> float:
+        """Return what the driver says of a control."""
+        return float(self._capture.get(getattr(self._cv, property_name)))

@@ -1,0 +1,263 @@
+"""USB and other Video4Linux cameras through OpenCV, locked as far as the driver lets itself be locked."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from rhot.errors import ConfigError, DeviceError, RhotError
+from rhot.rig.config import CameraConfig
+from rhot_capture.settings import CameraSettings
+from rhot_capture.sources.frame import Frame
+from rhot_capture.sources.v4l2.buffers import BufferQuery
+from rhot_capture.sources.v4l2.controls import DriverControls
+
+_LOG = logging.getLogger(__name__)
+
+_SELECT_LIMIT: Final = ("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
+"""Seconds after which OpenCV gives up waiting for one frame; 10 if it is not told, and it asks the environment once."""
+_SILENCE_S: Final = 3.0
+"""Silence after which a camera counts as gone; the slowest useful one delivers five frames a second."""
+_MAX_FAILED_READS: Final = 5
+"""Failures in a row that come at once, as of a camera that was pulled out."""
+_MAX_TIMESTAMP_AGE_S: Final = 2.0
+
+
+class V4l2Source:
+    """A camera behind `/dev/video*`.
+
+    Frames carry the driver's own timestamp (monotonic clock), which by its label marks the start of the exposure (as of
+    uvcvideo: kernel commit c767492a58fd) or the end of the frame. Where the driver gives no time that can be true, the
+    time of arrival less read-out and exposure counts, which is late by the transfer.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        camera: CameraConfig,
+        opencv: ModuleType | Any = cv2,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        query: Callable[[str], BufferQuery] = BufferQuery,
+    ) -> None:
+        """Prepare; `open` touches the device.
+
+        Args:
+            name: of the camera.
+            camera: its configuration.
+            opencv: the module that provides `VideoCapture`; replaced in tests.
+            now_ns: the monotonic clock.
+            query: asks the driver of its buffers; replaced in tests.
+        """
+        self._name = name
+        self._camera = camera
+        self._cv = opencv
+        self._now_ns = now_ns
+        self._query = query
+        self._capture: Any = None
+        self._buffers: BufferQuery | None = None
+        self._stamps_mark_start: bool | None = None
+        self._exposure_s = camera.exposure_s
+        self._start_ns = 0
+        self._period_ns = round(1e9 / camera.rate_hz)
+        self._index = -1
+        self._last: tuple[int | None, int | None] = None, None
+        self._trusts_driver = True
+        self._problem = ""
+        self._closing = threading.Event()
+        # OpenCV frees its buffers in `release`: never below the feet of a `read` on another thread.
+        self._reading = threading.Lock()
+        self._setting = threading.Lock()
+
+    @property
+    def problem(self) -> str:
+        """What the driver refused, for the status; empty when nothing."""
+        return self._problem
+
+    def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
+        """Open and lock the camera; frames before `start_ns` are thrown away.
+
+        Raises:
+            DeviceError: no such device, or it does not deliver the size in `rig.toml`.
+        """
+        os.environ.setdefault(*_SELECT_LIMIT)
+        self._closing.clear()
+        self._start_ns = start_ns
+        self._index, self._last, self._problem = -1, (None, None), ""
+        try:
+            self._capture = self._cv.VideoCapture(self._device(), self._cv.CAP_V4L2)
+            if not self._capture.isOpened():
+                raise DeviceError(
+                    f"camera {self._name}: cannot open {self._camera.device}; is it plugged in, not in use by another "
+                    "program, and readable (group video)? `v4l2-ctl --list-devices` lists what there is"
+                )
+            self._configure()
+        except BaseException as error:
+            self.close()
+            if isinstance(error, RhotError) or not isinstance(error, Exception):
+                raise
+            raise DeviceError(f"camera {self._name}: {self._camera.device}: {type(error).__name__}: {error}") from error
+
+    def read(self) -> Frame | None:
+        """Wait for the next frame.
+
+        Raises:
+            DeviceError: the camera delivers no more.
+        """
+        failed, begun_ns = 0, self._now_ns()
+        while not self._closing.is_set():
+            with self._reading:
+                if self._capture is None:
+                    return None
+                frame = self._grab(self._capture)
+            if frame is None:
+                failed += 1
+                silent_s = 1e-9 * (self._now_ns() - begun_ns)
+                if not self._closing.is_set() and (failed >= _MAX_FAILED_READS or silent_s >= _SILENCE_S):
+                    raise DeviceError(
+                        f"camera {self._name}: {self._camera.device} stopped delivering {silent_s:.1f} s ago; "
+                        "unplugged, or short of USB bandwidth (try a lower rate_hz or another port)"
+                    )
+                continue
+            failed, begun_ns = 0, self._now_ns()
+            if frame.t_first_row_ns >= self._start_ns:
+                return frame
+        return None
+
+    def apply(self, settings: CameraSettings) -> None:
+        """Set the exposure while running.
+
+        Raises:
+            ConfigError: a setting that V4L2 has no unit for, or an exposure that the driver refuses.
+            DeviceError: the camera is not open.
+        """
+        camera = self._camera
+        asked = (settings.gain, settings.white_balance, settings.focus_dioptres)
+        if asked != (camera.gain, camera.white_balance, camera.focus_dioptres):
+            raise ConfigError(
+                f"camera {self._name}: gain, white_balance and focus_dioptres mean nothing to a V4L2 driver, which has "
+                "units of its own; set gain, white_balance_temperature or focus_absolute in [cameras."
+                f"{self._name}.v4l2_controls] of rig.toml (`v4l2-ctl --list-ctrls` shows their ranges)"
+            )
+        with self._setting:
+            if self._capture is None:
+                raise DeviceError(f"camera {self._name}: not open; start it first")
+            controls = DriverControls(self._cv, self._capture)
+            refused = controls.set_exposure(settings.exposure_s)
+            if refused:
+                controls.set_exposure(self._exposure_s)
+                raise ConfigError(f"camera {self._name}: the driver of {camera.device} refuses {', '.join(refused)}")
+            self._exposure_s = controls.exposure_s(settings.exposure_s)
+
+    def close(self) -> None:
+        """Free the device, after the read that is under way."""
+        self._closing.set()
+        with self._reading, self._setting:
+            capture, self._capture = self._capture, None
+            buffers, self._buffers = self._buffers, None
+            if buffers is not None:
+                buffers.close()
+            if capture is not None:
+                capture.release()
+
+    def _device(self) -> int | str:
+        device = self._camera.device
+        return int(device) if isinstance(device, str) and device.isdecimal() else device
+
+    def _configure(self) -> None:
+        camera, controls = self._camera, DriverControls(self._cv, self._capture)
+        # The format comes first: size and rate depend on it. Raw YUYV at 60 Hz does not fit through USB 2.
+        motion_jpeg = float(self._cv.VideoWriter_fourcc(*"MJPG"))
+        refused = controls.set("pixel format MJPG", "CAP_PROP_FOURCC", motion_jpeg)
+        self._capture.set(self._cv.CAP_PROP_BUFFERSIZE, 2.0)
+        for name, value in (("FRAME_WIDTH", camera.width), ("FRAME_HEIGHT", camera.height)):
+            self._capture.set(getattr(self._cv, f"CAP_PROP_{name}"), float(value))
+        got = (int(controls.value("CAP_PROP_FRAME_WIDTH")), int(controls.value("CAP_PROP_FRAME_HEIGHT")))
+        if got != (camera.width, camera.height):
+            raise DeviceError(
+                f"camera {self._name}: {camera.device} delivers {got[0]}x{got[1]} instead of "
+                f"{camera.width}x{camera.height}; set width and height in rig.toml to a size that it has "
+                "(`v4l2-ctl --list-formats-ext`)"
+            )
+        refused += controls.set(f"rate_hz = {camera.rate_hz:g}", "CAP_PROP_FPS", camera.rate_hz)
+        rate_hz = controls.value("CAP_PROP_FPS")
+        self._period_ns = round(1e9 / (rate_hz if rate_hz > 0.0 else camera.rate_hz))
+        refused += controls.lock(camera)
+        self._exposure_s = controls.exposure_s(camera.exposure_s)
+        if refused:
+            self._problem = (
+                f"camera {self._name}: the driver of {camera.device} refused {', '.join(refused)}; colours and times "
+                "may drift"
+            )
+            _LOG.warning("%s", self._problem)
+        if left := controls.unset(camera):
+            _LOG.warning(
+                "camera %s: V4L2 has no units for gain, white balance and focus, so %s; set what you want in "
+                "[cameras.%s.v4l2_controls] of rig.toml",
+                self._name, left, self._name,
+            )  # fmt: skip
+        self._ask_for_stamps()
+
+    def _ask_for_stamps(self) -> None:
+        device = self._device()
+        try:
+            self._buffers = self._query(f"/dev/video{device}" if isinstance(device, int) else device)
+        except OSError as error:
+            _LOG.warning("camera %s: what its timestamps mark is not known: %s", self._name, error)
+            return
+        self._stamps_mark_start = self._buffers.stamps_mark_start()
+
+    def _grab(self, capture: Any) -> Frame | None:
+        """Wait for a frame and take it; None when none came in OpenCV's time."""
+        if not capture.grab():
+            return None
+        arrived_ns = self._now_ns()
+        stamp_ns = self._stamp_ns(capture, arrived_ns)
+        # Between grabbing and retrieving, the buffer is out of the driver's queue and keeps its number.
+        number = None if self._buffers is None or stamp_ns is None else self._buffers.sequence(stamp_ns // 1000)
+        ok, image = capture.retrieve()
+        if not ok:
+            return None
+        self._count(number, stamp_ns)
+        scan_ns, exposure_ns = round(1e9 * self._camera.readout_s), round(1e9 * self._exposure_s)
+        if stamp_ns is None:
+            first_row_ns = arrived_ns - scan_ns - exposure_ns
+        else:
+            first_row_ns = stamp_ns if self._stamps_mark_start else stamp_ns - scan_ns - exposure_ns
+        return Frame(
+            np.asarray(image, dtype=np.uint8), self._index, first_row_ns, self._exposure_s, self._camera.readout_s
+        )
+
+    def _stamp_ns(self, capture: Any, arrived_ns: int) -> int | None:
+        """Return the driver's timestamp of the frame just grabbed, None for one that cannot be true."""
+        stamp_ns = 1000 * round(1e3 * float(capture.get(self._cv.CAP_PROP_POS_MSEC)))
+        age_s = 1e-9 * (arrived_ns - stamp_ns)
+        if 0.0 <= age_s <= _MAX_TIMESTAMP_AGE_S:
+            return stamp_ns
+        if self._trusts_driver:
+            self._trusts_driver = False
+            _LOG.warning(
+                "camera %s: the driver's timestamp is %.3f s away from the monotonic clock; times of arrival count",
+                self._name,
+                age_s,
+            )
+        return None
+
+    def _count(self, number: int | None, stamp_ns: int | None) -> None:
+        """Count the frame so that lost ones leave a gap: by the driver's number, or else by the time between frames."""
+        last_number, last_ns = self._last
+        self._last = number, stamp_ns
+        if number is not None and last_number is not None:
+            step = number - last_number
+        elif stamp_ns is not None and last_ns is not None:
+            step = round((stamp_ns - last_ns) / self._period_ns)
+        else:
+            step = 1
+        self._index += max(1, step)
