@@ -20,7 +20,6 @@ from rhot.messages.base import (
     WireModel,
 )
 
-
 SquareMetres = Annotated[float, Field(ge=-1e6, le=1e6)]
 Covariance = tuple[SquareMetres, SquareMetres, SquareMetres, SquareMetres, SquareMetres, SquareMetres]
 
