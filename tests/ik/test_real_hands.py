@@ -79,7 +79,7 @@ def solved(model: HandModel, recorded: Recorded) -> FloatArray:
     found = []
     for k, (wrist, chains) in enumerate(zip(recorded.wrists, recorded.chains, strict=True)):
         t_ns = 10**18 + round(k / RATE_HZ * 1e9)
-        seen = HandObservation(t_ns, wrist, True, None, chains[:, 3], np.ones(5, dtype=bool), 0.001, np.full(5, 0.001))
+        seen = HandObservation(t_ns, wrist, True, None, chains[:, 3], np.ones(5, dtype=bool))
         solution = solver.solve(seen)
         assert solution is not None
         T = solution.T_rig_wrist

@@ -115,11 +115,11 @@ def solved(model: HandModel, recorded: Recorded) -> FloatArray:
     markers = {finger: MarkerConfig(joint=f"{finger}_tip") for finger in FINGERS}
     solver = HandSolver(bare, markers | {"base": MarkerConfig(joint="wrist")}, "base", IkConfig())
     found = np.full(recorded.chains.shape, np.nan)
-    all_seen, sigma = np.ones(5, dtype=np.bool_), np.full(5, _SIGMA_M)
+    all_seen = np.ones(5, dtype=np.bool_)
     for k, (wrist, chains) in enumerate(zip(recorded.wrists, recorded.chains, strict=True)):
         t_ns = 10**18 + round(k / RATE_HZ * 1e9)
         across = _known(recorded.across[k])
-        seen = HandObservation(t_ns, wrist, True, None, chains[:, 3], all_seen, _SIGMA_M, sigma, across)
+        seen = HandObservation(t_ns, wrist, True, None, chains[:, 3], all_seen, across=across)
         solution = solver.solve(seen)
         if solution is not None:
             T = solution.T_rig_wrist

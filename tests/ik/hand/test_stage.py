@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandJoints, HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import HandPose, PointSet, decode, encode
 from rhot.rig import HandFile, IkConfig, Rig
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
@@ -126,7 +127,7 @@ def test_hidden_finger_is_held_and_rejoins_without_a_step(
             largest_step = max(largest_step, float(np.linalg.norm(now - previous, axis=1).max()))
             largest_true = max(largest_true, float(np.linalg.norm(joints.positions - before, axis=1).max()))
         previous, before = now, joints.positions
-    assert largest_step < largest_true + 0.004
+    assert largest_step < largest_true + 0.010
 
 
 def test_hidden_base_is_carried_by_the_tips_then_given_up(
@@ -305,22 +306,88 @@ def test_a_tip_that_returns_far_from_where_it_was_held_makes_no_jump(
             steps.append(np.linalg.norm(now - previous, axis=1).max())
         previous = now
     assert errors[98] > 0.03
-    assert max(steps) < 0.008
+    assert max(steps) < 0.010
     assert errors[-1] < 0.006
 
 
 def test_points_with_a_larger_sigma_weigh_less(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
+    """The base marker trembles by 12 mm in depth."""
     joints = right_hand.forward(wrist(), EASE)
-    shift = np.zeros((6, 3))
-    shift[5] = 0.0, 0.0, 0.012
-    off = []
+    tremble = []
     for sigma in (0.0005, 0.03):
-        stage = HandStage(right_rig)
+        stage, wrists = HandStage(right_rig), []
         for k in range(60):
+            shift = np.zeros((6, 3))
+            shift[5, 2] = 0.012 * (-1.0) ** k
             points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0, noise=shift)
             base = points.points["base"].model_copy(update={"sigma": sigma})
             pose = only_pose(stage, points.model_copy(update={"points": points.points | {"base": base}}))
-        off.append(np.linalg.norm(positions(pose) - joints.positions, axis=1)[1])
-    assert off[1] < 0.9 * off[0]
+            wrists.append(positions(pose)[1])
+        tremble.append(np.std(wrists[30:], axis=0).max())
+    assert tremble[0] > 0.006
+    assert tremble[1] < 0.3 * tremble[0]
+
+
+def test_a_ray_and_the_length_of_the_finger_give_its_depth(
+    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
+) -> None:
+    """One camera sees the index finger: 100 mm unsure along its ray, and 60 mm off there."""
+    stage = HandStage(right_rig)
+    tip = JOINTS.index("index_tip")
+    errors = []
+    for k in range(120):
+        joints = moving_joints(k / 60.0, right_hand, wrist)
+        points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0)
+        if k >= 60:
+            seen = points.points["index"]
+            ray = np.array(seen.position) / np.linalg.norm(seen.position)
+            x, y, z = (np.array(seen.position) + 0.06 * ray).tolist()
+            spread = 0.001**2 * np.eye(3) + 0.1**2 * np.outer(ray, ray)
+            xx, xy, xz, yy, yz, zz = spread[np.triu_indices(3)].tolist()
+            update = {"position": (x, y, z), "covariance": (xx, xy, xz, yy, yz, zz), "state": "one_view", "views": 1}
+            points = points.model_copy(update={"points": points.points | {"index": seen.model_copy(update=update)}})
+        pose = only_pose(stage, points)
+        assert pose.fingers["index"] == "measured"
+        errors.append(np.linalg.norm(positions(pose)[tip] - joints.positions[tip]))
+    assert np.median(errors[60:]) < 0.008
+    assert np.percentile(errors[60:], 95) < 0.020
+
+
+def test_a_hidden_finger_closes_with_its_neighbours(
+    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
+) -> None:
+    stage, tip = HandStage(right_rig), JOINTS.index("ring_tip")
+    errors = []
+    for k in range(120):
+        angles = EASE.copy()
+        closed = np.clip((k - 40) / 40.0, 0.0, 1.0)
+        angles[1:, 0] += np.radians(35.0) * closed
+        angles[1:, 2] += np.radians(40.0) * closed
+        angles[:, 3] = right_hand.coupling * angles[:, 2]
+        joints = right_hand.forward(wrist(), right_hand.clamp(angles))
+        hide = ("ring",) if k >= 45 else ()
+        pose = only_pose(stage, make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide))
+        errors.append(np.linalg.norm(positions(pose)[tip] - joints.positions[tip]))
+    assert max(errors[45:]) < 0.025
+
+
+def test_where_the_patch_sits_and_how_long_fingers_are_is_learned(
+    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
+) -> None:
+    """A patch 8 mm nearer to the fingers and tilted by 5° than the model has it."""
+    stage, T, late = HandStage(right_rig), wrist(), []
+    R = T[:3, :3] @ rotation_from_vector(np.radians([5.0, 0.0, 0.0])) @ T[:3, :3].T
+    for k in range(400):
+        joints = moving_joints(k / 60.0, right_hand, wrist)
+        points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0)
+        base = points.points["base"]
+        middle, shift = np.array(base.position), -0.008 * T[:3, 2]
+        corners = tuple(tuple((middle + shift + R @ (np.array(c) - middle)).tolist()) for c in base.corners or ())
+        x, y, z = (middle + shift).tolist()
+        moved = base.model_copy(update={"position": (x, y, z), "corners": corners})
+        pose = only_pose(stage, points.model_copy(update={"points": points.points | {"base": moved}}))
+        late.append(np.linalg.norm(positions(pose) - joints.positions, axis=1).mean())
+    # A hand on the patch as the model has it would be off by 8 mm and 5°, which is 8 mm more at the knuckles.
+    assert np.mean(late[300:]) < 0.006

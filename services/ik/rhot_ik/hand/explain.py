@@ -7,8 +7,8 @@ import numpy as np
 from rhot.anatomy.skeleton import FINGERS
 from rhot.explain import Explanation, ExplanationRow
 from rhot_ik.hand.filter.prior import angle_covariance, rest_angles
-from rhot_ik.hand.filter.process import ANGLES, POSITION, ROTATION, HandState
-from rhot_ik.hand.solver import HandSolver
+from rhot_ik.hand.filter.process import ANGLES, POSITION, ROTATION
+from rhot_ik.hand.solver import HandSolution, HandSolver, HandTrack
 
 _ANGLES = ("flexion", "abduction", "middle hinge", "last hinge")
 _AT_LIMIT_RAD = 1e-4
@@ -18,17 +18,18 @@ _UNUSUAL = 2.0
 
 def solver_tables(side: str, solver: HandSolver) -> list[Explanation]:
     """Return what a solver knows of one hand after the sample it was given last."""
-    if solver.state is None:
+    track, solution = solver.track, solver.solution
+    if track is None or solution is None:
         row = ExplanationRow((f"no {side} hand: its base marker and a fingertip must be seen",), "refused")
         return [Explanation(f"Hand {side}: nothing is known", ("",), (row,))]
-    return [_fingers(side, solver), _angles(side, solver, solver.state), _palm(side, solver, solver.state)]
+    return [_fingers(side, solver, solution), _angles(side, solver, track), _palm(side, solver, track, solution)]
 
 
-def _fingers(side: str, solver: HandSolver) -> Explanation:
+def _fingers(side: str, solver: HandSolver, solution: HandSolution) -> Explanation:
     rows = []
     for place, finger in enumerate(FINGERS):
-        miss = float(solver.residual[place])
-        seen = bool(solver.measured[place])
+        miss = float(solution.residual[place])
+        seen = bool(solution.fingers_measured[place])
         rows.append(
             ExplanationRow(
                 (
@@ -47,12 +48,12 @@ def _fingers(side: str, solver: HandSolver) -> Explanation:
     )
 
 
-def _angles(side: str, solver: HandSolver, state: HandState) -> Explanation:
-    model = solver.geometry.model
+def _angles(side: str, solver: HandSolver, track: HandTrack) -> Explanation:
+    state, model = track.state, solver.geometry.model
     rest = rest_angles(model).reshape(5, 4)
     usual = np.sqrt(np.diag(angle_covariance(model))).reshape(5, 4)
     sigma = np.sqrt(np.diag(state.P)[ANGLES]).reshape(5, 4)
-    shown, filtered = solver.shown, state.angles.reshape(5, 4)
+    shown, filtered = track.shown, state.angles.reshape(5, 4)
     rows = []
     for place, finger in enumerate(FINGERS):
         for angle, name in enumerate(_ANGLES):
@@ -95,8 +96,9 @@ def _angles(side: str, solver: HandSolver, state: HandState) -> Explanation:
     )
 
 
-def _palm(side: str, solver: HandSolver, state: HandState) -> Explanation:
-    by_corners, by_base = solver.palm_sources
+def _palm(side: str, solver: HandSolver, track: HandTrack, solution: HandSolution) -> Explanation:
+    state = track.state
+    shift, tilt, longer = state.person[:3], state.person[3:6], state.longer
     rotation, position = np.sqrt(np.diag(state.P)[ROTATION]), np.sqrt(np.diag(state.P)[POSITION])
     rows = [
         ("wrist x, y, z, mm", ", ".join(f"{1e3 * value:.1f}" for value in state.p)),
@@ -104,9 +106,12 @@ def _palm(side: str, solver: HandSolver, state: HandState) -> Explanation:
         ("sigma of its rotation, °", " / ".join(f"{np.degrees(value):.1f}" for value in rotation)),
         ("speed, m/s", f"{np.linalg.norm(state.velocity):.3f}"),
         ("angular velocity, °/s", f"{np.degrees(np.linalg.norm(state.angular_velocity)):.0f}"),
-        ("base marker measured", "yes" if by_base else "no"),
-        ("rotation measured by the patch's corners", "yes" if by_corners else "no"),
+        ("base marker measured", "yes" if solution.palm_measured else "no"),
+        ("rotation measured by the patch's corners", "yes" if track.corners_measured else "no"),
         ("seen tips miss the model by, mean, mm", f"{1e3 * state.mean_residual_m:.2f}"),
+        ("patch off its place, learned, mm", " / ".join(f"{1e3 * value:.1f}" for value in shift)),
+        ("patch tilted on the palm, learned, °", " / ".join(f"{np.degrees(value):.1f}" for value in tilt)),
+        ("fingers longer than the model's, learned, %", " / ".join(f"{100.0 * value:.0f}" for value in longer)),
         ("solver", solver.config.solver),
     ]
     return Explanation(f"Hand {side}: the palm", ("figure", "value"), tuple(ExplanationRow(row) for row in rows))

@@ -1,27 +1,28 @@
-"""One hand over time: the filter of the whole hand, its start, and the transitions between sources."""
+"""One hand over time: the filter of the whole hand, how it starts, and how what comes back is led in."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from rhot.anatomy.hand import HandModel, patch_outline
+from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import BoolArray, FloatArray
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.fabrik.finger_chains import FabrikFingers
-from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
+from rhot_ik.hand.contact import Shape
+from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.initialisation import HandInitialiser
 from rhot_ik.hand.filter.kinematics import HandKinematics
-from rhot_ik.hand.filter.point_covariance import PointCovariances
 from rhot_ik.hand.filter.process import HandState
+from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
-from rhot_ik.hand.fingers.expected_bend import ExpectedBend
 from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
-from rhot_ik.hand.transitions import FingerStepLimit, FingerTransition, PalmTransition
+from rhot_ik.hand.rejoin import RejoinSettings, rejoined
 
 __all__ = ["HandObservation", "HandSolution", "HandSolver"]
 
@@ -33,7 +34,7 @@ LATE_S: Final = 0.1
 LOST_M: Final = 0.012
 """When the seen tips miss the model by more than this on average …"""
 LOST_S: Final = 0.3
-"""… for this long, the hand is searched for from scratch."""
+"""… for this long, the hand is looked for anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +60,36 @@ class HandSolution:
     palm_measured: bool
 
 
+@dataclass(frozen=True, slots=True)
+class HandTrack:
+    """What is known of one hand after a sample.
+
+    Attributes:
+        t_ns: of the sample, rig clock.
+        state: of the estimate.
+        shown: (5, 4) radians, angles as they were shown.
+        rejoins_s: (5,) for how long each finger is still led in.
+        corner_noise: of the patch, as learned.
+        corners_measured: whether the corners of the patch measured the palm's rotation.
+        base_seen_ns, measured_ns: when the base marker was there last, and when anything was measured.
+        measured: (5,) whether each finger was.
+        lost_s: for how long the seen tips have missed the model.
+        most_tips: how many tips met it at once so far; at least 1.
+    """
+
+    t_ns: int
+    state: HandState
+    shown: FloatArray
+    rejoins_s: FloatArray
+    corner_noise: CornerNoise
+    corners_measured: bool
+    base_seen_ns: int
+    measured_ns: int
+    measured: BoolArray
+    lost_s: float = 0.0
+    most_tips: int = 1
+
+
 class HandSolver:
     """Solves one hand sample by sample; everything it knows of time comes with the samples.
 
@@ -67,16 +98,8 @@ class HandSolver:
         markers: all markers of the rig; those of other hands are ignored.
         base: name of the marker on the back of this hand.
         config: which finger solver, and how long a hand is held.
-        viewpoints: (C, 3) metres, rig frame: the cameras' centres, for the shape of the points' errors; taken as round
-            when not given.
-
-    Attributes:
-        geometry: the hand and where its markers are painted.
-        state: of the filter after the last sample; none when nothing is known.
-        shown: (5, 4) radians: the angles published last.
-        measured: (5,) which fingers the last sample measured.
-        residual: (5,) metres between measured and modelled marker in the last sample; NaN where nothing was measured.
-        palm_sources: whether the last sample measured the palm by the corners of its patch, and by its base marker.
+        viewpoint: (3,) metres, rig frame: where the cameras are, all in all; the rig's origin when not given.
+        settings: numbers of the estimate.
     """
 
     def __init__(
@@ -85,137 +108,156 @@ class HandSolver:
         markers: Mapping[str, MarkerConfig],
         base: str,
         config: IkConfig,
-        viewpoints: FloatArray | None = None,
+        viewpoint: FloatArray | None = None,
+        settings: HandSettings | None = None,
     ) -> None:
-        self.geometry = FingerGeometry.of(model, markers)
+        self._settings = settings = settings or HandSettings()
+        self._geometry = FingerGeometry.of(model, markers)
         marker = markers[base]
         base_offset = marker_on_palm(model, base, marker)
         outline = patch_outline(marker) if marker.kind == "patch" else None
-        covariances = PointCovariances(np.empty((0, 3)) if viewpoints is None else viewpoints)
-        self._evidence = EvidenceModel(outline, covariances)
-        self._kinematics = HandKinematics(self.geometry)
-        self._filter = HandFilter(self.geometry, base_offset)
-        self._initialiser = HandInitialiser(self._filter, self._evidence, base_offset)
-        self._analytic = AnalyticFingers(self.geometry)
-        self._bend = ExpectedBend(self._analytic)
-        self._fabrik = FabrikFingers(self.geometry)
+        known = np.array([self._geometry.markers.get(name) in model.marker_offsets_m for name in FINGERS] + [False])
+        known[5] = base in model.marker_offsets_m
+        self._evidence = EvidenceModel(outline, settings)
+        self._kinematics = HandKinematics(self._geometry)
+        self._filter = HandFilter(self._geometry, base_offset, settings, known, viewpoint)
+        eye = np.zeros(3) if viewpoint is None else viewpoint
+        self._initialiser = HandInitialiser(self._filter, self._evidence, base_offset, eye)
+        self._analytic = AnalyticFingers(self._geometry)
+        self._fabrik = FabrikFingers(self._geometry)
         self.config = config
-        self.reset()
+        self._rejoin = RejoinSettings()
+        self._track: HandTrack | None = None
+        self._solution: HandSolution | None = None
+        self._person: tuple[FloatArray, FloatArray] | None = None
 
-    def reset(self) -> None:
-        """Forget the past; the next sample starts from scratch."""
-        self._t_ns: int | None = None
-        self._base_seen_ns = 0
-        self._measured_ns = 0
-        self.state: HandState | None = None
-        self._lost_s = 0.0
-        self._finger_transition = FingerTransition(self.geometry.model)
-        self._step_limit = FingerStepLimit()
-        self._palm_transition = PalmTransition()
-        self._known = np.zeros(5, dtype=np.bool_)
-        self.measured = np.zeros(5, dtype=np.bool_)
-        self.palm_sources = (False, False)
-        self.shown = np.zeros((5, 4))
-        self._tips = np.full((5, 3), np.nan)
-        self.residual = np.full(5, np.nan)
+    @property
+    def geometry(self) -> FingerGeometry:
+        """The hand and where its markers are painted."""
+        return self._geometry
 
-    def solve(self, seen: HandObservation) -> HandSolution | None:
-        """Return the hand after one more sample, or None when too little is known to show one."""
-        dt_s = 0.0
-        if self._t_ns is not None:
-            dt_s = (seen.t_ns - self._t_ns) / 1e9
+    @property
+    def track(self) -> HandTrack | None:
+        """What is known after the last sample; none when that is nothing."""
+        return self._track
+
+    @property
+    def solution(self) -> HandSolution | None:
+        """What the last sample led to."""
+        return self._solution
+
+    def solve(self, seen: HandObservation, shapes: Sequence[Shape] = ()) -> HandSolution | None:
+        """Return the hand after one more sample, or None when too little is known to show one.
+
+        Args:
+            seen: the sample.
+            shapes: things that fingers may close round, rig frame.
+        """
+        before = self._track
+        if before is not None:
+            dt_s = (seen.t_ns - before.t_ns) / 1e9
             if -LATE_S < dt_s < 0.0:
                 return None
-            if not 0.0 <= dt_s < GAP_S:
-                self.reset()
-                dt_s = 0.0
-        visible = np.asarray(np.isfinite(seen.tips).all(axis=1))
-        if self._is_over(seen, visible):
-            self.reset()
-            return None
-        if self.state is None:
-            expected = None
-            found = self._initialiser.find(seen)
-            if found is None:
-                return None
-            state, evidence = found
+            if not 0.0 <= dt_s < GAP_S or self._is_over(seen, before):
+                before = None
+        self._track = self._begun(seen) if before is None else self._continued(before, seen, shapes)
+        if self._track is None:
+            self._solution = None
         else:
-            expected = self._filter.predict(self.state, dt_s)
-            evidence = self._evidence.assess(seen, expected.R)
-            state = self._filter.update(expected, evidence)
-            state = self._reinitialised_if_lost(state, seen, visible, dt_s)
-        measured = visible & seen.tips_measured
-        palm_sources = (evidence.rotation is not None, seen.base is not None and seen.base_measured)
-        if expected is not None:
-            if palm_sources != self.palm_sources or (measured & ~self.measured).any():
-                self._palm_transition.begin((expected.R, expected.p), (state.R, state.p))
-            self._palm_transition.advance(dt_s)
-        R, p = self._palm_transition.apply(state.R, state.p)
-        angles = self._angles(state, R, p, seen.tips, measured)
-        if expected is not None:
-            changed = (measured != self.measured) & self._known
-            if changed.any():
-                self._finger_transition.begin(changed, angles, self.shown)
-            self._finger_transition.advance(dt_s)
-        shown = self._finger_transition.apply(angles)
-        if expected is not None:
-            shown = self._finger_transition.limit_step(shown, self.shown, self._max_step_m(seen.tips, measured, dt_s))
-        model = self.geometry.model
-        self.shown = np.minimum(np.maximum(shown, model.angle_min), model.angle_max)
-        self._known |= visible
-        self._tips = seen.tips
-        self._t_ns, self.state, self.measured, self.palm_sources = seen.t_ns, state, measured, palm_sources
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = R, p
-        positions, orientations, modelled = self._kinematics.pose(R, p, self.shown.reshape(-1))
-        gaps = modelled - seen.tips
-        # NaN where a tip was not seen, as it came.
-        residual = self.residual = np.sqrt((gaps * gaps).sum(-1))
-        return HandSolution(T, self.shown, positions, orientations, residual, measured, palm_sources[1])
+            self._person = self._track.state.what_is_personal
+            self._solution = self._solution_of(self._track, seen)
+        return self._solution
 
-    def _is_over(self, seen: HandObservation, visible: BoolArray) -> bool:
+    def _is_over(self, seen: HandObservation, before: HandTrack) -> bool:
         """Tell whether the palm, or everything, has been gone for longer than a hand is held."""
-        if seen.base is not None:
-            self._base_seen_ns = seen.t_ns
-        if (seen.base is not None and seen.base_measured) or (visible & seen.tips_measured).any():
-            self._measured_ns = seen.t_ns
         oldest_ns = seen.t_ns - round(self.config.hold_s * 1e9)
-        return self._base_seen_ns < oldest_ns or self._measured_ns < oldest_ns
+        base_gone = seen.base is None and before.base_seen_ns < oldest_ns
+        all_gone = not seen.measured_any and before.measured_ns < oldest_ns
+        return base_gone or all_gone
 
-    def _max_step_m(self, tips: FloatArray, measured: BoolArray, dt_s: float) -> FloatArray:
-        """Return how far each finger (5,) may move its joints in this sample, metres."""
-        moved = tips - self._tips
-        limit = self._step_limit.advance(dt_s, np.sqrt((moved * moved).sum(-1)), measured)
-        return np.where(self._known, limit, np.inf)
+    def _begun(self, seen: HandObservation) -> HandTrack | None:
+        found = self._initialiser.find(seen, self._person)
+        if found is None or not seen.measured_any:
+            return None
+        state, evidence = found
+        return HandTrack(
+            t_ns=seen.t_ns,
+            state=state,
+            shown=self._angles(state, seen, state.angles.reshape(5, 4)),
+            rejoins_s=np.zeros(5),
+            corner_noise=evidence.corner_noise,
+            corners_measured=evidence.rotation is not None,
+            base_seen_ns=seen.t_ns,
+            measured_ns=seen.t_ns,
+            measured=seen.tips_seen & seen.tips_measured,
+        )
+
+    def _continued(self, before: HandTrack, seen: HandObservation, shapes: Sequence[Shape]) -> HandTrack:
+        dt_s = (seen.t_ns - before.t_ns) / 1e9
+        measured = seen.tips_seen & seen.tips_measured
+        expected = self._filter.predict(before.state, dt_s, ~measured)
+        evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), before.corner_noise)
+        state = self._filter.update(expected, evidence, shapes=shapes)
+        state, lost_s = self._reinitialised_if_lost(before, state, seen, dt_s)
+        angles = self._angles(state, seen, before.shown)
+        left_s = np.where(measured & before.measured, before.rejoins_s, self._rejoin.lasts_s)
+        shown, left_s = rejoined(self._geometry, angles, before.shown, left_s, dt_s, self._rejoin)
+        return HandTrack(
+            t_ns=seen.t_ns,
+            state=state,
+            shown=shown,
+            rejoins_s=left_s,
+            corner_noise=evidence.corner_noise,
+            corners_measured=evidence.rotation is not None,
+            base_seen_ns=before.base_seen_ns if seen.base is None else seen.t_ns,
+            measured_ns=seen.t_ns if seen.measured_any else before.measured_ns,
+            measured=measured,
+            lost_s=lost_s,
+            most_tips=max(before.most_tips, int(np.count_nonzero(measured)) if lost_s == 0.0 else 1),
+        )
 
     def _reinitialised_if_lost(
-        self, state: HandState, seen: HandObservation, visible: BoolArray, dt_s: float
-    ) -> HandState:
-        """Return the state, or a better one when the tips have missed the model for too long."""
-        if state.mean_residual_m < LOST_M or np.count_nonzero(visible) < 3:
-            self._lost_s = 0.0
-            return state
-        self._lost_s += dt_s
-        if self._lost_s < LOST_S:
-            return state
-        self._lost_s = 0.0
+        self, before: HandTrack, state: HandState, seen: HandObservation, dt_s: float
+    ) -> tuple[HandState, float]:
+        """Return the state, or a better one when the tips have missed the model for too long, and for how long."""
+        # One tip alone does not tell one end of a patch from the other, so it corrects only what rests on no more.
+        if np.count_nonzero(seen.tips_seen & seen.tips_measured) < min(2, before.most_tips):
+            return state, before.lost_s
+        if state.mean_residual_m < LOST_M:
+            return state, 0.0
+        if before.lost_s + dt_s < LOST_S:
+            return state, before.lost_s + dt_s
+        # What was learned of the person on a hand that was taken up wrongly is wrong as well.
         found = self._initialiser.find(seen)
         if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):
-            return state
-        self.palm_sources = (False, False)
-        return found[0]
+            return state, 0.0
+        return found[0], 0.0
 
-    def _angles(
-        self, state: HandState, R: FloatArray, p: FloatArray, tips: FloatArray, measured: BoolArray
-    ) -> FloatArray:
-        """Return the angles (5, 4) of the fingers on a palm at R, p; of those not measured as the filter has them."""
-        filtered = self._bend.expected(state.angles.reshape(5, 4))
+    def _solution_of(self, track: HandTrack, seen: HandObservation) -> HandSolution:
+        state = track.state
+        shorter_palm_m = -self._settings.palm_share * float(state.person[2])
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = state.R, state.p - shorter_palm_m * state.R[:, 2]
+        positions, orientations, modelled = self._kinematics.pose(
+            state.R, state.p, track.shown.reshape(-1), state.longer, shorter_palm_m
+        )
+        gaps = modelled - seen.tips
+        # NaN where a tip was not seen, as it came.
+        residual = np.sqrt((gaps * gaps).sum(-1))
+        palm_measured = seen.base is not None and seen.base_measured
+        return HandSolution(T, track.shown, positions, orientations, residual, track.measured, palm_measured)
+
+    def _angles(self, state: HandState, seen: HandObservation, shown: FloatArray) -> FloatArray:
+        """Return the angles (5, 4) of the fingers; of those not measured as the whole hand's estimate has them."""
+        estimated = state.angles.reshape(5, 4)
+        measured = seen.tips_seen & seen.tips_measured
         if self.config.solver == "filter" or not measured.any():
-            return filtered
-        resting = self.geometry.marker_points(filtered)
-        local = np.where(measured[:, None], (tips - p) @ R, resting)
+            return estimated
+        resting = self._geometry.marker_points(estimated)
+        local = self._filter.in_model((seen.tips - state.p) @ state.R, state.longer)
+        local = np.where(measured[:, None], local, resting)
         if self.config.solver == "fabrik":
-            solved, _ = self._fabrik.solve(local, self.shown, self.config.tolerance_m, self.config.max_iterations)
+            solved, _ = self._fabrik.solve(local, shown, self.config.tolerance_m, self.config.max_iterations)
         else:
             solved = self._analytic.solve(local).angles
-        return np.where(measured[:, None], solved, filtered)
+        return np.where(measured[:, None], solved, estimated)

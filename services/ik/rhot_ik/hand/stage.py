@@ -9,12 +9,13 @@ import numpy as np
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.explain import Explanation
 from rhot.messages import FingerAngles, HandPose, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
 from rhot.stage import Output
 from rhot_ik.hand.explain import solver_tables
-from rhot_ik.hand.filter.evidence import SIGMA_M, HandObservation
+from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.fingers.geometry import base_marker
 from rhot_ik.hand.solver import HandSolution, HandSolver
 
@@ -37,7 +38,8 @@ class HandStage:
         self._counts = {"hands": 0, "no_hand": 0, "outside": 0, "not_of_this_hand": 0}
         self._volume_m = rig.config.fusion.volume_m
         self._problems: list[str] = []
-        viewpoints = np.array([np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values()]).reshape(-1, 3)
+        places = [np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values()]
+        viewpoint = np.mean(places, axis=0) if places else None
         for side in rig.config.sides:
             model = HandModel.from_file(rig.hand, side)
             base = base_marker(model, self._markers)
@@ -45,7 +47,7 @@ class HandStage:
                 self._problems.append(f"the {side} hand has no marker on wrist or palm in rig.toml and is not solved")
                 continue
             self._bases[side] = base
-            self._solvers[side] = HandSolver(model, self._markers, base, rig.config.ik, viewpoints)
+            self._solvers[side] = HandSolver(model, self._markers, base, rig.config.ik, viewpoint)
 
     def configure(self, config: IkConfig) -> None:
         """Switch to another configuration from the next sample on."""
@@ -89,7 +91,7 @@ class HandStage:
 
     def _observation(self, points: PointSet, base_name: str, solver: HandSolver) -> HandObservation:
         tips, measured = np.full((len(FINGERS), 3), np.nan), np.zeros(len(FINGERS), dtype=np.bool_)
-        sigma = np.full(len(FINGERS), SIGMA_M)
+        covariances = np.tile(np.eye(3), (len(FINGERS), 1, 1))
         base = self._believable(points, base_name)
         reach_m = _REACH * solver.geometry.model.length_m
         for place, finger in enumerate(FINGERS):
@@ -100,17 +102,17 @@ class HandStage:
                 self._counts["not_of_this_hand"] += 1
                 continue
             tips[place] = point.position
-            sigma[place] = point.sigma
-            measured[place] = point.state == "measured"
+            covariances[place] = covariance_of(point)
+            measured[place] = point.state != "predicted"
         return HandObservation(
             t_ns=points.t_ns,
             base=None if base is None else np.array(base.position),
-            base_measured=base is not None and base.state == "measured",
+            base_measured=base is not None and base.state != "predicted",
             corners=None if base is None or base.corners is None else np.array(base.corners),
             tips=tips,
             tips_measured=measured,
-            base_sigma=SIGMA_M if base is None else base.sigma,
-            tips_sigma=sigma,
+            base_covariance=None if base is None else covariance_of(base),
+            tip_covariances=covariances,
         )
 
     def _believable(self, points: PointSet, name: str) -> Point | None:
@@ -124,6 +126,14 @@ class HandStage:
             return point
         self._counts["outside"] += 1
         return None
+
+
+def covariance_of(point: Point) -> FloatArray:
+    """Return the covariance (3, 3) of a point's error, m²; alike in all directions where none is stated."""
+    if point.covariance is None:
+        return np.eye(3) * (point.sigma**2 / 3.0)
+    xx, xy, xz, yy, yz, zz = point.covariance
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def hand_pose(points: PointSet, model: HandModel, solution: HandSolution) -> HandPose:

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 
 from rhot.geometry.rotations import rotation_from_vector, shortest_rotation
-from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
-from rhot_ik.hand.filter.point_covariance import PointCovariances
+from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation
+from rhot_ik.hand.filter.settings import HandSettings
 
 
 def test_two_points_of_the_wrist_turn_it_the_shortest_way_and_leave_the_turn_about_their_line() -> None:
@@ -13,7 +13,7 @@ def test_two_points_of_the_wrist_turn_it_the_shortest_way_and_leave_the_turn_abo
     seen = HandObservation(
         10**18, np.array([0.0, 0.0, 0.8]), True, None, np.full((5, 3), np.nan), np.zeros(5, dtype=np.bool_)
     )
-    model = EvidenceModel(None, PointCovariances(np.empty((0, 3))))
+    model = EvidenceModel(None, HandSettings())
     assert model.assess(seen, expected).rotation is None
     across = HandObservation(seen.t_ns, seen.base, True, None, seen.tips, seen.tips_measured, across=truth[:, 0])
     evidence = model.assess(across, expected)
@@ -33,3 +33,15 @@ def test_the_turn_between_two_directions_takes_one_to_the_other_however_near() -
         R = shortest_rotation(start, end)
         assert np.allclose(R @ start, end, atol=1e-9)
         assert np.allclose(R.T @ R, np.eye(3), atol=1e-9)
+
+
+def test_the_noise_of_corners_is_learned_from_how_far_they_leave_their_plane() -> None:
+    rng = np.random.default_rng(3)
+    middle = np.diag([0.0003, 0.0003, 0.002]) ** 2
+    flat = np.array([[-0.02, -0.015, 0.0], [0.02, -0.015, 0.0], [0.02, 0.015, 0.0], [-0.02, 0.015, 0.0]])
+    for factor in (1.0, 9.0):
+        noise = CornerNoise(16.0, 8.0)
+        for _ in range(400):
+            corners = flat + rng.multivariate_normal(np.zeros(3), factor * middle, 4)
+            noise = noise.after(corners, middle, 100.0)
+        assert 0.6 * factor < noise.factor < 1.6 * factor

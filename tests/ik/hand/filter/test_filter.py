@@ -9,21 +9,29 @@ from rhot.anatomy.hand import HandModel
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.messages import Side
 from rhot.rig import HandFile
-from rhot_ik.hand.filter.evidence import Evidence
+from rhot_ik.hand.contact import Sphere
+from rhot_ik.hand.filter.evidence import CornerNoise, Evidence
 from rhot_ik.hand.filter.filter import HandFilter
-from rhot_ik.hand.filter.prior import angle_covariance, rest_angles
+from rhot_ik.hand.filter.prior import angle_covariance, closed_angles, rest_angles
 from rhot_ik.hand.filter.process import ANGLES, HandState
+from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 FloatArray = NDArray[np.float64]
 
+KNOWN = np.zeros(6, dtype=np.bool_)
 BASE_OFFSET = np.array([0.0, 0.014, -0.025])
 R_TRUE = rotation_from_vector(np.array([0.4, -0.3, 0.2]))
 P_TRUE = np.array([0.02, 0.05, 0.8])
 
 
 def filter_of(side: Side = "right") -> HandFilter:
-    return HandFilter(FingerGeometry.of(HandModel.from_file(HandFile(), side), {}), BASE_OFFSET)
+    return HandFilter(
+        FingerGeometry.of(HandModel.from_file(HandFile(), side), {}),
+        BASE_OFFSET,
+        HandSettings(),
+        np.zeros(6, dtype=np.bool_),
+    )
 
 
 def coupled(model: HandModel, mcp_deg: float, pip_deg: float) -> FloatArray:
@@ -34,7 +42,7 @@ def coupled(model: HandModel, mcp_deg: float, pip_deg: float) -> FloatArray:
 
 
 def evidence_of(hand: HandFilter, angles: FloatArray, *, hidden: tuple[int, ...] = (), turned: bool = True) -> Evidence:
-    tips = hand.tips(angles)[0] @ R_TRUE.T + P_TRUE
+    tips = hand.tips(hand.start(R_TRUE, P_TRUE, angles))
     tips[list(hidden)] = np.nan
     return Evidence(
         base=P_TRUE + R_TRUE @ BASE_OFFSET,
@@ -43,6 +51,7 @@ def evidence_of(hand: HandFilter, angles: FloatArray, *, hidden: tuple[int, ...]
         rotation_information=np.eye(3) / np.radians(1.0) ** 2,
         tips=tips,
         tip_covariances=np.tile(np.eye(3) * 0.001**2, (5, 1, 1)),
+        corner_noise=CornerNoise(1.0, 1.0),
     )
 
 
@@ -56,11 +65,12 @@ def test_one_sample_of_all_points_gives_pose_and_angles() -> None:
     truth = coupled(model, 30.0, 50.0)
     start = hand.start(R_TRUE @ rotation_from_vector(np.array([0.2, 0.1, -0.2])), P_TRUE + 0.01)
     state = hand.update(start, evidence_of(hand, truth), steps=6)
-    assert degrees_off(state) < 1.0
+    # Patch and fingers may be others than the model's, which one sample cannot tell from a turned palm.
+    assert degrees_off(state) < 1.5
     assert np.linalg.norm(state.p - P_TRUE) < 0.001
-    missed = np.linalg.norm(hand.tips(state.angles)[0] @ state.R.T + state.p - evidence_of(hand, truth).tips, axis=1)
-    assert missed.max() < 0.0005
-    assert np.degrees(np.abs(state.angles - truth).reshape(5, 4)[1:, 2]).max() < 4.0
+    missed = np.linalg.norm(hand.tips(state) - evidence_of(hand, truth).tips, axis=1)
+    assert missed.max() < 0.001
+    assert np.degrees(np.abs(state.angles - truth).reshape(5, 4)[1:, 2]).max() < 5.0
 
 
 def test_angles_never_leave_their_limits_and_the_tips_still_fit() -> None:
@@ -73,7 +83,7 @@ def test_angles_never_leave_their_limits_and_the_tips_still_fit() -> None:
         angles = state.angles.reshape(5, 4)
         assert (angles >= model.angle_min).all()
         assert (angles <= model.angle_max).all()
-    missed = np.linalg.norm(hand.tips(state.angles)[0] @ state.R.T + state.p - evidence_of(hand, flat).tips, axis=1)
+    missed = np.linalg.norm(hand.tips(state) - evidence_of(hand, flat).tips, axis=1)
     assert missed[1:].max() < 0.002
 
 
@@ -95,11 +105,41 @@ def test_left_alone_the_angles_go_back_to_rest_and_doubt_grows_to_what_is_known_
     model = HandModel.from_file(HandFile(), "right")
     state = hand.update(hand.start(R_TRUE, P_TRUE), evidence_of(hand, coupled(model, 50.0, 80.0)), steps=4)
     before = np.trace(state.P[ANGLES, ANGLES])
-    for _ in range(100):
+    for _ in range(400):
         state = hand.predict(state, 0.1)
     assert np.allclose(state.angles, rest_angles(model), atol=np.radians(0.5))
     assert np.allclose(state.P[ANGLES, ANGLES], angle_covariance(model), rtol=0.02, atol=1e-4)
     assert np.trace(state.P[ANGLES, ANGLES]) > 2.0 * before
+
+
+def test_fingers_that_nobody_sees_close() -> None:
+    hand = filter_of()
+    model = HandModel.from_file(HandFile(), "right")
+    state = hand.update(hand.start(R_TRUE, P_TRUE), evidence_of(hand, coupled(model, 20.0, 30.0)), steps=4)
+    hidden = np.arange(5) == 2
+    for _ in range(60):
+        state = hand.predict(state, 0.1, hidden)
+    bend = np.degrees(state.angles.reshape(5, 4))
+    assert np.allclose(bend[2], np.degrees(closed_angles(model).reshape(5, 4)[2]), atol=1.0)
+    assert (bend[[1, 3, 4], 0] < 25.0).all()
+
+
+def test_a_hidden_finger_ends_at_the_thing_that_it_closes_round() -> None:
+    hand = filter_of()
+    model = HandModel.from_file(HandFile(), "right")
+    angles = coupled(model, 25.0, 30.0)
+    state = hand.update(hand.start(R_TRUE, P_TRUE), evidence_of(hand, angles), steps=4)
+    held = R_TRUE @ np.array([0.0, -0.055, -0.11]) + P_TRUE
+    ball = Sphere(held, 0.03)
+    hidden = np.array([False, False, True, False, False])
+    for shapes in ((), (ball,)):
+        closing = state
+        for _ in range(120):
+            expected = hand.predict(closing, 1 / 60, hidden)
+            closing = hand.update(expected, evidence_of(hand, angles, hidden=(2,)), shapes=shapes)
+        tip = hand.tips(closing)[2]
+        depth = ball.radius_m - np.linalg.norm(tip - held)
+        assert (depth < 0.001) == bool(shapes)
 
 
 def test_covariance_stays_symmetric_and_positive() -> None:
@@ -125,4 +165,5 @@ def test_one_wild_tip_does_not_turn_the_palm() -> None:
     tips[2] += np.array([0.0, 0.0, 0.08])
     for _ in range(5):
         state = hand.update(hand.predict(state, 1 / 60), dataclasses.replace(wild, tips=tips))
-    assert degrees_off(state) < 5.0
+    # The patch may be tilted on the palm by 5°, so its corners alone do not hold it.
+    assert degrees_off(state) < 8.0

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
-from rhot.anatomy.skeleton import FINGERS
+from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector
 from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
@@ -31,22 +31,43 @@ def test_the_hand_is_that_of_the_model(side: Side) -> None:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = rotation_from_vector(rng.normal(size=3)), rng.normal(size=3)
         expected = geometry.model.forward(T, q.reshape(5, 4))
-        positions, orientations, markers = kinematics.pose(T[:3, :3], T[:3, 3], q)
+        positions, orientations, markers = kinematics.pose(T[:3, :3], T[:3, 3], q, np.zeros(5))
         assert np.allclose(positions, expected.positions, atol=1e-12)
         assert np.allclose(rotation_from_quaternion(orientations), expected.rotations, atol=1e-12)
         local = geometry.marker_points(q.reshape(5, 4))
         assert np.allclose(markers, local @ T[:3, :3].T + T[:3, 3], atol=1e-12)
-        assert np.allclose(kinematics.markers(q)[0], local, atol=1e-12)
+        assert np.allclose(kinematics.markers(q, np.zeros(5))[0], local, atol=1e-12)
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_derivatives_are_those_of_small_differences(side: Side) -> None:
     kinematics = HandKinematics(geometry_of(side))
-    q = np.radians(np.random.default_rng(1).uniform(-10.0, 60.0, 20))
-    tips, J = kinematics.markers(q)
-    for k in range(20):
-        moved = q.copy()
-        moved[k] += 1e-6
-        difference = (kinematics.markers(moved)[0] - tips) / 1e-6
-        assert np.allclose(difference[k // 4], J[k // 4, :, k % 4], atol=1e-6)
-        assert np.allclose(np.delete(difference, k // 4, axis=0), 0.0, atol=1e-9)
+    rng = np.random.default_rng(1)
+    q, longer = np.radians(rng.uniform(-10.0, 60.0, 20)), rng.uniform(-0.1, 0.1, 5)
+    tips, J = kinematics.markers(q, longer)
+    for k in range(25):
+        moved, lengths = q.copy(), longer.copy()
+        finger, column = (k // 4, k % 4) if k < 20 else (k - 20, 4)
+        if k < 20:
+            moved[k] += 1e-6
+        else:
+            lengths[finger] += 1e-6
+        difference = (kinematics.markers(moved, lengths)[0] - tips) / 1e-6
+        assert np.allclose(difference[finger], J[finger, :, column], atol=1e-6)
+        assert np.allclose(np.delete(difference, finger, axis=0), 0.0, atol=1e-9)
+
+
+def test_a_shorter_palm_moves_the_wrist_towards_the_knuckles_and_no_finger() -> None:
+    kinematics, q = HandKinematics(geometry_of("right")), np.full(20, 0.2)
+    R, p = rotation_from_vector(np.array([0.1, 0.2, 0.3])), np.array([0.1, 0.2, 0.7])
+    one, _, tips = kinematics.pose(R, p, q, np.zeros(5))
+    other, _, same = kinematics.pose(R, p, q, np.zeros(5), 0.010)
+    moved = np.linalg.norm(other - one, axis=1)
+    assert np.allclose(tips, same)
+    assert np.allclose(moved[JOINTS.index("wrist")], 0.010)
+    assert np.allclose(moved[JOINTS.index("palm")], 0.005)
+    assert np.allclose(moved[[JOINTS.index(name) for name in JOINTS if "proximal" in name or "tip" in name]], 0.0)
+    knuckle = one[JOINTS.index("middle_proximal")]
+    wrists = np.array([one, other])[:, JOINTS.index("wrist")]
+    near, far = np.linalg.norm(wrists - knuckle, axis=1)
+    assert far < near - 0.0099

@@ -1,4 +1,4 @@
-"""What one sample measures of a hand: points and corners with the covariance of their errors."""
+"""What one sample says of a hand: points and corners with the covariance of their errors."""
 
 from __future__ import annotations
 
@@ -8,23 +8,10 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
+from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import shortest_rotation
 from rhot_ik.hand.filter.patch_rotation import PatchRotation
-from rhot_ik.hand.filter.point_covariance import PointCovariances
-
-SIGMA_M: Final = 0.0015
-"""Standard deviation of a point that states none (root of the sum of the three variances)."""
-BASE_SIGMA_M: Final = 0.0007
-"""What the marker on the back of a real hand departs from the model, standard deviation per axis."""
-TIP_SIGMA_M: Final = 0.003
-"""The same of a painted fingertip: what the cameras see of it wanders with the finger's bend."""
-PREDICTED_SIGMA_M: Final = 0.006
-"""Further error of a marker that fusion bridged."""
-CORNER_SIGMA_M: Final = 0.003
-"""Of a corner about the centre of its patch (root of the sum of the three variances)."""
-
-ACROSS_RAD: Final = 0.05
-"""Of the direction across the wrist."""
+from rhot_ik.hand.filter.settings import HandSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +21,12 @@ class HandObservation:
     Attributes:
         t_ns: rig clock.
         base: (3,) centre of the base marker, or not seen.
-        base_measured: whether it was measured at this moment rather than bridged.
+        base_measured: whether it was seen at this moment rather than bridged.
         corners: (4, 3) of its patch, or not seen.
         tips: (5, 3); NaN rows = not seen.
-        tips_measured: (5,) whether each was measured at this moment.
-        base_sigma: standard deviation of the base marker (root of the sum of the three variances).
-        tips_sigma: (5,) those of the tips; 1.5 mm each when not given.
+        tips_measured: (5,) whether each was seen at this moment, by one camera at least.
+        base_covariance: (3, 3) of the base marker; a millimetre or so when not given.
+        tip_covariances: (5, 3, 3) those of the tips.
         across: (3,) unit direction of the wrist's +X axis, where two points of the wrist tell it.
     """
 
@@ -49,9 +36,45 @@ class HandObservation:
     corners: FloatArray | None
     tips: FloatArray
     tips_measured: BoolArray
-    base_sigma: float = SIGMA_M
-    tips_sigma: FloatArray | None = None
+    base_covariance: FloatArray | None = None
+    tip_covariances: FloatArray | None = None
     across: FloatArray | None = None
+
+    @property
+    def tips_seen(self) -> BoolArray:
+        """(5,) which tips are there at all, measured or bridged."""
+        return np.asarray(np.isfinite(self.tips).all(axis=1))
+
+    @property
+    def measured_any(self) -> bool:
+        """Whether any marker was measured at this moment."""
+        base = self.base is not None and self.base_measured
+        return base or bool((self.tips_seen & self.tips_measured).any())
+
+
+@dataclass(frozen=True, slots=True)
+class CornerNoise:
+    """How much noisier the corners of a patch are than its middle, learned from how far they leave their plane.
+
+    Four corners of a flat patch have one direction to go that no pose explains: (c0 − c1 + c2 − c3)/2 along the line of
+    sight, whose variance is that of one corner.
+
+    Attributes:
+        factor: a corner's covariance over that of the middle.
+        samples: how many it rests on.
+    """
+
+    factor: float
+    samples: float
+
+    def after(self, corners: FloatArray, covariance: FloatArray, most: float) -> CornerNoise:
+        """Return what is known after corners (4, 3) of a middle with a covariance (3, 3)."""
+        warp = 0.5 * (corners[0] - corners[1] + corners[2] - corners[3])
+        # Along the direction in which points are known worst; the others tell more of the paint's rim than of noise.
+        seen = covariance @ covariance @ np.ones(3)
+        seen /= max(float(np.sqrt(seen @ seen)), 1e-30)
+        factor = float(warp @ seen) ** 2 / max(float(seen @ covariance @ seen), 1e-12)
+        return CornerNoise(self.factor + (factor - self.factor) / self.samples, min(self.samples + 1.0, most))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +84,11 @@ class Evidence:
     Attributes:
         base: (3,) centre of the base marker; NaN = not seen.
         base_covariance: (3, 3).
-        rotation: (3, 3) wrist to rig, as the corners of the patch say; none where they were not seen.
+        rotation: (3, 3) patch to rig, as its corners say; none where they were not seen.
         rotation_information: (3, 3) inverse covariance of its error δθ.
         tips: (5, 3) fingertip markers; NaN rows = not seen.
         tip_covariances: (5, 3, 3).
+        corner_noise: what is known by now of the corners' noise.
     """
 
     base: FloatArray
@@ -73,52 +97,85 @@ class Evidence:
     rotation_information: FloatArray
     tips: FloatArray
     tip_covariances: FloatArray
+    corner_noise: CornerNoise
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """A sample as 21 rows of measurement: five tips, the base, the rotation.
+
+    Attributes:
+        seen: (7,) which of them were.
+        counts: (21,) the same for each row, as 0 or 1.
+        points: (6, 3) metres, rig frame: tips and base; 0 where not seen.
+        rotation: (3, 3) patch to rig, or not seen.
+        noise: (7, 3, 3) covariances; of what was not seen, any.
+    """
+
+    seen: BoolArray
+    counts: FloatArray
+    points: FloatArray
+    rotation: FloatArray | None
+    noise: FloatArray
+
+
+def rows_of(evidence: Evidence) -> Rows | None:
+    """Return evidence as rows of measurement; none when there is nothing."""
+    points = np.concatenate([evidence.tips, evidence.base[None]])
+    seen = np.empty(7, dtype=np.bool_)
+    seen[:6], seen[6] = np.isfinite(points).all(axis=1), evidence.rotation is not None
+    if not seen.any():
+        return None
+    noise = np.empty((7, 3, 3))
+    noise[:5], noise[5] = evidence.tip_covariances, evidence.base_covariance
+    noise[6] = symmetric_inverse(evidence.rotation_information)
+    points = np.where(seen[:6, None], points, 0.0)
+    return Rows(seen, np.repeat(seen, 3).astype(np.float64), points, evidence.rotation, noise)
 
 
 class EvidenceModel:
-    """Gives every kind of point the covariance of its errors.
+    """Knows how far each kind of point can be trusted.
 
     Args:
         outline: (4, 3) metres: corners of the base patch about its centre, wrist frame; none for a round marker.
-        covariances: of a point as the cameras see it.
+        settings: numbers of the estimate.
     """
 
-    def __init__(self, outline: FloatArray | None, covariances: PointCovariances) -> None:
+    def __init__(self, outline: FloatArray | None, settings: HandSettings) -> None:
         self.outline = outline
-        self.covariances = covariances
         self._patch = None if outline is None else PatchRotation(outline)
+        self._point = settings.sigma_m**2 / 3.0 * _UNIT
+        self._points = np.tile(self._point, (5, 1, 1))
+        self._floor = settings.model_m**2 * _UNIT
+        self._corner_noise = CornerNoise(settings.corner_factor, settings.corner_samples[0])
+        self._most_samples, self._corner_floor = settings.corner_samples[1], settings.corner_m**2 * _UNIT
+        self._across = np.diag([1e-3, settings.across_rad**-2, settings.across_rad**-2])
 
-    def assess(self, seen: HandObservation, expected: FloatArray | None) -> Evidence:
-        """Return a sample's evidence; corners are used only where an expected rotation (3, 3) is given."""
-        base = _NOWHERE if seen.base is None else seen.base
-        if seen.base is not None:
-            middle = seen.base
-        else:
-            visible = np.isfinite(seen.tips).all(axis=1)
-            middle = seen.tips[visible].mean(axis=0) if visible.any() else np.zeros(3)
-        shape = self.covariances.shape(middle)
-        fitted = None
+    def assess(
+        self, seen: HandObservation, expected: FloatArray | None, corner_noise: CornerNoise | None = None
+    ) -> Evidence:
+        """Return the evidence of a sample; corners count when the patch's rotation (3, 3) is about `expected`."""
+        base_covariance = self._point if seen.base_covariance is None else seen.base_covariance
+        tip_covariances = self._points if seen.tip_covariances is None else seen.tip_covariances
+        turned, noise = None, corner_noise or self._corner_noise
         if expected is not None and seen.corners is not None and self._patch is not None and seen.base_measured:
-            covariance = CORNER_SIGMA_M**2 * shape + BASE_SIGMA_M**2 * _UNIT
-            fitted = self._patch.fit(seen.corners, expected, covariance)
+            noise = noise.after(seen.corners, base_covariance, self._most_samples)
+            covariance = noise.factor * base_covariance + self._corner_floor
+            turned = self._patch.fit(seen.corners, expected, covariance)
         elif expected is not None and seen.across is not None:
-            fitted = shortest_rotation(expected[:, 0], seen.across) @ expected, _ACROSS_INFORMATION
-        rotation, information = (None, _UNIT) if fitted is None else fitted
-        floors = TIP_SIGMA_M**2 + np.where(seen.tips_measured, 0.0, PREDICTED_SIGMA_M**2)
-        sigma = _SIGMAS if seen.tips_sigma is None else seen.tips_sigma
-        base_floor = BASE_SIGMA_M**2 + (0.0 if seen.base_measured else PREDICTED_SIGMA_M**2)
+            # Two points tell nothing of the turn about the line through them.
+            turned = shortest_rotation(expected[:, 0], seen.across) @ expected, self._across
+        rotation, information = (None, _UNIT) if turned is None else turned
         return Evidence(
-            base=base,
-            base_covariance=seen.base_sigma**2 * shape + base_floor * _UNIT,
+            base=_NOWHERE if seen.base is None else seen.base,
+            base_covariance=base_covariance + self._floor,
             rotation=rotation,
             rotation_information=information,
             tips=seen.tips,
-            tip_covariances=(sigma * sigma)[:, None, None] * shape + floors[:, None, None] * _UNIT,
+            tip_covariances=tip_covariances + self._floor,
+            corner_noise=noise,
         )
 
 
 _UNIT: Final = np.eye(3)
-_ACROSS_INFORMATION: Final = np.diag([1e-3, ACROSS_RAD**-2, ACROSS_RAD**-2])
-"""Two points say nothing about a rotation around the line through them."""
 _NOWHERE: Final = np.full(3, np.nan)
-_SIGMAS: Final = np.full(5, SIGMA_M)

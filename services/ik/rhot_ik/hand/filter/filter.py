@@ -1,30 +1,40 @@
-"""The whole hand as one filter: wrist pose and twenty angles from all points of all samples together.
+"""The whole hand as one estimate: wrist pose, twenty angles and the person from all points of all samples together.
 
 State and prediction are `rhot_ik.hand.filter.process`'s.
 
-Measurements, each with its own 3x3 covariance: the base marker p + R·b; each tip p + R·m(q); and the corners of the
-base patch, which are first made into one rotation with its information matrix. The update is the iterated extended
-Kalman filter, which is Gauss–Newton on the posterior (Bell & Cathey 1993), with analytic derivatives. Limits are hard:
-angles that leave them are set to the limit and all others moved by what that says about them (projection of the
-estimate in the metric of P, Simon & Chia 2002).
+Measurements, each with its own full 3x3 covariance, so that what one camera sees counts as the ray that it is: the base
+marker p + R·(b + shift); each tip p + R·m(q, length); and the corners of the base patch, which are first made into one
+rotation R·exp(tilt) with its information matrix. The update is the iterated extended Kalman filter, which is
+Gauss–Newton on the posterior (Bell & Cathey 1993), with analytic derivatives. Limits are hard: angles that leave them
+are set to the limit and all others moved by what that says about them (projection of the estimate in the metric of P,
+Simon & Chia 2002).
+
+Points come from fusion's filter, so their errors last over samples. The process is therefore loose where a sample
+tells: pose and seen fingers follow each sample anew, and memory serves what it leaves open.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
-from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
-from rhot_ik.hand.filter.evidence import Evidence
+from rhot_ik.hand.contact import Shape
+from rhot_ik.hand.filter.evidence import Evidence, Rows, rows_of
+from rhot_ik.hand.filter.hidden_tips import HiddenTips
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.filter.prior import COUNT
 from rhot_ik.hand.filter.process import (
     ANGLES,
     ANGULAR_VELOCITY,
+    BASE_SHIFT,
+    LONGER,
+    PATCH_TILT,
+    PERSON,
     POSITION,
     ROTATION,
     SIZE,
@@ -32,204 +42,236 @@ from rhot_ik.hand.filter.process import (
     HandProcess,
     HandState,
 )
+from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-
-MAX_INFLATION: Final = 30.0
-"""Largest factor on the process noise of a finger whose NIS says that it moves faster than expected."""
-CLOSE_RAD: Final = 0.05
-"""Steps end when the derivatives were taken this near to where they led."""
-FAR_M: Final = 0.015
-"""When a tip lies further than this from where it was expected, the first step sets out from the closed form."""
-OUTLIER: Final = 10.0
-"""A tip this many standard deviations from what was expected loses weight."""
-MISS_M: Final = 0.012
-"""A tip that no legal pose meets within this loses weight."""
 
 _TIPS: Final = np.arange(5)
 _BLOCKS: Final = np.arange(7)
 """Five tips, base and rotation: three rows of a measurement each."""
 _ROWS: Final = 21
-_OWN_ANGLES: Final = (3 * _TIPS[:, None, None] + np.arange(3)[:, None]) * SIZE + (
-    ANGLES.start + 4 * _TIPS[:, None, None] + np.arange(4)
+_OWN: Final = (3 * _TIPS[:, None, None] + np.arange(3)[:, None]) * SIZE + np.concatenate(
+    [ANGLES.start + 4 * _TIPS[:, None, None] + np.arange(4), LONGER.start + _TIPS[:, None, None]], axis=2
 )
-"""(5, 3, 4) places of the derivatives of each tip by its own angles in a flat (21, 32) matrix."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Rows:
-    """A sample as 21 rows of measurement: five tips, the base, the rotation.
-
-    Attributes:
-        seen: (7,) which of them were.
-        counts: (21,) the same for each row, as 0 or 1.
-        points: (6, 3) metres, rig frame: tips and base; 0 where not seen.
-        rotation: (3, 3) wrist to rig, or not seen.
-        noise: (7, 3, 3) covariances.
-    """
-
-    seen: BoolArray
-    counts: FloatArray
-    points: FloatArray
-    rotation: FloatArray | None
-    noise: FloatArray
-
-
-def _rows(evidence: Evidence) -> _Rows | None:
-    points = np.concatenate([evidence.tips, evidence.base[None]])
-    seen = np.empty(7, dtype=np.bool_)
-    seen[:6], seen[6] = np.isfinite(points).all(axis=1), evidence.rotation is not None
-    if not seen.any():
-        return None
-    noise = np.empty((7, 3, 3))
-    noise[:5], noise[5] = evidence.tip_covariances, evidence.base_covariance
-    noise[6] = symmetric_inverse(evidence.rotation_information)
-    points = np.where(seen[:6, None], points, 0.0)
-    return _Rows(seen, np.repeat(seen, 3).astype(np.float64), points, evidence.rotation, noise)
+"""(5, 3, 5) places of the derivatives of each tip by its own angles and length in a flat (21, 43) matrix."""
+_SHIFT, _TILT, _LENGTHS = (
+    slice(part.start - PERSON.start, part.stop - PERSON.start) for part in (BASE_SHIFT, PATCH_TILT, LONGER)
+)
+_UNIT: Final = np.eye(3)
 
 
 class HandFilter(HandProcess):
-    """Predicts and updates `HandState`s of one hand; stateless after construction."""
+    """Predicts and corrects `HandState`s of one hand; stateless after construction.
 
-    def __init__(self, geometry: FingerGeometry, base_offset: FloatArray) -> None:
+    Args:
+        geometry: the hand and where its markers are painted.
+        base_offset: (3,) metres: where the model has the base marker, wrist frame.
+        settings: numbers of the estimate.
+        known: (6,) of which markers a calibration has measured where they sit.
+        viewpoint: (3,) metres, rig frame: where the cameras are; none when nothing is known of what hides a tip.
+    """
+
+    def __init__(
+        self,
+        geometry: FingerGeometry,
+        base_offset: FloatArray,
+        settings: HandSettings,
+        known: BoolArray,
+        viewpoint: FloatArray | None = None,
+    ) -> None:
         model = geometry.model
-        super().__init__(model)
+        super().__init__(model, settings, known)
         self._kinematics = HandKinematics(geometry)
         self._stationary_inverse = np.linalg.inv(self._stationary)
-        self._own_stationary = self._stationary.reshape(5, 4, 5, 4)[_TIPS, :, _TIPS]
+        self._person_inverse = np.linalg.inv(self._person)
         self._low, self._high = model.angle_min.reshape(COUNT), model.angle_max.reshape(COUNT)
         self._fingers = AnalyticFingers(geometry)
         self._resting = geometry.marker_points(self._rest.reshape(5, 4))
-        self._on_wrist = np.concatenate([np.zeros((5, 3)), base_offset[None]])
+        self._base_offset = base_offset
+        self._model = model
+        self._hidden = HiddenTips(model, settings.contact_m, viewpoint)
         self._H = np.zeros((_ROWS, SIZE))
-        self._H[:18, POSITION] = np.tile(np.eye(3), (6, 1))
-        self._H[18:, ROTATION] = np.eye(3)
+        self._H[:18, POSITION] = np.tile(_UNIT, (6, 1))
+        self._H[18:, PATCH_TILT] = _UNIT
 
-    def update(self, prior: HandState, evidence: Evidence, steps: int = 2) -> HandState:
-        """Return the state after a sample, by at most `steps` Gauss–Newton steps."""
-        rows = _rows(evidence)
+    def patch_rotation(self, state: HandState) -> FloatArray:
+        """Return how the patch lies, (3, 3), patch to rig, as a state has it."""
+        return state.R @ rotation_from_vector(state.person[_TILT])
+
+    def update(self, prior: HandState, evidence: Evidence, steps: int = 2, shapes: Sequence[Shape] = ()) -> HandState:
+        """Return the state after a sample, by at most `steps` Gauss–Newton steps.
+
+        Args:
+            prior: the state as it was expected.
+            evidence: of the sample.
+            steps: the most.
+            shapes: things that hidden fingers may have met, rig frame.
+        """
+        rows = rows_of(evidence)
         if rows is None:
             return prior
-        P, weights = prior.P, np.ones(5)
-        R, p, q, dx = prior.R, prior.p, prior.angles, np.zeros(SIZE)
+        P, noise, dx = prior.P, rows.noise, np.zeros(SIZE)
+        learned = min(1.0, (prior.dt_s or self.settings.first_lasts_s) / self.settings.lasts_s)
+        at = prior
         wanted = np.empty((_ROWS, SIZE + 1))
-        modelled = self._kinematics.markers(q)
-        if self._is_far(prior, rows, modelled[0]):
-            q = self._closed_form(prior, rows)
-            dx[ANGLES] = q - prior.angles
-            modelled = self._kinematics.markers(q)
+        modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
+        if prior.dt_s > 0.0 and not rows.seen[:5].all():
+            self._hidden.expect(rows, prior, modelled[0], shapes)
+        far = self._is_far(prior, rows, modelled[0])
+        if far:
+            dx[ANGLES] = self._closed_form(prior, rows) - prior.angles
+            at = dataclasses.replace(prior, angles=prior.angles + dx[ANGLES])
+            modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
         for step in range(steps):
             if step > 0:
-                modelled = self._kinematics.markers(q)
-            used, y = self._linearise(rows, R, p, modelled)
-            innovation = y + used @ dx
-            PHt = P @ used.T
-            S = used @ PHt
-            blocks = S.reshape(7, 3, 7, 3)
-            blocks[_BLOCKS, :, _BLOCKS] += rows.noise
+                modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
+            H, y = self._linearise(rows, at, modelled)
+            innovation = y + H @ dx
             if step == 0:
-                nis = self._tip_nis(innovation[:15].reshape(5, 3), blocks[_TIPS, :, _TIPS])
-                weights = np.minimum(1.0, OUTLIER**2 / (3.0 * np.maximum(nis, 1.0)))
-                if prior.stationary_share > 0.0 and nis.max() > 1.0:
-                    P = self._inflated(prior, nis)
-                    PHt = P @ used.T
-                    S = used @ PHt
-                    blocks = S.reshape(7, 3, 7, 3)
-                    blocks[_BLOCKS, :, _BLOCKS] += rows.noise
-            else:
-                missed = (y[:15].reshape(5, 3) ** 2).sum(-1)
-                weights = np.minimum(weights, 1.0 / (1.0 + missed / MISS_M**2))
-            if weights.min() < 1.0:
-                blocks[_TIPS, :, _TIPS] += rows.noise[:5] * (1.0 / weights - 1.0)[:, None, None]
+                P, noise = self._given_room(prior, rows, H, innovation)
+            if far or step > 0:
+                noise = self._doubted(rows, noise, y, H[:15, :6] if step == 0 else None, P[:6, :6])
+            PHt = P @ H.T
+            S = H @ PHt
+            S.reshape(7, 3, 7, 3)[_BLOCKS, :, _BLOCKS] += noise
             wanted[:, :SIZE], wanted[:, SIZE] = PHt.T, innovation
             solved = np.linalg.solve(S, wanted)
             posterior = P - PHt @ solved[:, :SIZE]
-            about, dx = dx, self._within_limits(PHt @ solved[:, SIZE], prior.angles, posterior)
-            R, p = prior.R @ rotation_from_vector(dx[ROTATION]), prior.p + dx[POSITION]
-            q = prior.angles + dx[ANGLES]
+            about, (dx, posterior) = dx, self._within_limits(PHt @ solved[:, SIZE], prior.angles, posterior)
+            # What is not learned at once is partly given for all the rest, whose mean moves towards that under it.
+            denied = (1.0 - learned) * dx[PERSON]
+            dx -= self.settings.person_given * (
+                posterior[:, PERSON] @ np.linalg.solve(posterior[PERSON, PERSON], denied)
+            )
+            dx[PERSON] -= (1.0 - self.settings.person_given) * denied
+            at = self._moved(prior, dx)
             moved = np.abs(dx - about)
-            if max(moved[ROTATION].max(), moved[ANGLES].max()) < CLOSE_RAD:
+            if max(moved[ROTATION].max(), moved[ANGLES].max()) < self.settings.close_rad:
                 break
-        left = ((innovation - used @ dx)[:15].reshape(5, 3) ** 2).sum(-1)
-        return HandState(
-            R,
-            p,
-            prior.angular_velocity + dx[ANGULAR_VELOCITY],
-            prior.velocity + dx[VELOCITY],
-            np.minimum(np.maximum(q, self._low), self._high),
-            0.5 * (posterior + posterior.T),
+        kept = (1.0 - learned) ** 2
+        posterior[PERSON, PERSON] = kept * prior.P[PERSON, PERSON] + (1.0 - kept) * posterior[PERSON, PERSON]
+        left = ((innovation - H @ dx)[:15].reshape(5, 3) ** 2).sum(-1) * rows.seen[:5]
+        return dataclasses.replace(
+            at,
+            angles=np.minimum(np.maximum(at.angles, self._low), self._high),
+            P=0.5 * (posterior + posterior.T),
             mean_residual_m=float(np.sqrt(left).sum() / max(1, np.count_nonzero(rows.seen[:5]))),
         )
 
     def cost(self, state: HandState, evidence: Evidence) -> float:
-        """Return the squared normalised error of a sample under a state, angles against their prior included."""
+        """Return how ill a state explains a sample on its own: squared errors over their variances, angles included."""
         seen = np.isfinite(evidence.tips).all(axis=1)
         off = state.angles - self._rest
         cost = float(off @ self._stationary_inverse @ off)
-        tips, _ = self._kinematics.markers(state.angles)
+        cost += float(state.person @ self._person_inverse @ state.person)
+        tips, _ = self._kinematics.markers(state.angles, state.person[_LENGTHS])
         missed = (evidence.tips - state.p - tips @ state.R.T)[seen]
         inverse = np.linalg.inv(evidence.tip_covariances[seen])
         cost += float((missed[:, None] @ inverse @ missed[:, :, None]).sum())
         if np.isfinite(evidence.base[0]):
-            gap = evidence.base - state.p - state.R @ self._on_wrist[5]
+            gap = evidence.base - state.p - state.R @ (self._base_offset + state.person[_SHIFT])
             cost += float(gap @ np.linalg.solve(evidence.base_covariance, gap))
         if evidence.rotation is not None:
-            turn = vector_from_rotation(state.R.T @ evidence.rotation)
+            turn = vector_from_rotation(self.patch_rotation(state).T @ evidence.rotation)
             cost += float(turn @ evidence.rotation_information @ turn)
         return cost
 
     @staticmethod
-    def _is_far(prior: HandState, rows: _Rows, expected: FloatArray) -> bool:
+    def _moved(prior: HandState, dx: FloatArray) -> HandState:
+        return dataclasses.replace(
+            prior,
+            R=prior.R @ rotation_from_vector(dx[ROTATION]),
+            p=prior.p + dx[POSITION],
+            angular_velocity=prior.angular_velocity + dx[ANGULAR_VELOCITY],
+            velocity=prior.velocity + dx[VELOCITY],
+            angles=prior.angles + dx[ANGLES],
+            person=prior.person + dx[PERSON],
+        )
+
+    def _is_far(self, prior: HandState, rows: Rows, expected: FloatArray) -> bool:
         """Tell whether any seen tip lies so far from the expected ones (5, 3) that derivatives there say little."""
         off = (rows.points[:5] - prior.p) @ prior.R - expected
-        return bool((np.abs(off).max(axis=1) * rows.seen[:5]).max() > FAR_M)
+        return bool((np.abs(off).max(axis=1) * rows.seen[:5]).max() > self.settings.far_m)
 
-    def _closed_form(self, prior: HandState, rows: _Rows) -> FloatArray:
+    def in_model(self, local: FloatArray, longer: FloatArray) -> FloatArray:
+        """Return points (5, 3) of the wrist frame as fingers of the model's lengths would meet them."""
+        knuckles = self._model.knuckles
+        scaled: FloatArray = knuckles + (local - knuckles) / (1.0 + longer)[:, None]
+        return scaled
+
+    def _closed_form(self, prior: HandState, rows: Rows) -> FloatArray:
         """Return the angles (20,) to linearise about: where the seen tips put their fingers under the expected palm."""
         seen = rows.seen[:5, None]
-        local = np.where(seen, (rows.points[:5] - prior.p) @ prior.R, self._resting)
+        local = np.where(seen, self.in_model((rows.points[:5] - prior.p) @ prior.R, prior.longer), self._resting)
         angles: FloatArray = np.where(seen, self._fingers.solve(local).angles, prior.angles.reshape(5, 4))
         return angles.reshape(COUNT)
 
     def _linearise(
-        self, rows: _Rows, R: FloatArray, p: FloatArray, modelled: tuple[FloatArray, FloatArray]
+        self, rows: Rows, at: HandState, modelled: tuple[FloatArray, FloatArray]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return H (21, 32) and what was measured beyond what a pose has, (21,); rows of what was not seen are 0.
+        """Return H (21, 43) and what was measured beyond what a pose has, (21,); rows of what was not seen are 0.
 
         `modelled` are the markers and their derivatives as `HandKinematics.markers` has them.
         """
         tips, J = modelled
-        arms = self._on_wrist.copy()
-        arms[:5] = tips
+        R = at.R
+        arms = np.empty((6, 3))
+        arms[:5], arms[5] = tips, self._base_offset + at.person[_SHIFT]
         arms = arms @ R.T
         y = np.zeros(_ROWS)
-        y[:18] = (rows.points - p - arms).reshape(-1)
-        if rows.rotation is not None:
-            y[18:] = vector_from_rotation(R.T @ rows.rotation)
+        y[:18] = (rows.points - at.p - arms).reshape(-1)
         H = self._H.copy()
         # d(R·exp(δθ)·m) = −R·[m]×·δθ = −[R·m]×·R·δθ
         H[:18, ROTATION] = cross_matrix(arms).reshape(18, 3) @ -R
-        H.reshape(-1)[_OWN_ANGLES] = R @ J
+        H.reshape(-1)[_OWN] = R @ J
+        H[15:18, BASE_SHIFT] = R
+        if rows.rotation is not None:
+            tilt = rotation_from_vector(at.person[_TILT])
+            y[18:] = vector_from_rotation((R @ tilt).T @ rows.rotation)
+            H[18:, ROTATION] = tilt.T
         return H * rows.counts[:, None], y * rows.counts
 
-    @staticmethod
-    def _tip_nis(innovation: FloatArray, S: FloatArray) -> FloatArray:
-        """Return the normalised innovation squared (5,) of errors (5, 3), over its mean of 3; S: (5, 3, 3)."""
-        nis: FloatArray = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(-1) / 3.0
-        return nis
+    def _given_room(
+        self, prior: HandState, rows: Rows, H: FloatArray, innovation: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return P with more room for hands that move faster than usual, and the noise (7, 3, 3) of outliers raised."""
+        S = H @ prior.P @ H.T
+        own = S.reshape(7, 3, 7, 3)[_TIPS, :, _TIPS] + rows.noise[:5]
+        off = innovation[:15].reshape(5, 3)
+        nis = (off * np.linalg.solve(own, off[:, :, None])[:, :, 0]).sum(-1) / 3.0
+        nis *= rows.seen[:5]
+        P, noise = prior.P, rows.noise
+        fastest = float(nis.max())
+        if fastest > 1.0:
+            noise = rows.noise.copy()
+            noise[:5] *= np.maximum(1.0, 3.0 * nis / self.settings.outlier**2)[:, None, None]
+            if prior.stationary_share > 0.0:
+                times = np.sqrt(np.minimum(np.maximum(nis, 1.0), self.settings.most_activity) - 1.0)
+                times = np.where(rows.seen[:5], times, times[rows.seen[:5]].mean())
+                more = np.repeat(times, 4)
+                P = prior.P.copy()
+                P[ANGLES, ANGLES] += prior.stationary_share * more[:, None] * self._stationary * more
+        return P, noise
 
-    def _inflated(self, prior: HandState, nis: FloatArray) -> FloatArray:
-        """Return P with more process noise for the fingers whose NIS is too large."""
-        P = prior.P.copy()
-        own = P[ANGLES, ANGLES]
-        for finger, times in enumerate(nis.tolist()):
-            if times > 1.0:
-                mine = slice(4 * finger, 4 * finger + 4)
-                own[mine, mine] += min(times, MAX_INFLATION) * prior.stationary_share * self._own_stationary[finger]
-        return P
+    def _doubted(
+        self, rows: Rows, noise: FloatArray, y: FloatArray, by_pose: FloatArray | None, P: FloatArray
+    ) -> FloatArray:
+        """Return the noise (7, 3, 3) with that of tips raised that no legal pose meets.
 
-    def _within_limits(self, dx: FloatArray, angles: FloatArray, P: FloatArray) -> FloatArray:
-        """Return the errors with all angles legal, the others moved by what the limits say about them."""
+        Where the derivatives by the wrist's pose `by_pose` (15, 6) are given, only the fingers were brought to the tips
+        by now, and the pose may account for as much of what is missed as its covariance P (6, 6) says.
+        """
+        missed = y[:15].reshape(5, 3)
+        allowed = rows.noise[:5] + self.settings.miss_m**2 * _UNIT
+        if by_pose is not None:
+            allowed = allowed + (by_pose @ P @ by_pose.T).reshape(5, 3, 5, 3)[_TIPS, :, _TIPS]
+        share = (missed * np.linalg.solve(allowed, missed[:, :, None])[:, :, 0]).sum(-1)
+        doubted = noise.copy()
+        doubted[:5] *= (1.0 + share)[:, None, None]
+        return doubted
+
+    def _within_limits(self, dx: FloatArray, angles: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the errors with all angles legal, the others moved by what the limits say about them, and then P."""
         for _ in range(3):
             q = angles + dx[ANGLES]
             over = np.minimum(np.maximum(q, self._low), self._high) - q
@@ -237,9 +279,12 @@ class HandFilter(HandProcess):
             if not len(bad):
                 break
             columns = P[:, ANGLES.start + bad]
-            dx = dx + columns @ np.linalg.solve(columns[ANGLES.start + bad] + 1e-9 * np.eye(len(bad)), over[bad])
-        return dx
+            gain = np.linalg.solve(columns[ANGLES.start + bad] + 1e-6 * np.eye(len(bad)), columns.T)
+            dx, P = dx + over[bad] @ gain, P - columns @ gain
+        return dx, P
 
-    def tips(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 4) by the finger's angles."""
-        return self._kinematics.markers(q)
+    def tips(self, state: HandState) -> FloatArray:
+        """Return the markers (5, 3), metres, rig frame, as a state has them."""
+        local, _ = self._kinematics.markers(state.angles, state.longer)
+        placed: FloatArray = local @ state.R.T + state.p
+        return placed

@@ -1,4 +1,4 @@
-"""Finding the hand in a single sample, with nothing known before."""
+"""Where a hand is when nothing is known of it but one sample."""
 
 from __future__ import annotations
 
@@ -27,17 +27,26 @@ class HandInitialiser:
 
     Args:
         hand_filter: of the hand.
-        evidence: gives points their covariances.
+        evidence: how points are trusted.
         base_offset: (3,) metres: the base marker's centre in the wrist frame.
+        viewpoint: (3,) metres, rig frame: where the cameras are, all in all.
     """
 
-    def __init__(self, hand_filter: HandFilter, evidence: EvidenceModel, base_offset: FloatArray) -> None:
+    def __init__(
+        self, hand_filter: HandFilter, evidence: EvidenceModel, base_offset: FloatArray, viewpoint: FloatArray
+    ) -> None:
         self._filter = hand_filter
         self._evidence = evidence
         self._base_offset = base_offset
+        self._viewpoint = viewpoint
 
-    def find(self, seen: HandObservation) -> tuple[HandState, Evidence] | None:
-        """Return the best state and the evidence it was judged by; None without the base or without any tip."""
+    def find(
+        self, seen: HandObservation, person: tuple[FloatArray, FloatArray] | None = None
+    ) -> tuple[HandState, Evidence] | None:
+        """Return the best state and the evidence it was judged by; None without the base or without any tip.
+
+        `person` is what is known of the hand from before, see `HandState.what_is_personal`.
+        """
         visible = np.isfinite(seen.tips).all(axis=1)
         if seen.base is None or not visible.any():
             return None
@@ -47,13 +56,13 @@ class HandInitialiser:
         points = self._evidence.assess(seen, None)
         tried = []
         for R in self._facing(guesses(direction), seen.base):
-            state = self._filter.update(self._filter.start(R, seen.base - R @ self._base_offset), points)
+            state = self._filter.update(self._filter.start(R, seen.base - R @ self._base_offset, None, person), points)
             tried.append((self.cost(state, points), state))
         refined = []
         for _, state in sorted(tried, key=lambda item: item[0])[:_REFINED]:
             # The corners of a patch fit two ways round; the tips have told by now which one it is.
             evidence = self._evidence.assess(seen, state.R)
-            final = self._filter.update(self._filter.start(state.R, state.p, state.angles), evidence, steps=5)
+            final = self._filter.update(self._filter.start(state.R, state.p, state.angles, person), evidence, steps=4)
             refined.append((self.cost(final, evidence), final, evidence))
         _, best, evidence = min(refined, key=lambda item: item[0])
         return best, evidence
@@ -62,13 +71,19 @@ class HandInitialiser:
         """Return the rotations that show the cameras a flat patch; all when there is none, or none does."""
         if self._evidence.outline is None:
             return rotations
-        covariances = self._evidence.covariances.direction(at)
-        facing = [R for R in rotations if R[:, 1] @ covariances < _MOST_AWAY]
+        sight = self._sight(at)
+        facing = [R for R in rotations if R[:, 1] @ sight < _MOST_AWAY]
         return facing or rotations
 
+    def _sight(self, at: FloatArray) -> FloatArray:
+        """Return the unit direction (3,) in which the cameras look at a point (3,)."""
+        ray = at - self._viewpoint
+        direction: FloatArray = ray / max(float(np.sqrt(ray @ ray)), 1e-9)
+        return direction
+
     def cost(self, state: HandState, evidence: Evidence) -> float:
-        """Return the cost of a state under a sample; which side of the hand the cameras see counts as well."""
-        away = float(state.R[:, 1] @ self._evidence.covariances.direction(state.p))
+        """Return how ill a state explains a sample, the side of the hand that the cameras see included."""
+        away = float(state.R[:, 1] @ self._sight(state.p))
         cost = self._filter.cost(state, evidence)
         if self._evidence.outline is not None:
             return cost + _TURNED_AWAY_COST * max(0.0, away + 0.1) ** 2

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from rhot.anatomy.hand import MOVING
+from rhot.anatomy.hand import METACARPALS, MOVING, PALM, WRIST
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
 from rhot_ik.hand.fingers.geometry import FingerGeometry
@@ -22,6 +22,8 @@ _Z: Final = (0, 1, 2)
 _Y: Final = (3, 4, 5)
 _X: Final = 6
 _VECTORS: Final = 7
+_CARPAL: Final = np.array([WRIST, *METACARPALS[1:]])
+"""Joints that stand still in the wrist; the thumb's first joint, which moves, is known by what it moves."""
 
 
 class HandKinematics:
@@ -57,31 +59,45 @@ class HandKinematics:
         in_frames = [product_matrix(*quaternion_from_rotation(frame)) for frame in model.frames]
         self._in_frames_t = np.ascontiguousarray(np.swapaxes(np.array(in_frames), 1, 2))
 
-    def markers(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 4) by the finger's angles.
+    def markers(self, q: FloatArray, longer: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 5) by angles and length.
 
         Args:
             q: (20,) radians, finger by finger.
+            longer: (5,) by which share each finger is longer than the model's.
         """
         found = self._marker @ self._vectors(q)
-        rows = np.empty((5, 5, 3))
-        rows[:, 0], rows[:, 1], rows[:, 3:] = found[:, 0], found[:, 1], found[:, 2:]
+        rows = np.empty((5, 6, 3))
+        rows[:, 0], rows[:, 1], rows[:, 3:5], rows[:, 5] = found[:, 0], found[:, 1], found[:, 2:], found[:, 0]
         # ∂/∂a of (x, y, z) is (z, 0, −x).
         rows[:, 2, 0] = self._handedness * found[:, 0, 2]
         rows[:, 2, 1] = 0.0
         rows[:, 2, 2] = -self._handedness * found[:, 0, 0]
+        rows[:, :5] *= (1.0 + longer)[:, None, None]
         rows = rows @ self._frames_t
         return rows[:, 0] + self._knuckles, rows[:, 1:].swapaxes(1, 2)
 
-    def pose(self, R: FloatArray, p: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def pose(
+        self, R: FloatArray, p: FloatArray, q: FloatArray, longer: FloatArray, shorter_palm_m: float = 0.0
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the hand in the rig frame, with its wrist at R (3, 3), p (3,).
+
+        Args:
+            R, p: wrist to rig, metres.
+            q: (20,) radians, finger by finger.
+            longer: (5,) by which share each finger is longer than the model's.
+            shorter_palm_m: by how much the wrist lies nearer to the knuckles than the model has it; R, p are those of
+                the wrist as the model has it.
 
         Returns:
             Positions (26, 3), metres, and unit quaternions (26, 4), x y z w, of all joints, and the markers (5, 3).
         """
-        chain = (self._chain @ self._vectors(q)) @ self._frames_t + self._knuckles[:, None]
+        chain = (self._chain @ self._vectors(q)) @ self._frames_t * (1.0 + longer)[:, None, None]
+        chain += self._knuckles[:, None]
         positions, orientations = self._positions.copy(), self._orientations.copy()
         positions[MOVING[:, 1:]] = chain[:, :3]
+        positions[_CARPAL, 2] -= shorter_palm_m
+        positions[PALM, 2] -= 0.5 * shorter_palm_m
         halves = 0.5 * (self._sums @ q)
         cos, sin = np.cos(halves), np.sin(halves)
         cos_a, sin_a = cos[:5, None], sin[:5, None]

@@ -25,6 +25,9 @@ COUNT: Final = 20
 """Angles of a hand, finger by finger, in the order of `rhot.anatomy.hand`: flexion, abduction, middle hinge, last
 hinge."""
 MEAN_DEG: Final = ((5.0, 0.0, 15.0), (20.0, 2.0, 30.0), (20.0, 0.0, 32.0), (20.0, -2.0, 32.0), (20.0, -6.0, 30.0))
+CLOSED_DEG: Final = ((20.0, 10.0, 21.0), *(((61.0, 0.0, 60.0),) * 4))
+"""How fingers stand that hold something: functional positions of Hume et al., "Functional range of motion of the joints
+of the hand", J. Hand Surg. 15A, 1990 (fingers 61°, 60° and 39°; thumb 21° and 18° beyond its first joint)."""
 CLOSING_DEG: Final = ((8.0, 6.0, 8.0), *(((16.0, 0.0, 24.0),) * 4))
 """All fingers close together."""
 NEIGHBOURS_DEG: Final = (16.0, 0.0, 22.0)
@@ -41,9 +44,18 @@ LAST_HINGE_DEG: Final = (8.0, 4.0, 4.0, 4.0, 4.0)
 
 
 def rest_angles(model: HandModel) -> FloatArray:
-    """Return the mean of the angles, (20,) radians."""
+    """Return the mean of the angles of a hand at ease, (20,) radians."""
+    return _angles(model, MEAN_DEG)
+
+
+def closed_angles(model: HandModel) -> FloatArray:
+    """Return the mean of the angles of fingers that hold something, (20,) radians."""
+    return _angles(model, CLOSED_DEG)
+
+
+def _angles(model: HandModel, mean_deg: tuple[tuple[float, ...], ...]) -> FloatArray:
     mean = np.empty((len(FINGERS), 4))
-    mean[:, :3] = np.radians(MEAN_DEG)
+    mean[:, :3] = np.radians(mean_deg)
     mean[:, 3] = model.coupling * mean[:, 2]
     return model.clamp(mean).reshape(COUNT)
 

@@ -1,11 +1,12 @@
-"""How a hand moves: the state of the filter of a whole hand, and what time does to it.
+"""How a hand moves: the state of the estimate of a whole hand, and what time does to it.
 
-State: the wrist's pose T_rig_wrist = (R, p), its angular and linear velocity, and the angles q of `rhot.anatomy.hand`.
-Errors are R·exp(δθ), p + δp, ω + δω, v + δv, q + δq, in this order (`ROTATION` … `ANGLES`); P is their covariance.
+State: the wrist's pose T_rig_wrist = (R, p), its angular and linear velocity, the angles q of `rhot.anatomy.hand`, and
+what is particular of this person: where the patch really sits and how long the fingers are. Errors are R·exp(δθ),
+p + δp, ω + δω, v + δv, q + δq, c + δc, in this order (`ROTATION` … `PERSON`); P is their covariance.
 
-The wrist turns and moves on steadily, disturbed by random accelerations, its velocity decaying; the angles are the
-Ornstein–Uhlenbeck process of `rhot_ik.hand.filter.prior`. So a hidden finger goes with its neighbours and slowly back
-to rest, and nothing that is seen is held back.
+The wrist turns and moves on, disturbed by random accelerations, its speed fading; the angles are the Ornstein–Uhlenbeck
+process of `rhot_ik.hand.filter.prior`: what moves one finger moves its neighbours too, and left alone the hand relaxes.
+Its mean goes slower than its doubt grows: a hand that holds something stays as it is, but nobody knows for how long.
 """
 
 from __future__ import annotations
@@ -17,24 +18,24 @@ from typing import Final
 import numpy as np
 
 from rhot.anatomy.hand import HandModel
-from rhot.arrays import FloatArray
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import orthonormal, rotation_from_vector
-from rhot_ik.hand.filter.prior import COUNT, angle_covariance, rest_angles
+from rhot_ik.hand.filter.prior import COUNT, angle_covariance, closed_angles, rest_angles
+from rhot_ik.hand.filter.settings import HandSettings
 
 ROTATION: Final = slice(0, 3)
 POSITION: Final = slice(3, 6)
 ANGULAR_VELOCITY: Final = slice(6, 9)
 VELOCITY: Final = slice(9, 12)
 ANGLES: Final = slice(12, 12 + COUNT)
-SIZE: Final = 12 + COUNT
-
-ANGULAR_ACCELERATION_NOISE: Final = 6.0
-"""Random angular acceleration of the wrist, rad/s^1.5."""
-ACCELERATION_NOISE: Final = 1.5
-"""Random acceleration of the wrist, m/s^1.5."""
-VELOCITY_DECAY_S: Final = 0.3
-ANGLE_DECAY_S: Final = 1.5
-"""Time constant with which the angles return to rest when nothing is seen."""
+BASE_SHIFT: Final = slice(32, 35)
+"""Of the base marker from where the model has it, metres, wrist frame."""
+PATCH_TILT: Final = slice(35, 38)
+"""Rotation vector of the patch against the wrist, radians, wrist frame."""
+LONGER: Final = slice(38, 43)
+"""By which share each finger, up to its marker, is longer than the model's."""
+PERSON: Final = slice(32, 43)
+SIZE: Final = 43
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +48,10 @@ class HandState:
         angular_velocity: (3,) rad/s, wrist frame.
         velocity: (3,) m/s, rig frame.
         angles: (20,) radians.
-        P: (32, 32) covariance of the errors.
-        stationary_share: share of the angles' stationary covariance that the last prediction added to P.
+        person: (11,) base shift, patch tilt and lengths of the fingers.
+        P: (43, 43) covariance of the errors.
+        dt_s: how far the last prediction reached.
+        stationary_share: share of the angles' stationary covariance that it added to P.
         mean_residual_m: mean distance of the seen tips from where this state has them; 0 when none was seen.
     """
 
@@ -57,64 +60,111 @@ class HandState:
     angular_velocity: FloatArray
     velocity: FloatArray
     angles: FloatArray
+    person: FloatArray
     P: FloatArray
+    dt_s: float = 0.0
     stationary_share: float = 0.0
     mean_residual_m: float = 0.0
 
+    @property
+    def longer(self) -> FloatArray:
+        """(5,) by which share each finger is longer than the model's."""
+        return self.person[6:]
+
+    @property
+    def what_is_personal(self) -> tuple[FloatArray, FloatArray]:
+        """What was learned of the person, (11,), and its covariance (11, 11); it outlives a lost hand."""
+        return self.person, self.P[PERSON, PERSON]
+
 
 class HandProcess:
-    """Starts and predicts `HandState`s of one hand; stateless after construction."""
+    """Starts and predicts `HandState`s of one hand; stateless after construction.
 
-    def __init__(self, model: HandModel) -> None:
-        self._rest = rest_angles(model)
+    Args:
+        model: the hand.
+        settings: numbers of the estimate.
+        known: (6,) of which markers, five tips and base, a calibration has measured where they sit.
+    """
+
+    def __init__(self, model: HandModel, settings: HandSettings, known: BoolArray) -> None:
+        self.settings = settings
+        self._rest, self._closed = rest_angles(model), closed_angles(model)
         self._stationary = angle_covariance(model)
-        self._noise = _process_noise(self._stationary)
+        shift = np.where(known[5], settings.known_m, settings.base_shift_m)
+        tilt = np.full(3, settings.known_rad if known[5] else settings.patch_tilt_rad)
+        lengths = np.where(known[:5], settings.known_share, settings.finger_share)
+        self._person = np.diag(np.concatenate([shift, tilt, lengths]) ** 2)
+        self._noise = self._process_noise()
 
-    def start(self, R: FloatArray, p: FloatArray, angles: FloatArray | None = None) -> HandState:
-        """Return a state known only by what is given: rotation to 30°, position to 5 cm, angles by their prior."""
+    def start(
+        self,
+        R: FloatArray,
+        p: FloatArray,
+        angles: FloatArray | None = None,
+        person: tuple[FloatArray, FloatArray] | None = None,
+    ) -> HandState:
+        """Return a state of which only the given is known: a turn to 30°, a place to 5 cm, angles as at rest."""
         P = np.zeros((SIZE, SIZE))
         P[ROTATION, ROTATION] = np.eye(3) * np.radians(30.0) ** 2
         P[POSITION, POSITION] = np.eye(3) * 0.05**2
         P[ANGULAR_VELOCITY, ANGULAR_VELOCITY] = np.eye(3) * 2.0**2
         P[VELOCITY, VELOCITY] = np.eye(3) * 0.5**2
         P[ANGLES, ANGLES] = self._stationary
-        return HandState(R, p, np.zeros(3), np.zeros(3), self._rest if angles is None else angles, P)
+        known, P[PERSON, PERSON] = (np.zeros(PERSON.stop - PERSON.start), self._person) if person is None else person
+        q = self._rest if angles is None else angles
+        return HandState(R, p, np.zeros(3), np.zeros(3), q, known, P)
 
-    def predict(self, state: HandState, dt_s: float) -> HandState:
-        """Return the state `dt_s` later."""
+    def predict(self, state: HandState, dt_s: float, hidden: BoolArray | None = None) -> HandState:
+        """Return the state `dt_s` later; fingers that nobody sees (5,) go on closing, those that are seen relax."""
         if dt_s <= 0.0:
             return state
-        fades = math.exp(-dt_s / VELOCITY_DECAY_S)
-        path_s = VELOCITY_DECAY_S * (1.0 - fades)
-        keeps = math.exp(-dt_s / ANGLE_DECAY_S)
-        spread = 1.0 - keeps * keeps
+        settings = self.settings
+        fades = math.exp(-dt_s / settings.speed_fades_s)
+        path_s = settings.speed_fades_s * (1.0 - fades)
+        keeps, mean = np.full(COUNT, math.exp(-dt_s / settings.angles_rest_s)), self._rest
+        if hidden is not None and hidden.any():
+            closing = np.repeat(hidden, 4)
+            keeps = np.where(closing, math.exp(-dt_s / settings.closing_s), keeps)
+            mean = np.where(closing, self._closed, self._rest)
+        learned = math.exp(-dt_s / settings.person_s)
+        forgets = math.exp(-dt_s / settings.angles_wander_s)
+        spread = 1.0 - forgets * forgets
         turn = rotation_from_vector(state.angular_velocity * path_s)
-        F = np.zeros((SIZE, SIZE))
-        diagonal = F.reshape(-1)[:: SIZE + 1]
-        diagonal[POSITION], diagonal[6:12], diagonal[ANGLES] = 1.0, fades, keeps
-        F.reshape(-1)[ANGULAR_VELOCITY.start : 6 * SIZE : SIZE + 1] = path_s
-        F[ROTATION, ROTATION] = turn.T
-        strengths = np.array([dt_s**3 / 3.0, dt_s**2 / 2.0, dt_s, spread])
+        # F is block diagonal but for the speeds' part in the pose, so a few rows and columns are all there is to do.
+        scale = np.empty(SIZE)
+        scale[:6], scale[6:12], scale[ANGLES], scale[PERSON] = 1.0, fades, forgets, learned
+        moved = state.P.copy()
+        moved[:6] += path_s * state.P[6:12]
+        moved[ROTATION] = turn.T @ state.P[ROTATION] + path_s * state.P[ANGULAR_VELOCITY]
+        moved[6:] *= scale[6:, None]
+        P = moved.copy()
+        P[:, :6] += path_s * moved[:, 6:12]
+        P[:, ROTATION] = moved[:, ROTATION] @ turn + path_s * moved[:, ANGULAR_VELOCITY]
+        P[:, 6:] *= scale[6:]
+        strengths = np.array([dt_s**3 / 3.0, dt_s**2 / 2.0, dt_s, spread, 1.0 - learned * learned])
+        P += (strengths @ self._noise).reshape(SIZE, SIZE)
         return HandState(
             orthonormal(state.R @ turn),
             state.p + path_s * state.velocity,
             fades * state.angular_velocity,
             fades * state.velocity,
-            self._rest + keeps * (state.angles - self._rest),
-            F @ state.P @ F.T + (strengths @ self._noise).reshape(SIZE, SIZE),
+            mean + keeps * (state.angles - mean),
+            learned * state.person,
+            P,
+            dt_s,
             spread,
         )
 
-
-def _process_noise(stationary: FloatArray) -> FloatArray:
-    """Return what a prediction by t adds to P, (4, 32·32): the factors of t³/3, t²/2, t and of the angles' spread."""
-    noise = np.zeros((4, SIZE, SIZE))
-    for value, rate, strength in (
-        (ROTATION, ANGULAR_VELOCITY, ANGULAR_ACCELERATION_NOISE),
-        (POSITION, VELOCITY, ACCELERATION_NOISE),
-    ):
-        noise[0][value, value] = noise[1][value, rate] = noise[1][rate, value] = noise[2][rate, rate] = (
-            strength** 2 * np.eye(3)
-        )
-    noise[3][ANGLES, ANGLES] = stationary
-    return noise.reshape(4, -1)
+    def _process_noise(self) -> FloatArray:
+        """Return what a prediction by t adds to P, (5, 43·43): factors of t³/3, t²/2, t, of angles and of person."""
+        noise = np.zeros((5, SIZE, SIZE))
+        for value, rate, strength in (
+            (ROTATION, ANGULAR_VELOCITY, self.settings.turn_acceleration),
+            (POSITION, VELOCITY, self.settings.acceleration),
+        ):
+            noise[0][value, value] = noise[1][value, rate] = noise[1][rate, value] = noise[2][rate, rate] = (
+                strength** 2 * np.eye(3)
+            )
+        noise[3][ANGLES, ANGLES] = self._stationary
+        noise[4][PERSON, PERSON] = self._person
+        return noise.reshape(5, -1)

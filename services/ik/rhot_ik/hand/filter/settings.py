@@ -1,0 +1,86 @@
+"""What the estimate of a hand takes for granted: one field per number, with its unit and where it comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class HandSettings:
+    """Numbers of the estimate of one hand.
+
+    Attributes:
+        acceleration: random acceleration of the wrist, m/s² per √Hz. Hands in the recordings reach 5 to 20 m/s² for
+            some 0.1 s (design.md); fusion has smoothed the points already, so the wrist is to follow them.
+        turn_acceleration: the same of its rotation, rad/s² per √Hz: 50 rad/s² for 0.1 s.
+        speed_fades_s: an unseen wrist stops in this time: voluntary movements are bells of about half a second.
+        angles_rest_s: time constant with which an unseen hand relaxes; people hold a thing for several seconds.
+        closing_s: time constant with which a finger that nobody sees closes: in front of cameras that see a hand's
+            back, fingers vanish under it because they close round something, which takes about half a second.
+        closing_s: float = 0.8
+    angles_wander_s: in this time an unseen finger may come to be anywhere that fingers are.
+        most_activity: fingers that move faster than they usually do get up to this many times their diffusion. A
+            finger turns at most at some 20 rad/s, usually at 2 to 4.
+        person_s: in this time what was learned of a person fades: somebody may have changed places or repainted.
+        lasts_s: errors of the points last about so long (fusion's own memory, a posture in which the paint that is seen
+            lies off its middle), so that only one sample in this time tells something new of a person.
+        first_lasts_s: what the very first sample tells of a person counts as one that comes this much later.
+        person_given: how far pose and angles take the person as he is known so far for granted: 1 lets one wild tip not
+            turn the palm, 0 lets a palm whose patch sits elsewhere be found at once. Half of each: on the develop
+            seeds 0 to 36 of the ruler both ends were 1 to 5 mm worse in some clips, better in none by more.
+        base_shift_m: how far the patch sits from where the model has it, standard deviations across, above and along
+            the hand. A hand's back is 11 to 18 mm above the wrist's joint, and people paint by eye.
+        palm_share: a patch that seems to sit nearer to the knuckles may as well be on a palm that is shorter than the
+            model's: nothing that is seen tells these apart, and both are as likely (8 mm each in
+            base_shift_m).
+        patch_tilt_rad: by how much the skin under the patch is tilted against the palm, each axis.
+        finger_share: how much longer or shorter than the model's a finger is up to its marker: 4 mm of 80 mm for the
+            length of the paint, 5 to 8 % for bones of people whose hands have one length (Buryanov & Kotiuk 2010,
+            tables 1 to 3: standard deviations of each bone).
+        known_m, known_rad, known_share: the same three where `rhot calibrate hand` has measured them, as its quality
+            states them.
+        model_m: by how much any marker departs from a rigid model for reasons that come and go, each axis: skin slides
+            over knuckles by millimetres, the middle of the paint that is seen wanders with the view.
+        corner_factor: covariance of a patch's corner about its middle over that of the middle, before anything is
+            known. Corners are found half as surely as centroids (0.2 px beside 0.1, rendered G1) and come
+            unfiltered: (2 · 2)².
+        corner_samples: how many samples that first guess is worth, and how many are remembered.
+        corner_m: and at least this, each axis: the fitted corners of soft-edged paint.
+        across_rad: error of the direction across the wrist, where two points of the wrist tell it.
+        sigma_m: of a point that states no covariance, root of the sum of the three variances.
+        far_m: a tip further than this from where it was expected is first looked for in closed form.
+        contact_m: how far fingers sink into what they hold, or its shape is off.
+        close_rad: steps end when the derivatives were taken this near to where they led.
+        outlier: a tip that many standard deviations off loses weight.
+        miss_m: and one that no legal pose meets within this.
+    """
+
+    acceleration: float = 6.0
+    turn_acceleration: float = 15.0
+    speed_fades_s: float = 0.2
+    angles_rest_s: float = 5.0
+    closing_s: float = 0.8
+    angles_wander_s: float = 1.5
+    most_activity: float = 30.0
+    person_s: float = 60.0
+    lasts_s: float = 0.25
+    first_lasts_s: float = 0.1
+    person_given: float = 0.5
+    base_shift_m: tuple[float, float, float] = (0.005, 0.004, 0.011)
+    palm_share: float = 0.5
+    patch_tilt_rad: float = 0.09
+    finger_share: float = 0.08
+    known_m: float = 0.001
+    known_rad: float = 0.02
+    known_share: float = 0.005
+    model_m: float = 0.0015
+    corner_factor: float = 16.0
+    corner_samples: tuple[float, float] = (8.0, 100.0)
+    corner_m: float = 0.001
+    across_rad: float = 0.05
+    sigma_m: float = 0.0015
+    far_m: float = 0.015
+    contact_m: float = 0.002
+    close_rad: float = 0.05
+    outlier: float = 10.0
+    miss_m: float = 0.012

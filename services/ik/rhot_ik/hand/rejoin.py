@@ -1,0 +1,73 @@
+"""How a finger that comes back is led in: no joint jumps, and what was seen all along is not slowed down.
+
+When a hidden finger is seen again, what was shown of it and what is known now differ by as much as the guess was wrong,
+and its first points err most. For a short time, and until it has arrived, what is shown of it therefore goes towards
+the estimate by bounded steps, and so does what is shown of a hidden finger; the estimate itself knows nothing of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rhot.arrays import BoolArray, FloatArray
+from rhot_ik.hand.fingers.geometry import FingerGeometry
+
+
+@dataclass(frozen=True, slots=True)
+class RejoinSettings:
+    """How fast a guess gives way to what is seen.
+
+    Attributes:
+        step_m: a tip goes no further than this on the palm from one sample to the next; the ruler's limit for a step
+            beyond the true motion is 10 mm.
+        speed_m_s: and by the way of a finger that moves at this speed on top: closing hands take about half a second
+            for 0.05 m of a tip on the palm.
+        lasts_s: for at least this long, until fusion has settled on a marker that is new to it.
+    """
+
+    step_m: float = 0.007
+    speed_m_s: float = 0.05
+    lasts_s: float = 0.1
+
+
+def rejoined(
+    geometry: FingerGeometry,
+    estimated: FloatArray,
+    shown: FloatArray,
+    left_s: FloatArray,
+    dt_s: float,
+    settings: RejoinSettings,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the angles (5, 4) to show, and for how long each finger is led in from now on (5,), seconds.
+
+    Args:
+        geometry: of the hand.
+        estimated: (5, 4) radians: what is known now.
+        shown: (5, 4) radians: what was shown last.
+        left_s: (5,) for how long each finger is still led in; 0 = it is not.
+        dt_s: since then.
+        settings: how fast.
+    """
+    led: BoolArray = left_s > 0.0
+    if not led.any():
+        return estimated, left_s
+    most_m, begin = settings.step_m + settings.speed_m_s * dt_s, geometry.marker_points(shown)
+    share, change = np.ones(5), estimated - shown
+    for _ in range(2):
+        # A share of the angles is not the same share of the way: what is too far still is shortened once more.
+        way = geometry.marker_points(shown + share[:, None] * change) - begin
+        shorter = np.minimum(1.0, most_m / np.maximum(np.sqrt((way * way).sum(-1)), _NONE_M))
+        if not (led & (shorter < 1.0)).any():
+            break
+        share *= shorter
+    angles = np.where(led[:, None], shown + share[:, None] * change, estimated)
+    # Who has not arrived is led on, however long it takes.
+    left = np.where(share < 1.0, np.maximum(left_s - dt_s, _NONE_S), left_s - dt_s)
+    return angles, np.where(led, np.maximum(left, 0.0), 0.0)
+
+
+_NONE_M: Final = 1e-9
+_NONE_S: Final = 1e-9

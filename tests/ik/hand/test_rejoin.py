@@ -1,0 +1,36 @@
+from __future__ import annotations
+
+import numpy as np
+
+from rhot.anatomy.hand import HandModel
+from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.rejoin import RejoinSettings, rejoined
+
+SETTINGS = RejoinSettings()
+
+
+def test_a_finger_that_is_led_in_arrives_by_bounded_steps(right_hand: HandModel) -> None:
+    geometry = FingerGeometry.of(right_hand, {})
+    shown = np.radians(np.tile([60.0, 0.0, 80.0, 53.0], (5, 1)))
+    known = np.radians(np.tile([10.0, 0.0, 10.0, 7.0], (5, 1)))
+    left_s = np.where(np.arange(5) == 3, SETTINGS.lasts_s, 0.0)
+    steps = []
+    for _ in range(40):
+        before = geometry.marker_points(shown)[3]
+        shown, left_s = rejoined(geometry, known, shown, left_s, 1 / 60, SETTINGS)
+        steps.append(np.linalg.norm(geometry.marker_points(shown)[3] - before))
+        assert np.array_equal(shown[[0, 1, 2, 4]], known[[0, 1, 2, 4]])
+    assert max(steps) < 1.1 * (SETTINGS.step_m + SETTINGS.speed_m_s / 60)
+    assert np.allclose(shown, known)
+    assert not left_s.any()
+
+
+def test_a_finger_that_goes_as_fast_as_hands_do_is_not_held_back(right_hand: HandModel) -> None:
+    """Led in, at 0.3 m/s of its tip and 60 samples a second."""
+    geometry = FingerGeometry.of(right_hand, {})
+    shown, left_s = np.zeros((5, 4)), np.full(5, SETTINGS.lasts_s)
+    for k in range(30):
+        known = np.zeros((5, 4))
+        known[:, 0] = 0.3 / 0.09 * k / 60
+        shown, left_s = rejoined(geometry, known, shown, left_s, 1 / 60, SETTINGS)
+        assert np.allclose(shown, known)
