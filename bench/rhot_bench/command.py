@@ -18,9 +18,12 @@ from rhot_bench.speed.interleaved import Spread
 from rhot_bench.speed.live import live_section, processes_section
 from rhot_bench.speed.pi_budget import budget_section
 from rhot_bench.speed.scaling import scaling_section, scaling_steps
+from rhot_bench.speed.soak import soak_section
 from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
 
 PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "live", "processes")
+LONG_PARTS: Final = ("soak",)
+"""Measured only where they are asked for by name."""
 
 
 @click.command()
@@ -29,8 +32,15 @@ PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "liv
     "--part",
     "parts",
     multiple=True,
-    type=click.Choice(PARTS),
-    help="Measure only this part. May be repeated.  [default: all]",
+    type=click.Choice((*PARTS, *LONG_PARTS)),
+    help="Measure only this part. May be repeated.  [default: all but soak]",
+)
+@click.option(
+    "--hours",
+    type=click.FloatRange(min=0.0, min_open=True, max=1000.0),
+    default=2.0,
+    show_default=True,
+    help="How long the soak runs. Ctrl-C ends it sooner, with the figures so far.",
 )
 @json_option
 @click.option(
@@ -39,7 +49,7 @@ PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "liv
     type=click.Path(path_type=Path, file_okay=False),
     help="Simulated rig to measure on, made by `rhot init RIG --sim`.  [default: a temporary one]",
 )
-def bench(quick: bool, parts: tuple[str, ...], json_path: Path | None, rig_path: Path | None) -> None:
+def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | None, rig_path: Path | None) -> None:
     """Measure how fast each part is on this machine, and compare with the 2018 thesis.
 
     The thesis's algorithms are re-implemented here. They run in turns with ours on the same pictures, so the ratios
@@ -55,6 +65,7 @@ def bench(quick: bool, parts: tuple[str, ...], json_path: Path | None, rig_path:
     budget     what capture would cost on a Pi 3, 4 and 5: an estimate on paper
     live       latency of the whole system, as processes on the bus
     processes  start-up time and memory of each service
+    soak       hours of the running rig: memory, descriptors, threads, latency and losses, each minute
 
     The machine should do nothing else meanwhile. This takes about two minutes, or one with --quick.
     """
@@ -63,11 +74,16 @@ def bench(quick: bool, parts: tuple[str, ...], json_path: Path | None, rig_path:
     console = Console(stderr=True, soft_wrap=True)
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
+    sections: list[Section] = []
     try:
-        with Progress(console=console, transient=True) as progress, simulated_rig(rig_path, progress) as rig:
-            sections = _measure(rig, chosen, quick, progress)
+        if set(chosen) & set(PARTS):
+            with Progress(console=console, transient=True) as progress, simulated_rig(rig_path, progress) as rig:
+                sections = _measure(rig, chosen, quick, progress)
     finally:
         cv2.setNumThreads(threads)
+    if "soak" in chosen:
+        # By itself, after all else: what it measures needs hours and nothing that the others make.
+        sections.append(soak_section(hours, json_path, console.print))
     show("bench", sections, json_path, quick=quick)
 
 

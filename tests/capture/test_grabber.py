@@ -130,6 +130,7 @@ async def test_stop_ends_a_waiting_reader_and_closes_the_source() -> None:
     assert source.closed.is_set()
 
 
+@pytest.mark.real_time
 async def test_a_read_that_hangs_does_not_hold_up_the_stop() -> None:
     class Hanging(ScriptedSource):
         def close(self) -> None:
@@ -146,6 +147,7 @@ async def test_a_read_that_hangs_does_not_hold_up_the_stop() -> None:
     source.items.put(None)
 
 
+@pytest.mark.real_time
 async def test_a_close_that_hangs_is_given_up_and_the_frames_with_it() -> None:
     class Hanging(ScriptedSource):
         release = threading.Event()

@@ -50,6 +50,7 @@ async def test_a_camera_that_falls_silent_is_closed_and_can_be_opened_again(devi
     assert device.calls == ["start", "flush", "stop", "close"]
 
 
+@pytest.mark.real_time
 async def test_a_stop_that_hangs_in_the_kernel_is_given_up(device: FakePicamera2) -> None:
     device.stop_hangs = True
     grabber = grab(opened(device), "left")

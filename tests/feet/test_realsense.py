@@ -329,6 +329,7 @@ def software_frames(sdk: Any, depth_mm: int) -> Any:
     pytest.fail("the software device gave no complete set of frames")
 
 
+@pytest.mark.real_time
 async def test_a_stop_that_hangs_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """`rs2::pipeline::stop` may never return, as for a silent camera (librealsense issues 9184 and 6301)."""
     sdk, released = Sdk(Info("a")), threading.Event()

@@ -52,15 +52,15 @@ class Supervisor:
         self._log_folder = log_folder
         self.children: list[Child] = []
 
-    async def start(self, name: str, arguments: Sequence[str]) -> Child:
-        """Start `rhot ARGUMENTS…` with this interpreter."""
+    async def start(self, name: str, arguments: Sequence[str], *, module: str = "rhot") -> Child:
+        """Start `rhot ARGUMENTS…`, or another module, with this interpreter."""
         log = None if self._log_folder is None else self._log_folder / f"{name.replace(' ', '-')}.log"
         with contextlib.ExitStack() as stack:
             output: IO[bytes] | None = None if log is None else stack.enter_context(log.open("ab"))
             process = await asyncio.create_subprocess_exec(
                 sys.executable,
                 "-m",
-                "rhot",
+                module,
                 *arguments,
                 stdin=asyncio.subprocess.PIPE,
                 stdout=output,

@@ -33,6 +33,7 @@ class DeviceThread:
         self._name = name
         self._jobs: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
+        self._hung: HungDeviceError | None = None
 
     async def call(self, what: str, function: Callable[[], T], limit_s: float) -> T:
         """Run a function on the thread, after those before it, and return its result.
@@ -46,6 +47,9 @@ class DeviceThread:
             RhotError: what the function raised; a foreign exception comes as DeviceError.
             HungDeviceError: it did not return in time.
         """
+        if self._hung is not None:
+            # What hangs stays first in the queue: nothing behind it will run.
+            raise self._hung
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name=f"device {self._name}", daemon=True)
             self._thread.start()
@@ -56,7 +60,8 @@ class DeviceThread:
         done.add_done_callback(lambda ended: ended.cancelled() or ended.exception())
         await asyncio.wait((done,), timeout=limit_s)
         if not done.done():
-            raise hung(self._name, what, limit_s)
+            self._hung = hung(self._name, what, limit_s)
+            raise self._hung
         try:
             return done.result()
         except RhotError:

@@ -3,23 +3,32 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import logging
+from collections.abc import Mapping
+from functools import partial
 from typing import Final
 
 from pydantic import BaseModel
 
 from rhot.errors import ConfigError, DeviceError
 from rhot.messages import Control
-from rhot.rig import Rig
+from rhot.rig import RegistrationFile, Rig
 from rhot.rig.config import ObjectConfig
 from rhot.rig.file_model import FileModel
 from rhot.rig.folder import latest_rig
 from rhot.service import Node
+from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread
 from rhot_objects.assemble import SourcePlan, plan_sources
+from rhot_objects.registration import Registration
+from rhot_objects.sources import SpaceMovedError
+from rhot_objects.stage import ObjectStage
 
 logger = logging.getLogger(__name__)
 
 _RETRY_S: Final = 2.0
+_READ_LIMIT_S: Final = 5.0
+"""A tracking system answers within a millisecond; so long a silence is a hang."""
 
 
 class ObjectsConfig(FileModel):
@@ -45,7 +54,10 @@ class ObjectsService:
             raise ConfigError(f"{rig.path / 'rig.toml'} names no objects; add [objects.NAME] with source and serial")
         plan_sources(rig)
         self._rig = rig
-        self._plans: list[SourcePlan] = []
+        self._plans: dict[str, SourcePlan] = {}
+        self._troubles: dict[str, str] = {}
+        # The registration that held when a source's space moved: until there is another one, its poses are wrong.
+        self._outdated: dict[str, RegistrationFile] = {}
         self._config = ObjectsConfig(objects=rig.config.objects)
 
     @property
@@ -60,41 +72,91 @@ class ObjectsService:
     def attach(self, node: Node) -> None:
         """Show what is left out; an object's key appears with its first pose."""
         node.status.include(self._counts)
+        node.status.watch(self._figures)
 
     def _counts(self) -> dict[str, int]:
-        return {"unusable": sum(plan.stage.unusable for plan in self._plans)}
+        return {"unusable": sum(plan.stage.unusable for plan in self._plans.values())}
+
+    def _figures(self) -> tuple[Mapping[str, float], str]:
+        return {}, "; ".join(self._troubles.values())
 
     async def run(self, node: Node, start: Control) -> None:
         """Read all sources until cancelled; one that is absent does not hold up the others."""
+        rig = latest_rig(self._rig)
+        self._troubles.clear()
+        self._plans = {plan.name: plan for plan in plan_sources(rig)}
         async with asyncio.TaskGroup() as tasks:
-            self._plans = plan_sources(latest_rig(self._rig))
-            for plan in self._plans:
-                tasks.create_task(self._follow(node, start, plan))
+            for name in self._plans:
+                tasks.create_task(self._follow(node, start, name, rig.registration))
 
-    async def _follow(self, node: Node, start: Control, plan: SourcePlan) -> None:
-        logged = ""
+    async def _follow(self, node: Node, start: Control, name: str, registration: RegistrationFile) -> None:
+        device = DeviceThread(name)
+        if self._outdated.get(name) == registration:
+            # Published nevertheless: registering anew needs the poses.
+            self._trouble(
+                name,
+                f"the space of {name} has moved since registration.json was made, so all its poses are wrong until it "
+                "is registered again: `rhot calibrate objects --live` (a few places are enough with --realign)",
+            )
+        else:
+            self._outdated.pop(name, None)
+        try:
+            while True:
+                source, moved = self._plans[name].source, False
+                try:
+                    await device.call("open", partial(source.open, start.start_t_ns), OPEN_LIMIT_S)
+                    await self._poll(node, name, device)
+                except SpaceMovedError as error:
+                    self._failed(node, name, error)
+                    self._outdated[name], moved = registration, True
+                except DeviceError as error:
+                    self._failed(node, name, error)
+                finally:
+                    await self._close(name, device)
+                if moved:
+                    registration = await self._registered_anew(name, registration)
+                else:
+                    await asyncio.sleep(_RETRY_S)
+        finally:
+            device.end()
+
+    async def _close(self, name: str, device: DeviceThread) -> None:
+        try:
+            await device.call("close", self._plans[name].source.close, CLOSE_LIMIT_S)
+        except DeviceError as error:
+            logger.warning("%s", error)
+
+    def _failed(self, node: Node, name: str, error: DeviceError) -> None:
+        node.status.count("device_errors")
+        node.status.error(str(error))
+        self._trouble(name, str(error))
+
+    def _trouble(self, name: str, text: str) -> None:
+        if self._troubles.get(name) != text:
+            logger.warning("%s: %s", name, text)
+        self._troubles[name] = text
+
+    async def _registered_anew(self, name: str, old: RegistrationFile) -> RegistrationFile:
+        """Wait for another `registration.json`, and use it."""
         while True:
-            try:
-                await asyncio.to_thread(plan.source.open, start.start_t_ns)
-                logged = ""
-                await self._poll(node, plan)
-            except DeviceError as error:
-                node.status.count("device_errors")
-                node.status.error(str(error))
-                if str(error) != logged:
-                    logger.warning("%s: %s; looking again every %.0f s", plan.name, error, _RETRY_S)
-                    logged = str(error)
-            finally:
-                plan.source.close()
+            new = (await asyncio.to_thread(latest_rig, self._rig)).registration
+            if new != old:
+                break
             await asyncio.sleep(_RETRY_S)
+        self._outdated.pop(name, None)
+        self._plans[name] = dataclasses.replace(self._plans[name], stage=ObjectStage(Registration.from_file(new)))
+        return new
 
-    async def _poll(self, node: Node, plan: SourcePlan) -> None:
+    async def _poll(self, node: Node, name: str, device: DeviceThread) -> None:
+        plan = self._plans[name]
         loop = asyncio.get_running_loop()
         period_s = 1.0 / plan.rate_hz
         due = loop.time()
         while True:
-            samples = await asyncio.to_thread(plan.source.read, node.clock.now_ns())
+            samples = await device.call("read", partial(plan.source.read, node.clock.now_ns()), _READ_LIMIT_S)
             node.status.tick("reads")
+            if name not in self._outdated:
+                self._troubles.pop(name, None)
             for key, message in plan.stage.feed(samples, node.clock.now_ns()):
                 node.publish(key, message)
             # Too slow for the rate: what is past is skipped instead of run after.

@@ -6,9 +6,11 @@ import asyncio
 import contextlib
 import logging
 import os
+import socket
 import statistics
 import threading
 import time
+from pathlib import Path
 from typing import Annotated, Final
 
 from pydantic import BaseModel, Field
@@ -22,10 +24,12 @@ from rhot.rig.file_model import FileModel
 from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.runner import serve
+from rhot_viewer.browser.access import Access
 from rhot_viewer.browser.marker_colors import marker_colors
 from rhot_viewer.browser.overview import Problems
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.rig_scene import RigScene
+from rhot_viewer.page_token import links
 from rhot_viewer.panels import (
     CalibratePanel,
     CamerasPanel,
@@ -75,13 +79,14 @@ class ViewerService:
     instance = "main"
     owns_clock = False
 
-    def __init__(self, page: Page, rig: Rig, bus_config: BusConfig) -> None:
+    def __init__(self, page: Page, rig: Rig, bus_config: BusConfig, recordings: Path) -> None:
         """Fill the page.
 
         Args:
             page: an open page.
             rig: loaded.
             bus_config: how the running rig is reached.
+            recordings: the one folder below which the page records.
         """
         self._page = page
         self._rig = rig
@@ -97,7 +102,7 @@ class ViewerService:
         self._calibrate = CalibratePanel(
             page, self._scene, pictures.feed, StepContext(rig.path, bus_config), rig.config
         )
-        self._recording = LiveRecording(bus_config, rig.path)
+        self._recording = LiveRecording(bus_config, rig.path, recordings)
         self._record = RecordPanel(page, self._recording, rig.path)
         self.panels: list[Panel] = [
             LivePanel(
@@ -133,8 +138,12 @@ class ViewerService:
 
     def attach(self, node: Node) -> None:
         """Take the bus."""
-        node.status.watch(lambda: ({"browsers": float(self._page.browsers)}, ""))
+        node.status.watch(self._figures)
         self._node.set_result(node)
+
+    def _figures(self) -> tuple[dict[str, float], str]:
+        refused = {f"refused_{kind}": float(count) for kind, count in self._page.guard.refused.items()}
+        return {"browsers": float(self._page.browsers), **refused}, ""
 
     async def run(self, node: Node, start: Control) -> None:
         """Begin new trails and show the rig as its folder holds it now; the page goes on by itself."""
@@ -201,6 +210,15 @@ class ViewerService:
         return errors
 
 
+def _announce(page: Page, access: Access, token_file: Path | None) -> None:
+    logger.info("the page is at %s%s", page.url, ", for looking only" if access.view_only else "")
+    if token_file is not None:
+        logger.info("links for other machines are in %s", token_file)
+    elif access.token:
+        for line in links(access, socket.gethostname(), page.port):
+            logger.info("%s", line)
+
+
 def end_within(exit_code: int, limit_s: float = _END_LIMIT_S) -> None:
     """End this process after a while whatever still runs: a thread that fits colours cannot be interrupted."""
     timer = threading.Timer(limit_s, os._exit, (exit_code,))
@@ -208,18 +226,26 @@ def end_within(exit_code: int, limit_s: float = _END_LIMIT_S) -> None:
     timer.start()
 
 
-async def serve_page(rig: Rig, bus_config: BusConfig, host: str, port: int) -> int:
+async def serve_page(
+    rig: Rig, bus_config: BusConfig, recordings: Path, host: str, port: int, access: Access, token_file: Path | None
+) -> int:
     """Open the page and run the service until SIGINT or SIGTERM; return the exit code.
+
+    Args:
+        rig, bus_config, recordings: as `ViewerService`.
+        host, port: where to listen.
+        access: who may open the page.
+        token_file: where the tokens are kept; without one the links stand in the log.
 
     Raises:
         DeviceError: the port is taken.
     """
-    page = Page(host, port)
+    page = Page(host, port, access)
     with contextlib.suppress(AttributeError, OSError):  # not on every system
         os.nice(_NICE)
     try:
-        service = ViewerService(page, rig, bus_config)
-        logger.info("the page is at %s", page.url)
+        service = ViewerService(page, rig, bus_config, recordings)
+        _announce(page, access, token_file)
         serving = asyncio.create_task(serve(service, bus_config, SystemClock(), on_stop=end_within))
         showing = asyncio.create_task(service.show())
         await asyncio.wait((serving, showing), return_when=asyncio.FIRST_COMPLETED)

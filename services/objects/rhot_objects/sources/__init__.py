@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Protocol
 
+from rhot.errors import DeviceError
 from rhot_objects.pose import Pose
 
 HEAD: Final = "head"
@@ -29,6 +30,10 @@ class PoseSample:
 
     t_ns: int
     pose: Pose
+
+
+class SpaceMovedError(DeviceError):
+    """The tracking system's space is not where it was registered any more; looking again does not help."""
 
 
 class PoseSource(Protocol):
@@ -54,6 +59,7 @@ class PoseSource(Protocol):
 
         Raises:
             DeviceError: the tracking system went away; `close`, then `open` again.
+            SpaceMovedError: its space has moved since its first pose; register it again.
         """
         ...
 

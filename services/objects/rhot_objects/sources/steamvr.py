@@ -17,7 +17,8 @@ import numpy as np
 
 from rhot.errors import DeviceError
 from rhot_objects.pose import Pose
-from rhot_objects.sources import HEAD, PoseSample
+from rhot_objects.sources import HEAD, PoseSample, SpaceMovedError
+from rhot_objects.sources.tracking_space import MOVED_EVENTS, TrackingSpace, read_space
 
 logger = logging.getLogger(__name__)
 
@@ -67,6 +68,11 @@ class SteamVrSource:
         self._event: Any = None
         self._ids_by_index: dict[int, str | None] = {}
         self._last_connected_ns: int | None = None
+        # Kept when SteamVR is started anew: its space may have been set up anew, too.
+        self._space: TrackingSpace | None = None
+        self._has_tracked = False
+        self._moved = ""
+        self._asks_space = True
         # `close` unloads SteamVR's library: never below the feet of a `read` on another thread.
         self._lock = threading.RLock()
 
@@ -97,18 +103,23 @@ class SteamVrSource:
         self._event = openvr.VREvent_t()
         self._ids_by_index = {}
         self._last_connected_ns = None
+        self._asks_space = True
 
     def read(self, now_ns: int) -> Mapping[str, PoseSample]:
         """Return what SteamVR tracks at this moment.
 
         Raises:
             DeviceError: SteamVR is quitting, or has no device any more.
+            SpaceMovedError: the standing space is not where it was at the first pose.
         """
         with self._lock:
             if self._system is None:
                 raise DeviceError("not connected to SteamVR; open the source first")
             self._take_events()
-            return self._read_devices(now_ns)
+            samples = self._read_devices(now_ns)
+            if samples and self._asks_space:
+                self._check_space()
+            return samples
 
     def _read_devices(self, now_ns: int) -> dict[str, PoseSample]:
         openvr = self._openvr
@@ -145,6 +156,22 @@ class SteamVrSource:
                 self._system.acknowledgeQuit_Exiting()
                 self.close()
                 raise DeviceError("SteamVR is quitting; start it again and tracking goes on by itself")
+            if self._event.eventType in MOVED_EVENTS and self._has_tracked:
+                self._moved, self._asks_space = MOVED_EVENTS[self._event.eventType], True
+
+    def _check_space(self) -> None:
+        """Compare where the standing space is with where it was; SteamVR's events alone come too often."""
+        space, before = read_space(self._openvr, self._system), self._space
+        moved = self._moved
+        if space is not None and before is not None:
+            moved = space.moved_from(before)
+        self._space, self._has_tracked, self._moved, self._asks_space = space, True, "", False
+        if moved:
+            raise SpaceMovedError(
+                f"SteamVR's standing space has moved ({moved}): registration.json no longer says where it is, so that "
+                "neither objects nor headset are published. Run `rhot stop` and `rhot start`, then register it again: "
+                "`rhot calibrate objects --live` (a few places are enough with --realign)"
+            )
 
     def _check_silence(self, now_ns: int, connected: bool) -> None:
         if connected or self._last_connected_ns is None or now_ns < self._last_connected_ns:

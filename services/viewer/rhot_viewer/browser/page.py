@@ -18,12 +18,15 @@ from typing import Any, Final, TypeVar
 import viser
 
 from rhot.errors import DeviceError
+from rhot_viewer.browser.access import Access
+from rhot_viewer.browser.guard import Guard
 
 logger = logging.getLogger(__name__)
 
 _CLOSE_LIMIT_S: Final = 0.4
 PANEL_WIDTH_PX: Final = 420
 """Wide enough for a table of services, and leaves most of a tablet (1024 px) to the scene."""
+_LOOKING_ONLY: Final = "Sliders and buttons have no effect here. Flying around and looking through cameras work."
 _BRAND_RGB: Final = (30, 110, 160)
 
 E = TypeVar("E")
@@ -34,21 +37,34 @@ class Page:
 
     Attributes:
         server: viser's server: `scene` for 3D, `gui` for the panel.
-        url: where it is.
+        guard: before the server.
+        url: where it is; `port` of it.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, access: Access | None = None) -> None:
         """Open the page; call it on the event loop that will feed it.
 
+        Args:
+            host: address to listen on.
+            port: of it; 0 = any.
+            access: who may open it; without, only who sits at this machine.
+
         Raises:
-            DeviceError: the port is taken or the address is not this machine's.
+            DeviceError: the port is taken, the address is not this machine's, or viser cannot be guarded.
         """
         self._loop = asyncio.get_running_loop()
         self._browsers: set[int] = set()
         self._looked_at = asyncio.Event()
         _check_free(host, port)
-        with _quiet():
+        self.guard = Guard(access or Access())
+        with _quiet(), self.guard.standing_in():
             self.server = viser.ViserServer(host=host, port=port, label="RHOT", verbose=False)
+        if not self.guard.standing:
+            self.close()
+            raise DeviceError(
+                f"viser {viser.__version__} opens its server in a way that cannot be guarded against other websites; "
+                "install the version that is tested: pip install 'viser<1.2'"
+            )
         found = self.server.get_port()
         if port not in (0, found):
             # viser looks for the next free port by itself; a page that is not where it should be helps nobody.
@@ -56,8 +72,9 @@ class Page:
             raise DeviceError(_taken(host, port))
         shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::", "localhost") else host
         self.url = f"http://{shown}:{found}"
+        self.port = found
         self._set_theme()
-        self.server.on_client_connect(lambda client: self._soon(self._came, client.client_id))
+        self.server.on_client_connect(self._greet)
         self.server.on_client_disconnect(lambda client: self._soon(self._left, client.client_id))
 
     def _set_theme(self) -> None:
@@ -67,6 +84,16 @@ class Page:
         )
         self.server.gui.main_panel.dock_right()
         self.server.gui.main_panel.set_width(PANEL_WIDTH_PX)
+
+    def _greet(self, client: viser.ClientHandle) -> None:
+        connection = self.server._websock_server._live_connections.get(client.client_id)
+        if connection is not None and self.guard.role_of(connection) == "view":
+            client.add_notification(title="Looking only", body=_LOOKING_ONLY, with_close_button=True)
+        self._soon(self._came, client.client_id)
+
+    def for_everyone(self, element: viser.GuiButtonHandle) -> None:
+        """Let those use a button, too, who may only look: it changes nothing for others."""
+        self.guard.elements.add(element._impl.uuid)
 
     def _came(self, browser: int) -> None:
         self._browsers.add(browser)

@@ -62,6 +62,7 @@ class PicturesPanel:
         for name, camera in self._cameras.items():
             look = gui.add_button(f"look through {name}", icon=viser.Icon.CAMERA)
             look.on_click(self._page.on_loop(self._fly_to(name)))
+            self._page.for_everyone(look)
             self._pictures[name] = gui.add_image(dark_picture(camera.width, camera.height), format="jpeg")
             self._notes[name] = gui.add_html("")
 

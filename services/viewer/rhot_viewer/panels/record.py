@@ -36,9 +36,10 @@ class RecordPanel:
     def build(self, gui: viser.GuiApi) -> None:
         """Add the elements."""
         gui.add_html(_TEXT.format(color="inherit", text=_HELP))
-        self._folder = gui.add_text("folder", "recordings", hint="On the machine that runs this page.")
+        where = f"Below {self._recording.folder.resolve()} on the machine that runs this page; may be empty."
+        self._folder = gui.add_text("folder", "", hint=where)
         self._start = gui.add_button("start recording", icon=viser.Icon.PLAYER_RECORD)
-        self._start.on_click(self._page.on_loop(lambda _: self._recording.start(Path(self._folder.value))))
+        self._start.on_click(self._page.on_loop(lambda _: self._recording.start(self._folder.value)))
         self._stop = gui.add_button("stop recording", icon=viser.Icon.PLAYER_STOP, disabled=True)
         self._stop.on_click(self._page.on_loop(lambda _: self._recording.stop()))
         self._state = gui.add_html("")

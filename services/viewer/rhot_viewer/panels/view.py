@@ -37,13 +37,18 @@ class ViewPanel:
     def build(self, gui: viser.GuiApi) -> None:
         """Add buttons, switches and the key."""
         for label, where in (("whole rig", "overview"), ("hand", "hand")):
-            gui.add_button(label).on_click(self._page.on_loop(self._fly_to(where)))
+            self._add(gui, label, where)
         for camera in self._scene.cameras.planes:
-            gui.add_button(f"through camera {camera}").on_click(self._page.on_loop(self._fly_to(camera)))
+            self._add(gui, f"through camera {camera}", camera)
         for name, (label, hint) in _SWITCHES.items():
             switch = gui.add_checkbox(label, initial_value=True, hint=hint)
             switch.on_update(self._page.on_loop(self._set(name)))
         gui.add_html(_KEY)
+
+    def _add(self, gui: viser.GuiApi, label: str, where: str) -> None:
+        button = gui.add_button(label)
+        button.on_click(self._page.on_loop(self._fly_to(where)))
+        self._page.for_everyone(button)
 
     def update(self) -> None:
         """Nothing changes by itself."""

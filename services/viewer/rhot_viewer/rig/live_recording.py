@@ -8,12 +8,15 @@ import time
 from pathlib import Path
 from typing import Final
 
+from rhot.atomic_file import why
 from rhot.bus import Bus
 from rhot.errors import ConfigError, RhotError
 from rhot.recording.mcap.gaps import Tally
 from rhot.rig import BusConfig
+from rhot.text import printable
 
 _CONNECT_S: Final = 2.0
+_LONGEST_NAME: Final = 100
 _MIN_ELAPSED_S: Final = 1e-3
 
 
@@ -21,18 +24,20 @@ class LiveRecording:
     """Records into one file after the other.
 
     Attributes:
+        folder: nothing is written outside of it.
         file: written now or last; None before the first.
         megabytes: written into it.
         tally: of its messages.
         problem: why the last one could not begin or ended; empty otherwise.
     """
 
-    def __init__(self, bus: BusConfig, rig_path: Path) -> None:
+    def __init__(self, bus: BusConfig, rig_path: Path, folder: Path) -> None:
         """Prepare; nothing is recorded yet.
 
         Args:
             bus: how the running rig is reached.
             rig_path: its settings are attached.
+            folder: nothing is written outside of it.
         """
         self.file: Path | None = None
         self.megabytes = 0.0
@@ -40,6 +45,7 @@ class LiveRecording:
         self.problem = ""
         self._bus = bus
         self._rig_path = rig_path
+        self.folder = folder
         self._asked: asyncio.Queue[Path] = asyncio.Queue()
         self._stop = asyncio.Event()
         self._begun: float | None = None
@@ -60,9 +66,15 @@ class LiveRecording:
         """Messages a second, over the whole file."""
         return self.tally.messages / max(self.seconds, _MIN_ELAPSED_S)
 
-    def start(self, folder: Path) -> None:
-        """Begin a file named after date and time in a folder."""
-        if not self.running and self._asked.empty():
+    def start(self, below: str = "") -> None:
+        """Begin a file named after date and time, in a folder below the folder of recordings."""
+        if self.running or not self._asked.empty():
+            return
+        try:
+            folder = folder_below(self.folder, below)
+        except ConfigError as error:
+            self.problem = str(error)
+        else:
             self._asked.put_nowait(folder / f"rhot-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
 
     def stop(self) -> None:
@@ -95,7 +107,7 @@ class LiveRecording:
             try:
                 file.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise ConfigError(f"{file.parent}: cannot be made: {error.strerror or error}") from error
+                raise ConfigError(f"{file.parent}: cannot be made: {why(error)}") from error
             about = {"connect": ",".join(self._bus.connect), "namespace": self._bus.namespace}
             with McapWriter(
                 file,
@@ -118,6 +130,25 @@ class LiveRecording:
             self.problem = f"{self.tally.left_out} samples on more keys than a rig has are left out"
 
 
+def folder_below(folder: Path, name: str) -> Path:
+    """Return a folder inside another, as a person has typed it.
+
+    Raises:
+        ConfigError: it is elsewhere, or its name is none.
+    """
+    below = Path(name.strip())
+    plain = name.isprintable() and len(name) <= _LONGEST_NAME
+    if not plain or below.is_absolute() or any(part.startswith(".") for part in below.parts):
+        raise ConfigError(
+            f"{printable(name, _LONGEST_NAME)}: recordings are kept below {folder}; name a folder in there, such as "
+            "desk"
+        )
+    wanted = folder / below
+    if not wanted.resolve().is_relative_to(folder.resolve()):
+        raise ConfigError(f"{wanted}: leads out of {folder} through a link; name another folder")
+    return wanted
+
+
 async def explain(recording: Path, at: str, rig_path: Path) -> Path:
     """Run `rhot explain` on a recording and return the page that it has written beside it.
 
@@ -129,6 +160,10 @@ async def explain(recording: Path, at: str, rig_path: Path) -> Path:
     Raises:
         ConfigError: it cannot be explained; says what the command says.
     """
+    try:
+        float(at)
+    except ValueError as error:
+        raise ConfigError(f"{printable(at, _LONGEST_NAME)}: not a number of seconds, such as 12.5") from error
     page = recording.with_suffix(".html")
     words = ["explain", str(recording), "--at", at, "--out", str(page), "--rig", str(rig_path)]
     # A process of its own: it tracks ten seconds anew, and the page must go on meanwhile.

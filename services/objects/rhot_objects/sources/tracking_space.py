@@ -1,0 +1,59 @@
+"""Where SteamVR's standing space lies: what a registration holds for.
+
+The standing space is the raw space of the base stations, moved: `GetRawZeroPoseToStandingAbsoluteTrackingPose`.
+Resetting the standing position moves it (event `VREvent_StandingZeroPoseReset`, 808); with other base stations or a new
+room setup the raw space itself is another one, with another universe (`VREvent_ChaperoneUniverseHasChanged`, 801).
+Names and numbers are those of openvr.h.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from rhot_objects.pose import Pose, angle_between
+
+MOVED_EVENTS: Final = {801: "its universe has changed", 808: "its standing position was reset"}
+_CURRENT_UNIVERSE: Final = 2004
+"""`Prop_CurrentUniverseId_Uint64`."""
+_HEADSET: Final = 0
+"""`k_unTrackedDeviceIndex_Hmd`."""
+_SAME_M: Final = 1e-3
+_SAME_RAD: Final = 1e-3
+"""The space stands still to the last bit; this is far below what a registration resolves (docs/tested.md: 1.4 mm)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingSpace:
+    """A standing space.
+
+    Attributes:
+        universe: id of the base stations' setup.
+        T_standing_raw: maps the base stations' space to the standing space.
+    """
+
+    universe: int
+    T_standing_raw: Pose
+
+    def moved_from(self, other: TrackingSpace) -> str:
+        """Return how this space differs from an earlier one, empty when it does not."""
+        if self.universe != other.universe:
+            return MOVED_EVENTS[801]
+        first, second = self.T_standing_raw, other.T_standing_raw
+        distance_m = float(np.linalg.norm(first.position - second.position))
+        if distance_m > _SAME_M or angle_between(first, second) > _SAME_RAD:
+            return f"{MOVED_EVENTS[808]}, by {distance_m:.2f} m"
+        return ""
+
+
+def read_space(openvr: Any, system: Any) -> TrackingSpace | None:
+    """Ask SteamVR where its standing space lies; None where it does not say."""
+    try:
+        universe = int(system.getUint64TrackedDeviceProperty(_HEADSET, _CURRENT_UNIVERSE))
+        matrix = system.getRawZeroPoseToStandingAbsoluteTrackingPose()
+        return TrackingSpace(universe, Pose.from_matrix([[matrix.m[row][k] for k in range(4)] for row in range(3)]))
+    except (openvr.OpenVRError, KeyError, ValueError):
+        # KeyError: error codes that pyopenvr does not know.
+        return None

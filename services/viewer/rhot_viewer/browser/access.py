@@ -1,0 +1,167 @@
+"""Who may open the page, and who may change anything with it: judged by what a browser cannot be made to forge.
+
+- Any website may open a WebSocket to this machine, and the browser says from where in `Origin` (RFC 6455, section
+  10.2). A page of ours has the origin that the browser asked for in `Host`; every other one is refused.
+- A website whose name is made to mean this machine ("DNS rebinding") has its own name in `Host`: only addresses, this
+  machine's names and names that the operator allows are answered.
+- Other machines need a token, as a link brings it once and a cookie afterwards. One token lets a person look, another
+  lets them change things as well.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import socket
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final, Literal
+from urllib.parse import parse_qs, urlsplit
+
+Role = Literal["control", "view"]
+
+TOKEN_PARAMETER: Final = "token"
+MIN_TOKEN_LENGTH: Final = 16
+_LOCAL_NAMES: Final = frozenset({"localhost"})
+
+
+@dataclass(frozen=True, slots=True)
+class PageRequest:
+    """What a browser asks with.
+
+    Attributes:
+        peer: its address.
+        host: its `Host` header; empty without one, or with several.
+        origin: its `Origin` header; empty without one, or with several.
+        is_websocket: whether it wants to talk, not only to fetch a file.
+        tokens: those that it brings.
+    """
+
+    peer: str
+    host: str
+    origin: str
+    is_websocket: bool
+    tokens: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why a browser is sent away: one sentence for who sits before it, with what to do."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """The rules of one page.
+
+    Attributes:
+        token: lets its bearer change things; empty = nobody but this machine is let in.
+        hosts: further names that the page is reached under, lower case.
+        view_only: nobody may change anything, this machine neither.
+    """
+
+    token: str = ""
+    hosts: frozenset[str] = frozenset()
+    view_only: bool = False
+
+    @property
+    def view_token(self) -> str:
+        """Lets its bearer look; made from `token`, which cannot be found from it. Empty when there is none."""
+        return hashlib.sha256(f"view {self.token}".encode()).hexdigest()[:32] if self.token else ""
+
+    def knows(self, token: str) -> bool:
+        """Tell whether a token is one of the two."""
+        return bool(self.token) and (_equal(token, self.token) or _equal(token, self.view_token))
+
+    def judge(self, request: PageRequest) -> Role | Refusal:
+        """Return what a browser may do."""
+        name = _name_of(request.host)
+        if not name or not (_is_address(name) or name in _LOCAL_NAMES or name in self.hosts):
+            return Refusal(
+                "The page is not served under this name. Open it under its address, or as http://localhost on its own "
+                "machine, or start the viewer with --allow-host and this name."
+            )
+        if request.is_websocket and not _same_origin(request.origin, request.host):
+            return Refusal("Only the page itself may talk to its server, not a page from elsewhere.")
+        if _is_loopback(request.peer) and (name in _LOCAL_NAMES or _is_loopback(name)):
+            return self._capped("control")
+        if self.token and any(_equal(token, self.token) for token in request.tokens):
+            return self._capped("control")
+        if self.token and any(_equal(token, self.view_token) for token in request.tokens):
+            return "view"
+        return Refusal(
+            "This page needs a link with a token, which `rhot viewer` writes into its log, or into the file of "
+            "--token-file, when it starts."
+        )
+
+    def _capped(self, role: Role) -> Role:
+        return "view" if self.view_only else role
+
+
+def own_names() -> frozenset[str]:
+    """Return the names under which other machines know this one."""
+    name = socket.gethostname().lower()
+    short = name.partition(".")[0]
+    return frozenset({name, short, f"{short}.local"} - {""})
+
+
+def tokens_in(path: str, cookies: Iterable[str], cookie_name: str) -> tuple[str, ...]:
+    """Return the tokens of a request.
+
+    Args:
+        path: as requested, with its query.
+        cookies: the `Cookie` headers.
+        cookie_name: of ours.
+    """
+    pairs = (part.strip().partition("=") for header in cookies for part in header.split(";"))
+    return (token_in_link(path), *(value for name, _, value in pairs if name == cookie_name))
+
+
+def token_in_link(path: str) -> str:
+    """Return the token in a requested path; empty without one."""
+    try:
+        return parse_qs(path.partition("?")[2]).get(TOKEN_PARAMETER, [""])[0]
+    except ValueError:
+        return ""
+
+
+def _name_of(host: str) -> str:
+    """Return the lower-case name or address in a `Host` header, without port; empty where it is none."""
+    try:
+        parts = urlsplit(f"//{host}")
+        valid = parts.netloc == host and not (parts.username or parts.password)
+        return (parts.hostname or "").rstrip(".") if valid else ""
+    except ValueError:
+        return ""
+
+
+def _same_origin(origin: str, host: str) -> bool:
+    try:
+        parts = urlsplit(origin)
+    except ValueError:
+        return False
+    bare = parts.scheme in ("http", "https") and not (parts.path or parts.query or parts.fragment)
+    return bare and parts.netloc.lower() == host.lower()
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_loopback(name: str) -> bool:
+    try:
+        address = ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    mapped = address.ipv4_mapped if isinstance(address, ipaddress.IPv6Address) else None
+    return (mapped or address).is_loopback
+
+
+def _equal(one: str, other: str) -> bool:
+    return hmac.compare_digest(one.encode(errors="replace"), other.encode())

@@ -1,0 +1,179 @@
+"""The guard before viser's server: every request is judged by `access`, and every message of a browser is checked.
+
+viser (1.1) makes its server with `websockets.asyncio.server.serve` and offers no place for checks of one's own. While a
+`ViserServer` is being made, the guard stands in for that function: it adds a check before viser's own
+(`process_request`, https://websockets.readthedocs.io/en/stable/reference/asyncio/server.html) and a class of
+connections whose `recv` drops messages that their browser may not send. A viser that no longer calls that function
+would be unguarded: `Guard.standing` says so, and the page is not opened.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http
+import logging
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+from unittest import mock
+
+import msgspec
+import websockets.asyncio.server
+from websockets import Headers
+from websockets.asyncio.server import ServerConnection
+from websockets.http11 import Request, Response
+from websockets.typing import Data
+
+from rhot.text import printable
+from rhot_viewer.browser.access import Access, PageRequest, Refusal, Role, token_in_link, tokens_in
+
+logger = logging.getLogger(__name__)
+
+_MOST_BYTES: Final = 1 << 20
+"""Of a message from a browser; clicks and sliders have some hundred. viser's own limit is 50 MB."""
+_MOST_BROWSERS: Final = 32
+_COOKIE_S: Final = 30 * 24 * 3600
+_LOOKING: Final = frozenset({"ViewerCameraMessage"})
+_CHANGING: Final = _LOOKING | {"GuiUpdateMessage", "SceneNodeClickMessage", "ScenePointerMessage"}
+"""What the page of ours sends. viser understands more, such as a request to publish the page through a server of its
+makers (`ShareUrlRequest`): nobody may send that."""
+_HEADERS: Final = {
+    # No website may show the page in a frame and let people click what they do not see.
+    "X-Frame-Options": "DENY",
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    # The link holds a token.
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+
+Check = Callable[[ServerConnection, Request], Response | None]
+
+
+class Guard:
+    """Stands before one page's server.
+
+    Attributes:
+        standing: whether the server that was made within `standing_in` has it.
+        refused: requests and messages that were turned away, by kind.
+        elements: identifiers of elements of the page that change nothing for others: who only looks may use them.
+    """
+
+    def __init__(self, access: Access) -> None:
+        self.standing = False
+        self.refused: Counter[str] = Counter()
+        self.elements: set[str] = set()
+        self._access = access
+        self._roles: dict[ServerConnection, Role] = {}
+
+    @contextlib.contextmanager
+    def standing_in(self) -> Iterator[None]:
+        """Guard the server that is made within the block."""
+        real = websockets.asyncio.server.serve
+        guard = self
+
+        class Connection(ServerConnection):
+            async def recv(self, decode: bool | None = None) -> Data:  # type: ignore[override]  # viser's only call
+                while True:
+                    data = await super().recv(decode)
+                    if guard.admits(self, data):
+                        return data
+
+            def connection_lost(self, exc: Exception | None) -> None:
+                guard.forget(self)
+                super().connection_lost(exc)
+
+        def serve(*arguments: Any, process_request: Check | None = None, **options: Any) -> Any:
+            def check(connection: ServerConnection, request: Request) -> Response | None:
+                return self._check(connection, request, process_request)
+
+            options |= {"process_request": check, "create_connection": Connection, "max_size": _MOST_BYTES}
+            self.standing = True
+            return real(*arguments, **options)
+
+        with mock.patch.object(websockets.asyncio.server, "serve", serve):
+            yield
+
+    def role_of(self, connection: ServerConnection) -> Role:
+        """Return what a connected browser may do."""
+        return self._roles.get(connection, "view")
+
+    def forget(self, connection: ServerConnection) -> None:
+        """Drop a connection that has ended."""
+        self._roles.pop(connection, None)
+
+    def admits(self, connection: ServerConnection, data: Data) -> bool:
+        """Return whether a browser may send a message."""
+        try:
+            message = msgspec.msgpack.decode(data) if isinstance(data, bytes) else None
+        except msgspec.MsgspecError:
+            message = None
+        kind = message.get("type") if isinstance(message, dict) else None
+        if kind in (_CHANGING if self.role_of(connection) == "control" else _LOOKING):
+            return True
+        if kind == "GuiUpdateMessage" and isinstance(message, dict) and message.get("uuid") in self.elements:
+            return True
+        self._count("message")
+        return False
+
+    def _check(self, connection: ServerConnection, request: Request, server: Check | None) -> Response | None:
+        port = connection.local_address[1]
+        cookie = f"rhot_page_{port}"
+        headers = request.headers
+        asked = PageRequest(
+            peer=str(connection.remote_address[0]),
+            host=_only(headers, "Host"),
+            origin=_only(headers, "Origin"),
+            # Whatever names an upgrade is judged as one, however it is spelt.
+            is_websocket=bool(headers.get_all("Upgrade") or headers.get_all("Sec-WebSocket-Key")),
+            tokens=tokens_in(request.path, headers.get_all("Cookie"), cookie),
+        )
+        role = self._access.judge(asked)
+        if isinstance(role, Refusal):
+            self._tell(asked, role)
+            return _answer(http.HTTPStatus.FORBIDDEN, role.reason)
+        response = server(connection, request) if server is not None else None
+        if response is None:
+            if not asked.is_websocket:
+                return _answer(http.HTTPStatus.NOT_FOUND, "There is nothing here.")
+            if len(self._roles) >= _MOST_BROWSERS:
+                self._count("connection")
+                return _answer(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{_MOST_BROWSERS} browsers look already.")
+            self._roles[connection] = role
+            return None
+        for name, value in _HEADERS.items():
+            response.headers[name] = value
+        token = token_in_link(request.path)
+        if self._access.knows(token):
+            response.headers["Set-Cookie"] = f"{cookie}={token}; Path=/; Max-Age={_COOKIE_S}; HttpOnly; SameSite=Strict"
+        return response
+
+    def _tell(self, asked: PageRequest, refusal: Refusal) -> None:
+        kind = "connection" if asked.is_websocket else "page"
+        if not self.refused[kind]:
+            # The first of its kind; how many follow is in the status.
+            logger.warning(
+                "refused %s from %s (Host %s, Origin %s): %s",
+                f"a {kind}",
+                asked.peer,
+                printable(asked.host, 100) or "missing",
+                printable(asked.origin, 100) or "missing",
+                refusal.reason,
+            )
+        self._count(kind)
+
+    def _count(self, kind: str) -> None:
+        self.refused[kind] += 1
+
+
+def _only(headers: Headers, name: str) -> str:
+    values = headers.get_all(name)
+    return values[0] if len(values) == 1 else ""
+
+
+def _answer(status: http.HTTPStatus, text: str) -> Response:
+    body = f"{text}\n".encode()
+    headers = Headers(_HEADERS)
+    headers["Content-Type"] = "text/plain; charset=utf-8"
+    headers["Content-Length"] = str(len(body))
+    return Response(status.value, status.phrase, headers, body)
