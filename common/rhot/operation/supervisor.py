@@ -8,18 +8,28 @@ import logging
 import os
 import signal
 import sys
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Final
 
-from rhot.errors import RhotError
+from rhot.errors import EXIT_AGAIN, RhotError
 from rhot.service.stop import EXIT_WITH_PARENT
 
 logger = logging.getLogger(__name__)
 
 _STOP_LIMIT_S: Final = 1.2
 _TAIL_LINES: Final = 12
+_PROVEN_S: Final = 5.0
+"""A service that has run for so long is able to: what ends it then is a fault that may pass."""
+_AGAIN_FIRST_S: Final = 0.5
+_AGAIN_MOST_S: Final = 5.0
+"""Before a service is started anew; twice as long each time that it did not prove itself."""
+_MOST_CRASHES: Final = 4
+"""In a row, of a service that did not prove itself in between."""
+_WRONG_USE: Final = 2
+"""The exit code of wrong settings, which starting anew does not mend."""
 
 
 @dataclass(slots=True)
@@ -30,11 +40,18 @@ class Child:
         name: for people, such as `capture left`.
         process: the process; its standard input is the leash by which it notices our end.
         log: file that takes its output, None when it goes to ours.
+        module, arguments: what it was started with.
+        started_s: when, by the monotonic clock.
+        crashes: how often in a row it ended by itself before it had proved itself.
     """
 
     name: str
     process: asyncio.subprocess.Process
     log: Path | None
+    module: str = "rhot"
+    arguments: tuple[str, ...] = ()
+    started_s: float = field(default_factory=time.monotonic)
+    crashes: int = 0
 
     def tail(self) -> str:
         """Return the last lines of its log."""
@@ -52,16 +69,17 @@ class Supervisor:
         self._log_folder = log_folder
         self.children: list[Child] = []
 
+    def command(self, module: str, arguments: Sequence[str]) -> list[str]:
+        """Return the command line of a child."""
+        return [sys.executable, "-m", module, *arguments]
+
     async def start(self, name: str, arguments: Sequence[str], *, module: str = "rhot") -> Child:
         """Start `rhot ARGUMENTS…`, or another module, with this interpreter."""
         log = None if self._log_folder is None else self._log_folder / f"{name.replace(' ', '-')}.log"
         with contextlib.ExitStack() as stack:
             output: IO[bytes] | None = None if log is None else stack.enter_context(log.open("ab"))
             process = await asyncio.create_subprocess_exec(
-                sys.executable,
-                "-m",
-                module,
-                *arguments,
+                *self.command(module, arguments),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=output,
                 stderr=output,
@@ -69,7 +87,7 @@ class Supervisor:
                 # Its own group: Ctrl-C reaches the parent alone, which then ends the children in order.
                 start_new_session=True,
             )
-        child = Child(name, process, log)
+        child = Child(name, process, log, module, tuple(arguments))
         self.children.append(child)
         return child
 
@@ -82,6 +100,34 @@ class Supervisor:
         finally:
             for task in waits:
                 task.cancel()
+
+    async def keep_running(self) -> Child:
+        """Start children anew that end by themselves; return the first that this does not help.
+
+        That is one whose settings are wrong, that fails at its first start, or that crashes again and again.
+        """
+        keeping = [asyncio.create_task(self._keep(child)) for child in self.children]
+        try:
+            done, _ = await asyncio.wait(keeping, return_when=asyncio.FIRST_COMPLETED)
+            return done.pop().result()
+        finally:
+            for task in keeping:
+                task.cancel()
+
+    async def _keep(self, child: Child) -> Child:
+        while True:
+            code = await child.process.wait()
+            lived_s = time.monotonic() - child.started_s
+            crashes = 0 if lived_s >= _PROVEN_S else child.crashes + 1
+            able = lived_s >= _PROVEN_S or code == EXIT_AGAIN or (code < 0 and crashes < _MOST_CRASHES)
+            if code == _WRONG_USE or not able:
+                return child
+            wait_s = min(_AGAIN_MOST_S, _AGAIN_FIRST_S * 2**crashes)
+            logger.warning("%s; it is started anew in %.1f s, the others go on", self.failure(child), wait_s)
+            await asyncio.sleep(wait_s)
+            self.children.remove(child)
+            child = await self.start(child.name, child.arguments, module=child.module)
+            child.crashes = crashes
 
     def failure(self, child: Child) -> RhotError:
         """Return the error that names a child that ended by itself."""

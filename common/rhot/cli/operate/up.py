@@ -32,7 +32,7 @@ def up(no_start: bool, viewer: bool, page_port: int, rig_path: Path) -> int:
     """Run router, fusion, ik, objects, feet and the web page on this machine, and start the rig. Ctrl-C stops all.
 
     The capture services run on the Pis (rhot capture --camera NAME) and join by themselves. If a router already
-    answers, it is used instead of a second one.
+    answers, it is used instead of a second one. A service that ends by itself is started again.
     """
     port = free_page_port(page_port) if viewer else None
     return asyncio.run(_up(rig_path, port, start=not no_start))
@@ -54,7 +54,7 @@ async def _up(rig_path: Path, page_port: int | None, *, start: bool) -> int:
             await supervisor.start(name, [name, "--rig", str(rig_path)])
         if page_port is not None:
             await beside.start("viewer", [*page_command(page_port), "--rig", str(rig_path)])
-        failed = asyncio.create_task(supervisor.wait_for_failure())
+        failed = asyncio.create_task(supervisor.keep_running())
         asked = asyncio.create_task(stop.requested.wait())
         watching += [failed, asked]
         if start:
