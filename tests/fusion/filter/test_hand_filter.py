@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,12 +11,13 @@ from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.birth import View, from_views, on_ray
-from rhot_fusion.filter.joint import Innovation, JointFilter, Views
-from rhot_fusion.filter.motion import acceleration_covariance
+from rhot_fusion.filter.joint import JointFilter
+from rhot_fusion.filter.motion import motion_of
 from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
+from rhot_fusion.filter.state import Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
 
 FloatArray = NDArray[np.float64]
@@ -53,7 +55,13 @@ class Run:
     frames: list[Frame]
 
 
-def run(noise_px: float, rate_hz: float, seconds: float = 3.0, seed: int = 0) -> Run:
+def run(
+    noise_px: float,
+    rate_hz: float,
+    seconds: float = 3.0,
+    seed: int = 0,
+    path: Callable[[float], FloatArray] = truth,
+) -> Run:
     """Two cameras 0.4 of a period out of step, rows 3 ms apart, through a filter that begins at the truth."""
     rng = np.random.default_rng(seed)
     hand = JointFilter(COUNT, DEFAULT.motion, DEFAULT.track.gate)
@@ -63,14 +71,14 @@ def run(noise_px: float, rate_hz: float, seconds: float = 3.0, seed: int = 0) ->
     times, errors, covariances, frames = [], [], [], []
     moments = sorted((n / rate_hz + 0.4 * c / rate_hz, c) for n in range(int(seconds * rate_hz)) for c in (0, 1))
     for number, (t_s, c) in enumerate(moments):
-        seen = np.array([truth(t_s + d)[k] for k, d in enumerate(delta)])
+        seen = np.array([path(t_s + d)[k] for k, d in enumerate(delta)])
         local = CAMERAS[c].to_camera(seen)
         xy = local[:, :2] / local[:, 2:] + rng.normal(0.0, noise_px / FOCAL_PX, (COUNT, 2))
         views = Views(CAMERAS[c], index, delta, xy, variance, np.zeros(COUNT))
         events = []
         if number == 0:
             for marker in range(COUNT):
-                mean = np.concatenate([truth(t_s)[marker], np.zeros(3)])
+                mean = np.concatenate([path(t_s)[marker], np.zeros(3)])
                 hand.begin(marker, mean, start, t_s)
                 first = from_views([View(CAMERAS[c], t_s, xy[marker], variance[0, 0, 0])] * 1, t_s, np.zeros(3), 0.5)
                 assert first is None, "one ray is no place"
@@ -81,7 +89,7 @@ def run(noise_px: float, rate_hz: float, seconds: float = 3.0, seed: int = 0) ->
         frames.append(Frame(t_s, c, views, np.ones(COUNT, dtype=bool), events))
         P = hand.state.covariance.reshape(2, COUNT, 3, 2, COUNT, 3)[0][index, :, 0][index, :, index]
         times.append(t_s)
-        errors.append(hand.place - truth(t_s))
+        errors.append(hand.place - path(t_s))
         covariances.append(P)
     return Run(np.array(times), np.array(errors), np.array(covariances), frames)
 
@@ -162,11 +170,39 @@ def test_two_views_begin_a_marker_where_it_is() -> None:
     assert off.misfit > DEFAULT.track.birth_gate
 
 
+def test_noise_and_transition_of_a_motion_compose() -> None:
+    """Law of every linear motion: two steps are one step of the sum, in mean and in noise."""
+    settings = replace(DEFAULT.motion, joining_s=np.inf)
+    motion = motion_of(SHAPE, np.ones(COUNT, dtype=bool), settings)
+    for dt in (0.001, 0.008, 0.05, 0.3):
+        F, Q = motion.transition(dt, settings), motion.noise(dt, settings)
+        assert np.allclose(F @ F, motion.transition(2.0 * dt, settings), atol=1e-9)
+        twice = F @ Q @ F.T + Q
+        assert np.allclose(twice, motion.noise(2.0 * dt, settings), rtol=0.05, atol=1e-3 * np.abs(twice).min())
+
+
 def test_accelerations_are_shared_and_have_a_covariance() -> None:
-    C = acceleration_covariance(SHAPE, DEFAULT.motion)
-    assert np.allclose(C, C.T)
-    assert np.linalg.eigvalsh(C).min() > 0.9 * DEFAULT.motion.own**2
-    assert C[0, 3] > 0.4 * C[0, 0]
+    Q = motion_of(SHAPE, np.ones(COUNT, dtype=bool), DEFAULT.motion).noise(0.1, DEFAULT.motion)
+    assert np.allclose(Q, Q.T)
+    assert np.linalg.eigvalsh(Q).min() > -1e-12
+    velocity = Q[3 * COUNT : 6 * COUNT, 3 * COUNT : 6 * COUNT]
+    assert velocity[0, 3] > 0.02 * velocity[0, 0]
+
+
+def test_a_hand_at_rest_is_averaged_and_a_start_is_followed() -> None:
+    rest = run(0.1, 60.0, path=lambda _: truth(0.0))
+    late = rest.t_s > 0.8
+    assert np.median(np.linalg.norm(rest.error[late], axis=2)) < 0.8e-3
+    assert np.sqrt(np.square(np.diff(rest.error[late], axis=0)).sum(axis=2).mean()) < 0.5e-3
+    start = run(0.1, 60.0, 1.4, path=lambda t_s: truth(0.0) + _swung(max(t_s - 1.0, 0.0)))
+    size = np.linalg.norm(start.error[(start.t_s > 1.0) & (start.t_s < 1.1)], axis=2)
+    assert size.max() < 5e-3
+
+
+def _swung(t_s: float) -> FloatArray:
+    """From rest by 10 cm and back in 0.67 s: 4.4 m/s² within one frame."""
+    moved: FloatArray = np.array([0.1, 0.0, 0.05]) * 0.5 * (1.0 - np.cos(3.0 * np.pi * t_s))
+    return moved
 
 
 def test_noise_is_learnt_from_innovations() -> None:

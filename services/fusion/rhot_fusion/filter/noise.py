@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
 from rhot.rig.quality import figure
-from rhot_fusion.filter.joint import Innovation
 from rhot_fusion.filter.settings import NoiseSettings
+from rhot_fusion.filter.state import Innovation
 
 FloatArray = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from rhot.geometry.camera import CameraModel
-from rhot_fusion.filter.joint import Innovation, Views
 from rhot_fusion.filter.outcomes import outcome_of
 from rhot_fusion.filter.settings import FilterSettings
 from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
+from rhot_fusion.filter.state import Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.views.sightings import FloatArray, IndexArray, Outcome, Sightings
 

@@ -18,8 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rhot_fusion.filter.birth import Birth
-from rhot_fusion.filter.joint import BoolArray, FloatArray, JointFilter, State, Step, Views, carried
-from rhot_fusion.filter.settings import FilterSettings, MotionSettings
+from rhot_fusion.filter.joint import JointFilter
+from rhot_fusion.filter.settings import FilterSettings
+from rhot_fusion.filter.state import SHARED, BoolArray, FloatArray, IndexArray, State, Step, Views
 
 _JITTER: float = 1e-13
 """Keeps covariances of markers that were just found invertible, m² and m²/s²."""
@@ -95,7 +96,7 @@ def smooth(frames: Sequence[Frame], count: int, settings: FilterSettings) -> lis
         if last == 0:
             scale2 = _scales(evidence, [step.dt_s for step in steps], settings)
             continue
-        states = _backward(steps, settings.motion)
+        states = _backward(steps)
         if last < _PASSES:
             variance = [
                 own * np.maximum(1.0, _distance2(frame.views, state) / _DOUBT)[:, None, None]
@@ -121,27 +122,16 @@ def _forward(
         alive = hand.state.alive[frame.views.index] & frame.taken
         views = replace(frame.views, variance=own)
         if not alive.all():
-            views = _chosen(views, alive)
+            views = views.chosen(alive)
         innovation, step = hand.step(frame.t_s, views, scale)
         for event in frame.events:
             if event.birth is None:
                 hand.end(event.marker)
             else:
                 hand.begin(event.marker, event.birth.mean, event.birth.covariance, frame.t_s)
-        steps.append(Step(step.dt_s, step.before, hand.state))
+        steps.append(Step(step.dt_s, step.transition, step.before, hand.state))
         evidence.append(innovation.evidence)
     return steps, evidence
-
-
-def _chosen(views: Views, chosen: BoolArray) -> Views:
-    return Views(
-        views.camera,
-        views.index[chosen],
-        views.delta_s[chosen],
-        views.xy[chosen],
-        views.variance[chosen],
-        views.slack[chosen],
-    )
 
 
 def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSettings) -> list[float | None]:
@@ -164,7 +154,7 @@ def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSetti
     return list(reversed(result))
 
 
-def _backward(steps: list[Step], settings: MotionSettings) -> list[State]:
+def _backward(steps: list[Step]) -> list[State]:
     """Return the smoothed states of the steps."""
     states = [step.after for step in steps]
     for place in range(len(steps) - 2, -1, -1):
@@ -173,20 +163,21 @@ def _backward(steps: list[Step], settings: MotionSettings) -> list[State]:
         both = own.alive & following.before.alive & later.alive
         if not both.any():
             continue
-        rows = np.flatnonzero(np.tile(np.repeat(both, 3), 2))
-        P = own.covariance
-        moved = carried(P, following.dt_s, own.alive, settings).T
-        before = following.before.covariance[np.ix_(rows, rows)]
+        rows, every = _rows(both), _rows(own.alive)
+        before = following.before.P[np.ix_(rows, rows)]
         before[np.diag_indices(len(rows))] += _JITTER
-        every = np.flatnonzero(np.tile(np.repeat(own.alive, 3), 2))
-        gain = np.linalg.solve(before, moved[np.ix_(every, rows)].T).T
-        step = (later.mean - following.before.mean).ravel()[rows]
-        change = later.covariance[np.ix_(rows, rows)] - before
-        x, S = own.mean.ravel().copy(), P.copy()
-        x[every] += gain @ step
-        S[np.ix_(every, every)] += gain @ change @ gain.T
-        states[place] = State(own.t_s, x.reshape(2, -1), S, own.weight, own.alive)
+        moved = following.transition[rows] @ own.P[:, every]
+        gain = np.linalg.solve(before, moved).T
+        x, S = own.x.copy(), own.P.copy()
+        x[every] += gain @ (later.x - following.before.x)[rows]
+        S[np.ix_(every, every)] += gain @ (later.P[np.ix_(rows, rows)] - before) @ gain.T
+        states[place] = State(own.t_s, x, S, own.weight, own.alive)
     return states
+
+
+def _rows(alive: BoolArray) -> IndexArray:
+    """Return the rows of markers (M,) that are alive, and of what they share, in a state."""
+    return np.flatnonzero(np.concatenate([np.tile(np.repeat(alive, 3), 2), np.ones(SHARED, dtype=bool)]))
 
 
 def _distance2(views: Views, state: State) -> FloatArray:

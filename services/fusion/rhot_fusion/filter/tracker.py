@@ -18,13 +18,14 @@ from rhot.rig.quality import pair_epipolar_p95_px
 from rhot_fusion.filter.agreement import CameraAgreement
 from rhot_fusion.filter.birth import Birth, View, on_ray
 from rhot_fusion.filter.candidates import Candidates
-from rhot_fusion.filter.joint import Innovation, JointFilter, State, Views
+from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.outcomes import outcome_of
 from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.record import HandRecord, outcomes
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
 from rhot_fusion.filter.smoother import Event
+from rhot_fusion.filter.state import Innovation, State, Views
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import Belief, Track
 from rhot_fusion.schedule import Schedule

@@ -1,0 +1,117 @@
+"""The markers of a hand at one moment, what a frame says of them, and what it changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.geometry.camera import CameraModel
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.intp]
+
+SHARED = 6
+"""Numbers of a state beside the markers': linear and angular acceleration of the hand."""
+
+
+@dataclass(frozen=True, slots=True)
+class Views:
+    """What one frame says of N markers.
+
+    Attributes:
+        camera: that took it.
+        index: (N,) markers, ascending.
+        delta_s: (N,) time of each after the frame's.
+        xy: (N, 2) normalised image coordinates.
+        variance: (N, 2, 2) of them.
+        slack: (N,) standard deviation beyond that which the gate allows for, normalised units.
+    """
+
+    camera: CameraModel
+    index: IndexArray
+    delta_s: FloatArray
+    xy: FloatArray
+    variance: FloatArray
+    slack: FloatArray
+
+    def chosen(self, chosen: BoolArray) -> Views:
+        """Return some (N,) of the views."""
+        return Views(
+            self.camera,
+            self.index[chosen],
+            self.delta_s[chosen],
+            self.xy[chosen],
+            self.variance[chosen],
+            self.slack[chosen],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The M markers of a hand at one moment. Its arrays are never changed in place.
+
+    Attributes:
+        t_s: the moment.
+        x: (6 M + 6,) positions, metres, marker by marker; their velocities, m/s; the linear acceleration of the hand,
+            m/s², and its angular one, rad/s².
+        P: (6 M + 6, 6 M + 6) covariance.
+        weight: (K,) of the scales.
+        alive: (M,) markers that are in it; the others' rows are zero.
+    """
+
+    t_s: float
+    x: FloatArray
+    P: FloatArray
+    weight: FloatArray
+    alive: BoolArray
+
+    @property
+    def mean(self) -> FloatArray:
+        """(2, 3 M) positions and velocities."""
+        mean: FloatArray = self.x[:-SHARED].reshape(2, -1)
+        return mean
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(6 M, 6 M) of positions and velocities."""
+        covariance: FloatArray = self.P[:-SHARED, :-SHARED]
+        return covariance
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """How the N views of a frame differed from what was expected.
+
+    Attributes:
+        y: (N, 2) innovation, normalised units.
+        S: (N, 2, 2) its covariance.
+        nis: (N,) its squared Mahalanobis distance.
+        accepted: (N,) whether it passed the gate.
+        evidence: (K,) logarithm of the likelihood of each scale, but for a constant.
+    """
+
+    y: FloatArray
+    S: FloatArray
+    nis: FloatArray
+    accepted: BoolArray
+    evidence: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What a frame did, for smoothing.
+
+    Attributes:
+        dt_s: time since the step before.
+        transition: (6 M + 6, 6 M + 6) of the state over that time.
+        before: the state before its observations, with the noise of the way there.
+        after: the state after them.
+    """
+
+    dt_s: float
+    transition: FloatArray
+    before: State
+    after: State
