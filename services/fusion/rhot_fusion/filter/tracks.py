@@ -83,6 +83,8 @@ class Track:
         return [last >= newest and now for last, newest, now in zip(self.accepted_s, frame_s, fresh, strict=True)]
 
 
-def state_of(views: int) -> PointState:
-    """Return a point's state by how many cameras show it."""
-    return "measured" if views >= 2 else "one_view" if views == 1 else "predicted"
+def state_of(views: int, certain: bool) -> PointState:
+    """Return a point's state by how many cameras show it, and whether they have made its place certain."""
+    if views >= 2:
+        return "measured" if certain else "predicted"
+    return "one_view" if views == 1 else "predicted"
