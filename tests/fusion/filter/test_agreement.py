@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import pytest
 from marker_streams import Motion, Seen, pinhole_cameras, watch
 
 from rhot.rig import Rig
@@ -38,10 +37,9 @@ def test_a_bumped_camera_is_told(make_rig: MakeRig) -> None:
     assert "rhot calibrate cameras" in problem
 
 
-@pytest.mark.parametrize("noise_px", [0.15, 0.5])
-def test_a_well_calibrated_rig_is_not_accused_in_a_minute(make_rig: MakeRig, noise_px: float) -> None:
+def test_a_well_calibrated_rig_is_not_accused_in_a_minute(make_rig: MakeRig) -> None:
     rig = make_rig(pinhole_cameras(2), rate_hz=30.0)
     stage = FusionStage(rig)
-    for one in watch(rig, Motion(), 60.0, rate_hz=30.0, noise_px=noise_px):
+    for one in watch(rig, Motion(), 60.0, rate_hz=30.0, noise_px=0.3):
         stage.feed(one.frame)
         assert stage.problem == ""

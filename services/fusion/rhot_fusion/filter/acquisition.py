@@ -116,9 +116,13 @@ class Acquisition:
         if birth is not None and track.belief is not Belief.TENTATIVE:
             if track.look_elsewhere(settings):
                 self._begin(marker, birth, moment_s, near)
-        elif birth is None and len(near) == 1 and len(place) >= settings.fewest and track.see_alone(settings):
-            ray = on_ray(near[camera], place.mean(axis=0), velocity, settings.ray_sigma_m, settings.speed_sigma)
-            self._begin(marker, ray, moment_s, near)
+        elif birth is None and len(near) == 1 and len(place) >= settings.fewest:
+            gap_s = settings.lost_periods * self._schedule.longest_period_s
+            if track.see_alone(t_s, gap_s, settings):
+                middle = place.mean(axis=0)
+                ray = on_ray(near[camera], middle, velocity, settings.ray_sigma_m, settings.speed_sigma)
+                if np.linalg.norm(ray.mean[:3] - middle) <= settings.ray_reach_m:
+                    self._begin(marker, ray, moment_s, near)
 
     def end(self, marker: int) -> None:
         """Take a marker out."""

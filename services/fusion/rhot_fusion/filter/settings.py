@@ -84,7 +84,8 @@ class TrackSettings:
         ray_sigma_m: how far a marker that only one camera has seen may be from its hand in depth, metres.
         moving_px_s: a marker that moves faster through the picture is never twice at the same place to the last digit.
         ray_views: views in a row of one camera that put a marker on its ray.
-        fewest: markers of a hand that tell where it is.
+        fewest: markers of a hand that tell how far away it is; in a grasp the patch is often the only one.
+        ray_reach_m: no marker begins on its ray further from the middle of its hand's, metres; a hand's length.
         loose_m: a marker whose place is less certain (standard deviation) is found anew by two views, metres: beyond it
             a depth is no longer linear in the pixels.
         lost_periods: one that nothing has shown for so many frame periods is not moved by a single view.
@@ -108,8 +109,9 @@ class TrackSettings:
     fresh_s: float = 0.04
     ray_sigma_m: float = 0.08
     moving_px_s: float = 60.0
-    ray_views: int = 2
-    fewest: int = 3
+    ray_views: int = 3
+    fewest: int = 1
+    ray_reach_m: float = 0.2
     loose_m: float = 0.03
     lost_periods: float = 2.5
     measured_m: float = 0.05
