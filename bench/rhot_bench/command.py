@@ -15,9 +15,10 @@ from rhot_bench.measures.rows import Section, check_output
 from rhot_bench.output import json_option, show
 from rhot_bench.speed.cores import Scene, capture_section, fusion_section, ik_section, pipeline_section
 from rhot_bench.speed.interleaved import Spread
-from rhot_bench.speed.live import live_section, processes_section
+from rhot_bench.speed.live import live_section
 from rhot_bench.speed.pi_budget import budget_section
 from rhot_bench.speed.scaling import scaling_section, scaling_steps
+from rhot_bench.speed.services import processes_section
 from rhot_bench.speed.soak import soak_section
 from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
 
@@ -111,6 +112,6 @@ def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) 
     for part, text in (("live", "the whole system live"), ("processes", "starting each service")):
         if part in parts:
             waiting = progress.add_task(text, total=None)
-            sections.append(live_section(6.0 if quick else 20.0) if part == "live" else processes_section(rig))
+            sections.append(live_section(rig, 6.0 if quick else 20.0) if part == "live" else processes_section(rig))
             progress.remove_task(waiting)
     return sections
