@@ -13,7 +13,6 @@ from rhot.bus import Bus
 from rhot.errors import BusError
 from rhot.rig import BusConfig
 
-
 pytestmark = pytest.mark.real_time
 
 
