@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import json
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
@@ -16,7 +17,7 @@ from devices.fake_picamera2 import FakePicamera2
 
 from rhot.bus import Bus
 from rhot.clock import SystemClock
-from rhot.errors import HungDeviceError
+from rhot.errors import ConfigError, HungDeviceError
 from rhot.messages import Control, ServiceStatus, decode
 from rhot.rig import BusConfig, CameraConfig, Rig, load_rig
 from rhot.service import grabber, runner
@@ -69,7 +70,11 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @asynccontextmanager
 async def running(
-    rig_folder: Path, router: BusConfig, monkeypatch: pytest.MonkeyPatch, **camera_fields: Any
+    rig_folder: Path,
+    router: BusConfig,
+    monkeypatch: pytest.MonkeyPatch,
+    prepare: Callable[[CaptureService], None] = lambda _: None,
+    **camera_fields: Any,
 ) -> AsyncIterator[tuple[Camera, Bus, asyncio.Task[int]]]:
     rig = load_rig(rig_folder)
     left = CameraConfig.model_validate({**rig.config.cameras["left"].model_dump(), **camera_fields})
@@ -78,9 +83,11 @@ async def running(
     camera = Camera()
     monkeypatch.setattr(capture_service, "open_source", camera.source)
     monkeypatch.setattr(capture_service, "latest_rig", lambda rig: rig)
+    service = CaptureService("left", rig, SystemClock())
+    prepare(service)
     async with await Bus.open(router) as bus:
         serve_clock(bus)
-        task = asyncio.create_task(serve(CaptureService("left", rig, SystemClock()), router, SystemClock()))
+        task = asyncio.create_task(serve(service, router, SystemClock()))
         try:
             control = bus.publisher("rhot/control", Control, reliable=True)
             assert await control.wait_for_reader(LIMIT_S)
@@ -156,3 +163,21 @@ async def test_a_client_without_a_server_shows_in_the_status(
         await status(bus, lambda status: status.counts.get("frames", 0) > 3)
         camera.metadata = {"SyncReady": True}
         await status(bus, lambda status: not status.problem)
+
+
+async def test_a_setting_taken_before_the_start_that_the_camera_refuses_ends_no_service(
+    rig_folder: Path, router: BusConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise ConfigError("camera left: gain means nothing to this driver")
+
+    def change(service: CaptureService) -> None:
+        service.reconfigure(service.config.model_copy(update={"gain": 2.0}))
+
+    monkeypatch.setattr(Picamera2Source, "apply", refuse)
+    async with running(rig_folder, router, monkeypatch, prepare=change) as (_, bus, task):
+        said = await status(bus, lambda status: status.counts.get("frames", 0) > 3)
+        assert "gain means nothing" in said.last_error
+        replies = await bus.get("rhot/config/capture/left?format=json")
+        assert json.loads(replies[0].payload)["gain"] == 4.0
+        assert not task.done()
