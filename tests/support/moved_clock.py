@@ -33,6 +33,9 @@ def _move(file: Path) -> None:
     true_ns = time.time_ns
 
     def moved_ns() -> int:
+        offset_ns: int
+        drift_ppb: int
+        since_ns: int
         offset_ns, drift_ppb, since_ns = struct.unpack(FORMAT, shared[:])
         return true_ns() + offset_ns + (drift_ppb * (time.monotonic_ns() - since_ns)) // 10**9
 
