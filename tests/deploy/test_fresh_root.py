@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from debian_root import DebianRoot, RootRefusedError, booted_root
+from machine.debian_root import DebianRoot, RootRefusedError, booted_root
 
 pytestmark = [pytest.mark.faults]
 
