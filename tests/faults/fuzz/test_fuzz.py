@@ -69,7 +69,7 @@ BAD_CHANGES = tuple(
 HOSTILE_CHUNKS = ("[", "..", "\x1b[2J", "\n", "a" * 200, "-", "%00", "√", "@x")
 MOST_MOVED_M = 5e-3
 """How far a joint of the still hand may wander. Its markers repeat; what is left is the filter's own settling (0.4 mm
-undisturbed) and what frames lost in the flood leave it (3.6 mm). A false sample that is believed moves it by centimetres.
+undisturbed) and what frames lost in the flood leave it (3.6 mm). What is false and believed moves it by centimetres.
 """
 MOST_GROWN_MB = 20.0
 _RATE_HZ = 60.0
