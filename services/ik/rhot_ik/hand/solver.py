@@ -73,6 +73,7 @@ class HandTrack:
         corners_measured: whether the corners of the patch measured the palm's rotation.
         base_seen_ns, measured_ns: when the base marker was there last, and when anything was measured.
         measured: (5,) whether each finger was.
+        sure: (5,) and whether well in all directions.
         lost_s: for how long the seen tips have missed the model.
         most_tips: how many tips met it at once so far; at least 1.
     """
@@ -86,6 +87,7 @@ class HandTrack:
     base_seen_ns: int
     measured_ns: int
     measured: BoolArray
+    sure: BoolArray
     lost_s: float = 0.0
     most_tips: int = 1
 
@@ -190,7 +192,15 @@ class HandSolver:
             base_seen_ns=seen.t_ns,
             measured_ns=seen.t_ns,
             measured=seen.tips_seen & seen.tips_measured,
+            sure=seen.tips_seen & seen.tips_measured & self._is_sure(seen),
         )
+
+    def _is_sure(self, seen: HandObservation) -> BoolArray:
+        """Tell which tips (5,) are known in all directions."""
+        if seen.tip_covariances is None:
+            return np.ones(5, dtype=np.bool_)
+        worst: BoolArray = np.trace(seen.tip_covariances, axis1=1, axis2=2) < self._rejoin.sure_m**2
+        return worst
 
     def _continued(self, before: HandTrack, seen: HandObservation, shapes: Sequence[Shape]) -> HandTrack:
         dt_s = (seen.t_ns - before.t_ns) / 1e9
@@ -200,7 +210,8 @@ class HandSolver:
         state = self._filter.update(expected, evidence, shapes=shapes)
         state, lost_s = self._reinitialised_if_lost(before, state, seen, dt_s)
         angles = self._angles(state, seen, before.shown)
-        left_s = np.where(measured & before.measured, before.rejoins_s, self._rejoin.lasts_s)
+        sure = measured & self._is_sure(seen)
+        left_s = np.where(sure & before.sure, before.rejoins_s, self._rejoin.lasts_s)
         shown, left_s = rejoined(self._geometry, angles, before.shown, left_s, dt_s, self._rejoin)
         return HandTrack(
             t_ns=seen.t_ns,
@@ -212,6 +223,7 @@ class HandSolver:
             base_seen_ns=before.base_seen_ns if seen.base is None else seen.t_ns,
             measured_ns=seen.t_ns if seen.measured_any else before.measured_ns,
             measured=measured,
+            sure=sure,
             lost_s=lost_s,
             most_tips=max(before.most_tips, int(np.count_nonzero(measured)) if lost_s == 0.0 else 1),
         )
