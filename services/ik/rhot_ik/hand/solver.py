@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -25,16 +24,6 @@ from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
 from rhot_ik.hand.rejoin import RejoinSettings, rejoined
 
 __all__ = ["HandObservation", "HandSolution", "HandSolver"]
-
-
-GAP_S: Final = 1.0
-"""After a silence this long nothing of the past is used."""
-LATE_S: Final = 0.1
-"""A sample that is older than the last one by less than this came out of order and is left out."""
-LOST_M: Final = 0.012
-"""When the seen tips miss the model by more than this on average …"""
-LOST_S: Final = 0.3
-"""… for this long, the hand is looked for anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,9 +147,9 @@ class HandSolver:
         before = self._track
         if before is not None:
             dt_s = (seen.t_ns - before.t_ns) / 1e9
-            if -LATE_S < dt_s < 0.0:
+            if -self._settings.late_s < dt_s < 0.0:
                 return None
-            if not 0.0 <= dt_s < GAP_S or self._is_over(seen, before):
+            if not 0.0 <= dt_s < self._settings.gap_s or self._is_over(seen, before):
                 before = None
         self._track = self._begun(seen) if before is None else self._continued(before, seen, shapes)
         if self._track is None:
@@ -235,10 +224,12 @@ class HandSolver:
         # One tip alone does not tell one end of a patch from the other, so it corrects only what rests on no more.
         if np.count_nonzero(seen.tips_seen & seen.tips_measured) < min(2, before.most_tips):
             return state, before.lost_s
-        if state.mean_residual_m < LOST_M:
+        if state.mean_residual_m < self._settings.lost_m:
             return state, 0.0
-        if before.lost_s + dt_s < LOST_S:
-            return state, before.lost_s + dt_s
+        # The further they are off, the less there is to wait for: 150 mm are a palm taken up the wrong way round.
+        lost_s = before.lost_s + dt_s * min(state.mean_residual_m / self._settings.lost_m, self._settings.lost_haste)
+        if lost_s < self._settings.lost_s:
+            return state, lost_s
         # What was learned of the person on a hand that was taken up wrongly is wrong as well.
         found = self._initialiser.find(seen)
         if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):
