@@ -268,8 +268,9 @@ class HandFilter(HandProcess):
             allowed = allowed + (by_pose @ P @ by_pose.T).reshape(5, 3, 5, 3)[_TIPS, :, _TIPS]
         share = (missed * np.linalg.solve(allowed, missed[:, :, None])[:, :, 0]).sum(-1)
         doubted = noise.copy()
-        # A tip within the model's own error keeps its weight; one far beyond has next to none (Geman & McClure 1987).
-        doubted[:5] += (self.settings.miss_m**2 * share * share / (1.0 + share))[:, None, None] * _UNIT
+        # A tip further off than any model's error loses next to all of its weight.
+        doubted[:5] *= (1.0 + share)[:, None, None]
+        doubted[:5] += (self.settings.miss_m**2 * np.maximum(0.0, share - 1.0))[:, None, None] * _UNIT
         return doubted
 
     def _within_limits(self, dx: FloatArray, angles: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
