@@ -27,8 +27,8 @@ sim: $(READY)
 
 # Real processes want both cores to themselves; everything else shares them.
 test: lint
-	@$(BIN)/pytest --numprocesses auto -m "not integration" -rs
-	@$(BIN)/pytest -m integration -rs
+	@$(BIN)/pytest --numprocesses auto -m "not integration and not faults" -rs
+	@$(BIN)/pytest -m "integration and not faults" -rs
 
 lint: $(READY)
 	@$(BIN)/ruff check

@@ -10,12 +10,19 @@ readonly SOURCE
 readonly ROOT="${RHOT_INSTALL_ROOT:-}"
 readonly PREFIX="$ROOT/opt/rhot"
 readonly VENV="$PREFIX/venv"
-readonly RIG="$ROOT/etc/rhot"
+# The state of the services' own user: "Save" in the page writes there, and nowhere else.
+readonly STATE="$ROOT/var/lib/rhot"
+readonly RIG="$STATE/rig"
+# Where the rig lay until 2026.
+readonly FORMER_RIG="$ROOT/etc/rhot"
 readonly DEFAULTS="$ROOT/etc/default/rhot"
 readonly UNITS="$ROOT/etc/systemd/system"
 readonly DROP_INS="$UNITS/rhot-.service.d"
+readonly START_DROP_INS="$UNITS/rhot-start.service.d"
+readonly TIME_DROP_INS="$UNITS/systemd-time-wait-sync.service.d"
 readonly OS_RELEASE="$ROOT/etc/os-release"
-readonly PC_SERVICES=(rhot-router.service rhot-fusion.service rhot-ik.service rhot-objects.service)
+readonly PC_SERVICES=(rhot-router.service rhot-fusion.service rhot-ik.service rhot-objects.service
+    rhot-feet.service rhot-viewer.service rhot-start.service)
 # First version that knows RestartSteps= and RestartMaxDelaySec=.
 readonly BACKOFF_VERSION=254
 
@@ -34,12 +41,12 @@ Usage: sudo $PROGRAM capture --camera NAME [--camera NAME] [--connect ENDPOINT] 
        sudo $PROGRAM --uninstall [--purge] [--dry-run]
 
   capture              this machine has cameras: one service rhot-capture@NAME for each
-  pc                   this machine runs router, fusion, ik and objects
+  pc                   this machine runs router, fusion, ik, objects, feet and the web page
   --camera NAME        name of a camera in rig.toml, such as left
   --connect ENDPOINT   where the router is, such as tcp/192.168.1.10:7447; kept in /etc/default/rhot
   --without-picamera2  this machine has USB cameras only
-  --uninstall          remove services, program and user; keep the rig in /etc/rhot
-  --purge              with --uninstall: remove the rig and /etc/default/rhot, too
+  --uninstall          remove services, program and user; keep the rig in /var/lib/rhot
+  --purge              with --uninstall: remove the rig, its recordings and /etc/default/rhot, too
   --dry-run            print what would be done and do nothing
 
 Run again to update.
@@ -179,11 +186,17 @@ install_program() {
 }
 
 install_rig() {
+    run install -d -m 0755 "$STATE"
     if [[ -e $RIG/rig.toml ]]; then
         printf 'keeping the rig in %s\n' "$RIG"
+    elif [[ -e $FORMER_RIG/rig.toml ]]; then
+        run cp -R "$FORMER_RIG" "$RIG"
+        printf 'copied the rig from %s, which is read no longer, to %s\n' "$FORMER_RIG" "$RIG"
     else
         run "$VENV/bin/rhot" init "$RIG"
     fi
+    # Whoever has put files there: the services write as this user.
+    run chown -R rhot:rhot "$STATE"
     if [[ -e $DEFAULTS ]]; then
         printf 'keeping %s\n' "$DEFAULTS"
         if [[ -n $connect ]] && ! grep -qxF "RHOT_CONNECT=$connect" "$DEFAULTS"; then
@@ -196,6 +209,7 @@ install_rig() {
 # Settings of this machine for all RHOT services; they win over rig.toml. After a change: systemctl restart rhot.target
 # RHOT_CONNECT: the Zenoh router, such as tcp/192.168.1.10:7447; several are separated by commas.
 # RHOT_NAMESPACE: keeps several rigs on one network apart.
+# RHOT_PAGE_HOST=0.0.0.0: other machines may open the page, with one of the links in /var/lib/rhot/page.links.
 ${connect:+RHOT_CONNECT=$connect}
 EOF
 }
@@ -211,11 +225,13 @@ install_units() {
         files=(rhot.target "${PC_SERVICES[@]}")
         enable=("${PC_SERVICES[@]}")
     fi
-    run install -d -m 0755 "$UNITS" "$DROP_INS"
+    run install -d -m 0755 "$UNITS" "$DROP_INS" "$START_DROP_INS" "$TIME_DROP_INS"
     for file in "${files[@]}"; do
         run install -m 0644 "$SOURCE/deploy/systemd/$file" "$UNITS/$file"
     done
     run install -m 0644 "$SOURCE/deploy/systemd/rhot-.service.d/hardening.conf" "$DROP_INS/hardening.conf"
+    run install -m 0644 "$SOURCE/deploy/systemd/rhot-start.service.d/oneshot.conf" "$START_DROP_INS/oneshot.conf"
+    run install -m 0644 "$SOURCE/deploy/systemd/systemd-time-wait-sync.service.d/rhot.conf" "$TIME_DROP_INS/rhot.conf"
     version="$(systemctl --version | sed -n '1s/^systemd \([0-9]*\).*/\1/p')"
     if [[ ${version:-0} -ge $BACKOFF_VERSION ]]; then
         run install -m 0644 "$SOURCE/deploy/systemd/rhot-.service.d/backoff.conf" "$DROP_INS/backoff.conf"
@@ -223,10 +239,23 @@ install_units() {
         run rm -f "$DROP_INS/backoff.conf"
     fi
     run systemctl daemon-reload
+    enable_time_wait
     run systemctl enable --quiet rhot.target "${enable[@]}"
     # Not waiting: a service is ready when it has reached the router, which may be switched off right now.
     run systemctl start --no-block rhot.target
     run systemctl restart --no-block "${enable[@]}"
+}
+
+# The services come after time-sync.target, which is reached at once unless a unit waits for the clock in front of it.
+enable_time_wait() {
+    local unit
+    for unit in chrony-wait.service systemd-time-wait-sync.service; do
+        if systemctl cat "$unit" >/dev/null 2>&1; then
+            run systemctl enable --quiet "$unit"
+            return
+        fi
+    done
+    printf '%s: nothing here waits for the clock to be set (install systemd-timesyncd or chrony); the rig starts without\n' "$PROGRAM" >&2
 }
 
 uninstall_all() {
@@ -238,15 +267,15 @@ uninstall_all() {
         run systemctl disable --quiet --now rhot.target "${names[@]}"
     fi
     run rm -f "$UNITS/rhot.target" "$UNITS/rhot-capture@.service" "${PC_SERVICES[@]/#/$UNITS/}"
-    run rm -rf "$DROP_INS" "$PREFIX"
+    run rm -rf "$DROP_INS" "$START_DROP_INS" "$TIME_DROP_INS" "$PREFIX"
     run systemctl daemon-reload
     if id rhot >/dev/null 2>&1; then
         run userdel rhot
     fi
     if [[ $purge == yes ]]; then
-        run rm -rf "$RIG" "$DEFAULTS"
-    elif [[ -e $RIG ]]; then
-        printf 'keeping the rig in %s (remove it with --uninstall --purge)\n' "$RIG"
+        run rm -rf "$STATE" "$DEFAULTS"
+    elif [[ -e $STATE ]]; then
+        printf 'keeping the rig in %s (remove it with --uninstall --purge)\n' "$STATE"
     fi
 }
 
@@ -264,7 +293,7 @@ main() {
     install_rig
     install_units
     if [[ $dry_run == no ]]; then
-        echo "RHOT ($role) is installed; look with: systemctl status 'rhot-*', journalctl -fu 'rhot-*', rhot doctor --rig /etc/rhot"
+        echo "RHOT ($role) is installed; look with: systemctl status 'rhot-*', journalctl -fu 'rhot-*', rhot doctor --rig /var/lib/rhot/rig"
     fi
 }
 

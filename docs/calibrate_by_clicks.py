@@ -21,9 +21,9 @@ import click
 DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent / "tests" / "support"))
 
-from browser import CHROMIUM, Browser, open_browser, wait_until  # noqa: E402
 from make_screenshots import page_of, put_notice_away, save  # noqa: E402
-from page_actions import choose, chosen, look_through, place_of_pixel, press_until, text_shows  # noqa: E402
+from page.actions import choose, chosen, look_through, place_of_pixel, press_until, text_shows  # noqa: E402
+from page.browser import CHROMIUM, Browser, open_browser, wait_until  # noqa: E402
 
 from rhot.rig import load_rig  # noqa: E402
 from rhot.rig.folder import RIG_FILE  # noqa: E402

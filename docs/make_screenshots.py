@@ -20,7 +20,7 @@ import click
 DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent / "tests" / "support"))
 
-from browser import CHROMIUM, Browser, open_browser  # noqa: E402
+from page.browser import CHROMIUM, Browser, open_browser  # noqa: E402
 
 IMAGES = DOCS / "images"
 DESKTOP = (1280, 800)

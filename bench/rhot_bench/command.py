@@ -15,13 +15,15 @@ from rhot_bench.measures.rows import Section, check_output
 from rhot_bench.output import json_option, show
 from rhot_bench.speed.cores import Scene, capture_section, fusion_section, ik_section, pipeline_section
 from rhot_bench.speed.interleaved import Spread
-from rhot_bench.speed.live import live_section, processes_section
+from rhot_bench.speed.live import live_section
 from rhot_bench.speed.pi_budget import budget_section
 from rhot_bench.speed.scaling import scaling_section, scaling_steps
+from rhot_bench.speed.secured import secured_section
+from rhot_bench.speed.services import processes_section
 from rhot_bench.speed.soak import soak_section
 from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
 
-PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "live", "processes")
+PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "live", "processes", "tls")
 LONG_PARTS: Final = ("soak",)
 """Measured only where they are asked for by name."""
 
@@ -65,6 +67,7 @@ def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | N
     budget     what capture would cost on a Pi 3, 4 and 5: an estimate on paper
     live       latency of the whole system, as processes on the bus
     processes  start-up time and memory of each service
+    tls        what a secured bus costs: latency with and without certificates
     soak       hours of the running rig: memory, descriptors, threads, latency and losses, each minute
 
     The machine should do nothing else meanwhile. This takes about two minutes, or one with --quick.
@@ -90,7 +93,7 @@ def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | N
 def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) -> list[Section]:
     seconds = 0.6 if quick else 6.0
     sections: list[Section] = []
-    if set(parts) - {"live", "processes"}:
+    if set(parts) - {"live", "processes", "tls"}:
         pictures = progress.add_task("rendering", total=2 * seconds * RATE_HZ)
         scene = Scene(rig, seconds, lambda: progress.advance(pictures))
         work = progress.add_task("measuring the cores", total=4 + scaling_steps())
@@ -111,6 +114,10 @@ def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) 
     for part, text in (("live", "the whole system live"), ("processes", "starting each service")):
         if part in parts:
             waiting = progress.add_task(text, total=None)
-            sections.append(live_section(6.0 if quick else 20.0) if part == "live" else processes_section(rig))
+            sections.append(live_section(rig, 6.0 if quick else 20.0) if part == "live" else processes_section(rig))
             progress.remove_task(waiting)
+    if "tls" in parts:
+        waiting = progress.add_task("a bus with and without TLS", total=None)
+        sections.append(secured_section(6.0 if quick else 20.0))
+        progress.remove_task(waiting)
     return sections

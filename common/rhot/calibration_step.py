@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, Literal, Protocol
 
 from rhot.errors import ConfigError
-from rhot.rig.config import BusConfig
+from rhot.rig.bus_config import BusConfig
 
 GROUP: Final = "rhot.page_steps"
 ORDER: Final = {

@@ -6,7 +6,8 @@ leaves (rig time); the node notes t3 when the answer is there (own time). With t
     offset = rig − node = ((t1 − t0) + (t2 − t3)) / 2,        round trip = (t3 − t0) − (t2 − t1),
 
 and whatever the delays were, the true offset lies within ± round trip / 2 of that (Mills, RFC 5905 section 8). The
-exchanges with the shortest round trips of the last minute therefore count; a line through them gives the drift.
+exchanges with the shortest round trips of the last minute therefore count; a line through them gives the drift. What
+is stated as uncertainty is how far the bounds of all of them together let the truth be from that.
 """
 
 from __future__ import annotations
@@ -17,13 +18,19 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rhot.errors import BusError
+
+FloatArray = NDArray[np.float64]
 
 WINDOW: Final = 120
 """Exchanges kept: one minute at two a second."""
 MAX_DRIFT: Final = 200e-6
 """No quartz is worse; bounds how the uncertainty grows between exchanges."""
+_DRIFT_STEP: Final = 4e-6
+"""Between the drifts that are tried; half of it is more than a quartz wanders in a minute indoors."""
+_DRIFTS: Final = np.arange(-MAX_DRIFT, MAX_DRIFT + 0.5 * _DRIFT_STEP, _DRIFT_STEP)
 _FIT_SPAN_NS: Final = 10_000_000_000
 """A drift is fitted only over at least this long; over less it would be noise."""
 _STEP_MARGIN_NS: Final = 1_000_000
@@ -154,6 +161,7 @@ class ClockEstimator:
         self._base_offset_ns = 0
         self._drift = 0.0
         self._error_ns = 0.0
+        self._drift_error = MAX_DRIFT
         self.steps = 0
 
     @property
@@ -204,7 +212,7 @@ class ClockEstimator:
         if not self.ready:
             raise BusError("the rig clock is not known yet: no service answered rhot/clock; is fusion running?")
         age_ns = max(0, node_ns - self._exchanges[-1].mid_ns)
-        return self._error_ns + MAX_DRIFT * age_ns
+        return self._error_ns + self._drift_error * age_ns
 
     def _fit(self) -> None:
         mids = np.array([exchange.mid_ns - self._exchanges[-1].mid_ns for exchange in self._exchanges], dtype=float)
@@ -223,16 +231,48 @@ class ClockEstimator:
             if spread > 0:
                 drift = float(np.clip((weights @ (centred * (offsets - mean_offset))) / spread, -MAX_DRIFT, MAX_DRIFT))
         estimate = mean_offset - drift * mean_mid
-        self._drift = drift
+        # Nothing of that is more than a best guess, so it is held to what the bounds of all exchanges leave possible.
+        left = _possible(mids, offsets, trips)
+        if left is None:
+            # No steady clocks can have given these: one of them changed its rate. Only what is newer counts.
+            for _ in range(len(self._exchanges) // 2):
+                self._exchanges.popleft()
+            self._fit()
+            return
+        (least_ns, most_ns), (slowest, fastest) = left
+        estimate = min(max(estimate, least_ns), most_ns)
+        self._drift = min(max(drift, slowest), fastest)
         self._base_node_ns = self._exchanges[-1].mid_ns
         self._base_offset_ns = newest_offset + round(estimate)
-        # Every exchange bounds the true offset; moved to now, each bound widens by what the drift may still hide.
-        remaining = np.full(len(mids), MAX_DRIFT) if drift == 0.0 else np.full(len(mids), 0.1 * MAX_DRIFT)
-        moved = offsets - drift * mids
-        half_widths = trips / 2 + remaining * np.abs(mids)
-        upper = np.min(moved + half_widths) - estimate
-        lower = estimate - np.max(moved - half_widths)
-        self._error_ns = float(max(upper, lower, floor / 4, 0.0))
+        self._error_ns = max(most_ns - estimate, estimate - least_ns)
+        self._drift_error = max(fastest - self._drift, self._drift - slowest)
+
+
+def _possible(
+    mids: FloatArray, offsets: FloatArray, trips: FloatArray
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Return the least and most that the offset at time 0 and the drift can be, whatever the delays were.
+
+    With a steady drift d each exchange i says o_i − h_i ≤ x + d·m_i ≤ o_i + h_i, h_i half its round trip. All d of a
+    grid are tried; the bounds are widened by what lies between two of them, so that the true one is never missed.
+
+    Args:
+        mids: (N,) m_i, nanoseconds, none after 0.
+        offsets: (N,) o_i, nanoseconds.
+        trips: (N,) nanoseconds.
+    """
+    half_widths = trips / 2 + 0.5 * _DRIFT_STEP * np.abs(mids) + 1.0
+    moved = offsets - _DRIFTS[:, None] * mids
+    lower, upper = (moved - half_widths).max(axis=1), (moved + half_widths).min(axis=1)
+    possible = lower <= upper
+    if not possible.any():
+        return None
+    drifts = _DRIFTS[possible]
+    half = 0.5 * _DRIFT_STEP
+    return (
+        (float(lower[possible].min()), float(upper[possible].max())),
+        (float(drifts[0]) - half, float(drifts[-1]) + half),
+    )
 
 
 class SyncedRigClock:

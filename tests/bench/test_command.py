@@ -8,7 +8,7 @@ import pytest
 
 from rhot.errors import ConfigError
 from rhot_bench.command import bench
-from rhot_bench.speed.live import latency_rows
+from rhot_bench.speed.live import Arrivals, latencies_s, live_rows
 from rhot_bench.speed.pi_budget import slowness
 from rhot_bench.speed.scaling import growth_row
 
@@ -68,14 +68,8 @@ def test_pis_are_ordered_and_anchored_at_the_thesis() -> None:
     assert ratios["Pi 3"] > ratios["Pi 4"] > ratios["Pi 5"] > 1.0
 
 
-def test_latency_counts_from_the_picture() -> None:
-    parts = {
-        "age when the picture is there": {"p50": 9.0, "p99": 9.5},
-        "age when ik publishes": {"p50": 12.5, "p99": 17.0},
-        "work: fusion": {"p50": 0.2, "p99": 0.4},
-    }
-    rows = {row.name: row for row in latency_rows({"latency_ms": {"p50": 13.0, "p99": 18.0, "parts": parts}})}
-    assert rows["picture in memory to published pose, p50"].value == pytest.approx(3.5)
-    assert rows["picture in memory to published pose, p99"].value == pytest.approx(8.0)
-    assert rows["work: fusion, p99"].value == pytest.approx(0.4)
-    assert {row.verdict for row in latency_rows({})} == {"not measured", ""}
+def test_latency_counts_from_the_newest_picture_of_a_hand() -> None:
+    frames = [(0, 9_000_000), (7_000_000, 16_000_000), (16_700_000, 25_700_000)]
+    hands = [(7_000_400, 19_000_000), (16_700_000, 30_700_000), (16_700_000, 20_000_000)]
+    assert latencies_s(frames, hands) == pytest.approx([0.003, 0.005])
+    assert {row.verdict for row in live_rows(Arrivals(), 1.0, 60.0)} == {"not measured", "missed", "met", ""}

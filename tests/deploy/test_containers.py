@@ -11,7 +11,13 @@ from typing import Any
 import pytest
 import yaml
 
-RHOT_SERVICES = ("fusion", "ik", "objects", "truth", "capture-left", "capture-right")
+RHOT_SERVICES = ("fusion", "ik", "objects", "feet", "viewer", "truth", "capture-left", "capture-right")
+VOLUMES = {
+    "viewer": ["rig:/rig", "recordings:/recordings"],
+    "capture-left": ["rig:/rig"],
+    "capture-right": ["rig:/rig"],
+}
+"""Those that save write into the rig; for all others it is read-only."""
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +46,7 @@ def rhot_commands(words: list[str]) -> list[list[str]]:
 def all_commands(compose: dict[str, Any]) -> dict[str, list[list[str]]]:
     found: dict[str, list[list[str]]] = {}
     for name, service in compose["services"].items():
-        if service["image"] != "rhot":
+        if not service["image"].startswith("rhot:"):
             continue
         entry = service.get("entrypoint", ["rhot"])
         commands = rhot_commands([*entry, *service.get("command", [])])
@@ -72,7 +78,7 @@ def test_each_service_runs_alone_restarts_and_can_do_little(compose: dict[str, A
     assert service["read_only"] is True
     assert service["cap_drop"] == ["ALL"]
     assert service["security_opt"] == ["no-new-privileges:true"]
-    assert service["volumes"] == ["rig:/rig:ro"]
+    assert service["volumes"] == VOLUMES.get(name, ["rig:/rig:ro"])
     assert service["environment"] == {"RHOT_RIG": "/rig", "RHOT_CONNECT": "tcp/router:7447"}
     kind, _, instance = name.partition("-")
     assert service["healthcheck"]["test"] == ["CMD", "rhot", "get", f"rhot/status/{kind}/{instance or 'main'}"]
@@ -108,6 +114,29 @@ def test_the_router_is_as_new_as_our_zenoh(compose: dict[str, Any]) -> None:
     assert version[1].split(".")[:2] == metadata.version("eclipse-zenoh").split(".")[:2]
 
 
+def test_images_stand_still(compose: dict[str, Any], dockerfile: list[list[str]], repository: Path) -> None:
+    """A full version or a digest: what runs today runs tomorrow."""
+    version = tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    for service in compose["services"].values():
+        if service["image"].startswith("rhot:"):
+            assert service["image"] == f"rhot:${{RHOT_VERSION:-{version}}}"
+        else:
+            assert re.fullmatch(r"eclipse/zenoh:\$\{ZENOH_VERSION:-\d+\.\d+\.\d+}", service["image"])
+    (base,) = [words[1] for words in dockerfile if words[0] == "ARG"]
+    assert re.fullmatch(r"PYTHON_IMAGE=python:\d+\.\d+\.\d+-slim-\w+", base)
+
+
+def test_the_page_is_open_to_this_machine_only(compose: dict[str, Any]) -> None:
+    viewer = compose["services"]["viewer"]
+    assert viewer["ports"] == ["127.0.0.1:8080:8080"]
+    assert viewer["command"] == ["viewer", "--host", "0.0.0.0", "--recordings", "/recordings"]
+    assert {"rig", "recordings"} == set(compose["volumes"])
+
+
+def test_the_rig_starts_again_when_the_machine_does(compose: dict[str, Any]) -> None:
+    assert compose["services"]["start"]["restart"] == "unless-stopped"
+
+
 def test_the_image_is_built_from_this_checkout(compose: dict[str, Any], repository: Path) -> None:
     build = compose["services"]["rig"]["build"]
     context = (repository / "deploy" / build["context"]).resolve()
@@ -139,7 +168,7 @@ def test_extras_in_image_and_script_exist(dockerfile: list[list[str]], repositor
 
 def test_the_image_is_small_and_not_root(dockerfile: list[list[str]]) -> None:
     stages = [words for words in dockerfile if words[0] == "FROM"]
-    assert [words[1] for words in stages] == ["python:3.12-slim"] * 2
+    assert [words[1] for words in stages] == ["${PYTHON_IMAGE}"] * 2
     last = dockerfile[dockerfile.index(stages[-1]) :]
     assert ["USER", "rhot"] in last
     assert not [words for words in last if "pip" in words]

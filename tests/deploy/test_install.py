@@ -23,6 +23,14 @@ esac
 """  # noqa: E501  # a line of the script
 
 
+NO_CHRONY = f"""{STUB}case "$*" in
+--version) echo "systemd 252 (252.1)" ;;
+"cat chrony"*) exit 1 ;;
+esac
+exit 0
+"""
+
+
 class Machine:
     """A make-believe machine: files below a folder, and commands that only write down how they were called."""
 
@@ -34,7 +42,7 @@ class Machine:
         self._bin.mkdir()
         (self.root / "etc").mkdir(parents=True)
         (self.root / "etc/os-release").write_text('ID=raspbian\nID_LIKE="debian"\n', encoding="utf-8")
-        for name in ("apt-get", "useradd", "userdel"):
+        for name in ("apt-get", "useradd", "userdel", "chown"):
             self.command(name, STUB)
         self.command("python3", PYTHON_STUB)
         self.command("uname", "#!/bin/sh\necho aarch64\n")
@@ -114,14 +122,16 @@ def test_a_dry_run_does_nothing_and_plans_the_same_twice(machine: Machine, argum
     assert first.returncode == 0, first.stderr
     assert first.stdout == second.stdout
     assert machine.files() == before
-    assert not [call for call in machine.calls if not call.startswith(("python3 -c", "systemctl --version"))]
+    assert not [
+        call for call in machine.calls if not call.startswith(("python3 -c", "systemctl --version", "systemctl cat"))
+    ]
 
 
 def test_the_dry_run_tells_what_the_real_run_does(machine: Machine) -> None:
     plan = machine.install(*CAPTURE, "--dry-run").stdout.replace(str(machine.root), "").replace("\\", "")
     planned = [line.removeprefix("+ ").removeprefix("/opt/rhot/venv/bin/") for line in plan.splitlines()]
     machine.install(*CAPTURE)
-    looks = ("python3 -c", "systemctl --version")
+    looks = ("python3 -c", "systemctl --version", "systemctl cat")
     commands = [call for call in machine.calls if not call.startswith(looks)]
     assert len(commands) > 10
     assert [call for call in commands if call not in planned] == []
@@ -136,7 +146,9 @@ def test_installing_a_camera_twice_leaves_the_same_files(machine: Machine) -> No
         f"{units}/rhot.target",
         f"{units}/rhot-capture@.service",
         f"{units}/rhot-.service.d/hardening.conf",
-        "etc/rhot/rig.toml",
+        "var/lib/rhot/rig/rig.toml",
+        f"{units}/rhot-start.service.d/oneshot.conf",
+        f"{units}/systemd-time-wait-sync.service.d/rhot.conf",
         "etc/default/rhot",
         "opt/rhot/share/deploy.md",
     } <= set(files)
@@ -152,15 +164,44 @@ def test_installing_a_camera_twice_leaves_the_same_files(machine: Machine) -> No
 
 
 def test_a_rig_and_settings_that_are_there_stay(machine: Machine) -> None:
-    (machine.root / "etc/rhot").mkdir()
-    (machine.root / "etc/rhot/rig.toml").write_text("mine", encoding="utf-8")
+    rig = machine.root / "var/lib/rhot/rig"
+    rig.mkdir(parents=True)
+    (rig / "rig.toml").write_text("mine", encoding="utf-8")
     (machine.root / "etc/default").mkdir()
     (machine.root / "etc/default/rhot").write_text("RHOT_CONNECT=tcp/10.9.9.9:7447\n", encoding="utf-8")
     result = machine.install(*CAPTURE)
     assert result.returncode == 0, result.stderr
-    assert machine.files()["etc/rhot/rig.toml"] == b"mine"
+    assert machine.files()["var/lib/rhot/rig/rig.toml"] == b"mine"
     assert machine.files()["etc/default/rhot"] == b"RHOT_CONNECT=tcp/10.9.9.9:7447\n"
     assert "does not say RHOT_CONNECT=tcp/10.0.0.1:7447" in result.stderr
+
+
+def test_a_rig_of_a_former_installation_comes_along(machine: Machine) -> None:
+    """It lay in a folder of root's, where the services could not save."""
+    (machine.root / "etc/rhot").mkdir()
+    (machine.root / "etc/rhot/rig.toml").write_text("mine", encoding="utf-8")
+    (machine.root / "etc/rhot/colors.json").write_text("{}", encoding="utf-8")
+    result = machine.install("pc")
+    assert "copied the rig from" in result.stdout
+    files = machine.files()
+    assert files["var/lib/rhot/rig/rig.toml"] == files["etc/rhot/rig.toml"] == b"mine"
+    assert "var/lib/rhot/rig/colors.json" in files
+    (machine.root / "etc/rhot/rig.toml").write_text("changed since", encoding="utf-8")
+    machine.install("pc")
+    assert machine.files()["var/lib/rhot/rig/rig.toml"] == b"mine"
+
+
+def test_the_rig_belongs_to_the_services(machine: Machine) -> None:
+    machine.install(*CAPTURE)
+    assert "chown -R rhot:rhot /var/lib/rhot" in machine.calls
+
+
+def test_something_waits_for_the_clock(machine: Machine) -> None:
+    machine.install("pc")
+    assert "systemctl enable --quiet chrony-wait.service" in machine.calls
+    machine.command("systemctl", NO_CHRONY)
+    machine.install("pc")
+    assert "systemctl enable --quiet systemd-time-wait-sync.service" in machine.calls
 
 
 def test_the_pi_gets_picamera2_and_the_program_for_it(machine: Machine) -> None:
@@ -182,8 +223,8 @@ def test_a_machine_with_usb_cameras_needs_no_picamera2(machine: Machine) -> None
 def test_the_pc_gets_all_its_services(machine: Machine) -> None:
     result = machine.install("pc")
     assert result.returncode == 0, result.stderr
-    enabled = next(call for call in machine.calls if call.startswith("systemctl enable"))
-    for name in ("router", "fusion", "ik", "objects"):
+    enabled = next(call for call in machine.calls if call.startswith("systemctl enable --quiet rhot.target"))
+    for name in ("router", "fusion", "ik", "objects", "feet", "viewer", "start"):
         assert f"rhot-{name}.service" in enabled
         assert f"etc/systemd/system/rhot-{name}.service" in machine.files()
     assert "capture" not in enabled
@@ -206,7 +247,7 @@ def test_uninstalling_keeps_the_rig_and_can_be_repeated(machine: Machine) -> Non
     assert result.returncode == 0, result.stderr
     assert "systemctl disable --quiet --now rhot.target rhot-capture@left.service" in machine.calls
     assert "userdel rhot" in machine.calls
-    assert set(machine.files()) == {"etc/os-release", "etc/rhot/rig.toml", "etc/default/rhot"}
+    assert set(machine.files()) == {"etc/os-release", "var/lib/rhot/rig/rig.toml", "etc/default/rhot"}
     machine.user(exists=False)
     assert machine.install("--uninstall").returncode == 0
     assert machine.install("--uninstall", "--purge").returncode == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import termios
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -166,6 +167,41 @@ async def test_a_sensor_that_is_pulled_out_comes_back(rig: Rig, router: BusConfi
         await foot(bus, lambda pose: pose.side == "left" and not pose.stationary and pose.stage == "marker")
         assert "sensor" in (await status(bus, lambda status: bool(status.problem))).problem
         sensor.plugged = True
+        await foot(bus, lambda pose: pose.side == "left" and pose.stationary)
+        await status(bus, lambda status: not status.problem)
+
+
+async def test_what_a_driver_raises_costs_its_device_and_not_the_service(rig: Rig, router: BusConfig) -> None:
+    class Odd(Sensor):
+        def open(self, start_ns: int) -> None:
+            if not self.plugged:
+                raise termios.error(5, "Input/output error")
+
+        def read(self, now_ns: int) -> ImuSamples:
+            if not self.plugged:
+                raise KeyError(4711)
+            return super().read(now_ns)
+
+    class OddCamera(Camera):
+        def open(self, start_ns: int) -> None:
+            if not self.plugged:
+                raise RuntimeError("failed to set power state")
+
+        def read(self, timeout_s: float) -> DepthFrame | None:
+            if not self.plugged:
+                raise IndexError("no such stream")
+            return super().read(timeout_s)
+
+    camera, sensor = OddCamera(), Odd()
+    async with running(rig, router, camera, sensor) as bus:
+        await foot(bus, lambda pose: pose.side == "left" and pose.stationary)
+        camera.plugged = sensor.plugged = False
+        said = await status(
+            bus, lambda status: "Input/output error" in status.problem and "power state" in status.problem
+        )
+        assert "left sensor: open" in said.problem
+        assert "depth camera: open" in said.problem
+        camera.plugged = sensor.plugged = True
         await foot(bus, lambda pose: pose.side == "left" and pose.stationary)
         await status(bus, lambda status: not status.problem)
 

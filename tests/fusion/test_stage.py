@@ -297,13 +297,13 @@ markers = st.builds(
     v=numbers,
     area=st.floats(0.0, 1e9),
     score=st.floats(0.0, 1.0),
-    t_ns=st.one_of(st.none(), st.integers(0, (1 << 63) - 1)),
+    t_ns=st.one_of(st.none(), st.integers(0, (1 << 62) - 1)),
     corners=st.one_of(st.none(), st.tuples(*[st.tuples(numbers, numbers)] * 4)),
 )
 frames = st.builds(
     MarkerFrame,
     t_ns=st.one_of(
-        st.integers(0, (1 << 63) - 1), st.integers(EPOCH_NS, EPOCH_NS + 10**9), st.sampled_from([0, 1, (1 << 63) - 1])
+        st.integers(0, (1 << 62) - 1), st.integers(EPOCH_NS, EPOCH_NS + 10**9), st.sampled_from([0, 1, (1 << 62) - 1])
     ),
     camera=st.sampled_from(["left", "right", "middle"]),
     width=st.sampled_from([640, 1, 65536]),

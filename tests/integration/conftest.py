@@ -2,43 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Generator
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 from rig_processes import Processes
-from wall_clock import ForeignLoad, excuse
 
 from rhot.bus import Bus
 from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE
 from rhot_sim.rig.folder import write_simulated_rig
 from rhot_sim.running.run import free_endpoint
-
-LOAD = pytest.StashKey[ForeignLoad]()
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
-    """Watch who else uses the machine during tests whose limits are times on the clock."""
-    if item.get_closest_marker("real_time") is None:
-        return (yield)
-    load = item.stash[LOAD] = ForeignLoad()
-    load.start()
-    return (yield)
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(
-    item: pytest.Item, call: pytest.CallInfo[None]
-) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Do not judge a limit on the wall clock that was missed while others used the machine; say so instead."""
-    report = yield
-    if call.when == "call" and LOAD in item.stash:
-        others = item.stash[LOAD].stop()
-        if report.failed and call.excinfo is not None and (reason := excuse(call.excinfo.value, others)):
-            report.outcome, report.longrepr = "skipped", (str(item.path), item.location[1] or 0, reason)
-    return report
 
 
 @pytest.fixture(scope="session")

@@ -13,9 +13,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from browser import CHROMIUM, Browser, open_browser, wait_until
 from numpy.typing import NDArray
-from page_actions import canvas_size, choose, on_screen, place_of_pixel, press_until, text_shows
+from page.actions import canvas_size, choose, on_screen, place_of_pixel, press_until, text_shows
+from page.browser import CHROMIUM, Browser, open_browser, wait_until
 from stub_rig import StubRig, StubThread
 
 from rhot.rig import load_rig

@@ -102,3 +102,27 @@ def test_a_skewed_clock_is_off_as_asked() -> None:
     origin = clock.now_ns()
     later = clock.from_true_ns(origin - 123_000_000 + 10**10)
     assert later - origin - 10**10 == pytest.approx(500_000, abs=20_000)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_uncertainty_is_true_while_a_link_turns_slow(seed: int) -> None:
+    """Ten seconds of a quick link teach a drift; then 20 ± 5 ms each way, unlike in the two directions."""
+    rng = np.random.default_rng(seed)
+    drift, offset_ns = rng.uniform(-100e-6, 100e-6), 5_000_000_000
+    estimator = ClockEstimator()
+    worst = 0.0
+    for step in range(140):
+        t0 = 1_000_000_000 + step * 500_000_000
+        quick = step < 20
+        there, back = rng.exponential(0.5e6, 2) + 0.1e6 if quick else rng.uniform(15e6, 25e6, 2)
+
+        def rig(node_ns: float) -> int:
+            return round(node_ns + offset_ns + drift * (node_ns - 1_000_000_000))
+
+        t3 = t0 + round(there + back)
+        estimator.add(Exchange(t0, rig(t0 + there), rig(t0 + there), t3))
+        now = t3 + 400_000_000
+        error_ns = abs(estimator.offset_at(now) - (rig(now) - now))
+        worst = max(worst, error_ns / estimator.uncertainty_at(now))
+    assert worst <= 1.0
+    assert estimator.steps == 0

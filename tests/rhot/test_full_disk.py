@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from failing_disk import Disk, Failure, small_disk
 from hand_messages import hand_pose, marker_frame, point_set
+from machine.failing_disk import Disk, Failure, small_disk
 
 from rhot.cli import main
 from rhot.errors import ConfigError

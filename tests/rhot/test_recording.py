@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rhot.errors import ConfigError
+from rhot.offline import rig_timing
 from rhot.recording import MarkerTrack, PictureTrack, VideoTrack, load_camera, load_recording, marker_track_frames
 from rhot.rig import Rig, load_rig
 
@@ -184,6 +185,18 @@ def test_rows_of_a_rolling_shutter_have_their_own_times(rig: Rig, folder: Path) 
     assert frame.markers["thumb"].t_ns == 1_000_000 + 2_000_000
     assert frame.markers["index"].t_ns == 1_000_000 + 8_000_000 + 2_000_000
     assert frame.t_ns == 1_000_000 + 8_000_000 + 2_000_000
+
+
+def test_a_recording_that_states_no_timing_has_its_rig_s(folder: Path) -> None:
+    timed = RIG.replace("[cameras.left]", "[cameras.left]\nexposure_s = 0.004\nreadout_s = 0.016")
+    write(folder / "rig" / "rig.toml", timed)
+    rig = load_rig(folder / "rig")
+    write(folder / "take" / "left" / "markers.csv", HEADER + "0,1000000,thumb,10,240\n")
+    (frame,) = marker_track_frames(rig, load_recording(folder / "take", rig_timing(rig)))
+    assert frame.markers["thumb"].t_ns == 1_000_000 + 8_000_000 + 2_000_000
+    write(folder / "take" / "recording.toml", "[cameras.left]\nexposure_s = 0.002\nreadout_s = 0.0\n")
+    (frame,) = marker_track_frames(rig, load_recording(folder / "take", rig_timing(rig)))
+    assert frame.t_ns == 1_000_000 + 1_000_000
 
 
 @pytest.mark.parametrize(

@@ -231,10 +231,11 @@ def has_failed(number: int, status: ServiceStatus) -> bool:
     return status.counts.get("failed", 0) >= number
 
 
-async def test_limits_that_were_reached_stand_in_the_status(router: BusConfig) -> None:
+async def test_limits_that_were_reached_stand_in_the_status(router: BusConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rhot.bus.subscriber.MAX_SAMPLE_BYTES", 1000)
     async with running(doubler(), router), await Bus.open(router) as bus:
         await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
-        await bus.put("rhot/control", bytes(2 << 20), "application/msgpack;Control")
+        await bus.put("rhot/control", bytes(1001), "application/msgpack;Control")
         await wait_for_status(bus, "fusion/main", lambda status: status.counts.get("oversized") == 1)
 
 

@@ -1,143 +1,192 @@
-"""The whole system live: latency of a simulated run, start-up time and memory of each service."""
+"""The whole system live, on recorded pictures: from a picture in memory to the hand at a reader.
+
+The simulated rig's pictures are drawn beforehand and played, so that the latency is the tracker's own and not that of
+the simulator, which draws on the same cores.
+"""
 
 from __future__ import annotations
 
 import asyncio
-import json
-import subprocess
-import sys
+import shutil
 import tempfile
 import time
-from dataclasses import dataclass
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from rhot.bus import Bus
-from rhot.errors import RhotError
+from rhot.messages import HandPose, MarkerFrame
 from rhot.operation.control import broadcast
-from rhot.operation.supervisor import Supervisor
-from rhot.rig import BusConfig, Rig
+from rhot.rig import Rig, load_rig
+from rhot.rig.toml_edit import change_rig_file
 from rhot_bench.measures.rows import Row, Section
-from rhot_sim.running.processes import service_commands
+from rhot_sim.comparison.collect import follow
+from rhot_sim.rendering.renderer import Renderer
+from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.schedule import FrameSchedule
+from rhot_sim.running.processes import with_processes
 from rhot_sim.running.run import free_endpoint
+from rhot_sim.world.world import World
 
 _ENDPOINT: Final = "tcp/127.0.0.1:7457"
-_UP_LIMIT_S: Final = 30.0
-_POLL_S: Final = 0.05
-_WORK_S: Final = 3.0
-_PICTURE: Final = "age when the picture is there"
-_POSE: Final = "age when ik publishes"
+_TAKE_S: Final = 4.0
+"""How much is drawn; the cameras play it over and over."""
+_SETTLING_S: Final = 2.0
+"""Left out at the start: processes warm up, clocks find each other."""
+_JPEG_QUALITY: Final = 95
+_PATIENCE_S: Final = 10.0
+_SAME_MOMENT_NS: Final = 1_000_000
+"""A point set's moment and that of its newest frame differ by less: markers have their rows' times, a set has one."""
 
 
-@dataclass(frozen=True, slots=True)
-class ServiceCost:
-    """One service process.
+@dataclass(slots=True)
+class Arrivals:
+    """What a reader on the bus saw.
 
     Attributes:
-        name: on the bus.
-        start_s: from starting the process until it announces itself.
-        memory_mb: resident memory after some seconds of work, megabytes.
+        frames: t_ns of a marker frame and when its picture was in memory, rig time.
+        hands: t_ns of a hand and when it arrived, rig time.
+        detect_s: time that finding the markers took, a frame.
+        invalid: messages that could not be read.
     """
 
-    name: str
-    start_s: float
-    memory_mb: float
+    frames: list[tuple[int, int]] = field(default_factory=list)
+    hands: list[tuple[int, int]] = field(default_factory=list)
+    detect_s: list[float] = field(default_factory=list)
+    invalid: int = 0
 
 
-def live_section(seconds: float) -> Section:
-    """Run the whole simulated rig and return its latencies.
+def live_section(rig: Rig, seconds: float) -> Section:
+    """Play a simulated rig's pictures to all services and return their latencies.
+
+    Args:
+        rig: simulated.
+        seconds: how long to measure.
 
     Raises:
-        RhotError: the run failed.
+        RhotError: a service failed.
     """
     with tempfile.TemporaryDirectory(prefix="rhot-bench-") as folder:
-        report = Path(folder) / "report.json"
-        command = [sys.executable, "-m", "rhot", "-q", "sim", "--headless", "--duration", f"{seconds:g}"]
-        done = subprocess.run(
-            [*command, "--report", str(report)], capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
-        )
-        if done.returncode:
-            raise RhotError(f"`rhot sim` failed with exit code {done.returncode}: {done.stderr.strip()[-2000:]}")
-        figures: dict[str, Any] = json.loads(report.read_text(encoding="utf-8"))
-    return Section(f"Live: `rhot sim`, two cameras at 60 Hz, {seconds:g} s", latency_rows(figures))
+        played = played_rig(rig, Path(folder))
+        arrivals = asyncio.run(_measured(played, Path(folder), seconds))
+    rate_hz = min(camera.rate_hz for camera in rig.config.cameras.values())
+    title = f"Live: {len(rig.cameras)} cameras at {rate_hz:.0f} Hz play recorded pictures, {seconds:g} s"
+    return Section(title, live_rows(arrivals, seconds, rate_hz))
 
 
-def latency_rows(report: dict[str, Any]) -> tuple[Row, ...]:
-    """Return the latencies of a report of `rhot sim`."""
-    latency = report.get("latency_ms", {})
-    parts = latency.get("parts", {})
-    nan = float("nan")
+def played_rig(rig: Rig, folder: Path) -> Rig:
+    """Draw what each camera sees and return a rig whose cameras play these pictures over and over."""
+    take = folder / "take"
+    world = World.from_rig(rig)
+    for number, (name, camera) in enumerate(rig.config.cameras.items()):
+        pictures = take / name
+        pictures.mkdir(parents=True)
+        renderer = Renderer(true_cameras(rig)[name], world, rig.config.sim, camera, number)
+        schedule = FrameSchedule(name, number, camera, rig.config.sim)
+        rows = ["frame,t_ns"]
+        for index in range(round(_TAKE_S * camera.rate_hz)):
+            frame = schedule.frame(index)
+            image = renderer.render(frame.t_first_row_s)
+            cv2.imwrite(str(pictures / f"{index:06d}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+            rows.append(f"{index},{round(frame.t_first_row_s * 1e9)}")
+        (pictures / "timestamps.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    path = folder / "rig"
+    shutil.copytree(rig.path, path)
+    change_rig_file(
+        path,
+        {
+            ("cameras", name): {"source": "images", "path": str(take / name), "loop": True}
+            for name in rig.config.cameras
+        },
+    )
+    return load_rig(path)
 
-    def age(part: str, share: str) -> float:
-        return float(parts.get(part, {}).get(share, nan))
 
-    there = age(_PICTURE, "p50")
-    note = "age of the pose when published, less the median age of the picture when it is in memory"
+async def _measured(rig: Rig, logs: Path, seconds: float) -> Arrivals:
+    endpoint = free_endpoint(_ENDPOINT)
+    arrivals = Arrivals()
+    options = ["--rig", str(rig.path), "--connect", endpoint]
+    services = {f"capture/{name}": ["capture", "--camera", name, *options] for name in rig.config.cameras}
+    services |= {f"{name}/main": [name, *options] for name in ("fusion", "ik")}
+
+    async def work(bus: Bus) -> None:
+        await broadcast(bus, "start", "bench", 1.0, wait_s=_PATIENCE_S)
+        reading = asyncio.create_task(_read(bus, arrivals))
+        try:
+            await asyncio.sleep(1.0 + _SETTLING_S + seconds)
+        finally:
+            reading.cancel()
+            await asyncio.gather(reading, return_exceptions=True)
+            await broadcast(bus, "stop", "bench", 0.0, wait_s=_PATIENCE_S)
+
+    await with_processes(endpoint, services, logs, work)
+    return arrivals
+
+
+async def _read(bus: Bus, into: Arrivals) -> None:
+    """Note frames and hands until cancelled; the rig clock is this machine's, on which all services run."""
+
+    def keep_frame(_: str, frame: MarkerFrame, __: float) -> None:
+        into.frames.append((frame.t_ns, frame.t_ns + round(frame.timing.get("age", 0.0) * 1e9)))
+        into.detect_s.append(frame.timing.get("detect", float("nan")))
+
+    def keep_hand(_: str, hand: HandPose, age_s: float) -> None:
+        into.hands.append((hand.t_ns, hand.t_ns + round(age_s * 1e9)))
+
+    def refuse() -> None:
+        into.invalid += 1
+
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(follow(bus.events("rhot/markers/*"), MarkerFrame, time.time_ns, keep_frame, refuse))
+        tasks.create_task(follow(bus.events("rhot/hand/*"), HandPose, time.time_ns, keep_hand, refuse))
+
+
+def latencies_s(frames: Sequence[tuple[int, int]], hands: Sequence[tuple[int, int]]) -> list[float]:
+    """Return how long after its newest picture each hand arrived, seconds.
+
+    A hand is true at a moment; the newest frame that is not later than it is the one that it waited for.
+
+    Args:
+        frames: t_ns and when the picture was in memory, ns.
+        hands: t_ns and when it arrived, ns.
+    """
+    ordered = sorted(frames)
+    moments = [t_ns for t_ns, _ in ordered]
+    found = []
+    for t_ns, arrived_ns in hands:
+        newest = bisect_right(moments, t_ns + _SAME_MOMENT_NS) - 1
+        if newest >= 0 and ordered[newest][1] <= arrived_ns:
+            found.append((arrived_ns - ordered[newest][1]) * 1e-9)
+    return found
+
+
+def live_rows(arrivals: Arrivals, seconds: float, rate_hz: float) -> tuple[Row, ...]:
+    """Return the rows of a measurement; what arrived while the services settled is left out."""
+    begun_ns = min((t_ns for t_ns, _ in arrivals.frames), default=0) + round(_SETTLING_S * 1e9)
+    hands = [hand for hand in arrivals.hands if hand[0] >= begun_ns]
+    waits_ms = 1e3 * np.array(latencies_s(arrivals.frames, hands))
+
+    def share(values: NDArray[np.float64], percent: float) -> float:
+        return float(np.percentile(values, percent)) if values.size else float("nan")
+
+    detect_ms = 1e3 * np.array(arrivals.detect_s)
     return (
-        Row("picture in memory to published pose, p50", age(_POSE, "p50") - there, "ms", most=4.0, note=note),
-        Row("picture in memory to published pose, p99", age(_POSE, "p99") - there, "ms", most=10.0, note=note),
-        Row("mid-exposure to pose at the reader, p50", float(latency.get("p50", nan)), "ms"),
-        Row("mid-exposure to pose at the reader, p99", float(latency.get("p99", nan)), "ms"),
-        *(
-            Row(f"{name}, {share}", age(name, share), "ms")
-            for name in parts
-            if name.startswith("work")
-            for share in ("p50", "p99")
-        ),
+        Row("picture in memory to hand at the reader, p50", share(waits_ms, 50.0), "ms", most=4.0),
+        Row("picture in memory to hand at the reader, p99", share(waits_ms, 99.0), "ms", most=10.0),
+        Row("work: finding the markers, p50", share(detect_ms, 50.0), "ms"),
+        Row("work: finding the markers, p99", share(detect_ms, 99.0), "ms"),
         Row(
             "hand poses a second",
-            float(report.get("rate_hz", nan)),
+            len(hands) / seconds,
             "Hz",
-            least=float(report.get("camera_rate_hz", 60.0)),
-            note="fewer than a camera's frames: this machine was too busy to simulate, and the latencies tell of that",
+            least=rate_hz,
+            note="fewer than a camera's frames: this machine was too busy, and the latencies tell of that",
         ),
-        Row("frames dropped as late", float(report.get("dropped_late", nan))),
+        Row("messages that could not be read", float(arrivals.invalid), most=0.0),
     )
-
-
-def processes_section(rig: Rig) -> Section:
-    """Start each service of a simulated rig in turn, let all work, and return start-up times and memory."""
-    with tempfile.TemporaryDirectory(prefix="rhot-bench-") as folder:
-        costs = asyncio.run(_measured(rig, Path(folder)))
-    rows = [Row(f"{cost.name}, start-up", cost.start_s, "s") for cost in costs]
-    rows += [
-        Row(f"{cost.name}, memory", cost.memory_mb, "MB", note="without the renderer" if "capture" in cost.name else "")
-        for cost in costs
-    ]
-    return Section("Services: start-up and resident memory", tuple(rows))
-
-
-async def _measured(rig: Rig, logs: Path) -> list[ServiceCost]:
-    endpoint = free_endpoint(_ENDPOINT)
-    supervisor = Supervisor(logs)
-    started: dict[str, tuple[float, int]] = {}
-    router = BusConfig(mode="router", connect=(), listen=(endpoint,))
-    try:
-        async with await Bus.open(router), await Bus.open(BusConfig(connect=(endpoint,))) as bus:
-            for name, arguments in service_commands(rig, endpoint, ["fusion", "ik", "objects"]).items():
-                began = time.perf_counter()
-                child = await supervisor.start(name.replace("/", " "), arguments)
-                while f"rhot/alive/{name}" not in {reply.key for reply in await bus.who_is_alive(timeout_s=_POLL_S)}:
-                    if child.process.returncode is not None:
-                        raise supervisor.failure(child)
-                    if time.perf_counter() - began > _UP_LIMIT_S:
-                        raise RhotError(f"{name} did not come up within {_UP_LIMIT_S:.0f} s; is this machine busy?")
-                    await asyncio.sleep(_POLL_S)
-                started[name] = (time.perf_counter() - began, child.process.pid)
-            await broadcast(bus, "start", "bench", 1.0, wait_s=5.0)
-            await asyncio.sleep(_WORK_S)
-            costs = [ServiceCost(name, start_s, _resident_mb(pid)) for name, (start_s, pid) in started.items()]
-            await broadcast(bus, "stop", "bench", 0.0, wait_s=5.0)
-            return costs
-    finally:
-        await supervisor.stop()
-
-
-def _resident_mb(pid: int) -> float:
-    """Return the resident memory of a process, megabytes; NaN where the system does not tell."""
-    try:
-        lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return float("nan")
-    found = [line.split()[1] for line in lines if line.startswith("VmRSS:")]
-    return float(found[0]) / 1000.0 if found else float("nan")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -48,3 +49,28 @@ def process_cost(pid: int) -> ProcessCost | None:
         )
     except (OSError, KeyError):  # it ended, between two of these files perhaps
         return None
+
+
+class ForeignLoad:
+    """How many processors others keep busy, from one look to the next."""
+
+    def __init__(self) -> None:
+        self._at_s, self._busy_s, self._own_s = time.monotonic(), _busy_s(), float("nan")
+
+    def since_last(self, own_s: float) -> float:
+        """Return the average since the last look; NaN at the first.
+
+        Args:
+            own_s: processor time that our processes have used since their start, seconds.
+        """
+        at_s, busy_s = time.monotonic(), _busy_s()
+        others = (busy_s - self._busy_s - (own_s - self._own_s)) / max(at_s - self._at_s, 1e-3)
+        self._at_s, self._busy_s, self._own_s = at_s, busy_s, own_s
+        return others
+
+
+def _busy_s() -> float:
+    """Return the processor time that anything has used on this machine, and that its host took from it, seconds."""
+    words = Path("/proc/stat").read_text(encoding="utf-8").splitlines()[0].split()
+    user, nice, system, _, _, irq, softirq, steal = (int(word) for word in words[1:9])
+    return (user + nice + system + irq + softirq + steal) * _TICK_S

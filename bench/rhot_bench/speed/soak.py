@@ -30,7 +30,7 @@ from rhot.rig import BusConfig
 from rhot.rig.folder import write_text_atomic
 from rhot_bench.measures.rows import Row, Section
 from rhot_bench.speed.played_camera import write_played_rig
-from rhot_bench.speed.process_costs import ProcessCost, process_cost
+from rhot_bench.speed.process_costs import ForeignLoad, ProcessCost, process_cost
 from rhot_sim.running.run import free_endpoint
 
 _ENDPOINT: Final = "tcp/127.0.0.1:7467"
@@ -43,6 +43,7 @@ WINDOW_S: Final = 600.0
 """What the first and the last figures are taken from; a quarter of the whole where that is less."""
 MEMORY_GROWTH: Final = 0.05
 P99_GROWTH: Final = 0.10
+_BUSY: Final = "where this is over 0.3 of two processors, the ages tell of the machine and not of the tracker"
 PLAYER: Final = "rhot_bench.speed.played_camera"
 SERVICES: Final = ("capture/left", "capture/right", "fusion/main", "ik/main")
 _MODELS: Final[dict[str, type[Message]]] = {
@@ -64,6 +65,7 @@ class SoakSample:
         p50_ms, p99_ms, max_ms: age of the hand at the reader, milliseconds; NaN without any.
         lost: messages that the numbering of each key misses.
         counts: what the services counted since their start, by `service: count`.
+        others: processors that others kept busy meanwhile; they make the ages, not the memory.
     """
 
     at_s: float
@@ -74,6 +76,7 @@ class SoakSample:
     max_ms: float
     lost: dict[str, int]
     counts: dict[str, int]
+    others: float
 
 
 @dataclass(slots=True)
@@ -139,7 +142,7 @@ async def _soak(folder: Path, seconds: float, json_path: Path | None, say: Calla
             reader = _Reader()
             reading = [asyncio.create_task(reader.read(key, bus.events(key))) for key in _MODELS]
             await _started(bus)
-            begun = time.monotonic()
+            begun, load = time.monotonic(), ForeignLoad()
             while not stopped.is_set() and time.monotonic() - begun < seconds:
                 due_s = min(begun + SAMPLE_S * (len(samples) + 1), begun + seconds) - time.monotonic()
                 asked = asyncio.create_task(stopped.wait())
@@ -147,7 +150,7 @@ async def _soak(folder: Path, seconds: float, json_path: Path | None, say: Calla
                 asked.cancel()
                 if failed.done():
                     raise supervisor.failure(failed.result())
-                samples.append(await _sample(time.monotonic() - begun, supervisor, reader, bus))
+                samples.append(await _sample(time.monotonic() - begun, supervisor, reader, bus, load))
                 say(_line(samples[-1]))
                 if json_path is not None:
                     _write(json_path.with_suffix(".samples.json"), samples)
@@ -170,14 +173,15 @@ async def _started(bus: Bus) -> None:
     await broadcast(bus, "start", "soak", 0.5, wait_s=10.0)
 
 
-async def _sample(at_s: float, supervisor: Supervisor, reader: _Reader, bus: Bus) -> SoakSample:
+async def _sample(at_s: float, supervisor: Supervisor, reader: _Reader, bus: Bus, load: ForeignLoad) -> SoakSample:
     ages = np.array(reader.take_ages())
     _, statuses = await fetch_status(bus)
     pids = {child.name: child.process.pid for child in supervisor.children} | {"reader": os.getpid()}
     costs = {name: cost for name, pid in pids.items() if (cost := process_cost(pid)) is not None}
     p50, p99, most = np.percentile(ages, (50, 99, 100)).tolist() if len(ages) else [float("nan")] * 3
     counts = {f"{name}: {what}": number for name, status in statuses.items() for what, number in status.counts.items()}
-    return SoakSample(at_s, costs, len(ages), p50, p99, most, dict(reader.lost), counts)
+    others = load.since_last(sum(cost.cpu_s for cost in costs.values()))
+    return SoakSample(at_s, costs, len(ages), p50, p99, most, dict(reader.lost), counts, others)
 
 
 def _line(sample: SoakSample) -> str:
@@ -185,7 +189,7 @@ def _line(sample: SoakSample) -> str:
     lost = sum(sample.lost.values())
     return (
         f"{sample.at_s / 60.0:.0f} min: {sample.hands} hands, p50 {sample.p50_ms:.2f} ms, p99 {sample.p99_ms:.2f} ms, "
-        f"{memory_mb:.1f} MB in all, {lost} lost so far"
+        f"{memory_mb:.1f} MB in all, {lost} lost so far, others kept {sample.others:.1f} processors busy"
     )
 
 
@@ -237,6 +241,8 @@ def soak_rows(samples: list[SoakSample]) -> tuple[Row, ...]:
         Row("age of the hand, p50, last", _median(last, "p50_ms"), "ms", note=note),
         Row("age of the hand, p99, first", before, "ms", note=note),
         Row("age of the hand, p99, last", after, "ms", most=before * (1.0 + P99_GROWTH), note=note),
+        Row("processors that others kept busy, first", _median(first, "others"), note=_BUSY),
+        Row("processors that others kept busy, last", _median(last, "others"), note=_BUSY),
         Row("hands a second", sum(sample.hands for sample in samples) / samples[-1].at_s, "Hz"),
     ]
     rows += [Row(f"{key}, lost on the way", float(number), most=0.0) for key, number in samples[-1].lost.items()]

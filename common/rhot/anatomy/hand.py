@@ -205,8 +205,8 @@ class HandModel:
 
         A cap covers the last 15 mm of the finger, taken as a cylinder with a half ball at its end whose centre is the
         tip joint; the centre is that of the painted volume, about 8 mm behind the very tip. A patch lies on the skin
-        of the back: above the palm joint when it marks the palm, 25 mm in front of the wrist joint towards the middle
-        knuckle when it marks the wrist. An offset measured in `hand.json` replaces either.
+        of the back: above the palm joint when it marks the palm, above the middle metacarpal, 25 mm in front of the
+        wrist joint, when it marks the wrist. An offset measured in `hand.json` replaces either.
         """
         if name in self.marker_offsets_m:
             return np.array(self.marker_offsets_m[name], dtype=np.float64)
@@ -215,7 +215,7 @@ class HandModel:
             if marker.joint == "wrist":
                 scale = PATCH_FORWARD_M / float(np.linalg.norm(self.knuckles[2]))
                 forward: FloatArray = self.knuckles[2] * scale
-                forward[1] += float(self.radii[PALM])
+                forward[1] = self.metacarpals[2, 1] + float(self.radii[PALM])
                 return forward
             return np.array([0.0, radius, 0.0])
         if not marker.joint.endswith("_tip"):

@@ -37,12 +37,16 @@ BONES_MM: Final = {
 """Moving bones from the knuckle outwards; the last with its soft tissue, up to the very tip of the finger."""
 CARPAL_MM: Final = {
     "thumb": (-20.0, -11.0, -14.0),
-    "index": (-11.0, -1.0, -28.0),
-    "middle": (0.0, 0.0, -28.0),
-    "ring": (9.5, -1.0, -26.0),
-    "little": (17.0, -4.0, -23.0),
+    "index": (-11.0, 3.0, -25.0),
+    "middle": (0.0, 4.0, -28.0),
+    "ring": (9.5, 3.0, -26.0),
+    "little": (17.0, 0.0, -23.0),
 }
-"""Wrist joint to the base of each metacarpal, wrist frame of a right hand."""
+"""Wrist joint to the base of each metacarpal, wrist frame of a right hand. Metacarpals lie above the wrist's centre,
+because the back of a flat hand is straight: skin is some 17 mm above the centre of the wrist (half of a radius 24 mm
+deep, and tendons) and 13 above the knuckles' (`RADII_MM`). The index metacarpal is 3.5 mm longer than the middle one
+but reaches no further, for its base lies that much nearer to the wrist (Buchholz et al., "Anthropometric data for
+describing the kinematics of the human hand", Ergonomics 35, 1992: both knuckles equally far forward)."""
 METACARPAL_YAW_DEG: Final = {"index": 9.0, "middle": 0.0, "ring": -9.0, "little": -17.0}
 """Fan of the metacarpals, positive towards the thumb."""
 METACARPAL_DROP_DEG: Final = {"index": 1.0, "middle": 0.0, "ring": 1.5, "little": 3.0}
@@ -86,8 +90,8 @@ SPREAD_LIMITS: Final = (0.5, 2.0)
 class RestGeometry:
     """A right hand with all angles zero; the fields are those of `rhot.anatomy.hand.HandModel`.
 
-    With the default length of 189 mm the knuckles stand, in millimetres of the wrist frame, at index (−22, −2, −97),
-    middle (0, 0, −95), ring (19, −3, −85), little (33, −7, −76), and the thumb's carpometacarpal joint at
+    With the default length of 189 mm the knuckles stand, in millimetres of the wrist frame, at index (−22, 2, −94),
+    middle (0, 4, −95), ring (19, 2, −85), little (33, −3, −76), and the thumb's carpometacarpal joint at
     (−20, −11, −14).
     """
 

@@ -10,6 +10,8 @@ MAX_MESSAGE_BYTES: Final = 8 << 20
 """Zenoh puts no larger message together; its default is 1 GiB. Chosen: a preview of 12 megapixels takes 5 MB."""
 MAX_SAMPLE_BYTES: Final = 1 << 20
 """A larger sample is not copied: no message of ours may be as large (`rhot.messages.MAX_PAYLOAD_BYTES`)."""
+MAX_QUESTION_BYTES: Final = 256 << 10
+"""Of what may come with a question: a change of a configuration takes some kB."""
 MAX_UNREAD_BYTES: Final = 64 << 20
 """Of samples that one subscriber has not read yet; chosen: 700 pictures of 640x480."""
 MAX_KNOWN_KEYS: Final = 64

@@ -20,7 +20,7 @@ from rhot.bus.subscriber import EventSubscriber, LatestSubscriber
 from rhot.bus.zenoh_config import plain_reason, session_config
 from rhot.errors import BusError
 from rhot.messages import Message
-from rhot.rig.config import BusConfig
+from rhot.rig.bus_config import BusConfig
 
 logger = logging.getLogger(__name__)
 
@@ -68,9 +68,11 @@ class Bus:
                 if config.mode == "router" or "invalid" in str(error).lower():
                     raise BusError(f"cannot open a Zenoh {config.mode} on {where}: {plain_reason(error)}") from error
                 if timeout_s is not None and time.monotonic() - started >= timeout_s:
+                    secured = ", with this certificate" if config.tls else ""
                     raise BusError(
-                        f"no Zenoh router answers at {where}; is the rig running (`rhot sim`, `rhot up`), and does "
-                        f"--connect (or [bus] connect in rig.toml) name its machine? (Zenoh: {plain_reason(error)})"
+                        f"no Zenoh router answers at {where}{secured}; is the rig running (`rhot sim`, `rhot up`), "
+                        f"and does --connect (or [bus] connect in rig.toml) name its machine? "
+                        f"(Zenoh: {plain_reason(error)})"
                     ) from error
                 if not logged:
                     logger.info("waiting for the Zenoh router at %s", where)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import zenoh
 
-from rhot.bus.limits import MAX_MESSAGE_BYTES
+from rhot.bus.limits import MAX_MESSAGE_BYTES, MAX_QUESTION_BYTES, MAX_SAMPLE_BYTES
 from rhot.errors import BusError
-from rhot.rig.config import BusConfig
+from rhot.keys.folder import credentials, load_roles
+from rhot.keys.roles import ROUTER, access_control
+from rhot.rig.bus_config import BusConfig
 
 
 def session_config(config: BusConfig) -> zenoh.Config:
@@ -20,6 +23,7 @@ def session_config(config: BusConfig) -> zenoh.Config:
 
     Raises:
         BusError: it is not usable.
+        ConfigError: certificates are missing.
     """
     document: dict[str, Any] = {
         "mode": config.mode,
@@ -33,6 +37,9 @@ def session_config(config: BusConfig) -> zenoh.Config:
         "transport": {
             # On by default from 3 kB; drops under load without a word.
             "shared_memory": {"enabled": False},
+            # The kernel repeats an unanswered SYN after 1, 3, 7, 15 s: after a dead network an old attempt would hear
+            # of the new one seconds late. It is given up and begun anew instead; Zenoh's own limit is 10 s.
+            "unicast": {"open_timeout": 1500},
             "link": {
                 # A frozen process is noticed in 2 s instead of 10.
                 "tx": {"lease": 2000},
@@ -41,12 +48,47 @@ def session_config(config: BusConfig) -> zenoh.Config:
             },
         },
     }
-    if config.namespace:
+    if config.mode == "router":
+        document["low_pass_filter"] = _size_limits()
+    elif config.namespace:
         document["namespace"] = config.namespace
+    if config.tls:
+        document["transport"]["link"]["tls"] = _tls(config)
+        if config.mode == "router":
+            document["access_control"] = access_control(load_roles(Path(config.keys)).holders, config.namespace)
     try:
         return zenoh.Config.from_json5(json.dumps(document))
     except zenoh.ZError as error:
         raise BusError(f"[bus] in rig.toml is not a usable Zenoh configuration: {plain_reason(error)}") from error
+
+
+def _tls(config: BusConfig) -> dict[str, Any]:
+    """Return the certificates: both sides show one."""
+    is_router = config.mode == "router"
+    files = credentials(Path(config.keys), ROUTER if is_router else config.identity)
+    side = "listen" if is_router else "connect"
+    return {
+        "root_ca_certificate": str(files.authority),
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        f"{side}_certificate": str(files.certificate),
+        f"{side}_private_key": str(files.key),
+    }
+
+
+def _size_limits() -> list[dict[str, Any]]:
+    """Return what the router keeps from everybody: samples and questions that are too large to be any of ours."""
+    limits = {"samples": (["put"], MAX_SAMPLE_BYTES), "questions": (["query"], MAX_QUESTION_BYTES)}
+    return [
+        {
+            "id": name,
+            "flows": ["ingress"],
+            "messages": messages,
+            "key_exprs": ["**", "**/@pictures/**"],
+            "size_limit": size,
+        }
+        for name, (messages, size) in limits.items()
+    ]
 
 
 def plain_reason(error: zenoh.ZError) -> str:

@@ -10,16 +10,16 @@ import platform
 import shutil
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 import click
 from rich.console import Console
 from rich.markup import escape
 
 from rhot.bus import Bus
+from rhot.cli.findings import Finding, check_bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import BusError, RhotError
 from rhot.messages import ServiceStatus
@@ -39,15 +39,6 @@ _ROLES: Final = {
 _DISTANCES: Final = ("50 cm", "75 cm", "100 cm")
 """At which `rhot calibrate cameras` states the error to expect."""
 _MAX_CLOCK_UNCERTAINTY_S: Final = 0.002
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One line of the report: how bad, what, and what to do about it."""
-
-    level: Literal["ok", "note", "warn", "bad"]
-    text: str
-    remedy: str = ""
 
 
 def check_machine() -> Iterator[Finding]:
@@ -115,7 +106,7 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
                 f"rhot calibrate objects --live --object {next(iter(rig.config.objects))} --marker NAME --rig {path}",
             )
         )
-    return rig, [*findings, *_check_sources(rig)]
+    return rig, [*findings, *_check_sources(rig), *check_bus(rig)]
 
 
 def _check_sources(rig: Rig) -> Iterator[Finding]:

@@ -47,6 +47,7 @@ _COMMANDS: Final = {
     "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
     "bench": LazyCommand("Measure speed, and compare with the 2018 thesis's algorithms.", extra="bench"),
     "evaluate": LazyCommand("Measure how well a part of the rig works.", "rhot.cli.main:evaluate"),
+    "keys": LazyCommand("Secure the bus: certificates for machines and people.", "rhot.cli.keys:keys"),
     "doctor": LazyCommand(
         "Check this machine, a rig folder and the running rig, and say what to do.", "rhot.cli.doctor:doctor"
     ),

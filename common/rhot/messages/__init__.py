@@ -29,7 +29,7 @@ from rhot.messages.codec import MAX_PAYLOAD_BYTES, decode, encode, encoding_of, 
 from rhot.messages.feet import BodyJoint, BodyPose, FootPose, LegAngles
 from rhot.messages.hand import FingerAngles, HandPose, Joint
 from rhot.messages.markers import Marker, MarkerFrame, Point, PointSet
-from rhot.messages.objects import HeadPose, ObjectPose
+from rhot.messages.objects import BoxShape, CylinderShape, HeadPose, ObjectPose, ObjectShape, SphereShape
 from rhot.messages.services import ClockReply, Control, ServiceStatus
 from rhot.messages.truth import TruePose, Truth
 
@@ -38,9 +38,11 @@ __all__ = [
     "SCHEMA_VERSION",
     "BodyJoint",
     "BodyPose",
+    "BoxShape",
     "ClockReply",
     "Control",
     "Count",
+    "CylinderShape",
     "FingerAngles",
     "FootPose",
     "HandPose",
@@ -52,6 +54,7 @@ __all__ = [
     "Message",
     "Name",
     "ObjectPose",
+    "ObjectShape",
     "PixelPoint",
     "Point",
     "PointSet",
@@ -61,6 +64,7 @@ __all__ = [
     "Quaternion",
     "ServiceStatus",
     "Side",
+    "SphereShape",
     "State",
     "TruePose",
     "Truth",

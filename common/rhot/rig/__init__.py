@@ -1,5 +1,6 @@
 """A rig on disk: `rig.toml`, written by people, beside the files that calibration wrote."""
 
+from rhot.rig.bus_config import BusConfig
 from rhot.rig.calibration import (
     CameraCalibration,
     CamerasFile,
@@ -8,7 +9,6 @@ from rhot.rig.calibration import (
     RigidTransform,
 )
 from rhot.rig.config import (
-    BusConfig,
     CameraConfig,
     FusionConfig,
     HandConfig,

@@ -8,8 +8,9 @@ from pydantic import Field, model_validator
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.messages import Name, Side
+from rhot.rig.bus_config import BusConfig
 from rhot.rig.feet_config import BodyConfig, FeetConfig
-from rhot.rig.file_model import FileModel, NotNegative, Positive, Vector3
+from rhot.rig.file_model import FileModel, HoldS, NotNegative, Positive, Vector3
 from rhot.rig.v4l2_control import V4l2Control
 
 WalkProgram = Literal[
@@ -25,32 +26,6 @@ WalkProgram = Literal[
     "squat",
     "sitting",
 ]
-
-
-class BusConfig(FileModel):
-    """How services reach each other over Zenoh.
-
-    Attributes:
-        mode: `client` of a router (the default), `peer` without one, or `router`.
-        connect: endpoints of the router or of peers.
-        listen: endpoints that this process opens; a router needs at least one.
-        namespace: prefix that keeps several rigs on one network apart.
-        multicast: let Zenoh scout the local network; off unless asked for.
-    """
-
-    mode: Literal["client", "peer", "router"] = "client"
-    connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
-    listen: tuple[str, ...] = ()
-    namespace: str = ""
-    multicast: bool = False
-
-    @model_validator(mode="after")
-    def _reachable(self) -> BusConfig:
-        if self.mode == "client" and not self.connect and not self.multicast:
-            raise ValueError('a client needs `connect`, for example connect = ["tcp/192.168.1.10:7447"]')
-        if self.mode == "router" and not self.listen:
-            raise ValueError('a router needs `listen`, for example listen = ["tcp/0.0.0.0:7447"]')
-        return self
 
 
 class CameraConfig(FileModel):
@@ -85,7 +60,7 @@ class CameraConfig(FileModel):
     white_balance: tuple[Positive, Positive] = (1.6, 1.6)
     focus_dioptres: NotNegative | None = None
     v4l2_controls: dict[V4l2Control, Annotated[int, Field(ge=-(1 << 31), lt=1 << 31)]] = {}
-    readout_s: NotNegative = 0.0
+    readout_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     sync: Literal["off", "server", "client"] = "off"
     fov_deg: Annotated[float, Field(gt=1.0, lt=170.0)] = 62.2
     position_m: Vector3 = (0.0, 0.0, 0.0)
@@ -161,16 +136,16 @@ class FusionConfig(FileModel):
     """
 
     method: Literal["filter", "triangulate", "disparity"] = "filter"
-    depth_law: tuple[Positive, float] = (4543.3, -1.035)
+    depth_law: tuple[Positive, Annotated[float, Field(ge=-10.0, le=10.0)]] = (4543.3, -1.035)
     min_cutoff_hz: Positive = 4.0
     beta: NotNegative = 20.0
     derivative_cutoff_hz: Positive = 8.0
     volume_m: tuple[Vector3, Vector3] = ((-0.8, -0.6, 0.30), (0.8, 0.6, 1.40))
-    max_speed_m_s: Positive = 4.0
-    hold_s: NotNegative = 0.25
+    max_speed_m_s: Annotated[float, Field(gt=0.0, le=100.0)] = 4.0
+    hold_s: HoldS = 0.25
     extrapolation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.6
     predict_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
-    epipolar_limit_px: NotNegative = 15.0
+    epipolar_limit_px: Annotated[float, Field(ge=0.0, le=1e4)] = 15.0
 
     @model_validator(mode="after")
     def _ordered(self) -> FusionConfig:
@@ -192,9 +167,9 @@ class IkConfig(FileModel):
     """
 
     solver: Literal["filter", "analytic", "fabrik"] = "filter"
-    tolerance_m: Positive = 1e-4
+    tolerance_m: Annotated[float, Field(gt=0.0, le=0.1)] = 1e-4
     max_iterations: Annotated[int, Field(ge=1, le=1000)] = 24
-    hold_s: NotNegative = 0.5
+    hold_s: HoldS = 0.5
 
 
 class ObjectConfig(FileModel):
@@ -244,13 +219,13 @@ class SimConfig(FileModel):
     """
 
     seed: Annotated[int, Field(ge=0, lt=1 << 63)] = 1
-    noise_sigma: NotNegative = 3.0
+    noise_sigma: Annotated[float, Field(ge=0.0, le=255.0)] = 3.0
     light_drift: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.04
     drop_rate: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.02
     clock_offset_s: NotNegative = 0.2
-    clock_drift_ppm: NotNegative = 40.0
-    jitter_s: NotNegative = 0.0005
-    phase_s: NotNegative = 0.007
+    clock_drift_ppm: Annotated[float, Field(ge=0.0, le=1e4)] = 40.0
+    jitter_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0005
+    phase_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.007
     motion: Literal["script", "still", "board"] = "script"
     walk: WalkProgram = "walk"
     board_columns: Annotated[int, Field(ge=3, le=60)] = 9
@@ -265,6 +240,7 @@ class RigConfig(FileModel):
     Attributes:
         version: of this file's layout.
         name: of the rig, for people.
+        autostart: `rhot start --auto`, which the installed services run, starts a session by itself.
         cameras: by name; the first is the reference that defines the rig frame until calibration. None in a rig that
             tracks feet alone.
         markers: by name, as painted; some as soon as there are cameras.
@@ -277,6 +253,7 @@ class RigConfig(FileModel):
 
     version: Literal[1] = 1
     name: str = "rig"
+    autostart: bool = False
     bus: BusConfig = BusConfig()
     cameras: Annotated[dict[Name, CameraConfig], Field(max_length=64)] = {}
     markers: Annotated[dict[Name, MarkerConfig], Field(max_length=64)] = {}

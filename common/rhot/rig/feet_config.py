@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from rhot.geometry.rotations import FloatArray, rotation_x
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
-from rhot.rig.file_model import FileModel, NotNegative, Positive, Vector3
+from rhot.rig.file_model import FileModel, HoldS, Positive, Vector3
 
 
 class DepthCameraConfig(FileModel):
@@ -121,7 +121,7 @@ class FeetConfig(FileModel):
     marker_size_m: Annotated[float, Field(gt=0.005, le=0.5)] = 0.06
     up: Vector3 = (0.0, 1.0, 0.0)
     method: Literal["filter", "thesis"] = "filter"
-    hold_s: NotNegative = 3.0
+    hold_s: HoldS = 3.0
     predict_s: Annotated[float, Field(ge=0.0, le=0.2)] = 0.0
 
     @model_validator(mode="after")

@@ -108,9 +108,12 @@ def load_config(path: Path) -> RigConfig:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{file}: not TOML: {error}") from error
     try:
-        return RigConfig.model_validate(data)
+        config = RigConfig.model_validate(data)
     except ValidationError as error:
         raise ConfigError(f"{file}: {first_problem(error)}") from error
+    # Processes know the bus without the rig folder; from here on the path holds by itself.
+    keys = str((path / config.bus.keys).resolve())
+    return config.model_copy(update={"bus": config.bus.model_copy(update={"keys": keys})})
 
 
 def nominal_camera(camera: CameraConfig) -> CameraCalibration:

@@ -12,13 +12,18 @@ _HEAD: Final = """\
 # Check it with: rhot doctor --rig {folder}
 version = 1
 name = "{name}"
+# Installed as services (docs/deploy.md): track as soon as they run, also after a power cut, without `rhot start`.
+autostart = false
 
 [bus]
-# Every service connects to one Zenoh router; `rhot up` runs it on the PC. On the Pis write the PC's address here.
+# Every service connects to one Zenoh router; `rhot up` runs it on the PC. On the Pis the PC's address stands here.
 mode = "client"
 connect = [{connect}]
-# The router opens this port; 0.0.0.0 lets the Pis in, 127.0.0.1 only this machine.
+# The router opens this port; 127.0.0.1 lets only this machine in. `rhot keys make --address ADDRESS` lets the Pis in,
+# with certificates. Without them, 0.0.0.0 lets everybody on the network read, stop and change the rig.
 listen = [{listen}]
+# Who connects needs a certificate of the folder keys; `rhot keys` makes them and switches this on.
+tls = false
 # Several rigs on one network: give each its own namespace, such as "desk1".
 namespace = ""
 # Let Zenoh look for others by multicast; not needed with `connect`.
@@ -103,7 +108,7 @@ def rig_template(
     folder: str,
     name: str,
     connect: Sequence[str] = ("tcp/127.0.0.1:7447",),
-    listen: Sequence[str] = ("tcp/0.0.0.0:7447",),
+    listen: Sequence[str] = ("tcp/127.0.0.1:7447",),
     cameras: Sequence[str] = ("left", "right"),
     camera_xs_m: Sequence[float] = (0.0, 0.075),
     source: str = "picamera2",

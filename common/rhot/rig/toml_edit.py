@@ -18,8 +18,8 @@ from rhot.messages import first_problem
 from rhot.rig.config import RigConfig
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 
-Value = str | int | float | Sequence[float]
-"""What can be written: a text, a number, or a list of numbers."""
+Value = str | int | float | Sequence[float] | Sequence[str]
+"""What can be written: a text, a number or truth value, or a list of numbers or texts."""
 
 
 def with_values(text: str, table: Sequence[str], values: Mapping[str, Value]) -> str:
@@ -49,7 +49,10 @@ def with_values(text: str, table: Sequence[str], values: Mapping[str, Value]) ->
 
 
 def _set(table: MutableMapping[str, Any], key: str, value: Value, newline: str) -> None:
-    item = tomlkit.item(value if isinstance(value, str | int | float) else [float(each) for each in value])
+    if isinstance(value, str | int | float):
+        item = tomlkit.item(value)
+    else:
+        item = tomlkit.item([each if isinstance(each, str) else float(each) for each in value])
     item.trivia.trail = newline
     # A comment before the next heading counts as the end of this table; what is added belongs before it.
     body = table.value.body if isinstance(table, AbstractTable) and key not in table else []

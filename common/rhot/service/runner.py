@@ -11,6 +11,7 @@ import contextlib
 import gc
 import logging
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final, Protocol
 
 from pydantic import BaseModel
@@ -19,8 +20,10 @@ from rhot.bus import Bus, Request
 from rhot.bus.query import Answer
 from rhot.clock import LocalRigClock, NodeClock, SyncedRigClock, SystemClock
 from rhot.errors import BusError, ConfigError, DeviceError, HungDeviceError, RhotError, WireError
+from rhot.keys.folder import key_file
+from rhot.keys.roles import SERVICES
 from rhot.messages import Control, ServiceStatus
-from rhot.rig.config import BusConfig
+from rhot.rig.bus_config import BusConfig
 from rhot.service import configuration, systemd
 from rhot.service.clock_sync import ClockWatch, keep_synced, serve_clock, watch_for_rivals
 from rhot.service.control import with_start_in_reach
@@ -113,6 +116,17 @@ def _first_cause(first: BaseException | None) -> BaseException | None:
     return first
 
 
+def _as_service(config: BusConfig, service: Service) -> BusConfig:
+    """Return how a service reaches the bus: on a secured one with its own certificate, else a camera's or services'."""
+    if not config.tls:
+        return config
+    folder = Path(config.keys)
+    name = f"camera-{service.instance}" if service.name == "capture" else service.name
+    # Objects and feet may run on the PC, with what all services share, or elsewhere, with their own.
+    identity = name if service.name == "capture" or key_file(folder, name).exists() else SERVICES
+    return config.model_copy(update={"identity": identity})
+
+
 class _Runner:
     def __init__(self, service: Service, bus_config: BusConfig, node_clock: NodeClock) -> None:
         self._service = service
@@ -126,7 +140,7 @@ class _Runner:
 
     async def run(self) -> None:
         service = self._service
-        async with await Bus.open(self._bus_config) as bus:
+        async with await Bus.open(_as_service(self._bus_config, service)) as bus:
             clock = LocalRigClock(self._node_clock) if service.owns_clock else SyncedRigClock(self._node_clock)
             node = Node(service.name, service.instance, bus, self._node_clock, clock, self._status)
             self._status.include(bus.limit_counts)

@@ -167,7 +167,7 @@ class CaptureService:
         def open_as_set() -> None:
             source.open(start_ns, start.start_t_ns)
             if self._is_changed():
-                source.apply(self._settings)
+                self._apply_changes(node, source)
 
         try:
             await grabber.open(open_as_set)
@@ -202,8 +202,19 @@ class CaptureService:
         self._rig, self._rate_hz = latest, camera.rate_hz
 
     def _is_changed(self) -> bool:
-        initial = CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors)
-        return not initial.same_optics(self._settings)
+        return not self._of_rig().same_optics(self._settings)
+
+    def _of_rig(self) -> CameraSettings:
+        return CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors)
+
+    def _apply_changes(self, node: Node, source: Source) -> None:
+        """Set a camera as it was set before it was opened; where it refuses, the rig's own values stay."""
+        try:
+            source.apply(self._settings)
+        except ConfigError as error:
+            self._settings = self._settings.with_optics_of(self._of_rig())
+            node.status.error(str(error))
+            logger.warning("%s; what rig.toml says holds", error)
 
     async def _process(self, node: Node, frame: Frame) -> None:
         if self._publisher is None or self._frame_stream is None:

@@ -21,7 +21,7 @@ class CameraSettings(FileModel):
     """Live settings of one camera node.
 
     Attributes:
-        exposure_s: exposure time.
+        exposure_s: exposure time; the only one of these four that a V4L2 camera takes.
         gain: analogue gain.
         white_balance: red and blue gains.
         focus_dioptres: lens position; None leaves the lens alone.

@@ -32,11 +32,13 @@ def tracker_tables(
 
 def _gates(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str]) -> Explanation:
     rows = []
-    for camera, (index, innovation) in sorted(tracker.gates.items()):
+    for camera, (index, innovation, slack) in sorted(tracker.gates.items()):
         focal_px = tracker.focal_px(camera)
-        sigma_px = np.sqrt(innovation.S[:, [0, 1], [0, 1]]) * focal_px
+        S = innovation.S + np.square(slack)[:, None, None] * np.eye(2)
+        sigma_px = np.sqrt(S[:, [0, 1], [0, 1]]) * focal_px
+        distance2 = (innovation.y * np.linalg.solve(S, innovation.y[:, :, None])[:, :, 0]).sum(axis=1)
         for marker, y, sigma, nis, accepted in zip(
-            index.tolist(), innovation.y * focal_px, sigma_px, innovation.nis.tolist(), innovation.accepted, strict=True
+            index.tolist(), innovation.y * focal_px, sigma_px, distance2.tolist(), innovation.accepted, strict=True
         ):
             rows.append(
                 ExplanationRow(
@@ -58,7 +60,7 @@ def _gates(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str
         ("camera", "marker", "off in x, px", "sigma x, px", "off in y, px", "sigma y, px", "sigmas off", "verdict"),
         tuple(rows),
         f"Distance of the view from the filter's prediction. Beyond {DEFAULT.track.gate**0.5:.0f} standard deviations "
-        "of both together, with some slack for what hides a marker, it is refused.",
+        "of both together, which hold some slack for what hides a marker, it is refused.",
     )
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from rhot.messages import FootPose, HeadPose, PointSet
+from rhot.messages import FootPose, HeadPose, ObjectPose, PointSet
 from rhot.rig import IkConfig, Rig
 from rhot.rig.folder import latest_rig
 from rhot.service import StageService
 from rhot_ik.whole_stage import WholeStage
 
 
-def ik_service(rig: Rig) -> StageService[PointSet | HeadPose | FootPose, IkConfig]:
+def ik_service(rig: Rig) -> StageService[PointSet | ObjectPose | HeadPose | FootPose, IkConfig]:
     """Return the service that turns `rhot/points` into `rhot/hand/<side>`, and head and feet into `rhot/body`."""
 
     def make_stage(config: IkConfig) -> WholeStage:
@@ -17,12 +17,15 @@ def ik_service(rig: Rig) -> StageService[PointSet | HeadPose | FootPose, IkConfi
         stage.configure(config)
         return stage
 
-    return StageService[PointSet | HeadPose | FootPose, IkConfig](
+    side_inputs: dict[str, type[PointSet | ObjectPose | HeadPose | FootPose]] = {"rhot/object/*": ObjectPose}
+    if rig.config.feet:
+        side_inputs |= {"rhot/head": HeadPose, "rhot/foot/*": FootPose}
+    return StageService[PointSet | ObjectPose | HeadPose | FootPose, IkConfig](
         "ik",
         input_keys="rhot/points",
         model=PointSet,
         key_of=None,
         config=rig.config.ik,
         make_stage=make_stage,
-        side_inputs={"rhot/head": HeadPose, "rhot/foot/*": FootPose} if rig.config.feet else {},
+        side_inputs=side_inputs,
     )

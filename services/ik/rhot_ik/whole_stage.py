@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rhot.messages import FootPose, HeadPose, PointSet
+from rhot.messages import FootPose, HeadPose, ObjectPose, PointSet
 from rhot.rig import IkConfig, Rig
 from rhot.stage import Output
 from rhot_ik.hand.stage import HandStage
@@ -12,7 +12,7 @@ from rhot_ik.legs.body_stage import BodyStage
 
 
 class WholeStage:
-    """Passes points to the hands' core, head and feet to that of the legs.
+    """Passes points and objects to the hands' core, head and feet to that of the legs.
 
     Args:
         rig: marker table, sizes and configuration.
@@ -41,8 +41,11 @@ class WholeStage:
         """What became of the samples, of hands and legs."""
         return {**self._hands.counts, **self._body.counts}
 
-    def feed(self, message: PointSet | HeadPose | FootPose) -> list[Output]:
+    def feed(self, message: PointSet | ObjectPose | HeadPose | FootPose) -> list[Output]:
         """Return the hands or the body that follow from a message, with their keys."""
         if isinstance(message, PointSet):
             return self._hands.feed(message)
+        if isinstance(message, ObjectPose) and not isinstance(message, HeadPose):
+            self._hands.feed_object(message)
+            return []
         return self._body.feed(message)

@@ -10,8 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from board_pictures import board_picture
-from board_views import BOARD, SimulatedViews, simulated_views
+from boards.pictures import board_picture
+from boards.views import BOARD, SimulatedViews, simulated_views
 from bus_watch import until
 
 from rhot.bus import Answer, Bus, Request

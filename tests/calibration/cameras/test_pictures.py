@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from board_pictures import board_picture
+from boards.pictures import board_picture
 
 from rhot.errors import CalibrationError, ConfigError
 from rhot_calibration.cameras.board.boards import parse_board

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandJoints, HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
-from rhot.geometry.rotations import rotation_from_vector
-from rhot.messages import HandPose, PointSet, decode, encode
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vector
+from rhot.messages import CylinderShape, HandPose, ObjectPose, PointSet, decode, encode
 from rhot.rig import HandFile, IkConfig, Rig
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 from rhot_ik.hand.stage import HandStage
+from rhot_ik.whole_stage import WholeStage
 
 FloatArray = NDArray[np.float64]
 MakePoints = Callable[..., PointSet]
@@ -127,7 +128,7 @@ def test_hidden_finger_is_held_and_rejoins_without_a_step(
             largest_step = max(largest_step, float(np.linalg.norm(now - previous, axis=1).max()))
             largest_true = max(largest_true, float(np.linalg.norm(joints.positions - before, axis=1).max()))
         previous, before = now, joints.positions
-    assert largest_step < largest_true + 0.010
+    assert largest_step < largest_true + 0.007
 
 
 def test_hidden_base_is_carried_by_the_tips_then_given_up(
@@ -306,7 +307,7 @@ def test_a_tip_that_returns_far_from_where_it_was_held_makes_no_jump(
             steps.append(np.linalg.norm(now - previous, axis=1).max())
         previous = now
     assert errors[98] > 0.03
-    assert max(steps) < 0.010
+    assert max(steps) < 0.008
     assert errors[-1] < 0.006
 
 
@@ -391,3 +392,32 @@ def test_where_the_patch_sits_and_how_long_fingers_are_is_learned(
         late.append(np.linalg.norm(positions(pose) - joints.positions, axis=1).mean())
     # A hand on the patch as the model has it would be off by 8 mm and 5°, which is 8 mm more at the knuckles.
     assert np.mean(late[300:]) < 0.006
+
+
+def test_hidden_fingers_stop_at_the_cylinder_that_the_hand_holds(
+    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
+) -> None:
+    """A rod of 70 mm across the palm; all fingers but the thumb go out of sight over it."""
+    joints, markers = right_hand.forward(wrist(), EASE), right_rig.config.markers
+    T, radius = wrist(), 0.035
+    middle = T[:3, 3] + T[:3, :3] @ np.array([0.0, -0.055, -0.125])
+    along = T[:3, :3] @ np.array([1.0, 0.0, 0.0])
+    # The object's z along the knuckles.
+    half = T[:3, :3] @ rotation_from_vector(np.array([0.0, np.pi / 2, 0.0]))
+    x, y, z, w = quaternion_from_rotation(half).tolist()
+    tips = [JOINTS.index(f"{finger}_tip") for finger in FINGERS[1:]]
+    depth = {}
+    for shape in (None, CylinderShape(radius=radius, height=0.2)):
+        stage = WholeStage(right_rig)
+        for k in range(150):
+            points = make_points(right_hand, joints, markers, k / 60.0, hide=() if k < 30 else FINGERS[1:])
+            place = {"position": tuple(middle.tolist()), "orientation": (x, y, z, w)}
+            held = {"t_ns": points.t_ns, "frame": "rig", "state": "measured", "shape": shape} | place
+            assert stage.feed(ObjectPose.model_validate(held)) == []
+            ((_, pose),) = stage.feed(points)
+            assert isinstance(pose, HandPose)
+            off = positions(pose)[tips] - middle
+        off -= np.outer(off @ along, along)
+        depth[shape is None] = radius + right_hand.radii[tips] - np.linalg.norm(off, axis=1)
+    assert depth[True].max() > 0.008
+    assert depth[False].max() < 0.003

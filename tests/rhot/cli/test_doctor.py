@@ -7,7 +7,8 @@ import pytest
 from bus_watch import until_known
 
 from rhot.bus import Bus
-from rhot.cli.doctor import Finding, check_rig, check_running
+from rhot.cli.doctor import check_rig, check_running
+from rhot.cli.findings import Finding
 from rhot.messages import ServiceStatus
 from rhot.rig import BusConfig, CamerasFile, HandFile, RegistrationFile, Rig, load_rig, write_json_model
 

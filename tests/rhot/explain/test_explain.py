@@ -55,7 +55,8 @@ def test_a_moment_of_a_live_recording(take: Path, tmp_path: Path) -> None:
     assert max(anew.values()) < 0.001, "the same cores on the same markers say the same, mm"
     gates = rows_of(page, "Gates")
     assert {row[0] for row in gates} == {"left", "right"}
-    assert all(abs(float(row[3])) < float(row[4]) for row in gates if row[-1] == "taken")
+    assert all(float(row[6]) <= 5.0 for row in gates if row[-1] == "taken"), "standard deviations"
+    assert all(float(row[6]) >= 5.0 for row in gates if row[-1] == "refused")
     assert len(rows_of(page, "Filters")) == 6
     assert len(rows_of(page, "Hand right: angles")) == 20
     assert page.count("<polyline") >= 8

@@ -13,8 +13,8 @@ import msgpack
 import numpy as np
 import pytest
 from hand_messages import hand_pose, marker_frame, object_pose
+from machine.power_cut import Disk, Loss
 from mcap.reader import make_reader
-from power_cut import Disk, Loss
 
 from rhot.bus import EventSubscriber, Sample
 from rhot.errors import ConfigError

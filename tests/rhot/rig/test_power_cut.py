@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from power_cut import cut_everywhere
+from machine.power_cut import cut_everywhere
 
 from rhot.errors import ConfigError
 from rhot.rig import HandFile

@@ -182,6 +182,9 @@ class FakePicamera2:
     def _dispatch(self, function: Callable[[], tuple[bool, Any]]) -> Job:
         job = Job(function)
         with self._lock:
+            if self._ended:
+                # The test is over; real jobs would wait for ever.
+                job.cancel()
             self._jobs.append(job)
             self._woken.notify_all()
         return job

@@ -18,13 +18,14 @@ from rhot.service.stop import install_stop
 
 logger = logging.getLogger(__name__)
 
-DEFAULT_LISTEN = ("tcp/0.0.0.0:7447",)
+DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
 
 
 async def _route(config: BusConfig) -> int:
     stopping = install_stop()
     async with await Bus.open(config):
-        logger.info("routing on %s", ", ".join(config.listen))
+        who = "for who holds a certificate" if config.tls else "for everybody who reaches it"
+        logger.info("routing on %s, %s", ", ".join(config.listen), who)
         systemd.notify("READY=1")
         interval_s = systemd.watchdog_interval_s()
         while not stopping.requested.is_set():
@@ -39,11 +40,11 @@ async def _route(config: BusConfig) -> int:
     "--listen",
     multiple=True,
     metavar="ENDPOINT",
-    help="Endpoint to open. Without it, rig.toml decides, or else tcp/0.0.0.0:7447. May be repeated.",
+    help="Endpoint to open. Without it, rig.toml decides, or else tcp/127.0.0.1:7447. May be repeated.",
 )
 @rig_option
 def router(listen: tuple[str, ...], rig_path: Path) -> int:
     """Connect all services of a rig until Ctrl-C; any Zenoh router of the same version will do, too."""
     bus = load_config(rig_path).bus if (rig_path / RIG_FILE).exists() else BusConfig()
     endpoints = listen or bus.listen or DEFAULT_LISTEN
-    return asyncio.run(_route(BusConfig(mode="router", connect=(), listen=endpoints, multicast=bus.multicast)))
+    return asyncio.run(_route(bus.model_copy(update={"mode": "router", "connect": (), "listen": endpoints})))

@@ -10,8 +10,14 @@ import click
 
 from rhot.bus import Bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
-from rhot.operation.control import broadcast, new_session
+from rhot.operation.control import broadcast, new_session, newest_control, rig_now_ns
 from rhot.rig import BusConfig
+from rhot.rig.folder import RIG_FILE, load_config
+
+_AUTO_WAIT_S = 3600.0
+_LOOKS = 3
+_LOOK_S = 1.0
+"""Services ask for the start signal every two seconds: one that joined before has told the others by then."""
 
 
 async def _control(
@@ -23,6 +29,20 @@ async def _control(
         click.echo(
             f"{action} {sent.session or '(any session)'} sent to {len(alive)} services: {', '.join(alive) or 'none'}"
         )
+
+
+async def _start_by_itself(config: BusConfig, delay_s: float, wait_s: float) -> None:
+    """Start a session unless somebody has started or stopped the rig: whoever has stayed awake knows that."""
+    async with await Bus.open(config, timeout_s=wait_s) as bus:
+        await rig_now_ns(bus, wait_s)
+        for _ in range(_LOOKS):
+            known = await newest_control(bus)
+            if known is not None:
+                click.echo(f"left as it is: {known.action} {known.session or '(any session)'}")
+                return
+            await asyncio.sleep(_LOOK_S)
+        sent = await broadcast(bus, "start", new_session(), delay_s, wait_s)
+        click.echo(f"start {sent.session} sent")
 
 
 @click.command()
@@ -43,13 +63,31 @@ async def _control(
     show_default=True,
     help="Wait this many seconds for the rig to come up.",
 )
+@click.option(
+    "--auto",
+    is_flag=True,
+    help="Start only where rig.toml says autostart = true and nobody has started or stopped the rig; wait for it an "
+    "hour. The installed services do this after a power cut.",
+)
 @rig_option
 @bus_options
 def start(
-    session: str | None, delay_s: float, wait_s: float, rig_path: Path, connect: tuple[str, ...], namespace: str | None
+    session: str | None,
+    delay_s: float,
+    wait_s: float,
+    auto: bool,
+    rig_path: Path,
+    connect: tuple[str, ...],
+    namespace: str | None,
 ) -> None:
     """Tell every service of the rig to start at one moment; those that join later follow by themselves."""
     config = tool_bus(rig_path, connect, namespace)
+    if auto:
+        if load_config(rig_path).autostart:
+            asyncio.run(_start_by_itself(config, delay_s, max(wait_s, _AUTO_WAIT_S)))
+        else:
+            click.echo(f"{rig_path / RIG_FILE} does not say autostart = true: nothing is started")
+        return
     asyncio.run(_control(config, "start", session or new_session(), delay_s, wait_s))
 
 

@@ -88,6 +88,8 @@ class Picamera2Source:
         self._unsynchronised_since_ns: int | None = None
         self._problem = ""
         self._closing = threading.Event()
+        # Nothing may enter picamera2's queue between its emptying and the stop.
+        self._queueing = threading.Lock()
 
     @property
     def problem(self) -> str:
@@ -144,7 +146,10 @@ class Picamera2Source:
         """Wait for one completed request; None after `close`."""
         # One job is waited for in pieces, so that `close` from another thread is noticed. A job that is given up
         # would still take a request later, which nobody would ever give back.
-        job = device.capture_request(wait=False)
+        with self._queueing:
+            if self._closing.is_set():
+                return None
+            job = device.capture_request(wait=False)
         silent_s = 0.0
         while not self._closing.is_set():
             try:
@@ -176,7 +181,8 @@ class Picamera2Source:
 
     def close(self) -> None:
         """Stop and free the camera; may take for ever, as the driver's own stop may."""
-        self._closing.set()
+        with self._queueing:
+            self._closing.set()
         device, self._device = self._device, None
         if device is not None:
             # A capture that was given up stays first in picamera2's queue, and `stop` waits behind it without a limit.

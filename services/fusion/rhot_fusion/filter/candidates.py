@@ -6,7 +6,7 @@ from collections import Counter
 
 import numpy as np
 
-from rhot.rig import FusionConfig
+from rhot.messages import Position
 from rhot_fusion.filter.birth import Birth, View, from_views
 from rhot_fusion.filter.settings import TrackSettings
 from rhot_fusion.schedule import Schedule
@@ -15,23 +15,17 @@ from rhot_fusion.views.sightings import BoolArray, FloatArray
 
 
 class Candidates:
-    """The newest views of M markers.
-
-    Attributes:
-        config: volume; it may be replaced.
-    """
+    """The newest views of M markers."""
 
     def __init__(
         self,
         markers: int,
         coherence: HandCoherence,
         schedule: Schedule,
-        config: FusionConfig,
         settings: TrackSettings,
         counts: Counter[str],
     ) -> None:
         """Begin without views; of counts it takes `behind_cameras` and `gated`."""
-        self.config = config
         self._coherence, self._schedule, self._settings, self._counts = coherence, schedule, settings, counts
         self._newest: list[dict[int, View]] = [{} for _ in range(markers)]
 
@@ -51,7 +45,14 @@ class Candidates:
         return {camera: view for camera, view in self._newest[marker].items() if abs(t_s - view.t_s) <= reach_s}
 
     def together(
-        self, marker: int, views: list[View], t_s: float, velocity: FloatArray, known: FloatArray, alive: BoolArray
+        self,
+        marker: int,
+        views: list[View],
+        t_s: float,
+        velocity: FloatArray,
+        known: FloatArray,
+        alive: BoolArray,
+        volume_m: tuple[Position, Position],
     ) -> Birth | None:
         """Return what views of different cameras say of a marker, if they agree and it can be there.
 
@@ -62,6 +63,7 @@ class Candidates:
             velocity: (3,) expected, metres per second.
             known: (M, 3) where markers are, metres.
             alive: (M,) which of them are known.
+            volume_m: the corners between which markers are believed, metres.
         """
         if len(views) < 2:
             return None
@@ -70,7 +72,7 @@ class Candidates:
         if birth is None:
             self._counts["behind_cameras"] += 1
             return None
-        low, high = self.config.volume_m
+        low, high = volume_m
         place = birth.mean[:3]
         others = alive.copy()
         others[marker] = False

@@ -47,7 +47,9 @@ class CameraNoise:
     @property
     def sigma_px(self) -> FloatArray:
         """(C,) standard deviation of a coordinate, pixels, as learnt."""
-        least, most = self._settings.least_px, self._settings.most_px if self._calibrated else np.inf
+        settings = self._settings
+        least = settings.least_px if self._calibrated else settings.uncalibrated_least_px
+        most = settings.most_px if self._calibrated else np.inf
         return np.sqrt(np.clip(self._asked / self._weight, least**2, most**2))
 
     def variance(self, camera: int) -> float:

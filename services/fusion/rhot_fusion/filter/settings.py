@@ -59,6 +59,8 @@ class NoiseSettings:
         memory: observations after which what was learnt has faded to 37 %; about 20 s of a hand before one camera.
         calibration_px: systematic error between cameras where `cameras.json` states none, pixels.
         uncalibrated_px: the noise of a rig without `cameras.json`, pixels, beside what its time stamps err by.
+        uncalibrated_least_px: bound of what is learnt of such a rig, pixels: it tells whole pixels, or knows its lenses
+            no better.
         uncalibrated_s: standard deviation of the time stamps of such a rig, seconds: it stamps arrivals.
     """
 
@@ -69,6 +71,7 @@ class NoiseSettings:
     memory: float = 5000.0
     calibration_px: float = 0.2
     uncalibrated_px: float = 1.0
+    uncalibrated_least_px: float = 0.3
     uncalibrated_s: float = 0.006
 
 
@@ -92,10 +95,15 @@ class TrackSettings:
         ray_sigma_m: how far a marker that only one camera has seen may be from its hand in depth, metres.
         moving_px_s: a marker that moves faster through the picture is never twice at the same place to the last digit.
         ray_views: views in a row of one camera that put a marker on its ray.
-        fewest: markers of a hand that tell where it is.
+        fewest: markers of a hand that tell how far away it is; in a grasp the patch is often the only one.
+        ray_reach_m: no marker begins on its ray further from the middle of its hand's, metres; a hand's length.
         loose_m: a marker whose place is less certain (standard deviation) is found anew by two views, metres: beyond it
             a depth is no longer linear in the pixels.
         lost_periods: one that nothing has shown for so many frame periods is not moved by a single view.
+        measured_m: a point is called measured up to this standard deviation (root of the covariance's trace), metres: a
+            fingertip that is further off belongs to the next finger.
+        uncalibrated_measured_m: the same before cameras that are not calibrated: a pixel is 2 cm of depth there.
+        lost_m: a marker is forgotten beyond this one, metres: that it is somewhere on its hand tells as much.
         replay_s: frames that come later than this after a newer one are used for nothing, seconds.
     """
 
@@ -105,17 +113,21 @@ class TrackSettings:
     pair_periods: float = 1.6
     speed_sigma: float = 0.5
     confirmations: int = 0
-    uncalibrated_confirmations: int = 4
+    uncalibrated_confirmations: int = 6
     relocations: int = 3
     occupied_m: float = 0.010
     fresh_periods: float = 1.5
     fresh_s: float = 0.04
-    ray_sigma_m: float = 0.06
+    ray_sigma_m: float = 0.08
     moving_px_s: float = 60.0
     ray_views: int = 3
-    fewest: int = 3
+    fewest: int = 1
+    ray_reach_m: float = 0.2
     loose_m: float = 0.03
     lost_periods: float = 2.5
+    measured_m: float = 0.05
+    uncalibrated_measured_m: float = 0.1
+    lost_m: float = 0.12
     replay_s: float = 0.06
 
 

@@ -4,53 +4,32 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from rhot.anatomy.hand import HandModel
-from rhot.anatomy.skeleton import JOINTS
 from rhot.geometry.camera import CameraModel
 from rhot.messages import HandPose
 from rhot.rig import FusionConfig, Rig
 from rhot.rig.quality import pair_epipolar_p95_px
+from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of, rows_of
 from rhot_fusion.filter.agreement import CameraAgreement
-from rhot_fusion.filter.birth import Birth, View, on_ray
-from rhot_fusion.filter.candidates import Candidates
-from rhot_fusion.filter.joint import JointFilter
+from rhot_fusion.filter.birth import View
 from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.outcomes import outcome_of
 from rhot_fusion.filter.paint import Paint
-from rhot_fusion.filter.record import HandRecord, outcomes
+from rhot_fusion.filter.record import outcomes
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
-from rhot_fusion.filter.smoother import Event
 from rhot_fusion.filter.state import Innovation, State, Views
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import Belief, Track
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
-from rhot_fusion.views.sightings import BoolArray, FloatArray, IndexArray, Outcome, Sightings
+from rhot_fusion.views.sightings import FloatArray, IndexArray, Outcome, Sightings
 
 _LONGEST_HISTORY = 32
-
-
-@dataclass(frozen=True, slots=True)
-class _Hand:
-    """The markers of one hand.
-
-    Attributes:
-        index: (H,) of them among all markers.
-        base: which of those H is the patch on its back; −1 = none.
-        filter: theirs.
-        record: of their frames; none when nobody will look back.
-    """
-
-    index: IndexArray
-    base: int
-    filter: JointFilter
-    record: HandRecord | None
 
 
 class FilterTracker:
@@ -59,8 +38,7 @@ class FilterTracker:
     Attributes:
         agreement: whether the cameras still stand as they were calibrated.
         noise: of the cameras.
-        tracks: of all markers, to look at.
-        gates: what became of each camera's newest views, by camera: markers and innovations.
+        gates: what became of each camera's newest views, by camera: markers, innovations and the gate's slack.
     """
 
     def __init__(
@@ -78,28 +56,30 @@ class FilterTracker:
         Of counts it takes `measured`, `refused`, `late_frames`, `too_late`, `gated` and `behind_cameras`.
         """
         if not rig.calibrated:
-            track = replace(settings.track, confirmations=settings.track.uncalibrated_confirmations)
+            track = replace(
+                settings.track,
+                confirmations=settings.track.uncalibrated_confirmations,
+                measured_m=settings.track.uncalibrated_measured_m,
+            )
             settings = replace(settings, track=track)
         self._cameras, self._config, self._counts, self._settings = list(cameras), config, counts, settings
         names, markers = list(rig.cameras), rig.config.markers
         self._count = len(markers)
-        self._hands = _hands(rig, self._cameras, settings, record=record)
-        self._hand_of = {int(m): (hand, k) for hand in self._hands for k, m in enumerate(hand.index)}
+        self._hands = hands_of(rig, self._cameras, settings, record=record)
         self._schedule = Schedule([1.0 / camera.rate_hz for camera in rig.config.cameras.values()])
         coherence = HandCoherence(markers, rig.hand.length_m)
-        self._candidates = Candidates(self._count, coherence, self._schedule, config, settings.track, counts)
+        self._acquisition = Acquisition(self._hands, cameras, coherence, self._schedule, config, settings.track, counts)
         self.noise = CameraNoise(cameras, settings.noise, stated_px(names, rig.quality, settings.noise), rig.calibrated)
         stated = [pair_epipolar_p95_px(rig.quality, a, b) or 0.0 for a, b in combinations(names, 2)]
         self.agreement = CameraAgreement(
             cameras, self._count, config.epipolar_limit_px, rig.calibrated, max(stated, default=0.0)
         )
-        radii = _radii(rig)
+        radii = radii_of(rig)
         calibration_px = float(self.noise.calibration_px.max())
         self._paint = Paint(cameras, radii, settings.paint)
         self._systematic = Systematic(cameras, rig.quality, calibration_px, radii, settings.systematic)
         self._time_variance = 0.0 if rig.calibrated else settings.noise.uncalibrated_s**2
-        self.tracks = [Track(len(cameras)) for _ in markers]
-        self.gates: dict[int, tuple[IndexArray, Innovation]] = {}
+        self.gates: dict[int, tuple[IndexArray, Innovation, FloatArray]] = {}
         self._history: deque[tuple[Sightings, list[State]]] = deque(maxlen=_LONGEST_HISTORY)
         self.clear()
 
@@ -112,13 +92,18 @@ class FilterTracker:
     def epipolar(self, model: EpipolarModel) -> None:
         self.agreement.epipolar = model
 
+    @property
+    def tracks(self) -> list[Track]:
+        """Those of all markers, to look at."""
+        return self._acquisition.tracks
+
     def focal_px(self, camera: int) -> float:
         """Return the pixels of a normalised unit in a camera."""
         return float(self._cameras[camera].K[0, 0])
 
     def configure(self, config: FusionConfig) -> None:
         """Change the settings."""
-        self._config = self._candidates.config = config
+        self._config = self._acquisition.config = config
         self.epipolar.set_limit(config.epipolar_limit_px)
 
     def learn(self, hand: HandPose) -> None:
@@ -130,10 +115,8 @@ class FilterTracker:
             hand.filter.clear()
             if hand.record is not None:
                 hand.record.clear()
-        for track in self.tracks:
-            track.end(len(self._cameras))
+        self._acquisition.clear()
         self._last_xy: FloatArray = np.full((len(self._cameras), self._count, 2), np.nan)
-        self._candidates.clear()
         self._history.clear()
         self._schedule.clear()
         self.agreement.clear()
@@ -151,7 +134,7 @@ class FilterTracker:
 
     def outcome(self, t_s: float) -> Outcome:
         """Return the markers at a moment that is not before the filter's, or as much later as they are predicted."""
-        self._forget(t_s)
+        self._acquisition.forget(t_s)
         then_s = t_s + self._config.predict_s
         newest_s = self._schedule.newest_s
         fresh = [t_s - seen_s <= lasts for seen_s, lasts in zip(newest_s, self._fresh_s(), strict=True)]
@@ -168,7 +151,7 @@ class FilterTracker:
                 if track.belief is Belief.BELIEVED:
                     position[marker], covariance[marker] = place[k], own[k, :, k]
                     seen[:, marker] = track.views(newest_s, fresh)
-        outcome = outcome_of(then_s, position, covariance, seen, self._systematic)
+        outcome = outcome_of(then_s, position, covariance, seen, self._systematic, self._settings.track)
         self._counts["measured"] += sum(outcome.measured)
         return outcome
 
@@ -202,9 +185,16 @@ class FilterTracker:
         if not held.any():
             return sightings
         for row in np.flatnonzero(held).tolist():
-            hand, k = self._hand_of[int(sightings.index[row])]
-            depth = max(float(hand.filter.place[k] @ camera.R_camera_rig[2] + camera.t_camera_rig[2]), 0.1)
-            pace = camera.R_camera_rig[:2] @ hand.filter.velocity[k] / depth
+            hand, k = self._acquisition.hand_of[int(sightings.index[row])]
+            alive = hand.filter.state.alive
+            # What is not known moves as its hand does.
+            one = np.arange(len(alive)) == k if alive[k] else alive
+            if not one.any():
+                held[row] = False
+                continue
+            place, velocity = hand.filter.place[one].mean(axis=0), hand.filter.velocity[one].mean(axis=0)
+            depth = max(float(place @ camera.R_camera_rig[2] + camera.t_camera_rig[2]), 0.1)
+            pace = camera.R_camera_rig[:2] @ velocity / depth
             held[row] = float(np.hypot(*pace)) * self.focal_px(sightings.camera) >= self._settings.track.moving_px_s
         keep = ~held
         columns = (sightings.index, sightings.times_s, sightings.xy, sightings.area_px)
@@ -231,10 +221,11 @@ class FilterTracker:
     def _take(self, sightings: Sightings, *, again: bool = False) -> None:
         """Let a frame move the markers; `again` where it has done so before and only the states are to be had."""
         self._history.append((sightings, [hand.filter.state for hand in self._hands]))
+        begun = self._acquisition.begun
         camera, t_s = sightings.camera, sightings.t_s
         variance = self.noise.variance(camera)
         for hand in self._hands:
-            here = _of(hand, sightings, alone=len(self._hands) == 1)
+            here = rows_of(hand, sightings, alone=len(self._hands) == 1)
             index = sightings.index[here]
             if again:
                 self._update(hand, sightings, here[hand.filter.state.alive[np.searchsorted(hand.index, index)]], None)
@@ -244,35 +235,16 @@ class FilterTracker:
             free = []
             for row, marker in zip(here.tolist(), index.tolist(), strict=True):
                 view = View(self._cameras[camera], float(sightings.times_s[row]), sightings.xy[row], variance)
-                self._candidates.add(marker, camera, view)
-                free.append(self._is_free(marker, camera, t_s))
+                self._acquisition.add(marker, camera, view)
+                free.append(self._acquisition.is_free(marker, camera, t_s))
             self._update(hand, sightings, here[~np.array(free, dtype=bool)], variance)
             for marker in index.tolist():
                 if self.tracks[marker].accepted_s[camera] != t_s:
-                    self._seek(marker, camera, t_s)
+                    self._acquisition.seek(marker, camera, t_s)
+        if self._acquisition.begun > begun:
+            self._history.clear()
 
-    def _is_free(self, marker: int, camera: int, t_s: float) -> bool:
-        """Tell whether a filter cannot take a camera's view of a marker: it is not known, or was put in place by it."""
-        hand, k = self._hand_of[marker]
-        state, track = hand.filter.state, self.tracks[marker]
-        if not state.alive[k]:
-            return True
-        P, row = state.covariance, 3 * k
-        variance = P.item(row, row) + P.item(row + 1, row + 1) + P.item(row + 2, row + 2)
-        if variance <= self._settings.track.loose_m**2 or self._is_recent(track.accepted_s[camera], t_s):
-            return False
-        # A camera that has just come back sees farther than a linear filter can follow.
-        near = self._candidates.near(marker, t_s)
-        birth = self._candidates.together(marker, list(near.values()), t_s, hand.filter.velocity[k], *self._places())
-        if birth is not None:
-            self._begin(marker, birth, t_s, near)
-            return True
-        return not self._is_recent(track.seen_s, t_s)
-
-    def _is_recent(self, then_s: float, t_s: float) -> bool:
-        return t_s - then_s <= self._settings.track.lost_periods * self._schedule.longest_period_s
-
-    def _update(self, hand: _Hand, sightings: Sightings, here: IndexArray, variance: float | None) -> None:
+    def _update(self, hand: Hand, sightings: Sightings, here: IndexArray, variance: float | None) -> None:
         """Let views of known markers of a hand move its filter; a variance of None is for once more."""
         if not len(here):
             return
@@ -301,91 +273,10 @@ class FilterTracker:
         if hand.record is not None:
             hand.record.took(views, innovation, doubt)
         self.noise.learn(sightings.camera, innovation)
-        self.gates[sightings.camera] = index, innovation
+        self.gates[sightings.camera] = index, innovation, slack
         self._counts["refused"] += len(here) - int(np.count_nonzero(innovation.accepted))
         for marker, accepted in zip(index.tolist(), innovation.accepted.tolist(), strict=True):
             if accepted:
                 self.tracks[marker].accept(sightings.camera, sightings.t_s, self._settings.track)
             elif self.tracks[marker].belief is Belief.TENTATIVE:
-                self._end(marker)
-
-    def _seek(self, marker: int, camera: int, t_s: float) -> None:
-        """Look whether a view that moved no marker and another camera's newest one agree on a place."""
-        settings, track = self._settings.track, self.tracks[marker]
-        hand, _ = self._hand_of[marker]
-        alive = hand.filter.state.alive
-        place = hand.filter.place[alive]
-        velocity = hand.filter.velocity[alive].mean(axis=0) if len(place) else np.zeros(3)
-        moment_s = max(t_s, hand.filter.state.t_s) if len(place) else t_s
-        near = self._candidates.near(marker, t_s)
-        birth = self._candidates.together(marker, list(near.values()), moment_s, velocity, *self._places())
-        if birth is not None and track.belief is not Belief.TENTATIVE:
-            if track.look_elsewhere(settings):
-                self._begin(marker, birth, moment_s, near)
-        elif birth is None and len(near) == 1 and len(place) >= settings.fewest and track.see_alone(settings):
-            ray = on_ray(near[camera], place.mean(axis=0), velocity, settings.ray_sigma_m, settings.speed_sigma)
-            self._begin(marker, ray, moment_s, near)
-
-    def _begin(self, marker: int, birth: Birth, t_s: float, views: dict[int, View]) -> None:
-        hand, k = self._hand_of[marker]
-        state = hand.filter.state
-        if t_s > state.t_s and state.alive.any():
-            hand.filter.state = hand.filter.predicted(t_s)
-        hand.filter.begin(k, birth.mean, birth.covariance, t_s)
-        if hand.record is not None:
-            hand.record.note(Event(t_s, k, birth, min(view.t_s for view in views.values())))
-        newest_s = self._schedule.newest_s
-        self.tracks[marker].begin(t_s, {camera: newest_s[camera] for camera in views}, self._settings.track)
-        self._history.clear()
-
-    def _end(self, marker: int) -> None:
-        hand, k = self._hand_of[marker]
-        if hand.filter.state.alive[k]:
-            hand.filter.end(k)
-            if hand.record is not None:
-                hand.record.note(Event(hand.filter.state.t_s, k, None))
-        self.tracks[marker].end(len(self._cameras))
-
-    def _places(self) -> tuple[FloatArray, BoolArray]:
-        """Return where all markers (M, 3) are, and which (M,) are known."""
-        known, alive = np.zeros((self._count, 3)), np.zeros(self._count, dtype=bool)
-        for hand in self._hands:
-            known[hand.index], alive[hand.index] = hand.filter.place, hand.filter.state.alive
-        return known, alive
-
-    def _forget(self, t_s: float) -> None:
-        """End markers that nothing has shown for a while, or that left the volume."""
-        low, high = np.array(self._config.volume_m)
-        known, alive = self._places()
-        outside = ((known < low) | (known > high)).any(axis=1)
-        for marker in np.flatnonzero(alive).tolist():
-            if outside[marker] or t_s - self.tracks[marker].seen_s > self._config.hold_s:
-                self._end(marker)
-
-
-def _of(hand: _Hand, sightings: Sightings, *, alone: bool) -> IndexArray:
-    """Return which views (N,) are of a hand's markers: all of them where it is the only one."""
-    return np.arange(len(sightings.index)) if alone else np.flatnonzero(np.isin(sightings.index, hand.index))
-
-
-def _hands(rig: Rig, cameras: Sequence[CameraModel], settings: FilterSettings, *, record: bool) -> list[_Hand]:
-    markers = list(rig.config.markers.values())
-    sides = np.array([marker.hand for marker in markers])
-    hands = []
-    for side in np.unique(sides):
-        index = np.flatnonzero(sides == side)
-        base = next((k for k, m in enumerate(index.tolist()) if markers[m].kind == "patch"), -1)
-        joint = JointFilter(len(index), settings.motion, settings.track.gate)
-        hands.append(_Hand(index, base, joint, HandRecord(index, cameras) if record else None))
-    return hands
-
-
-def _radii(rig: Rig) -> FloatArray:
-    """Return the radii (M,) of the painted fingertips, metres; 0 for markers of another kind."""
-    radii = []
-    for marker in rig.config.markers.values():
-        tip = marker.kind == "cap" and marker.joint.endswith("_tip")
-        radii.append(
-            float(HandModel.from_file(rig.hand, marker.hand).radii[JOINTS.index(marker.joint)]) if tip else 0.0
-        )
-    return np.array(radii)
+                self._acquisition.end(marker)

@@ -33,6 +33,7 @@ class Track:
         agreed: views that agreed since it began.
         elsewhere: how many pairs of views in a row agreed on another place.
         alone: views in a row of a marker that is absent, by one camera.
+        alone_s: time of the newest of them.
         accepted_s: per camera, time of the last frame whose view was accepted, seconds; −∞ = none.
         seen_s: of the newest of them.
     """
@@ -42,6 +43,7 @@ class Track:
     agreed: int = 0
     elsewhere: int = 0
     alone: int = 0
+    alone_s: float = -np.inf
     accepted_s: list[float] = field(default_factory=list)
     seen_s: float = -np.inf
 
@@ -57,9 +59,10 @@ class Track:
         self.elsewhere += 1
         return self.belief is Belief.ABSENT or self.elsewhere >= settings.relocations
 
-    def see_alone(self, settings: TrackSettings) -> bool:
+    def see_alone(self, t_s: float, longest_gap_s: float, settings: TrackSettings) -> bool:
         """Take a view of one camera that nothing agrees with; tell whether it is to begin on its ray."""
-        self.alone += 1
+        self.alone = self.alone + 1 if t_s - self.alone_s <= longest_gap_s else 1
+        self.alone_s = t_s
         return self.belief is Belief.ABSENT and self.alone >= settings.ray_views
 
     def accept(self, camera: int, t_s: float, settings: TrackSettings) -> None:
@@ -83,6 +86,8 @@ class Track:
         return [last >= newest and now for last, newest, now in zip(self.accepted_s, frame_s, fresh, strict=True)]
 
 
-def state_of(views: int) -> PointState:
-    """Return a point's state by how many cameras show it."""
-    return "measured" if views >= 2 else "one_view" if views == 1 else "predicted"
+def state_of(views: int, certain: bool) -> PointState:
+    """Return a point's state by how many cameras show it, and whether they have made its place certain."""
+    if views >= 2:
+        return "measured" if certain else "predicted"
+    return "one_view" if views == 1 else "predicted"

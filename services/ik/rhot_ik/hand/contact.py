@@ -8,6 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from rhot.arrays import FloatArray
+from rhot.geometry.rotations import rotation_from_quaternion
+from rhot.geometry.transforms import rigid
+from rhot.messages import BoxShape, CylinderShape, ObjectPose
 
 
 class Shape(Protocol):
@@ -81,6 +84,18 @@ class Cylinder:
         axes[:, :2] = out[:, :1] * local[:, :2] / np.maximum(round_m, 1e-9)[:, None]
         axes[:, 2] = out[:, 1] * np.where(local[:, 2] < 0.0, -1.0, 1.0)
         return distance, axes @ R.T
+
+
+def shape_of(pose: ObjectPose) -> Shape | None:
+    """Return the body that an object's pose and shape describe; none where its shape is not known."""
+    if pose.shape is None:
+        return None
+    T = rigid(rotation_from_quaternion(np.array(pose.orientation)), np.array(pose.position))
+    if isinstance(pose.shape, BoxShape):
+        return Box(T, np.array(pose.shape.size))
+    if isinstance(pose.shape, CylinderShape):
+        return Cylinder(T, pose.shape.radius, pose.shape.height)
+    return Sphere(T[:3, 3], pose.shape.radius)
 
 
 def _of_slabs(beyond: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -23,14 +23,23 @@ class RejoinSettings:
     Attributes:
         step_m: a tip goes no further than this on the palm from one sample to the next; the ruler's limit for a step
             beyond the true motion is 10 mm.
+        first_m, share: nor further than this much and this share of what is left of its way, so that it sets out and
+            arrives gently.
         speed_m_s: and by the way of a finger that moves at this speed on top: closing hands take about half a second
             for 0.05 m of a tip on the palm.
         lasts_s: for at least this long, until fusion has settled on a marker that is new to it.
+        fastest_m_s: a tip that goes faster on the palm was found anew rather than moved: 20 rad/s of a finger 80 mm
+            long.
+        sure_m: a marker known no better than this, the worst way, has not come back yet: one camera sees it.
     """
 
-    step_m: float = 0.007
+    step_m: float = 0.006
+    first_m: float = 0.003
+    share: float = 0.2
     speed_m_s: float = 0.05
     lasts_s: float = 0.1
+    fastest_m_s: float = 1.6
+    sure_m: float = 0.01
 
 
 def rejoined(
@@ -51,18 +60,20 @@ def rejoined(
         dt_s: since then.
         settings: how fast.
     """
-    led: BoolArray = left_s > 0.0
+    begin, share, change = geometry.marker_points(shown), np.ones(5), estimated - shown
+    way = geometry.marker_points(estimated) - begin
+    gap_m = np.sqrt((way * way).sum(-1))
+    led: BoolArray = (left_s > 0.0) | (gap_m > settings.step_m + settings.fastest_m_s * dt_s)
     if not led.any():
         return estimated, left_s
-    most_m, begin = settings.step_m + settings.speed_m_s * dt_s, geometry.marker_points(shown)
-    share, change = np.ones(5), estimated - shown
+    most_m = np.minimum(settings.step_m, settings.first_m + settings.share * gap_m) + settings.speed_m_s * dt_s
     for _ in range(2):
         # A share of the angles is not the same share of the way: what is too far still is shortened once more.
-        way = geometry.marker_points(shown + share[:, None] * change) - begin
         shorter = np.minimum(1.0, most_m / np.maximum(np.sqrt((way * way).sum(-1)), _NONE_M))
         if not (led & (shorter < 1.0)).any():
             break
         share *= shorter
+        way = geometry.marker_points(shown + share[:, None] * change) - begin
     angles = np.where(led[:, None], shown + share[:, None] * change, estimated)
     # Who has not arrived is led on, however long it takes.
     left = np.where(share < 1.0, np.maximum(left_s - dt_s, _NONE_S), left_s - dt_s)

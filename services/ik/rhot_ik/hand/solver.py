@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -25,16 +24,6 @@ from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
 from rhot_ik.hand.rejoin import RejoinSettings, rejoined
 
 __all__ = ["HandObservation", "HandSolution", "HandSolver"]
-
-
-GAP_S: Final = 1.0
-"""After a silence this long nothing of the past is used."""
-LATE_S: Final = 0.1
-"""A sample that is older than the last one by less than this came out of order and is left out."""
-LOST_M: Final = 0.012
-"""When the seen tips miss the model by more than this on average …"""
-LOST_S: Final = 0.3
-"""… for this long, the hand is looked for anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +62,7 @@ class HandTrack:
         corners_measured: whether the corners of the patch measured the palm's rotation.
         base_seen_ns, measured_ns: when the base marker was there last, and when anything was measured.
         measured: (5,) whether each finger was.
+        sure: (5,) and whether well in all directions.
         lost_s: for how long the seen tips have missed the model.
         most_tips: how many tips met it at once so far; at least 1.
     """
@@ -86,6 +76,7 @@ class HandTrack:
     base_seen_ns: int
     measured_ns: int
     measured: BoolArray
+    sure: BoolArray
     lost_s: float = 0.0
     most_tips: int = 1
 
@@ -156,9 +147,9 @@ class HandSolver:
         before = self._track
         if before is not None:
             dt_s = (seen.t_ns - before.t_ns) / 1e9
-            if -LATE_S < dt_s < 0.0:
+            if -self._settings.late_s < dt_s < 0.0:
                 return None
-            if not 0.0 <= dt_s < GAP_S or self._is_over(seen, before):
+            if not 0.0 <= dt_s < self._settings.gap_s or self._is_over(seen, before):
                 before = None
         self._track = self._begun(seen) if before is None else self._continued(before, seen, shapes)
         if self._track is None:
@@ -190,7 +181,15 @@ class HandSolver:
             base_seen_ns=seen.t_ns,
             measured_ns=seen.t_ns,
             measured=seen.tips_seen & seen.tips_measured,
+            sure=seen.tips_seen & seen.tips_measured & self._is_sure(seen),
         )
+
+    def _is_sure(self, seen: HandObservation) -> BoolArray:
+        """Tell which tips (5,) are known in all directions."""
+        if seen.tip_covariances is None:
+            return np.ones(5, dtype=np.bool_)
+        worst: BoolArray = np.trace(seen.tip_covariances, axis1=1, axis2=2) < self._rejoin.sure_m**2
+        return worst
 
     def _continued(self, before: HandTrack, seen: HandObservation, shapes: Sequence[Shape]) -> HandTrack:
         dt_s = (seen.t_ns - before.t_ns) / 1e9
@@ -200,7 +199,8 @@ class HandSolver:
         state = self._filter.update(expected, evidence, shapes=shapes)
         state, lost_s = self._reinitialised_if_lost(before, state, seen, dt_s)
         angles = self._angles(state, seen, before.shown)
-        left_s = np.where(measured & before.measured, before.rejoins_s, self._rejoin.lasts_s)
+        sure = measured & self._is_sure(seen)
+        left_s = np.where(sure & before.sure, before.rejoins_s, self._rejoin.lasts_s)
         shown, left_s = rejoined(self._geometry, angles, before.shown, left_s, dt_s, self._rejoin)
         return HandTrack(
             t_ns=seen.t_ns,
@@ -212,6 +212,7 @@ class HandSolver:
             base_seen_ns=before.base_seen_ns if seen.base is None else seen.t_ns,
             measured_ns=seen.t_ns if seen.measured_any else before.measured_ns,
             measured=measured,
+            sure=sure,
             lost_s=lost_s,
             most_tips=max(before.most_tips, int(np.count_nonzero(measured)) if lost_s == 0.0 else 1),
         )
@@ -223,10 +224,12 @@ class HandSolver:
         # One tip alone does not tell one end of a patch from the other, so it corrects only what rests on no more.
         if np.count_nonzero(seen.tips_seen & seen.tips_measured) < min(2, before.most_tips):
             return state, before.lost_s
-        if state.mean_residual_m < LOST_M:
+        if state.mean_residual_m < self._settings.lost_m:
             return state, 0.0
-        if before.lost_s + dt_s < LOST_S:
-            return state, before.lost_s + dt_s
+        # The further they are off, the less there is to wait for: 150 mm are a palm taken up the wrong way round.
+        lost_s = before.lost_s + dt_s * min(state.mean_residual_m / self._settings.lost_m, self._settings.lost_haste)
+        if lost_s < self._settings.lost_s:
+            return state, lost_s
         # What was learned of the person on a hand that was taken up wrongly is wrong as well.
         found = self._initialiser.find(seen)
         if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):

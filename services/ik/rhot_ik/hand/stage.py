@@ -11,9 +11,10 @@ from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import FloatArray
 from rhot.explain import Explanation
-from rhot.messages import FingerAngles, HandPose, Point, PointSet, Side
+from rhot.messages import FingerAngles, HandPose, ObjectPose, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
 from rhot.stage import Output
+from rhot_ik.hand.contact import Shape, shape_of
 from rhot_ik.hand.explain import solver_tables
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.fingers.geometry import base_marker
@@ -38,6 +39,9 @@ class HandStage:
         self._counts = {"hands": 0, "no_hand": 0, "outside": 0, "not_of_this_hand": 0}
         self._volume_m = rig.config.fusion.volume_m
         self._problems: list[str] = []
+        self._hold_s = rig.config.ik.hold_s
+        # Messages do not say which object they are of; two of the very same shape count as one.
+        self._objects: dict[str, tuple[int, Shape]] = {}
         places = [np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values()]
         viewpoint = np.mean(places, axis=0) if places else None
         for side in rig.config.sides:
@@ -51,6 +55,7 @@ class HandStage:
 
     def configure(self, config: IkConfig) -> None:
         """Switch to another configuration from the next sample on."""
+        self._hold_s = config.hold_s
         for solver in self._solvers.values():
             solver.config = config
 
@@ -76,14 +81,22 @@ class HandStage:
     def feed(self, points: PointSet) -> list[Output]:
         """Return the `HandPose` of each hand that the points show, with its key."""
         out: list[Output] = []
+        held_ns = round(self._hold_s * 1e9)
+        shapes = [shape for t_ns, shape in self._objects.values() if abs(points.t_ns - t_ns) <= held_ns]
         for side, solver in self._solvers.items():
-            solution = solver.solve(self._observation(points, self._bases[side], solver))
+            solution = solver.solve(self._observation(points, self._bases[side], solver), shapes)
             if solution is None:
                 self._counts["no_hand"] += 1
             else:
                 self._counts["hands"] += 1
                 out.append((f"rhot/hand/{side}", hand_pose(points, solver.geometry.model, solution)))
         return out
+
+    def feed_object(self, pose: ObjectPose) -> None:
+        """Remember where an object is that hidden fingers may close round; one without a shape tells nothing."""
+        shape = shape_of(pose)
+        if shape is not None and pose.shape is not None and pose.frame == "rig":
+            self._objects[pose.shape.model_dump_json()] = pose.t_ns, shape
 
     def explain(self) -> list[Explanation]:
         """Return what is known of each hand after the newest points, and why; see `rhot.explain`."""

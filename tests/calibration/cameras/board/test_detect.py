@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from board_pictures import board_picture
+from boards.pictures import board_picture
 
 from rhot_calibration.cameras.board.boards import parse_board
 from rhot_calibration.cameras.board.detect import detect_board, looks_mirrored, wrong_count_hint

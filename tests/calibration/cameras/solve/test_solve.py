@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from board_views import CAMERAS, SimulatedViews, nominal_lens, simulated_views
+from boards.views import CAMERAS, SimulatedViews, nominal_lens, simulated_views
 
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import vector_from_rotation

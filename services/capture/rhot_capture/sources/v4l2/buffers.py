@@ -11,6 +11,7 @@ import ctypes
 import fcntl
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final
 
 VIDIOC_QUERYBUF: Final = 0xC0585609
@@ -52,6 +53,25 @@ class V4l2Buffer(ctypes.Structure):
         ("reserved2", ctypes.c_uint32),
         ("request_fd", ctypes.c_uint32),
     )
+
+
+def stamps_arrival(device: str, sysfs: Path = Path("/sys")) -> bool:
+    """Tell whether a driver stamps a frame when its first packet arrives, whatever the buffer's label says.
+
+    uvcvideo labels all its stamps as the start of the exposure, but computes that only with its parameter
+    `hwtimestamps`, which is off by default (kernel, uvc_video.c: `uvc_video_decode_start`, `uvc_video_clock_update`).
+
+    Args:
+        device: path, such as `/dev/video0` or a link to it.
+        sysfs: where the kernel shows its drivers.
+    """
+    driver = (sysfs / "class/video4linux" / Path(device).resolve().name / "device/driver").resolve().name
+    if driver != "uvcvideo":
+        return False
+    try:
+        return (sysfs / "module/uvcvideo/parameters/hwtimestamps").read_text().strip() == "0"
+    except OSError:
+        return False
 
 
 Ioctl = Callable[[int, int, V4l2Buffer], object]

@@ -17,7 +17,7 @@ from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.rig.config import CameraConfig
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
-from rhot_capture.sources.v4l2.buffers import BufferQuery
+from rhot_capture.sources.v4l2.buffers import BufferQuery, stamps_arrival
 from rhot_capture.sources.v4l2.controls import DriverControls
 
 _LOG = logging.getLogger(__name__)
@@ -35,8 +35,9 @@ class V4l2Source:
     """A camera behind `/dev/video*`.
 
     Frames carry the driver's own timestamp (monotonic clock), which by its label marks the start of the exposure (as of
-    uvcvideo: kernel commit c767492a58fd) or the end of the frame. Where the driver gives no time that can be true, the
-    time of arrival less read-out and exposure counts, which is late by the transfer.
+    uvcvideo: kernel commit c767492a58fd) or the end of the frame; uvcvideo without `hwtimestamps` stamps the first
+    packet, which comes when the first row has been exposed. Where the driver gives no time that can be true, the time
+    of arrival less read-out and exposure counts, which is late by the transfer.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class V4l2Source:
         opencv: ModuleType | Any = cv2,
         now_ns: Callable[[], int] = time.monotonic_ns,
         query: Callable[[str], BufferQuery] = BufferQuery,
+        stamps_arrival: Callable[[str], bool] = stamps_arrival,
     ) -> None:
         """Prepare; `open` touches the device.
 
@@ -55,15 +57,17 @@ class V4l2Source:
             opencv: the module that provides `VideoCapture`; replaced in tests.
             now_ns: the monotonic clock.
             query: asks the driver of its buffers; replaced in tests.
+            stamps_arrival: whether a device's driver stamps the arrival of the first packet; replaced in tests.
         """
         self._name = name
         self._camera = camera
         self._cv = opencv
         self._now_ns = now_ns
         self._query = query
+        self._stamps_arrival = stamps_arrival
         self._capture: Any = None
         self._buffers: BufferQuery | None = None
-        self._stamps_mark_start: bool | None = None
+        self._stamps = "end of frame"
         self._exposure_s = camera.exposure_s
         self._start_ns = 0
         self._period_ns = round(1e9 / camera.rate_hz)
@@ -207,12 +211,13 @@ class V4l2Source:
 
     def _ask_for_stamps(self) -> None:
         device = self._device()
+        path = f"/dev/video{device}" if isinstance(device, int) else device
         try:
-            self._buffers = self._query(f"/dev/video{device}" if isinstance(device, int) else device)
+            self._buffers = self._query(path)
         except OSError as error:
             _LOG.warning("camera %s: what its timestamps mark is not known: %s", self._name, error)
-            return
-        self._stamps_mark_start = self._buffers.stamps_mark_start()
+        marks_start = self._buffers is not None and self._buffers.stamps_mark_start()
+        self._stamps = "end of frame" if not marks_start else "arrival" if self._stamps_arrival(path) else "start"
 
     def _grab(self, capture: Any) -> Frame | None:
         """Wait for a frame and take it; None when none came in OpenCV's time."""
@@ -230,7 +235,8 @@ class V4l2Source:
         if stamp_ns is None:
             first_row_ns = arrived_ns - scan_ns - exposure_ns
         else:
-            first_row_ns = stamp_ns if self._stamps_mark_start else stamp_ns - scan_ns - exposure_ns
+            late_ns = {"start": 0, "arrival": exposure_ns, "end of frame": scan_ns + exposure_ns}
+            first_row_ns = stamp_ns - late_ns[self._stamps]
         return Frame(
             np.asarray(image, dtype=np.uint8), self._index, first_row_ns, self._exposure_s, self._camera.readout_s
         )

@@ -110,7 +110,7 @@ class HandFilter(HandProcess):
         rows = rows_of(evidence)
         if rows is None:
             return prior
-        P, noise, dx = prior.P, rows.noise, np.zeros(SIZE)
+        P, given, dx = prior.P, rows.noise, np.zeros(SIZE)
         learned = min(1.0, (prior.dt_s or self.settings.first_lasts_s) / self.settings.lasts_s)
         at = prior
         wanted = np.empty((_ROWS, SIZE + 1))
@@ -128,9 +128,10 @@ class HandFilter(HandProcess):
             H, y = self._linearise(rows, at, modelled)
             innovation = y + H @ dx
             if step == 0:
-                P, noise = self._given_room(prior, rows, H, innovation)
+                P, given = self._given_room(prior, rows, H, innovation)
+                noise = given
             if far or step > 0:
-                noise = self._doubted(rows, noise, y, H[:15, :6] if step == 0 else None, P[:6, :6])
+                noise = self._doubted(rows, given, y, H[:15, :6] if step == 0 else None, P[:6, :6])
             PHt = P @ H.T
             S = H @ PHt
             S.reshape(7, 3, 7, 3)[_BLOCKS, :, _BLOCKS] += noise
@@ -267,7 +268,9 @@ class HandFilter(HandProcess):
             allowed = allowed + (by_pose @ P @ by_pose.T).reshape(5, 3, 5, 3)[_TIPS, :, _TIPS]
         share = (missed * np.linalg.solve(allowed, missed[:, :, None])[:, :, 0]).sum(-1)
         doubted = noise.copy()
+        # A tip further off than any model's error loses next to all of its weight.
         doubted[:5] *= (1.0 + share)[:, None, None]
+        doubted[:5] += (self.settings.miss_m**2 * np.maximum(0.0, share - 1.0))[:, None, None] * _UNIT
         return doubted
 
     def _within_limits(self, dx: FloatArray, angles: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -47,7 +47,8 @@ class HandInitialiser:
 
         `person` is what is known of the hand from before, see `HandState.what_is_personal`.
         """
-        visible = np.isfinite(seen.tips).all(axis=1)
+        # What is only bridged may have been anything; a measured tip tells one end of the patch from the other.
+        visible = seen.tips_seen & seen.tips_measured
         if seen.base is None or not visible.any():
             return None
         direction = seen.tips[visible].mean(axis=0) - seen.base

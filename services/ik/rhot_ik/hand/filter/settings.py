@@ -17,8 +17,7 @@ class HandSettings:
         angles_rest_s: time constant with which an unseen hand relaxes; people hold a thing for several seconds.
         closing_s: time constant with which a finger that nobody sees closes: in front of cameras that see a hand's
             back, fingers vanish under it because they close round something, which takes about half a second.
-        closing_s: float = 0.8
-    angles_wander_s: in this time an unseen finger may come to be anywhere that fingers are.
+        angles_wander_s: in this time an unseen finger may come to be anywhere that fingers are.
         most_activity: fingers that move faster than they usually do get up to this many times their diffusion. A
             finger turns at most at some 20 rad/s, usually at 2 to 4.
         person_s: in this time what was learned of a person fades: somebody may have changed places or repainted.
@@ -53,6 +52,11 @@ class HandSettings:
         close_rad: steps end when the derivatives were taken this near to where they led.
         outlier: a tip that many standard deviations off loses weight.
         miss_m: and one that no legal pose meets within this.
+        gap_s: after a silence this long nothing of the past is used.
+        late_s: a sample that is older than the last one by less than this came out of order and is left out.
+        lost_m, lost_s: when the seen tips miss the model by more than this on average for this long, the hand is
+            looked for anew: more than wrong proportions explain, for longer than a wild marker lasts.
+        lost_haste: time counts up to this many times when they miss it by as many times as much.
     """
 
     acceleration: float = 6.0
@@ -84,3 +88,8 @@ class HandSettings:
     close_rad: float = 0.05
     outlier: float = 10.0
     miss_m: float = 0.012
+    gap_s: float = 1.0
+    late_s: float = 0.1
+    lost_m: float = 0.012
+    lost_s: float = 0.3
+    lost_haste: float = 8.0

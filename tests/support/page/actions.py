@@ -6,8 +6,8 @@ import json
 
 import cv2
 import numpy as np
-from browser import Browser, wait_until
 from numpy.typing import NDArray
+from page.browser import Browser, wait_until
 
 from rhot_viewer.scene.cameras import PicturePlane
 from rhot_viewer.scene.viewpoint import Viewpoint, through

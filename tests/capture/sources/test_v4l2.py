@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import threading
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,7 +17,7 @@ from rhot.rig import CameraConfig
 from rhot.rig.colors import nominal_colors
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.v4l2 import V4l2Source
-from rhot_capture.sources.v4l2.buffers import V4l2Buffer
+from rhot_capture.sources.v4l2.buffers import V4l2Buffer, stamps_arrival
 
 CAMERA = CameraConfig(source="v4l2", device="2", rate_hz=60.0, exposure_s=0.004, readout_s=0.01)
 PERIOD_US = 16_667
@@ -115,6 +116,26 @@ def test_a_stamp_labelled_start_of_exposure_is_the_start() -> None:
     assert frame is not None
     assert frame.t_first_row_ns == 4_990_000_000
     assert (frame.exposure_s, frame.readout_s) == (0.004, 0.01)
+
+
+def test_uvcvideo_without_hardware_stamps_marks_the_first_packet(tmp_path: Path) -> None:
+    node, module = tmp_path / "class/video4linux/video2/device", tmp_path / "module/uvcvideo/parameters"
+    for folder in (node, module, tmp_path / "bus/usb/drivers/uvcvideo"):
+        folder.mkdir(parents=True)
+    (node / "driver").symlink_to(tmp_path / "bus/usb/drivers/uvcvideo")
+    assert not stamps_arrival("/dev/video2", tmp_path), "nobody says so"
+    for value, arrival, late_ns in (("0\n", True, 4_000_000), ("1\n", False, 0)):
+        (module / "hwtimestamps").write_text(value)
+        assert stamps_arrival("/dev/video2", tmp_path) == arrival
+        device = FakeV4l2(pictures(0))
+        source = V4l2Source(
+            "left", CAMERA, device.opencv(), device.clock_ns, device.query, lambda path: stamps_arrival(path, tmp_path)
+        )
+        source.open(0)
+        frame = source.read()
+        assert frame is not None
+        assert frame.t_first_row_ns == 4_990_000_000 - late_ns
+    assert not stamps_arrival("/dev/video3", tmp_path)
 
 
 @pytest.mark.parametrize("answers", [True, False])

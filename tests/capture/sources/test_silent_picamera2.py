@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections.abc import Iterator
 
 import pytest
-from devices.fake_picamera2 import FakePicamera2
+from devices.fake_picamera2 import FakePicamera2, Job
 from wall_clock import in_time
 
 from rhot.errors import DeviceError, HungDeviceError
@@ -91,3 +92,37 @@ def test_a_client_without_a_server_says_so_and_goes_on_alone(
     assert source.read() is not None
     assert source.problem == ""
     source.close()
+
+
+def test_no_capture_gets_between_the_emptied_queue_and_the_stop(
+    device: FakePicamera2, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = opened(device)
+    capture, flush = device.capture_request, device.cancel_all_and_flush
+    entered, go_on, queued = threading.Event(), threading.Event(), threading.Event()
+
+    def slow(wait: bool) -> Job:
+        entered.set()
+        go_on.wait(LIMIT_S)
+        job = capture(wait)
+        queued.set()
+        return job
+
+    def flush_first() -> None:
+        flush()
+        go_on.set()
+        queued.wait(LIMIT_S)
+
+    monkeypatch.setattr(device, "capture_request", slow)
+    monkeypatch.setattr(device, "cancel_all_and_flush", flush_first)
+    reader = threading.Thread(target=source.read, daemon=True)
+    reader.start()
+    assert entered.wait(LIMIT_S)
+    closer = threading.Thread(target=source.close, daemon=True)
+    closer.start()
+    closer.join(0.1)
+    go_on.set()
+    closer.join(LIMIT_S)
+    reader.join(LIMIT_S)
+    assert not closer.is_alive()
+    assert device.calls == ["start", "flush", "stop", "close"]

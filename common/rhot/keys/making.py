@@ -1,0 +1,166 @@
+"""Making certificates for a rig: all at once, one more, one less."""
+
+from __future__ import annotations
+
+import io
+import tarfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from rhot.atomic_file import write_atomic
+from rhot.errors import ConfigError
+from rhot.keys.authority import Pair, new_authority, new_certificate
+from rhot.keys.folder import AUTHORITY, KEYS_FOLDER, ROLES_FILE, certificate_file, key_file, load_roles, write_private
+from rhot.keys.roles import OPERATOR, ROUTER, SERVICES, Holder, RolesFile
+from rhot.rig.folder import COLORS_FILE, RIG_FILE, load_config, write_json_model
+from rhot.rig.toml_edit import change_rig_file, with_values
+
+PORT: Final = 7447
+_LOCAL: Final = ("127.0.0.1", "::1", "localhost")
+
+
+def make_keys(rig_path: Path, addresses: Sequence[str], port: int = PORT) -> tuple[Path, ...]:
+    """Make a rig's authority, its certificates and a bundle for each camera, and switch TLS on in `rig.toml`.
+
+    Args:
+        rig_path: rig folder, on the machine of the router.
+        addresses: by which the other machines reach the router; the first stands in their `rig.toml`.
+        port: of the router.
+
+    Returns:
+        the bundles to bring to the other machines.
+
+    Raises:
+        ConfigError: there are keys already, or something cannot be written.
+    """
+    config = load_config(rig_path)
+    folder = rig_path / KEYS_FOLDER
+    if certificate_file(folder, AUTHORITY).exists():
+        raise ConfigError(
+            f"{folder} holds keys already: `rhot keys add` makes one more. To begin anew, move the folder away; all "
+            "machines then need new ones"
+        )
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        folder.chmod(0o700)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be made: {error.strerror or error}") from error
+    authority = new_authority(config.name)
+    _write_pair(folder, AUTHORITY, authority)
+    holders: dict[str, Holder] = {}
+    router = new_certificate(authority, ROUTER, [*addresses, *_LOCAL])
+    _write_pair(folder, ROUTER, router)
+    holders[ROUTER] = Holder(role="router", expires=router.expires)
+    for name, holder in {
+        SERVICES: Holder(role="services"),
+        OPERATOR: Holder(role="operator"),
+        **{f"camera-{camera}": Holder(role="camera", camera=camera) for camera in config.cameras},
+    }.items():
+        holders[name] = _signed(folder, authority, name, holder)
+    write_json_model(folder / ROLES_FILE, RolesFile(holders=holders))
+    change_rig_file(
+        rig_path,
+        {
+            ("bus",): {
+                "mode": "client",
+                "connect": [f"tls/{_bracketed(addresses[0])}:{port}"],
+                "listen": [f"tls/[::]:{port}" if ":" in addresses[0] else f"tls/0.0.0.0:{port}"],
+                "tls": True,
+            }
+        },
+    )
+    return tuple(write_bundle(rig_path, name) for name, holder in holders.items() if holder.role == "camera")
+
+
+def add_holder(rig_path: Path, name: str, holder: Holder) -> Path:
+    """Make one more certificate and return its bundle; the router knows it when it is started again.
+
+    Raises:
+        ConfigError: the name is taken, there is no authority here, or something cannot be written.
+    """
+    folder = rig_path / KEYS_FOLDER
+    roles = load_roles(folder)
+    if name in roles.holders or name == AUTHORITY:
+        raise ConfigError(f"{name} is taken; `rhot keys remove {name}` frees the name")
+    signed = _signed(folder, _authority(folder), name, holder)
+    write_json_model(folder / ROLES_FILE, RolesFile(holders={**roles.holders, name: signed}))
+    return write_bundle(rig_path, name)
+
+
+def remove_holder(rig_path: Path, name: str) -> None:
+    """Take a certificate's rights away; the router lets it do nothing any more when it is started again.
+
+    Raises:
+        ConfigError: there is none of this name, or it is the router's.
+    """
+    folder = rig_path / KEYS_FOLDER
+    roles = load_roles(folder)
+    if name not in roles.holders or name == ROUTER:
+        known = ", ".join(each for each in roles.holders if each != ROUTER)
+        raise ConfigError(f"{name}: no certificate of that name can be removed; there are {known}")
+    left = {each: holder for each, holder in roles.holders.items() if each != name}
+    write_json_model(folder / ROLES_FILE, RolesFile(holders=left))
+    for file in (certificate_file(folder, name), key_file(folder, name), bundle_file(folder, name)):
+        file.unlink(missing_ok=True)
+
+
+def bundle_file(folder: Path, name: str) -> Path:
+    """Return where the bundle for another machine lies."""
+    return folder / f"{name}.tar"
+
+
+def write_bundle(rig_path: Path, name: str) -> Path:
+    """Write everything that a machine needs to take part as `name`: rig.toml, colours, certificates; return the file.
+
+    It holds a private key: whoever has the file is `name`.
+    """
+    folder = rig_path / KEYS_FOLDER
+    text = (rig_path / RIG_FILE).read_text(encoding="utf-8")
+    role = load_roles(folder).holders[name].role
+    content: dict[str, bytes] = {
+        RIG_FILE: with_values(text, ("bus",), {"identity": name if role in ("operator", "tool") else ""}).encode(),
+        f"{KEYS_FOLDER}/{AUTHORITY}.pem": certificate_file(folder, AUTHORITY).read_bytes(),
+        f"{KEYS_FOLDER}/{name}.pem": certificate_file(folder, name).read_bytes(),
+        f"{KEYS_FOLDER}/{name}.key": key_file(folder, name).read_bytes(),
+    }
+    if (rig_path / COLORS_FILE).exists():
+        content[COLORS_FILE] = (rig_path / COLORS_FILE).read_bytes()
+    bundle = bundle_file(folder, name)
+    write_private(bundle, _tar(content))
+    return bundle
+
+
+def _tar(content: Mapping[str, bytes]) -> bytes:
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w") as archive:
+        for name, data in content.items():
+            entry = tarfile.TarInfo(name)
+            entry.size = len(data)
+            entry.mode = 0o600
+            archive.addfile(entry, io.BytesIO(data))
+    return stream.getvalue()
+
+
+def _signed(folder: Path, authority: Pair, name: str, holder: Holder) -> Holder:
+    pair = new_certificate(authority, name)
+    _write_pair(folder, name, pair)
+    return holder.model_copy(update={"expires": pair.expires})
+
+
+def _authority(folder: Path) -> Pair:
+    try:
+        return Pair(certificate_file(folder, AUTHORITY).read_bytes(), key_file(folder, AUTHORITY).read_bytes(), "")
+    except OSError as error:
+        raise ConfigError(
+            f"{error.filename}: cannot be read; certificates are made on the machine of `rhot keys make`"
+        ) from error
+
+
+def _write_pair(folder: Path, name: str, pair: Pair) -> None:
+    write_private(key_file(folder, name), pair.key)
+    write_atomic(certificate_file(folder, name), pair.certificate)
+
+
+def _bracketed(address: str) -> str:
+    return f"[{address}]" if ":" in address else address

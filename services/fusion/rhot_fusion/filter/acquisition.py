@@ -1,0 +1,207 @@
+"""The hands of a rig, and which markers are in their filters: how they begin, go on elsewhere, and end."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import JOINTS
+from rhot.geometry.camera import CameraModel
+from rhot.rig import FusionConfig, Rig
+from rhot_fusion.filter.birth import Birth, View, on_ray
+from rhot_fusion.filter.candidates import Candidates
+from rhot_fusion.filter.joint import JointFilter
+from rhot_fusion.filter.record import HandRecord
+from rhot_fusion.filter.settings import FilterSettings, TrackSettings
+from rhot_fusion.filter.smoother import Event
+from rhot_fusion.filter.tracks import Belief, Track
+from rhot_fusion.schedule import Schedule
+from rhot_fusion.views.coherence import HandCoherence
+from rhot_fusion.views.sightings import BoolArray, FloatArray, IndexArray, Sightings
+
+
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """The markers of one hand.
+
+    Attributes:
+        index: (H,) of them among all markers.
+        base: which of those H is the patch on its back; −1 = none.
+        filter: theirs.
+        record: of their frames; none when nobody will look back.
+    """
+
+    index: IndexArray
+    base: int
+    filter: JointFilter
+    record: HandRecord | None
+
+
+class Acquisition:
+    """Puts M markers into the filters of their hands and takes them out.
+
+    Attributes:
+        config: volume, and how long a marker is held that nothing shows; it may be replaced.
+        tracks: (M,) of all markers.
+        hand_of: of each marker its hand and its place among that hand's markers.
+        begun: how many times a marker began; states from before are not comparable.
+    """
+
+    def __init__(
+        self,
+        hands: Sequence[Hand],
+        cameras: Sequence[CameraModel],
+        coherence: HandCoherence,
+        schedule: Schedule,
+        config: FusionConfig,
+        settings: TrackSettings,
+        counts: Counter[str],
+    ) -> None:
+        """Begin without markers; of counts it takes `behind_cameras` and `gated`."""
+        self.config = config
+        self.hand_of = {int(m): (hand, k) for hand in hands for k, m in enumerate(hand.index)}
+        self.tracks = [Track(len(cameras)) for _ in self.hand_of]
+        self.begun = 0
+        self._hands, self._cameras, self._schedule, self._settings = list(hands), list(cameras), schedule, settings
+        self._candidates = Candidates(len(self.tracks), coherence, schedule, settings, counts)
+
+    def clear(self) -> None:
+        """Forget all markers."""
+        for track in self.tracks:
+            track.end(len(self._cameras))
+        self._candidates.clear()
+
+    def add(self, marker: int, camera: int, view: View) -> None:
+        """Take a camera's newest view of a marker."""
+        self._candidates.add(marker, camera, view)
+
+    def is_free(self, marker: int, camera: int, t_s: float) -> bool:
+        """Tell whether a filter cannot take a camera's view of a marker: it is not known, or was put in place by it."""
+        hand, k = self.hand_of[marker]
+        track = self.tracks[marker]
+        if not hand.filter.state.alive[k]:
+            return True
+        if self._variance(hand, k) <= self._settings.loose_m**2 or self._is_recent(track.accepted_s[camera], t_s):
+            return False
+        # A camera that has just come back sees farther than a linear filter can follow.
+        near = self._candidates.near(marker, t_s)
+        birth = self._together(marker, near, t_s, hand.filter.velocity[k])
+        if birth is not None and self._is_expected(hand, k, birth, t_s):
+            self._begin(marker, birth, t_s, near)
+            return True
+        return not self._is_recent(track.seen_s, t_s)
+
+    def _is_expected(self, hand: Hand, k: int, birth: Birth, t_s: float) -> bool:
+        """Tell whether a marker may have moved to where two views agree on: one far blob is not there."""
+        state = hand.filter.predicted(max(t_s, hand.filter.state.t_s))
+        rows = slice(3 * k, 3 * k + 3)
+        away = birth.mean[:3] - state.mean[0, rows]
+        S = state.covariance[rows, rows] + birth.covariance[:3, :3]
+        return float(away @ np.linalg.solve(S, away)) <= self._settings.gate
+
+    def seek(self, marker: int, camera: int, t_s: float) -> None:
+        """Look whether a view that moved no marker and another camera's newest one agree on a place."""
+        settings, track = self._settings, self.tracks[marker]
+        hand, _ = self.hand_of[marker]
+        alive = hand.filter.state.alive
+        place = hand.filter.place[alive]
+        velocity = hand.filter.velocity[alive].mean(axis=0) if len(place) else np.zeros(3)
+        moment_s = max(t_s, hand.filter.state.t_s) if len(place) else t_s
+        near = self._candidates.near(marker, t_s)
+        birth = self._together(marker, near, moment_s, velocity)
+        if birth is not None and track.belief is not Belief.TENTATIVE:
+            if track.look_elsewhere(settings):
+                self._begin(marker, birth, moment_s, near)
+        elif birth is None and len(near) == 1 and len(place) >= settings.fewest:
+            gap_s = settings.lost_periods * self._schedule.longest_period_s
+            if track.see_alone(t_s, gap_s, settings):
+                middle = place.mean(axis=0)
+                ray = on_ray(near[camera], middle, velocity, settings.ray_sigma_m, settings.speed_sigma)
+                if np.linalg.norm(ray.mean[:3] - middle) <= settings.ray_reach_m:
+                    self._begin(marker, ray, moment_s, near)
+
+    def end(self, marker: int) -> None:
+        """Take a marker out."""
+        hand, k = self.hand_of[marker]
+        if hand.filter.state.alive[k]:
+            hand.filter.end(k)
+            if hand.record is not None:
+                hand.record.note(Event(hand.filter.state.t_s, k, None))
+        self.tracks[marker].end(len(self._cameras))
+
+    def forget(self, t_s: float) -> None:
+        """End markers that nothing has shown for a while, that may be anywhere by now, or that left the volume."""
+        low, high = np.array(self.config.volume_m)
+        known, alive = self._places()
+        outside = ((known < low) | (known > high)).any(axis=1)
+        for marker in np.flatnonzero(alive).tolist():
+            hand, k = self.hand_of[marker]
+            lost = self._variance(hand, k) > self._settings.lost_m**2
+            if lost or outside[marker] or t_s - self.tracks[marker].seen_s > self.config.hold_s:
+                self.end(marker)
+
+    def _begin(self, marker: int, birth: Birth, t_s: float, views: dict[int, View]) -> None:
+        hand, k = self.hand_of[marker]
+        state = hand.filter.state
+        if t_s > state.t_s and state.alive.any():
+            hand.filter.state = hand.filter.predicted(t_s)
+        hand.filter.begin(k, birth.mean, birth.covariance, t_s)
+        if hand.record is not None:
+            hand.record.note(Event(t_s, k, birth, min(view.t_s for view in views.values())))
+        newest_s = self._schedule.newest_s
+        self.tracks[marker].begin(t_s, {camera: newest_s[camera] for camera in views}, self._settings)
+        self.begun += 1
+
+    def _together(self, marker: int, near: dict[int, View], t_s: float, velocity: FloatArray) -> Birth | None:
+        volume_m = self.config.volume_m
+        return self._candidates.together(marker, list(near.values()), t_s, velocity, *self._places(), volume_m)
+
+    @staticmethod
+    def _variance(hand: Hand, k: int) -> float:
+        """Return the trace of the covariance of a marker's place, square metres."""
+        P, row = hand.filter.state.covariance, 3 * k
+        return P.item(row, row) + P.item(row + 1, row + 1) + P.item(row + 2, row + 2)
+
+    def _is_recent(self, then_s: float, t_s: float) -> bool:
+        return t_s - then_s <= self._settings.lost_periods * self._schedule.longest_period_s
+
+    def _places(self) -> tuple[FloatArray, BoolArray]:
+        """Return where all markers (M, 3) are, and which (M,) are known."""
+        count = len(self.tracks)
+        known, alive = np.zeros((count, 3)), np.zeros(count, dtype=bool)
+        for hand in self._hands:
+            known[hand.index], alive[hand.index] = hand.filter.place, hand.filter.state.alive
+        return known, alive
+
+
+def rows_of(hand: Hand, sightings: Sightings, *, alone: bool) -> IndexArray:
+    """Return which views (N,) are of a hand's markers: all of them where it is the only one."""
+    return np.arange(len(sightings.index)) if alone else np.flatnonzero(np.isin(sightings.index, hand.index))
+
+
+def hands_of(rig: Rig, cameras: Sequence[CameraModel], settings: FilterSettings, *, record: bool) -> list[Hand]:
+    """Return the hands of a rig; `record` keeps their frames."""
+    markers = list(rig.config.markers.values())
+    sides = np.array([marker.hand for marker in markers])
+    hands = []
+    for side in np.unique(sides):
+        index = np.flatnonzero(sides == side)
+        base = next((k for k, m in enumerate(index.tolist()) if markers[m].kind == "patch"), -1)
+        joint = JointFilter(len(index), settings.motion, settings.track.gate)
+        hands.append(Hand(index, base, joint, HandRecord(index, cameras) if record else None))
+    return hands
+
+
+def radii_of(rig: Rig) -> FloatArray:
+    """Return the radii (M,) of the painted fingertips, metres; 0 for markers of another kind."""
+    radii = []
+    for marker in rig.config.markers.values():
+        tip = marker.kind == "cap" and marker.joint.endswith("_tip")
+        radii.append(
+            float(HandModel.from_file(rig.hand, marker.hand).radii[JOINTS.index(marker.joint)]) if tip else 0.0
+        )
+    return np.array(radii)

@@ -1,0 +1,45 @@
+"""Cameras that were bumped are told; well calibrated ones are not accused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from marker_streams import Motion, Seen, pinhole_cameras, watch
+
+from rhot.rig import Rig
+from rhot_fusion.stage import FusionStage
+
+MakeRig = Callable[..., Rig]
+
+
+def lowered(seen: Seen, camera: str, by_px: float) -> Seen:
+    """Return a frame as a camera sees it that nods by some pixels."""
+    if seen.frame.camera != camera:
+        return seen
+    markers = {name: marker.model_copy(update={"v": marker.v + by_px}) for name, marker in seen.frame.markers.items()}
+    return replace(seen, frame=seen.frame.model_copy(update={"markers": markers}))
+
+
+def problem_after(rig: Rig, seen: list[Seen]) -> str:
+    stage = FusionStage(rig)
+    for one in seen:
+        stage.feed(one.frame)
+    return stage.problem
+
+
+def test_a_bumped_camera_is_told(make_rig: MakeRig) -> None:
+    rig = make_rig(pinhole_cameras(2))
+    assert rig.calibrated
+    seen = [lowered(one, "camera1", 6.0) for one in watch(rig, Motion(), 12.0)]
+    problem = problem_after(rig, seen)
+    assert "has moved since the rig was calibrated" in problem
+    assert "rhot calibrate cameras" in problem
+
+
+def test_a_well_calibrated_rig_is_not_accused_in_a_minute(make_rig: MakeRig) -> None:
+    rig = make_rig(pinhole_cameras(2), rate_hz=30.0)
+    stage = FusionStage(rig)
+    for one in watch(rig, Motion(), 60.0, rate_hz=30.0, noise_px=0.3):
+        stage.feed(one.frame)
+        assert stage.problem == ""

@@ -1,0 +1,217 @@
+"""The filter method: what it does better than the paired methods, and what it must not do worse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from marker_streams import EPOCH_NS, MARKERS, Motion, Seen, pinhole_cameras, truth_figures, watch
+
+from rhot.messages import PointSet
+from rhot.rig import Rig
+from rhot_fusion.stage import FusionStage
+
+MakeRig = Callable[..., Rig]
+
+STILL = Motion(amplitude_m=(0.0, 0.0, 0.0))
+SLOW = Motion(frequency_hz=(0.35, 0.45, 0.25))
+FILTER = 'method = "filter"'
+
+
+def run(stage: FusionStage, frames: list[Seen]) -> list[PointSet]:
+    sets = []
+    for one in frames:
+        for _, points in stage.feed(one.frame):
+            assert isinstance(points, PointSet)
+            sets.append(points)
+    return sets
+
+
+def without(seen: Seen, *names: str) -> Seen:
+    markers = {name: marker for name, marker in seen.frame.markers.items() if name not in names}
+    return replace(seen, frame=seen.frame.model_copy(update={"markers": markers}))
+
+
+@pytest.mark.parametrize("motion", [SLOW, Motion()])
+def test_nearer_to_the_truth_than_triangulation(make_rig: MakeRig, motion: Motion) -> None:
+    figures = {}
+    for method in ("filter", "triangulate"):
+        rig = make_rig(fusion=f'method = "{method}"')
+        figures[method] = truth_figures(FusionStage(rig), motion, watch(rig, motion, 3.0, readout_s=0.012))
+    ours, theirs = figures["filter"], figures["triangulate"]
+    assert ours.median_mm < 0.8 * theirs.median_mm
+    assert ours.p95_mm < theirs.p95_mm
+    assert ours.lateral_mm < 0.5
+    assert ours.measured > 0.99
+    # A set for each frame, at the frame's own time.
+    assert ours.sets >= 355
+    assert ours.lag_ms < 1.0
+
+
+def test_still_markers_freeze(make_rig: MakeRig) -> None:
+    rig = make_rig(pinhole_cameras(2), fusion=FILTER)
+    sets = run(FusionStage(rig), watch(rig, STILL, 4.0, noise_px=0.08))[200:]
+    track = np.array([points.points["index"].position for points in sets]) * 1e3
+    truth = STILL.at(0.0)[0, MARKERS.index("index")] * 1e3
+    assert np.abs(track.mean(axis=0) - truth).max() < 0.8
+    assert track.std(axis=0)[:2].max() < 0.15
+    assert track.std(axis=0)[2] < 1.0
+
+
+def test_stated_sigma_covers_the_error(make_rig: MakeRig) -> None:
+    rig = make_rig(pinhole_cameras(2), fusion=FILTER)
+    relative = []
+    for points in run(FusionStage(rig), watch(rig, SLOW, 3.0))[120:]:
+        truth = SLOW.at((points.t_ns - EPOCH_NS) * 1e-9)[0]
+        # A patch; caps that nobody knows the direction of are stated to be less sure.
+        point = points.points["base"]
+        relative.append(np.linalg.norm(np.array(point.position) - truth[-1]) / point.sigma)
+        assert points.points["index"].sigma > 0.003
+    assert 0.3 < np.median(relative) < 1.5
+    assert np.percentile(relative, 95) < 3.0
+
+
+def test_late_frames_change_little(make_rig: MakeRig) -> None:
+    rig = make_rig(fusion=FILTER)
+    seen = watch(rig, SLOW, 2.0)
+    # Every frame of the second camera comes 20 ms late: after one newer frame of the first or two.
+    late = sorted(
+        (replace(one, arrival_s=one.arrival_s + 0.02 * (one.frame.camera == "right")) for one in seen),
+        key=lambda one: one.arrival_s,
+    )
+    stage = FusionStage(rig)
+    figures = truth_figures(stage, SLOW, late)
+    assert stage.counts["late_frames"] > 100
+    assert figures.median_mm < 3.0
+    assert figures.measured > 0.98
+
+
+def test_a_marker_seen_by_one_camera_grows_less_sure(make_rig: MakeRig) -> None:
+    rig = make_rig(fusion=FILTER)
+    seen = watch(rig, Motion(), 1.4)
+    sets = run(
+        FusionStage(rig),
+        [without(one, "index") if one.frame.camera == "right" and 1.0 < one.arrival_s < 1.2 else one for one in seen],
+    )
+    bridged = [points for points in sets if 1.03e9 < points.t_ns - EPOCH_NS < 1.2e9]
+    assert bridged
+    for points in bridged:
+        point = points.points["index"]
+        assert (point.state, point.views) == ("one_view", 1)
+        truth = Motion().at((points.t_ns - EPOCH_NS) * 1e-9)[0, 1]
+        error = np.array(point.position) - truth
+        assert np.hypot(error[0], error[1]) < 0.006
+        assert np.linalg.norm(error) < 0.03
+    assert bridged[-1].points["index"].sigma > 2.0 * bridged[0].points["index"].sigma
+
+
+@pytest.mark.xfail(strict=True, reason="0.1 s after, the gate has grown to the neighbour's place: 31 mm off, measured")
+def test_exchanged_labels_do_not_exchange_markers(make_rig: MakeRig) -> None:
+    """Two neighbours take each other's colour for half a second; both stay where they are."""
+    rig = make_rig(fusion=FILTER)
+
+    def exchanged(one: Seen) -> Seen:
+        if not 1.0 < one.arrival_s < 1.2:
+            return one
+        markers = dict(one.frame.markers)
+        markers["ring"], markers["middle"] = markers["middle"], markers["ring"]
+        return replace(one, frame=one.frame.model_copy(update={"markers": markers}))
+
+    sets = run(FusionStage(rig), [exchanged(one) for one in watch(rig, SLOW, 1.6)])
+    for points in sets:
+        t_s = (points.t_ns - EPOCH_NS) * 1e-9
+        if t_s < 0.5:
+            continue
+        truth = SLOW.at(t_s)[0]
+        for place, name in ((2, "middle"), (3, "ring")):
+            if name in points.points:
+                assert np.linalg.norm(np.array(points.points[name].position) - truth[place]) < 0.02, t_s
+
+
+def test_glitches_are_never_measured(make_rig: MakeRig) -> None:
+    rig = make_rig(fusion=FILTER)
+    rng = np.random.default_rng(7)
+    wrong = set()
+    frames = []
+    for one in watch(rig, SLOW, 3.0):
+        if rng.random() < 0.1 and one.arrival_s > 0.5:
+            index = one.frame.markers["index"]
+            off = index.model_copy(update={"u": index.u + float(rng.choice([-60, 45])), "v": index.v + 20.0})
+            frame = one.frame.model_copy(update={"markers": {**one.frame.markers, "index": off}})
+            wrong.add((frame.camera, frame.frame))
+            frames.append(replace(one, frame=frame))
+        else:
+            frames.append(one)
+    stage = FusionStage(rig)
+    for one in frames:
+        for _, points in stage.feed(one.frame):
+            assert isinstance(points, PointSet)
+            if (one.frame.camera, one.frame.frame) in wrong:
+                assert points.points["index"].state != "measured"
+                truth = SLOW.at((points.t_ns - EPOCH_NS) * 1e-9)[0, 1]
+                assert np.linalg.norm(np.array(points.points["index"].position) - truth) < 0.012
+
+
+def test_a_marker_found_where_it_was_expected_is_measured_at_once(make_rig: MakeRig) -> None:
+    rig = make_rig(fusion=FILTER)
+    seen = watch(rig, SLOW, 1.5, phase_s=0.0)
+    sets = run(
+        FusionStage(rig),
+        [without(one, "index") if (one.frame.camera, one.frame.frame) == ("right", 60) else one for one in seen],
+    )
+    states = {round((points.t_ns - EPOCH_NS) * 60e-9): points.points["index"].state for points in sets if points.points}
+    assert [states[number] for number in (59, 60, 61, 62)] == ["measured", "one_view", "measured", "measured"]
+
+
+def test_places_that_a_camera_holds_are_not_measured(make_rig: MakeRig) -> None:
+    """Some capture programs repeat the last place of a marker that they lost."""
+    rig = make_rig(fusion=FILTER)
+    frames = []
+    held = None
+    for one in watch(rig, Motion(), 1.5):
+        frame = one.frame
+        if frame.camera == "right":
+            if held is None or not 1.0 < one.arrival_s < 1.1:
+                held = frame.markers["index"]
+            else:
+                again = held.model_copy(update={"t_ns": frame.markers["index"].t_ns})
+                frame = frame.model_copy(update={"markers": {**frame.markers, "index": again}})
+        frames.append(replace(one, frame=frame))
+    for points in run(FusionStage(rig), frames):
+        if 1.03e9 < points.t_ns - EPOCH_NS < 1.1e9:
+            assert points.points["index"].state != "measured"
+
+
+def test_prediction_is_stamped_and_placed_ahead(make_rig: MakeRig) -> None:
+    rig = make_rig(fusion=FILTER + "\npredict_s = 0.02")
+    motion = Motion()
+    seen = watch(rig, motion, 3.0)
+    figures = truth_figures(FusionStage(rig), motion, seen)
+    assert figures.lag_ms == pytest.approx(-20.0, abs=1.0)
+    # 20 ms at 0.4 m/s would be 8 mm.
+    assert figures.lateral_mm < 2.0
+
+
+def flashing(seen: Seen, name: str, frames: range, number: int) -> Seen:
+    """Hide a marker from frame 60 on but for some frames, in which both cameras see it 40 px further down."""
+    if number < 60:
+        return seen
+    if number not in frames:
+        return without(seen, name)
+    markers = dict(seen.frame.markers)
+    markers[name] = markers[name].model_copy(update={"v": markers[name].v + 40.0})
+    return replace(seen, frame=seen.frame.model_copy(update={"markers": markers}))
+
+
+@pytest.mark.parametrize(("length", "measured"), [(6, False), (12, True)])
+def test_what_is_found_is_measured_once_it_stays(make_rig: MakeRig, length: int, measured: bool) -> None:
+    rig = make_rig(fusion=FILTER)
+    frames = watch(rig, STILL, 2.0)
+    shown = range(150, 150 + length)
+    sets = run(FusionStage(rig), [flashing(one, "index", shown, number) for number, one in enumerate(frames)])
+    after = [points for points in sets if points.t_ns >= frames[150].frame.t_ns]
+    found = [points.points["index"] for points in after if "index" in points.points]
+    assert found or not measured
+    assert any(point.state == "measured" for point in found) == measured

@@ -1,0 +1,115 @@
+"""`rhot keys` and what `rhot doctor` says of the bus: two commands secure two machines."""
+
+from __future__ import annotations
+
+import io
+import stat
+import tarfile
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from rhot.cli.findings import check_bus
+from rhot.cli.keys import keys
+from rhot.errors import ConfigError
+from rhot.keys.bundle import install_bundle
+from rhot.keys.folder import credentials, load_roles
+from rhot.rig.folder import RIG_FILE, load_config, load_rig
+from rhot.rig.toml_edit import change_rig_file
+
+
+def run(*arguments: str, data: bytes | None = None) -> str:
+    result = CliRunner().invoke(keys, arguments, input=data, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def findings(rig: Path) -> str:
+    return "\n".join(f"{finding.level} {finding.text} → {finding.remedy}" for finding in check_bus(load_rig(rig)))
+
+
+def test_two_commands_secure_two_machines(rig_folder: Path, tmp_path: Path) -> None:
+    assert "closed" in findings(rig_folder)
+    said = run("make", "--address", "192.0.2.7", "--rig", str(rig_folder))
+    bundle = rig_folder / "keys" / "camera-left.tar"
+    assert str(bundle) in said
+    pi = tmp_path / "pi"
+    run("install", "-", "--rig", str(pi), data=bundle.read_bytes())
+    for rig in (rig_folder, pi):
+        bus = load_config(rig).bus
+        assert bus.tls
+        assert bus.connect == ("tls/192.0.2.7:7447",)
+        assert bus.keys == str(rig.resolve() / "keys")
+    assert credentials(pi / "keys", "camera-left").key.exists()
+    with pytest.raises(ConfigError, match="no certificate operator or tool"):
+        credentials(pi / "keys", "")
+    assert credentials(rig_folder / "keys", "").key.name == "operator.key"
+    private = [*(rig_folder / "keys").glob("*.key"), *(rig_folder / "keys").glob("*.tar"), *(pi / "keys").glob("*.key")]
+    assert all(stat.S_IMODE(file.stat().st_mode) == 0o600 for file in private)
+    assert not (pi / "keys" / "authority.key").exists()
+    report = findings(rig_folder)
+    assert "for who holds a certificate" in report
+    assert "camera-right (camera)" in report
+
+
+def test_a_rig_that_is_there_keeps_everything_but_its_bus(rig_folder: Path, tmp_path: Path) -> None:
+    run("make", "--address", "pc.local", "--rig", str(rig_folder))
+    pi = tmp_path / "pi"
+    pi.mkdir()
+    text = (rig_folder / RIG_FILE).read_text().replace("exposure_s = 0.004", "exposure_s = 0.002  # mine")
+    (pi / RIG_FILE).write_text(text.replace("tls = true", "tls = false").replace("tls/pc.local", "tcp/old"))
+    change_rig_file(pi, {("bus",): {"listen": ["tcp/127.0.0.1:7447"]}})
+    run("install", str(rig_folder / "keys" / "camera-right.tar"), "--rig", str(pi))
+    assert "# mine" in (pi / RIG_FILE).read_text()
+    assert load_config(pi).bus.connect == ("tls/pc.local:7447",)
+
+
+def test_one_more_and_one_less(rig_folder: Path, tmp_path: Path) -> None:
+    run("make", "--address", "192.0.2.7", "--rig", str(rig_folder))
+    run("add", "anna", "--role", "operator", "--rig", str(rig_folder))
+    assert "anna                     operator, until" in run("list", "--rig", str(rig_folder))
+    laptop = tmp_path / "laptop"
+    run("install", str(rig_folder / "keys" / "anna.tar"), "--rig", str(laptop))
+    assert load_config(laptop).bus.identity == "anna"
+    run("remove", "anna", "--rig", str(rig_folder))
+    assert "anna" not in load_roles(rig_folder / "keys").holders
+    for arguments, says in (
+        (("make", "--address", "x"), "holds keys already"),
+        (("add", "services"), "is taken"),
+        (("add", "third", "--role", "camera"), "--camera NAME"),
+        (("remove", "router"), "can be removed"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            run(*arguments, "--rig", str(rig_folder))
+
+
+@pytest.mark.parametrize("name", ["../evil", "/etc/passwd", "keys/../../evil.key", "keys/a/b.pem", "run.sh"])
+def test_a_bundle_writes_nowhere_else(tmp_path: Path, name: str) -> None:
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w") as archive:
+        archive.addfile(tarfile.TarInfo(name), io.BytesIO())
+    with pytest.raises(ConfigError, match="belongs to none"):
+        install_bundle(stream.getvalue(), tmp_path / "pi")
+    with pytest.raises(ConfigError, match="no bundle"):
+        install_bundle(b"x" * 2000, tmp_path / "pi")
+    assert not (tmp_path / "pi").exists()
+
+
+def test_doctor_says_what_is_open(rig_folder: Path) -> None:
+    change_rig_file(rig_folder, {("bus",): {"listen": ["tcp/0.0.0.0:7447"]}})
+    assert "warn the router listens on tcp/0.0.0.0:7447 without certificates" in findings(rig_folder)
+    change_rig_file(rig_folder, {("bus",): {"listen": ["tcp/127.0.0.1:7447"]}})
+    run("make", "--address", "192.0.2.7", "--rig", str(rig_folder))
+    run("remove", "camera-left", "--rig", str(rig_folder))
+    (rig_folder / "keys" / "operator.key").chmod(0o644)
+    report = findings(rig_folder)
+    assert "camera left has no certificate" in report
+    assert "others on this machine can read operator.key" in report
+
+
+def test_tls_with_a_plain_endpoint_is_refused(rig_folder: Path) -> None:
+    text = (rig_folder / RIG_FILE).read_text().replace("tls = false", "tls = true")
+    (rig_folder / RIG_FILE).write_text(text)
+    with pytest.raises(ConfigError, match="is not encrypted"):
+        load_config(rig_folder)
