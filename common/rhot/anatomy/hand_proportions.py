@@ -43,10 +43,9 @@ CARPAL_MM: Final = {
     "little": (17.0, 0.0, -23.0),
 }
 """Wrist joint to the base of each metacarpal, wrist frame of a right hand. Metacarpals lie above the wrist's centre,
-because the back of a flat hand is straight: skin is some 17 mm above the centre of the wrist (half of a radius 24 mm
-deep, and tendons) and 13 above the knuckles' (`RADII_MM`). The index metacarpal is 3.5 mm longer than the middle one
-but reaches no further, for its base lies that much nearer to the wrist (Buchholz et al., "Anthropometric data for
-describing the kinematics of the human hand", Ergonomics 35, 1992: both knuckles equally far forward)."""
+because the back of a flat hand is straight: skin is some 17 mm above the centre of the wrist and 13 above the
+knuckles' (`RADII_MM`). Our own estimates, no published figures: the 17 mm (half of a wrist's depth, and tendons), and
+the index metacarpal's base, 3.5 mm nearer to the wrist so that its knuckle lies level with the middle finger's."""
 METACARPAL_YAW_DEG: Final = {"index": 9.0, "middle": 0.0, "ring": -9.0, "little": -17.0}
 """Fan of the metacarpals, positive towards the thumb."""
 METACARPAL_DROP_DEG: Final = {"index": 1.0, "middle": 0.0, "ring": 1.5, "little": 3.0}
