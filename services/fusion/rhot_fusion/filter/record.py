@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from rhot.geometry.camera import CameraModel
-from rhot_fusion.filter.outcomes import outcome_of
 from rhot_fusion.filter.settings import FilterSettings
 from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
+from rhot_fusion.filter.tracks import outcome_of
 from rhot_fusion.views.sightings import FloatArray, IndexArray, Outcome, Sightings
 
 _BRIDGED = 1.6

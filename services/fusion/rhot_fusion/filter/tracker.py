@@ -17,13 +17,12 @@ from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of
 from rhot_fusion.filter.agreement import CameraAgreement
 from rhot_fusion.filter.birth import View
 from rhot_fusion.filter.noise import CameraNoise, stated_px
-from rhot_fusion.filter.outcomes import outcome_of
 from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.record import outcomes
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
 from rhot_fusion.filter.state import Innovation, State, Views
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.filter.tracks import Belief, Track
+from rhot_fusion.filter.tracks import Belief, Track, outcome_of
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
