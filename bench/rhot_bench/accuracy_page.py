@@ -57,8 +57,8 @@ class Headline:
 HEADLINES: Final = (
     Headline("simulated: fingertip, median", "tracking", "Points, slow", "fingertip position, median"),
     Headline("simulated: fingertip, p95", "tracking", "Points, slow", "fingertip position, p95"),
-    Headline("simulated: 26 joints, tips hidden", "tracking", "Whole hand", "26 joints, one or two tips hidden, mean"),
-    Headline("simulated: lag at 1 m/s", "tracking", "Points, the same motion", "lag at 1 m/s"),
+    Headline("photo-real grasp: fingertips, median", "pictures", "G2", "live, nothing removed, median"),
+    Headline("photo-real gestures: 21 joints, mean", "pictures", "G1", "live, joints, mean"),
     Headline("simulated: false points, fast hand, 15 s", "tracking", "Points, the same motion", "false points"),
     Headline("real hands: inner joints", "hands", "MSRA14", "PIP and DIP, from wrist and tips alone, mean"),
     Headline("real foot sensors: dead reckoning", "steps", "Dead reckoning, 200", "off on average, 7 trials"),
