@@ -26,6 +26,7 @@ KEYS: Final = {
     "HandPose": ("rhot/hand/<side>", "ik"),
     "ObjectPose": ("rhot/object/<id>", "objects"),
     "HeadPose": ("rhot/head", "objects"),
+    "Space": ("rhot/space/<name>", "fusion, from the rig folder; or whoever knows it"),
     "FootPose": ("rhot/foot/<side>", "feet"),
     "BodyPose": ("rhot/body", "ik"),
     "Control": ("rhot/control", "whoever starts or stops"),
@@ -69,6 +70,7 @@ _SAID: Final = {
     "Quaternion": "(x, y, z, w)",
     "State": '"measured" or "predicted"',
     "Side": '"left" or "right"',
+    "Matrix4": "4x4, rows",
 }
 """How the reference says the types of the source."""
 

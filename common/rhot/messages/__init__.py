@@ -31,6 +31,7 @@ from rhot.messages.hand import FingerAngles, HandPose, Joint
 from rhot.messages.markers import Marker, MarkerFrame, Point, PointSet
 from rhot.messages.objects import BoxShape, CylinderShape, HeadPose, ObjectPose, ObjectShape, SphereShape
 from rhot.messages.services import ClockReply, Control, ServiceStatus
+from rhot.messages.spaces import Space
 from rhot.messages.truth import TruePose, Truth
 
 __all__ = [
@@ -64,6 +65,7 @@ __all__ = [
     "Quaternion",
     "ServiceStatus",
     "Side",
+    "Space",
     "SphereShape",
     "State",
     "TruePose",

@@ -19,6 +19,7 @@ _BY_KEY: Final[dict[str, type[Message]]] = {
     "head": messages.HeadPose,
     "foot": messages.FootPose,
     "body": messages.BodyPose,
+    "space": messages.Space,
     "control": messages.Control,
     "status": messages.ServiceStatus,
     "truth": messages.Truth,
