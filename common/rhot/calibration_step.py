@@ -23,6 +23,7 @@ ORDER: Final = {
     "cameras": ("Cameras", "pc"),
     "hand": ("Hand", "pc"),
     "objects": ("Objects", "objects"),
+    "stage": ("Floor", "pc"),
 }
 """Entry point to the step's title and the extra to install when it is missing, in the order of the path."""
 

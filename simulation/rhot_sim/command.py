@@ -64,10 +64,11 @@ from rhot_sim.walker.run import WalkerRun
 )
 @click.option(
     "--motion",
-    type=click.Choice(["script", "still", "board"]),
+    type=click.Choice(["script", "still", "board", "desk_board"]),
     default="script",
     show_default=True,
-    help="What the cameras see: gestures and grasps, open hands that never move, or a chessboard to calibrate with.",
+    help="What the cameras see: gestures and grasps, open hands that never move, a chessboard to calibrate the cameras "
+    "with, or one that lies on the desk.",
 )
 @click.option(
     "--feet",
@@ -114,7 +115,7 @@ def sim(
     rate_hz: float,
     cameras: int,
     hands: str,
-    motion: Literal["script", "still", "board"],
+    motion: Literal["script", "still", "board", "desk_board"],
     feet: bool,
     walk: WalkProgram,
     height_m: float,
@@ -140,7 +141,8 @@ def sim(
     `motion` under [sim] in its rig.toml.
 
     With --motion board, the cameras see a calibration chessboard in one position after the other, and the rig runs
-    until Ctrl-C: try `rhot calibrate cameras --live` on it.
+    until Ctrl-C: try `rhot calibrate cameras --live` on it. With --motion desk_board it lies on the desk, for `rhot
+    calibrate stage --live`.
 
     A rig made by `rhot init RIG --sim --uncalibrated` also runs until Ctrl-C: the page's tab Calibrate leads you
     through the calibration.
@@ -187,7 +189,7 @@ def sim(
         page = None if port is None else page_command(port)
         if port is not None:
             console.print(f"The page is at {page_url(port)}", soft_wrap=True)
-        if not feet and (rig.config.sim.motion == "board" or missing_calibration(rig)):
+        if not feet and (rig.config.sim.motion in ("board", "desk_board") or missing_calibration(rig)):
             limit_s = duration_s if _is_given(context, "duration_s") else None
             calibrating = run_for_calibration(rig, chosen, limit_s, work, console, page)
             return 128 + signal.SIGINT if asyncio.run(_unless_interrupted(calibrating)) else 0

@@ -56,6 +56,10 @@ class Publisher(Generic[M]):
             raise BusError(f"{self.key}: cannot publish: {error}") from error
         return numbered
 
+    def forget(self) -> None:
+        """Answer queries no more until the next message: what was published last does not hold any longer."""
+        self._last = None
+
     def answer_last(self, request: Request) -> Answer | None:
         """Answer a query with the last value; nothing before the first."""
         last = self._last

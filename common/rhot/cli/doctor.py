@@ -21,6 +21,7 @@ from rich.markup import escape
 from rhot.bus import Bus
 from rhot.cli.findings import Finding, check_bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.stage_check import check_hands, check_stage
 from rhot.errors import BusError, RhotError
 from rhot.messages import ServiceStatus
 from rhot.operation.status import fetch_status
@@ -106,7 +107,7 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
                 f"rhot calibrate objects --live --object {next(iter(rig.config.objects))} --marker NAME --rig {path}",
             )
         )
-    return rig, [*findings, *_check_sources(rig), *check_bus(rig)]
+    return rig, [*findings, *check_stage(rig), *_check_sources(rig), *check_bus(rig)]
 
 
 def _check_sources(rig: Rig) -> Iterator[Finding]:
@@ -160,6 +161,7 @@ async def check_running(config: BusConfig, rig: Rig | None) -> list[Finding]:
     try:
         async with await Bus.open(config, timeout_s=1.0) as bus:
             alive, statuses = await fetch_status(bus)
+            hands = [] if rig is None else await check_hands(bus, rig)
     except BusError:
         return [Finding("note", f"no rig is running at {where}", "rhot up, or rhot sim for a demo")]
     findings = [Finding("ok", f"the router at {where} answers; {len(alive)} services are alive")]
@@ -178,7 +180,7 @@ async def check_running(config: BusConfig, rig: Rig | None) -> list[Finding]:
             findings += _check_service(name, status)
             if rig is not None and rig.calibrated:
                 findings += _check_drift(name, status, rig)
-    return findings
+    return [*findings, *hands]
 
 
 def _check_drift(name: str, status: ServiceStatus, rig: Rig) -> Iterator[Finding]:

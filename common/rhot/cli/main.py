@@ -69,6 +69,7 @@ _CALIBRATIONS: Final = {
     "depth": LazyCommand("Fit the law from disparity to depth to measured distances.", extra="fusion"),
     "hand": LazyCommand("Measure a hand: bone lengths and where its markers are.", extra="pc"),
     "objects": LazyCommand("Register the space of a tracking system to the rig.", extra="objects"),
+    "stage": LazyCommand("Find the floor, from a board on the desk or a registered tracking system.", extra="pc"),
 }
 
 _EVALUATIONS: Final = {

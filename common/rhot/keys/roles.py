@@ -91,7 +91,7 @@ def allowance(holder: Holder) -> Allowance:
             ask=_ASKED,
         )
     if holder.role in ("objects", "feet"):
-        data = ("object/*", "head", "space/*") if holder.role == "objects" else ("foot/*",)
+        data = ("object/*", "head", "space/*") if holder.role == "objects" else ("foot/*", "space/*")
         return Allowance(
             publish=(*(f"rhot/{key}" for key in data), f"rhot/status/{holder.role}/*"),
             answer=(f"rhot/config/{holder.role}/*",),

@@ -7,6 +7,7 @@ from rhot.rig.calibration import (
     HandFile,
     RegistrationFile,
     RigidTransform,
+    StageFile,
 )
 from rhot.rig.config import (
     CameraConfig,
@@ -40,6 +41,7 @@ __all__ = [
     "Rig",
     "RigConfig",
     "RigidTransform",
+    "StageFile",
     "load_rig",
     "read_json_model",
     "write_json_model",

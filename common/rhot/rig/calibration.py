@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
+from rhot.geometry.transforms import rigid
 from rhot.messages import Name, Quaternion
+from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig.file_model import FileModel, Vector3
 
 Row3 = tuple[float, float, float]
@@ -20,6 +23,10 @@ Matrix4 = tuple[Row4, Row4, Row4, Row4]
 _ROTATION_TOLERANCE = 1e-4
 WIDTH_OVER_LENGTH = (0.33, 0.60)
 """Believable width of a hand across the knuckles over its length; an estimate with room on both sides."""
+
+LOWEST_DESK_M, HIGHEST_DESK_M = 0.3, 1.5
+"""A desk's top over the floor: from a couch table to a standing desk, with room on both sides."""
+DeskHeight = Annotated[float, Field(ge=LOWEST_DESK_M, le=HIGHEST_DESK_M)]
 
 
 def matrix3(M: NDArray[np.float64]) -> Matrix3:
@@ -156,6 +163,32 @@ class RigidTransform(FileModel):
         if abs(norm - 1.0) > 1e-3:
             raise ValueError(f"orientation (x, y, z, w) has norm {norm:.6g}, must be 1")
         return self
+
+    @classmethod
+    def from_matrix(cls, T: NDArray[np.float64]) -> RigidTransform:
+        """Return the transform of a matrix (4, 4), metres."""
+        return cls(position=wire_position(T[:3, 3]), orientation=wire_quaternion(quaternion_from_rotation(T[:3, :3])))
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """(4, 4), metres."""
+        return rigid(rotation_from_quaternion(np.array(self.orientation)), np.array(self.position))
+
+
+class StageFile(CalibrationFile):
+    """`stage.json`: the frame with a floor, which other programs want.
+
+    Attributes:
+        T_rig_stage: maps stage coordinates (right-handed, metres, y up, −z forward, origin on the floor) to the rig's.
+        source: what it was found by, such as `desk board`.
+        residual_m: how well that agrees with itself, metres; absent where nothing could tell.
+        desk_height_m: of the desk's top over the floor; absent where no desk was involved.
+    """
+
+    T_rig_stage: RigidTransform
+    source: Annotated[str, Field(max_length=64)]
+    residual_m: Annotated[float, Field(ge=0.0, le=1e3)] | None = None
+    desk_height_m: DeskHeight | None = None
 
 
 class RegistrationFile(CalibrationFile):

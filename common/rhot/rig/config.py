@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from rhot.anatomy.skeleton import JOINTS
 from rhot.messages import Name, Side
 from rhot.rig.bus_config import BusConfig
+from rhot.rig.calibration import DeskHeight
 from rhot.rig.feet_config import BodyConfig, FeetConfig
 from rhot.rig.file_model import FileModel, HoldS, NotNegative, Positive, Vector3
 from rhot.rig.v4l2_control import V4l2Control
@@ -211,11 +212,13 @@ class SimConfig(FileModel):
         jitter_s: standard deviation of a frame's delivery.
         phase_s: cameras are this much out of step with one another.
         motion: `script` (gestures and grasps), `still` (open hands that never move) or `board` (no hands: a chessboard
-            is held at one place after the other, for calibrating the cameras).
+            is held at one place after the other, for calibrating the cameras) or `desk_board` (it lies on the desk, for
+            finding the floor).
         walk: what the person does whose feet are tracked, where the rig has [feet].
         board_columns, board_rows: inner corners of that chessboard.
         board_square_m: side of its squares.
         desk_z_m: distance of the desk from the reference camera.
+        desk_height_m: height of the desk over the floor.
     """
 
     seed: Annotated[int, Field(ge=0, lt=1 << 63)] = 1
@@ -226,12 +229,13 @@ class SimConfig(FileModel):
     clock_drift_ppm: Annotated[float, Field(ge=0.0, le=1e4)] = 40.0
     jitter_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0005
     phase_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.007
-    motion: Literal["script", "still", "board"] = "script"
+    motion: Literal["script", "still", "board", "desk_board"] = "script"
     walk: WalkProgram = "walk"
     board_columns: Annotated[int, Field(ge=3, le=60)] = 9
     board_rows: Annotated[int, Field(ge=3, le=60)] = 6
     board_square_m: Annotated[float, Field(ge=0.001, le=0.5)] = 0.025
     desk_z_m: Annotated[float, Field(ge=0.5, le=2.0)] = 0.95
+    desk_height_m: DeskHeight = 0.74
 
 
 class RigConfig(FileModel):

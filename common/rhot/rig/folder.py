@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from rhot.atomic_file import write_atomic
 from rhot.errors import CalibrationError, ConfigError, RhotError
 from rhot.messages import first_problem
-from rhot.rig.calibration import CameraCalibration, CamerasFile, HandFile, Matrix3, Matrix4, RegistrationFile
+from rhot.rig.calibration import CameraCalibration, CamerasFile, HandFile, Matrix3, Matrix4, RegistrationFile, StageFile
 from rhot.rig.config import CameraConfig, RigConfig
 
 logger = logging.getLogger(__name__)
@@ -25,6 +25,7 @@ CAMERAS_FILE = "cameras.json"
 COLORS_FILE = "colors.json"
 HAND_FILE = "hand.json"
 REGISTRATION_FILE = "registration.json"
+STAGE_FILE = "stage.json"
 
 _F = TypeVar("_F", bound=BaseModel)
 
@@ -42,6 +43,7 @@ class Rig:
         hand: `hand.json`, or the default scaled by `[hand] length_m`.
         registration: `registration.json`, or identity.
         quality: what `cameras.json` says of itself; see `rhot.rig.quality`.
+        stage: `stage.json`, where the floor is; None when it is not known.
     """
 
     path: Path
@@ -51,6 +53,7 @@ class Rig:
     hand: HandFile
     registration: RegistrationFile
     quality: Any = None
+    stage: StageFile | None = None
 
     @property
     def colors_path(self) -> Path:
@@ -78,7 +81,8 @@ def load_rig(path: Path) -> Rig:
         cameras, quality = {name: nominal_camera(camera) for name, camera in config.cameras.items()}, None
     hand = _optional(path / HAND_FILE, HandFile) or HandFile(length_m=config.hand.length_m)
     registration = _optional(path / REGISTRATION_FILE, RegistrationFile) or RegistrationFile()
-    return Rig(path, config, cameras, calibrated, hand, registration, quality)
+    stage = _optional(path / STAGE_FILE, StageFile)
+    return Rig(path, config, cameras, calibrated, hand, registration, quality, stage)
 
 
 def latest_rig(rig: Rig) -> Rig:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass, field
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from rhot.bus import Bus, EventSubscriber, LatestSubscriber, Publisher
 from rhot.clock import NodeClock, RigClock
@@ -43,6 +44,16 @@ class Node:
     status: StatusBoard
     _sparing: SparingLog = field(default_factory=SparingLog)
     _publishers: dict[str, Publisher[Message]] = field(default_factory=dict)
+    _beside: list[Callable[[], Coroutine[Any, Any, None]]] = field(default_factory=list)
+
+    def beside(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        """Ask, in `Service.attach`, for work that goes on with and without a session until the service ends."""
+        self._beside.append(work)
+
+    def start_beside(self, tasks: asyncio.TaskGroup) -> None:
+        """Start what was asked for; the runner does this once."""
+        for work in self._beside:
+            tasks.create_task(work())
 
     def publish(self, key: str, message: Message) -> None:
         """Publish on a key that appears with its first message, and note how old the message is by then."""

@@ -170,6 +170,7 @@ class _Runner:
                     self._control_link.follow(node, self._clock_ready, tasks)
                     tasks.create_task(self._hear_config(node))
                     tasks.create_task(self._check_loop())
+                    node.start_beside(tasks)
                     tasks.create_task(self._run_sessions(node))
             finally:
                 self._status.state = "stopping"

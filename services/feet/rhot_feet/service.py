@@ -22,6 +22,7 @@ from rhot.rig.feet_config import FeetConfig
 from rhot.service import Node
 from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread
 from rhot.service.grabber import GrabberCounts
+from rhot.service.spaces import publish_spaces
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame, DepthSource
 from rhot_feet.imu.samples import ImuSource
@@ -98,6 +99,8 @@ class FeetService:
         self._heads = node.bus.events(HEAD_KEY)
         node.status.include(self._counts)
         node.status.watch(self._figures)
+        if self.owns_clock:
+            publish_spaces(node, self._rig.path)
 
     def _counts(self) -> Mapping[str, int]:
         counts = GrabberCounts() if self._grabber is None else self._grabber.counts

@@ -1,6 +1,7 @@
 """The fusion service: newest marker frames in, points out; owns the rig clock.
 
-Hands come back from inverse kinematics: where fingers point tells which part of a painted tip the cameras see.
+Hands come back from inverse kinematics: where fingers point tells which part of a painted tip the cameras see. What the
+rig folder knows of further frames, such as the floor's, is published beside.
 """
 
 from __future__ import annotations
@@ -8,25 +9,35 @@ from __future__ import annotations
 from rhot.messages import HandPose, MarkerFrame
 from rhot.rig import FusionConfig, Rig
 from rhot.rig.folder import latest_rig
-from rhot.service import StageService
+from rhot.service import Node, StageService
+from rhot.service.spaces import publish_spaces
 from rhot_fusion.stage import FusionStage
+
+
+class _FusionService(StageService[MarkerFrame | HandPose, FusionConfig]):
+    def __init__(self, rig: Rig) -> None:
+        def make_stage(config: FusionConfig) -> FusionStage:
+            stage = FusionStage(latest_rig(rig))
+            stage.configure(config)
+            return stage
+
+        super().__init__(
+            "fusion",
+            input_keys="rhot/markers/*",
+            model=MarkerFrame,
+            key_of=lambda message: f"rhot/markers/{message.camera}" if isinstance(message, MarkerFrame) else "",
+            config=rig.config.fusion,
+            make_stage=make_stage,
+            owns_clock=True,
+            side_inputs={"rhot/hand/*": HandPose},
+        )
+        self._rig_path = rig.path
+
+    def attach(self, node: Node) -> None:
+        super().attach(node)
+        publish_spaces(node, self._rig_path)
 
 
 def fusion_service(rig: Rig) -> StageService[MarkerFrame | HandPose, FusionConfig]:
     """Return the service that turns `rhot/markers/*` into `rhot/points`."""
-
-    def make_stage(config: FusionConfig) -> FusionStage:
-        stage = FusionStage(latest_rig(rig))
-        stage.configure(config)
-        return stage
-
-    return StageService(
-        "fusion",
-        input_keys="rhot/markers/*",
-        model=MarkerFrame,
-        key_of=lambda message: f"rhot/markers/{message.camera}" if isinstance(message, MarkerFrame) else "",
-        config=rig.config.fusion,
-        make_stage=make_stage,
-        owns_clock=True,
-        side_inputs={"rhot/hand/*": HandPose},
-    )
+    return _FusionService(rig)

@@ -10,18 +10,23 @@ from pathlib import Path
 from typing import Final
 
 import cv2
+import numpy as np
 
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
+from rhot.geometry.rotations import FloatArray, rotation_y
+from rhot.geometry.transforms import rigid
 from rhot.messages import Side
-from rhot.rig import HandFile, RegistrationFile, Rig, RigidTransform, load_rig, write_json_model
+from rhot.rig import HandFile, RegistrationFile, Rig, RigidTransform, StageFile, load_rig, write_json_model
 from rhot.rig.calibration import today
-from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE, write_text_atomic
+from rhot.rig.config import SimConfig
+from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE, STAGE_FILE, write_text_atomic
 from rhot.rig.template import rig_template
 from rhot.rig.toml_edit import change_rig_file
 from rhot_sim.rendering.coverage import MarkerCoverage
 from rhot_sim.rendering.renderer import Renderer
 from rhot_sim.rig.calibration import simulated_rig_calibration
+from rhot_sim.world.motion import R_RIG_HAND
 from rhot_sim.world.world import World
 
 CAMERA_NAMES: Final = ("left", "right", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
@@ -29,6 +34,9 @@ DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 _PICK_TIMES_S: Final = (0.4, 6.3)
 _PICK_SHARE: Final = 0.4
 """A marker is picked only where at least this share of it can be seen."""
+
+_T_STAGE_TRACKER: Final = rigid(rotation_y(np.radians(110.0)), np.array([0.9, 0.0, 0.3]))
+"""The simulated tracking system's space: y up and its origin on the floor, as SteamVR's, elsewhere and turned."""
 
 
 def write_simulated_rig(
@@ -76,16 +84,24 @@ def write_simulated_rig(
     write_text_atomic(path / RIG_FILE, text)
     if not calibrated:
         return load_rig(path)
-    configs = load_rig(path).config.cameras
-    write_json_model(path / CAMERAS_FILE, simulated_rig_calibration(configs, seed).found)
+    config = load_rig(path).config
+    write_json_model(path / CAMERAS_FILE, simulated_rig_calibration(config.cameras, seed).found)
     write_json_model(path / HAND_FILE, HandFile(date=today(), quality={"source": "simulated"}))
     registration = RegistrationFile(
         date=today(),
         quality={"source": "simulated"},
-        # A tracking system of its own: y up, its origin somewhere on the floor.
-        T_rig_tracker=RigidTransform(position=(0.3, 0.9, 1.6), orientation=(0.5, -0.5, 0.5, 0.5)),
+        T_rig_tracker=RigidTransform.from_matrix(true_stage(config.sim) @ _T_STAGE_TRACKER),
     )
     write_json_model(path / REGISTRATION_FILE, registration)
+    stage = StageFile(
+        date=today(),
+        quality={"source": "simulated"},
+        T_rig_stage=RigidTransform.from_matrix(true_stage(config.sim)),
+        source="simulated",
+        residual_m=0.0,
+        desk_height_m=config.sim.desk_height_m,
+    )
+    write_json_model(path / STAGE_FILE, stage)
     _calibrate_colors(path)
     return load_rig(path)
 
@@ -104,6 +120,14 @@ def with_motion(rig: Rig, motion: str) -> Rig:
         return rig
     change_rig_file(rig.path, {("sim",): {"motion": motion}})
     return load_rig(rig.path)
+
+
+def true_stage(sim: SimConfig) -> FloatArray:
+    """Return T_rig_stage (4, 4), metres, of the simulated desk: the reference camera looks straight down on it.
+
+    The person sits where the picture's upper edge is and looks towards its lower edge, see `R_RIG_HAND`.
+    """
+    return rigid(R_RIG_HAND, np.array([0.0, 0.0, sim.desk_z_m + sim.desk_height_m]))
 
 
 def true_cameras(rig: Rig) -> dict[str, CameraModel]:

@@ -23,6 +23,12 @@ _BOARD_TEXT: Final = (
     "  rhot calibrate cameras --live --rig {path} --board {columns}x{rows} --square-mm {square_mm:g} "
     "--connect {endpoint}\n"
 )
+_DESK_TEXT: Final = (
+    "A chessboard of {columns}x{rows} inner corners, {square_mm:g} mm squares, lies on the desk.\nrig folder: {path}\n"
+    "Now, in another terminal:\n\n"
+    "  rhot calibrate stage --live --rig {path} --board {columns}x{rows} --square-mm {square_mm:g} "
+    "--desk-mm {desk_mm:g} --connect {endpoint}\n"
+)
 _PATH_TEXT: Final = (
     "This rig is not calibrated yet (no {missing}). In the page, the tab Calibrate leads through it; what stands "
     "before the simulated cameras is chosen there, too.\n"
@@ -58,11 +64,12 @@ async def run_for_calibration(
 async def _stay(rig: Rig, endpoint: str, duration_s: float | None, console: Console, bus: Bus) -> None:
     await broadcast(bus, "start", "calibrate", _START_DELAY_S, wait_s=5.0)
     sim = rig.config.sim
-    if sim.motion == "board":
-        text = _BOARD_TEXT.format(
+    if sim.motion in ("board", "desk_board"):
+        text = (_BOARD_TEXT if sim.motion == "board" else _DESK_TEXT).format(
             columns=sim.board_columns,
             rows=sim.board_rows,
             square_mm=1e3 * sim.board_square_m,
+            desk_mm=1e3 * sim.desk_height_m,
             path=rig.path,
             endpoint=endpoint,
         )

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from rhot.rig import Rig, load_rig
+from rhot.rig import Rig, RigidTransform, StageFile, load_rig, write_json_model
+from rhot.rig.calibration import today
 from rhot.rig.config import WalkProgram
-from rhot.rig.folder import RIG_FILE, write_text_atomic
+from rhot.rig.folder import RIG_FILE, STAGE_FILE, write_text_atomic
 
 _TEMPLATE: Final = """\
 # A simulated person whose feet are tracked from the head; the rig frame has y up and the floor at y = 0.
@@ -79,4 +80,6 @@ def write_walker_rig(
         imu_rate_hz=imu_rate_hz,
     )
     write_text_atomic(path / RIG_FILE, text)
+    # The walker's rig frame is the stage.
+    write_json_model(path / STAGE_FILE, StageFile(date=today(), T_rig_stage=RigidTransform(), source="simulated"))
     return load_rig(path)

@@ -1,7 +1,8 @@
 """A calibration chessboard in place of a hand: held still at a place, then carried to the next.
 
 Places follow from seed and number. They take the cameras in turn, and of each the nine regions of its picture in an
-order of the seed's; distances and tilts vary from place to place. In its camera a place shows the whole board.
+order of the seed's; distances and tilts vary from place to place. In its camera a place shows the whole board. For
+finding the floor it lies on the desk instead.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
+from rhot.geometry.transforms import rigid
 from rhot_sim.world.motion import MotionSample
 from rhot_sim.world.script import seeded
 
@@ -29,6 +31,8 @@ NEAR_M: Final = 0.40
 FAR_M: Final = 1.10
 MAX_TILT_DEG: Final = 45.0
 MAX_ROLL_DEG: Final = 25.0
+LYING_YAW_RAD: Final = 0.2
+"""Of the board on the desk: nobody lays it down exactly straight."""
 RIM_SQUARES: Final = 1.0
 """White paper around the squares, in squares."""
 
@@ -141,6 +145,23 @@ class BoardMotion:
                 distance *= _SMALLER
             pixel = np.clip(pixel - over, low, high)
         return T
+
+
+class LyingBoard:
+    """The board flat on the desk, printed face up, before the reference camera; it never moves.
+
+    Args:
+        board: its size.
+        desk_z_m: distance of the desk from the reference camera.
+    """
+
+    def __init__(self, board: ChessBoard, desk_z_m: float) -> None:
+        R = rotation_from_vector(np.array([0.0, 0.0, LYING_YAW_RAD]))
+        self._pose = rigid(R, np.array([0.0, 0.0, desk_z_m]) - R @ board.middle)
+
+    def sample(self, t_s: FloatArray) -> MotionSample:
+        """Return the one pose for each of the times (N,), as object `board`."""
+        return MotionSample({}, {}, {BOARD: np.tile(self._pose, (len(t_s), 1, 1))})
 
 
 def _between(start: FloatArray, end: FloatArray, passed: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from rhot.rig.config import MarkerConfig, SimConfig
 from rhot.rig.folder import Rig
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.walker.world import WalkerWorld
-from rhot_sim.world.board import BoardMotion, ChessBoard
+from rhot_sim.world.board import BoardMotion, ChessBoard, LyingBoard
 from rhot_sim.world.motion import Motion, StillMotion, true_pose
 from rhot_sim.world.script import ScriptedMotion
 
@@ -88,7 +88,7 @@ class World:
     def from_rig(cls, rig: Rig) -> World:
         """Build the world that a rig folder describes: hands, markers and simulated objects, or a board; a walker."""
         config = rig.config
-        if config.sim.motion == "board":
+        if config.sim.motion in ("board", "desk_board"):
             board = ChessBoard(config.sim.board_columns, config.sim.board_rows, config.sim.board_square_m)
             return cls(config.sim.seed, {}, {}, motion=_board_motion(rig, board), board=board)
         hands: dict[Side, HandModel] = {side: HandModel.from_file(rig.hand, side) for side in config.sides}
@@ -141,7 +141,9 @@ def _motion(config: SimConfig, hands: Mapping[Side, HandModel], objects: Sequenc
     return ScriptedMotion(config.seed, hands, objects, config.desk_z_m)
 
 
-def _board_motion(rig: Rig, board: ChessBoard) -> BoardMotion:
+def _board_motion(rig: Rig, board: ChessBoard) -> Motion:
+    if rig.config.sim.motion == "desk_board":
+        return LyingBoard(board, rig.config.sim.desk_z_m)
     truth = simulated_rig_calibration(rig.config.cameras, rig.config.sim.seed).truth.cameras
     cameras = [CameraModel.from_calibration(camera) for camera in truth.values()]
     return BoardMotion(rig.config.sim.seed, cameras, board)

@@ -16,6 +16,7 @@ _CHOICES: Final = {
     "a hand that moves and grasps": "script",
     "a hand held still": "still",
     "a chessboard": "board",
+    "a chessboard that lies on the desk": "desk_board",
 }
 """Label to `[sim] motion`."""
 

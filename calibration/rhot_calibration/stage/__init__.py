@@ -1,0 +1,1 @@
+"""Where the floor is: `rhot calibrate stage` and its step in the page."""

@@ -1,0 +1,158 @@
+"""`rhot calibrate stage`."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Final
+
+import click
+import numpy as np
+from rich.console import Console
+
+from rhot.bus import Bus
+from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.errors import CalibrationError, ConfigError
+from rhot.geometry.camera import CameraModel
+from rhot.rig import Rig, StageFile, load_rig, read_json_model, write_json_model
+from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
+from rhot.rig.folder import REGISTRATION_FILE, STAGE_FILE
+from rhot_calibration.cameras.board.boards import DEFAULT_DICTIONARY, parse_board
+from rhot_calibration.cameras.live.live import CONNECT_S
+from rhot_calibration.cameras.pictures import read_pictures
+from rhot_calibration.cameras.solve.views import Board, ViewSet
+from rhot_calibration.stage.desk import DeskFit, fit_desk, residual_text
+from rhot_calibration.stage.floor import FORWARDS, Forward, desk_file, registration_stage
+from rhot_calibration.stage.live import look_at_desk
+
+PREVIOUS_FILE: Final = "stage.previous.json"
+
+
+@click.command()
+@click.argument("recording", metavar="[PICTURES]", required=False, type=click.Path(path_type=Path))
+@click.option("--live", is_flag=True, help="Take the pictures now, from the running capture services.")
+@click.option("--registration", is_flag=True, help="Take the floor of the registered tracking system (SteamVR).")
+@click.option("--board", "counts", metavar="CxR", help="Inner corners of the board along and across, such as 9x6.")
+@click.option("--square-mm", type=float, help="Side of a square, measured on the print.")
+@click.option("--marker-mm", type=float, help="Side of the markers of a ChArUco board.")
+@click.option("--dictionary", default=DEFAULT_DICTIONARY, show_default=True, help="Markers of a ChArUco board.")
+@click.option(
+    "--desk-mm",
+    type=click.FloatRange(1e3 * LOWEST_DESK_M, 1e3 * HIGHEST_DESK_M),
+    help="Height of the desk over the floor, by a ruler.",
+)
+@click.option(
+    "--thickness-mm",
+    type=click.FloatRange(0, 100),
+    default=0.0,
+    show_default=True,
+    help="Of the board: how far its printed face lies above the desk.",
+)
+@click.option(
+    "--forward",
+    type=click.Choice(FORWARDS),
+    default="down",
+    show_default=True,
+    help="Where the person looks who sits at the desk, in the first camera's picture; hands come in at the other edge.",
+)
+@click.option("--dry-run", is_flag=True, help="Print the result and write nothing.")
+@rig_option
+@bus_options
+def stage(
+    recording: Path | None,
+    live: bool,
+    registration: bool,
+    counts: str | None,
+    square_mm: float | None,
+    marker_mm: float | None,
+    dictionary: str,
+    desk_mm: float | None,
+    thickness_mm: float,
+    forward: Forward,
+    dry_run: bool,
+    rig_path: Path,
+    connect: tuple[str, ...],
+    namespace: str | None,
+) -> None:
+    """Find the floor: a frame with y up and its origin on the floor, which games, avatars and labs want.
+
+    Lay the calibration board flat on the desk, in view of the cameras, and measure how high the desk is:
+
+    \b
+    rhot calibrate stage --live --board 9x6 --square-mm 25 --desk-mm 740 --rig RIG
+    rhot calibrate stage pictures --board 9x6 --square-mm 25 --desk-mm 740 --rig RIG
+    rhot calibrate stage --registration --rig RIG
+
+    PICTURES is a folder as `rhot calibrate cameras` reads it; boards that do not lie on the desk are left out, so its
+    own pictures will do when the board lay on the desk in two of them or more. With --registration the floor is that
+    of SteamVR's room setup, and nothing needs to be measured.
+
+    Writes stage.json; the one before becomes stage.previous.json. The running rig publishes it on rhot/space/stage.
+    """
+    rig = load_rig(rig_path)
+    if sum((recording is not None, live, registration)) != 1:
+        raise ConfigError("give one of: a folder of pictures, --live, --registration; see --help")
+    console = Console(soft_wrap=True, markup=False, highlight=False)
+    if registration:
+        if not (rig.path / REGISTRATION_FILE).exists():
+            raise CalibrationError(
+                f"{rig.path / REGISTRATION_FILE} is not there: no tracking system is registered; `rhot calibrate "
+                "objects` does that, or use a board on the desk"
+            )
+        found = registration_stage(rig.registration, "steamvr")
+    else:
+        if counts is None or square_mm is None or desk_mm is None:
+            raise ConfigError(
+                "give --board (inner corners, such as 9x6), --square-mm (measured, such as 25) and --desk-mm (height "
+                "of the desk over the floor, such as 740)"
+            )
+        board = parse_board(counts, 1e-3 * square_mm, None if marker_mm is None else 1e-3 * marker_mm, dictionary)
+        if not rig.calibrated:
+            raise CalibrationError(f"{rig.path}: the cameras are not calibrated; run `rhot calibrate cameras` first")
+        if live:
+            views = asyncio.run(_look(rig_path, connect, namespace, rig, board))
+        else:
+            sizes = {name: (camera.width, camera.height) for name, camera in rig.config.cameras.items()}
+            views = read_pictures(recording or Path(), board, list(rig.cameras), None, sizes).views
+        cameras = {name: CameraModel.from_calibration(camera) for name, camera in rig.cameras.items()}
+        fit = fit_desk(cameras, views)
+        _tell_fit(console, fit)
+        first = next(iter(cameras.values()))
+        found = desk_file(fit, first, 1e-3 * desk_mm, 1e-3 * thickness_mm, forward)
+    _tell(console, rig, found)
+    _write(console, rig.path, found, dry_run)
+
+
+async def _look(rig_path: Path, connect: tuple[str, ...], namespace: str | None, rig: Rig, board: Board) -> ViewSet:
+    async with await Bus.open(tool_bus(rig_path, connect, namespace), timeout_s=CONNECT_S) as bus:
+        return await look_at_desk(bus, list(rig.cameras), board)
+
+
+def _tell_fit(console: Console, fit: DeskFit) -> None:
+    left_out = f"; {len(fit.left_out)} left out, not in the desk's plane" if fit.left_out else ""
+    console.print(f"boards on the desk  {fit.boards}{left_out}")
+    console.print(f"residual            {residual_text(fit)}, corners {fit.rms_px:.2f} px (RMS)")
+    console.print(
+        f"plane               ± {np.degrees(fit.tilt_sd_rad):.2f}° and ± {1e3 * fit.height_sd_m:.1f} mm, from the "
+        "corners' scatter alone (one standard deviation)"
+    )
+
+
+def _tell(console: Console, rig: Rig, found: StageFile) -> None:
+    T_stage_rig = np.linalg.inv(found.T_rig_stage.matrix)
+    for name, camera in rig.cameras.items():
+        x, y, z = 1e3 * (T_stage_rig[:3, :3] @ np.array(camera.T_rig_camera)[:3, 3] + T_stage_rig[:3, 3])
+        console.print(
+            f"camera {name:12s} {y:.0f} mm over the floor, {x:.0f} to the right, {-z:.0f} forward of the origin"
+        )
+
+
+def _write(console: Console, rig_path: Path, found: StageFile, dry_run: bool) -> None:
+    file = rig_path / STAGE_FILE
+    if dry_run:
+        console.print(f"nothing was written (--dry-run); {file} is as before")
+        return
+    if file.exists():
+        write_json_model(rig_path / PREVIOUS_FILE, read_json_model(file, StageFile))
+    write_json_model(file, found)
+    console.print(f"written: {file}; a running rig publishes it on rhot/space/stage within a second")
