@@ -27,13 +27,13 @@ sim: $(READY)
 
 # Real processes want both cores to themselves; everything else shares them.
 test: lint
-	@$(BIN)/pytest --numprocesses auto -m "not integration and not faults" -rs
+	@$(BIN)/pytest --numprocesses auto --dist loadgroup -m "not integration and not faults" -rs
 	@$(BIN)/pytest -m "integration and not faults" -rs
 
 lint: $(READY)
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
-	@$(BIN)/mypy
+	@$(BIN)/mypy --num-workers 2
 	@$(BIN)/lint-imports --no-logo
 
 format: $(READY)

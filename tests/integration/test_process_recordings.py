@@ -18,7 +18,7 @@ from rhot.errors import ConfigError
 from rhot.rig import load_rig
 from rhot.rig.template import rig_template
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.folder import true_cameras, write_simulated_rig
 from rhot_sim.rig.schedule import FrameSchedule
 from rhot_sim.world.world import World
 
@@ -55,10 +55,18 @@ def record_simulation(rig_path: Path, folder: Path) -> None:
     (folder / "recording.toml").write_text("version = 1\n" + "\n".join(settings))
 
 
-def test_pictures_give_the_hand_that_was_rendered(simulated_rig: tuple[Path, str], tmp_path: Path) -> None:
-    rig_path, _ = simulated_rig
-    record_simulation(rig_path, tmp_path / "recording")
-    lines = lines_of(rig_path, tmp_path / "recording", tmp_path / "out.jsonl")
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, list[dict[str, Any]]]:
+    """A simulated rig, a recording of its pictures, and what comes of it."""
+    folder = tmp_path_factory.mktemp("rendered")
+    write_simulated_rig(folder / "rig")
+    record_simulation(folder / "rig", folder / "recording")
+    return folder / "rig", folder / "recording", lines_of(folder / "rig", folder / "recording", folder / "out.jsonl")
+
+
+@pytest.mark.xdist_group("rendered")
+def test_pictures_give_the_hand_that_was_rendered(rendered: tuple[Path, Path, list[dict[str, Any]]]) -> None:
+    rig_path, _, lines = rendered
     hands = [line["value"] for line in lines if line["key"] == "rhot/hand/right"]
     assert len(hands) > 1.8 * SECONDS * 60, "cameras out of step give nearly two poses per frame period"
     world = World.from_rig(load_rig(rig_path))
@@ -93,11 +101,10 @@ def tip_errors_mm(rig_path: Path, lines: list[dict[str, Any]]) -> np.ndarray[tup
     )
 
 
-def test_looking_back_finds_better_paths(simulated_rig: tuple[Path, str], tmp_path: Path) -> None:
-    rig_path, _ = simulated_rig
-    record_simulation(rig_path, tmp_path / "recording")
-    live = lines_of(rig_path, tmp_path / "recording", tmp_path / "live.jsonl")
-    smooth = lines_of(rig_path, tmp_path / "recording", tmp_path / "smooth.jsonl", "--smooth")
+@pytest.mark.xdist_group("rendered")
+def test_looking_back_finds_better_paths(rendered: tuple[Path, Path, list[dict[str, Any]]], tmp_path: Path) -> None:
+    rig_path, recording, live = rendered
+    smooth = lines_of(rig_path, recording, tmp_path / "smooth.jsonl", "--smooth")
     live_keys, smooth_keys = (Counter(line["key"] for line in lines) for lines in (live, smooth))
     assert smooth_keys.keys() == live_keys.keys()
     assert smooth_keys >= live_keys, "looking back may know the first frames, too"
@@ -125,6 +132,7 @@ def real_stream(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     return lines_of(folder / "rig", stream, folder / "out.jsonl")
 
 
+@pytest.mark.xdist_group("real stream")
 def test_a_real_marker_stream_gives_a_hand(real_stream: list[dict[str, Any]]) -> None:
     """Rough data on a rig that is not calibrated: a hand in nearly every frame, inside the desk volume, never torn."""
     hands = [line["value"] for line in real_stream if line["key"] == "rhot/hand/right"]
@@ -139,6 +147,7 @@ def test_a_real_marker_stream_gives_a_hand(real_stream: list[dict[str, Any]]) ->
         assert 0.02 < reach < 0.22
 
 
+@pytest.mark.xdist_group("real stream")
 @pytest.mark.xfail(strict=True, reason="a known miss: frames of another moment move an uncalibrated hand, 0.10 m")
 def test_the_hand_of_a_real_marker_stream_moves_as_hands_do(real_stream: list[dict[str, Any]]) -> None:
     hands = [line["value"] for line in real_stream if line["key"] == "rhot/hand/right"]
