@@ -69,3 +69,22 @@ def test_a_service_that_cannot_run_ends_it_with_its_reason(tmp_path: Path) -> No
     assert "fusion ended by itself" in done.stderr
     assert list(processes_that_name(str(rig))) == []
     in_time(took_s, 10.0, "nobody waits for a rig that cannot come up")
+
+
+def test_bridges_of_the_rig_run_and_end_with_it(tmp_path: Path, free_port: int) -> None:
+    rig = make_rig(tmp_path / "rig", ("left", "right"))
+    with (rig / "rig.toml").open("a") as toml:
+        toml.write(f'\n[bridges.page]\ntarget = "json"\nport = {free_port}\n')
+    command = [sys.executable, "-m", "rhot", "up", "--no-viewer", "--rig", str(rig)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if f"ws://127.0.0.1:{free_port}" in line:
+                break
+        else:
+            pytest.fail("the bridge did not start")
+        process.send_signal(signal.SIGINT)
+        rest = process.stdout.read()
+        process.wait(timeout=10)
+    assert "Traceback" not in rest
+    assert list(processes_that_name(str(rig))) == []

@@ -57,6 +57,7 @@ _COMMANDS: Final = {
     "objects": LazyCommand("Service: track objects and the headset.", extra="objects"),
     "feet": LazyCommand("Service: track feet with a depth camera on the head and ankle sensors.", extra="feet"),
     "viewer": LazyCommand("Service: serve the web page that shows the running rig.", extra="viewer"),
+    "bridge": LazyCommand("Service: send what is tracked to other programs: VMC, VRChat, JSON, ….", extra="bridge"),
     "router": LazyCommand("Service: the Zenoh router that all others connect to.", "rhot.cli.operate.router:router"),
     "truth": LazyCommand("Service: publish the truth of the simulated world.", extra="sim"),
 }

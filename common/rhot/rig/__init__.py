@@ -1,5 +1,6 @@
 """A rig on disk: `rig.toml`, written by people, beside the files that calibration wrote."""
 
+from rhot.rig.bridge_config import BridgeConfig, BridgeTarget
 from rhot.rig.bus_config import BusConfig
 from rhot.rig.calibration import (
     CameraCalibration,
@@ -23,6 +24,8 @@ from rhot.rig.folder import Rig, load_rig, read_json_model, write_json_model
 
 __all__ = [
     "BodyConfig",
+    "BridgeConfig",
+    "BridgeTarget",
     "BusConfig",
     "CameraCalibration",
     "CameraConfig",

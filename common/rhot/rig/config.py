@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.messages import Name, Side
+from rhot.rig.bridge_config import BridgeConfig
 from rhot.rig.bus_config import BusConfig
 from rhot.rig.calibration import DeskHeight
 from rhot.rig.feet_config import BodyConfig, FeetConfig
@@ -252,6 +253,7 @@ class RigConfig(FileModel):
         objects: tracked objects by id.
         feet: feet tracked from the head; left out when there are none.
         body: the person whose legs are solved.
+        bridges: other programs that are sent what is tracked, by a name of one's own; `rhot up` starts them.
         sim: the simulated world, for simulated cameras and objects alone.
     """
 
@@ -267,6 +269,7 @@ class RigConfig(FileModel):
     objects: Annotated[dict[Name, ObjectConfig], Field(max_length=64)] = {}
     feet: FeetConfig | None = None
     body: BodyConfig = BodyConfig()
+    bridges: Annotated[dict[Name, BridgeConfig], Field(max_length=16)] = {}
     sim: SimConfig = SimConfig()
 
     @model_validator(mode="after")

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
-from rhot.bus import Bus, EventSubscriber, LatestSubscriber, Publisher
+from rhot.bus import Bus, EventSubscriber, LatestSubscriber, Publisher, Sample
 from rhot.clock import NodeClock, RigClock
 from rhot.errors import WireError
 from rhot.messages import Message, decode
@@ -79,19 +79,25 @@ class Node:
             key_of: the only key on which a message may stand; None = any that the mailbox subscribes to.
         """
         async for sample in mailbox:
-            if sample.deleted:
-                continue
-            try:
-                message = decode(sample.payload, model)
-                self._check_time(message)
-                if key_of is not None and key_of(message) != sample.key:
-                    raise WireError(f"the message belongs on {key_of(message)}")
-            except WireError as error:
-                self.refuse(sample.key, error)
+            if (message := self.read(sample, model, key_of)) is None:
                 continue
             if isinstance(mailbox, LatestSubscriber):
                 mailbox.keep_slot_of(sample.key)
             yield message
+
+    def read(self, sample: Sample, model: type[M], key_of: Callable[[M], str] | None = None) -> M | None:
+        """Return the message in a sample; None for a deletion and for what is refused, which is counted and logged."""
+        if sample.deleted:
+            return None
+        try:
+            message = decode(sample.payload, model)
+            self._check_time(message)
+            if key_of is not None and key_of(message) != sample.key:
+                raise WireError(f"the message belongs on {key_of(message)}")
+        except WireError as error:
+            self.refuse(sample.key, error)
+            return None
+        return message
 
     def refuse(self, key: str, error: WireError) -> None:
         """Count an invalid sample and log it, at most once in five seconds per key."""

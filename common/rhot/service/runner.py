@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import gc
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -78,7 +78,7 @@ class Service(Protocol):
 
 
 def run_service(service: Service, bus_config: BusConfig, *, node_clock: NodeClock | None = None) -> int:
-    """Run a service until a signal ends it and return the process's exit code.
+    """Run a service until a signal ends it, and return the process's exit code.
 
     Raises:
         RhotError: the service cannot work as it is configured, or its device hangs.
@@ -87,14 +87,18 @@ def run_service(service: Service, bus_config: BusConfig, *, node_clock: NodeCloc
 
 
 async def serve(
-    service: Service, bus_config: BusConfig, node_clock: NodeClock, on_stop: Callable[[int], None] | None = None
+    service: Service | Sequence[Service],
+    bus_config: BusConfig,
+    node_clock: NodeClock,
+    on_stop: Callable[[int], None] | None = None,
 ) -> int:
-    """Run a service on the running event loop until SIGINT or SIGTERM; see `run_service`.
+    """Run a service, or several in one process, on the running event loop until SIGINT or SIGTERM; see `run_service`.
 
     `on_stop` is called with the exit code as soon as the process is asked to end.
     """
     stop = install_stop()
-    work = asyncio.create_task(_Runner(service, bus_config, node_clock).run())
+    services = service if isinstance(service, Sequence) else (service,)
+    work = asyncio.create_task(_run_all([_Runner(each, bus_config, node_clock) for each in services]))
     asked = asyncio.create_task(stop.requested.wait())
     try:
         await asyncio.wait((work, asked), return_when=asyncio.FIRST_COMPLETED)
@@ -107,6 +111,12 @@ async def serve(
     except BaseExceptionGroup as group:
         raise _first_cause(group) or group from group
     return stop.exit_code
+
+
+async def _run_all(runners: Sequence[_Runner]) -> None:
+    async with asyncio.TaskGroup() as tasks:
+        for runner in runners:
+            tasks.create_task(runner.run())
 
 
 def _first_cause(first: BaseException | None) -> BaseException | None:

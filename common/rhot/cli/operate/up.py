@@ -31,6 +31,8 @@ _RIG_TIMEOUT_S = 20.0
 def up(no_start: bool, viewer: bool, page_port: int, rig_path: Path) -> int:
     """Run router, fusion, ik, objects, feet and the web page on this machine, and start the rig. Ctrl-C stops all.
 
+    So do the bridges to other programs that rig.toml names, as [bridges.NAME].
+
     The capture services run on the Pis (rhot capture --camera NAME) and join by themselves. If a router already
     answers, it is used instead of a second one. A service that ends by itself is started again.
     """
@@ -43,8 +45,8 @@ async def _up(rig_path: Path, page_port: int | None, *, start: bool) -> int:
     bus_config = tool_bus(rig_path, (), None)
     stop = install_stop()
     supervisor = Supervisor()
-    # On its own: the page is for looking, and tracking goes on without it.
-    beside = Supervisor()
+    # On their own: the page and other programs are for looking, and tracking goes on without them.
+    beside, bridges = Supervisor(), Supervisor()
     watching: list[asyncio.Task[Any]] = []
     try:
         if not await _answers(bus_config):
@@ -54,6 +56,9 @@ async def _up(rig_path: Path, page_port: int | None, *, start: bool) -> int:
             await supervisor.start(name, [name, "--rig", str(rig_path)])
         if page_port is not None:
             await beside.start("viewer", [*page_command(page_port), "--rig", str(rig_path)])
+        if rig.config.bridges:
+            await bridges.start("bridge", ["bridge", "--rig", str(rig_path)])
+            watching.append(asyncio.create_task(_keep_bridges(bridges)))
         failed = asyncio.create_task(supervisor.keep_running())
         asked = asyncio.create_task(stop.requested.wait())
         watching += [failed, asked]
@@ -71,8 +76,12 @@ async def _up(rig_path: Path, page_port: int | None, *, start: bool) -> int:
         for task in watching:
             task.cancel()
         await asyncio.gather(*watching, return_exceptions=True)
-        await asyncio.gather(supervisor.stop(), beside.stop())
+        await asyncio.gather(supervisor.stop(), beside.stop(), bridges.stop())
     return stop.exit_code
+
+
+async def _keep_bridges(bridges: Supervisor) -> None:
+    logger.error("%s; tracking goes on without bridges", bridges.failure(await bridges.keep_running()))
 
 
 async def _start(bus_config: BusConfig) -> None:

@@ -1,0 +1,112 @@
+"""From the rig's axes to other programs' axes.
+
+**Rig to stage.** The rig frame is the reference camera's; the stage has a floor: right-handed, metres, +y up, −z
+forward, origin on the floor (OpenXR's STAGE). `rhot/space/stage` gives T_rig_stage, hence, with (R, t) its inverse
+and q_R the quaternion of R,
+
+    p_stage = R · p_rig + t            q_stage = q_R ⊗ q_rig
+
+**Stage to Unity.** Unity is left-handed: +x right, +y up, +z forward. With M = diag(1, 1, −1),
+
+    p_unity = M · p_stage = (x, y, −z)
+    R_unity = M · R_stage · M, so q_unity = (−x, −y, z, w)
+
+A joint's own axes are mirrored, too: OpenXR's +Z from the tip to the wrist becomes +z from the wrist to the tip, which
+is Unity's "forward along the finger", +Y stays out of the back of the hand. OpenVR's axes (SteamVR) are the stage's.
+
+**Euler angles** of VRChat: degrees, in Unity's axes, applied about z, then x, then y, each about the fixed axes:
+R = Ry(y) · Rx(x) · Rz(z), Unity's own order. With left-handed axes a positive angle turns clockwise seen along the
+axis, and the matrices are the usual ones.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.geometry.rotations import product_matrix, quaternion_from_rotation, rotation_from_quaternion
+from rhot.geometry.transforms import inverse
+from rhot_bridge.scene import Axes, Body, Hand, Scene, Thing
+
+FloatArray = NDArray[np.float64]
+
+_UNITY_POSITION: Final = np.array([1.0, 1.0, -1.0])
+_UNITY_ORIENTATION: Final = np.array([-1.0, -1.0, 1.0, 1.0])
+_GIMBAL_LOCK: Final = 1.0 - 1e-9
+
+P = TypeVar("P", Hand, Thing, Body)
+K = TypeVar("K", bound=str)
+
+
+class Converter:
+    """From the rig's axes to those that a target wants.
+
+    Attributes:
+        axes: that come out.
+    """
+
+    def __init__(self, axes: Axes, T_rig_stage: FloatArray | None = None) -> None:
+        """Prepare.
+
+        Args:
+            axes: wanted.
+            T_rig_stage: (4, 4) metres; needed for any axes but the rig's.
+
+        Raises:
+            ValueError: the stage is needed and not given.
+        """
+        self.axes: Axes = axes
+        if axes == "rig":
+            T_stage_rig = np.eye(4)
+        elif T_rig_stage is None:
+            raise ValueError(f"{axes} axes need T_rig_stage")
+        else:
+            T_stage_rig = inverse(T_rig_stage)
+        rotation = product_matrix(*quaternion_from_rotation(T_stage_rig[:3, :3]).tolist())
+        mirror, mirror_q = (_UNITY_POSITION, _UNITY_ORIENTATION) if axes == "unity" else (1.0, 1.0)
+        self._rotate = (T_stage_rig[:3, :3].T * mirror).copy()
+        self._shift = T_stage_rig[:3, 3] * mirror
+        self._multiply = (rotation.T * mirror_q).copy()
+
+    def poses(self, poses: P) -> P:
+        """Return poses in the rig's axes in the target's."""
+        return dataclasses.replace(
+            poses,
+            positions=poses.positions @ self._rotate + self._shift,
+            orientations=poses.orientations @ self._multiply,
+        )
+
+    def scene(self, scene: Scene) -> Scene:
+        """Return a scene in the rig's axes in the target's."""
+        return Scene(
+            self.axes,
+            scene.t_ns,
+            self._all(scene.hands),
+            self._all(scene.objects),
+            None if scene.head is None else self.poses(scene.head),
+            self._all(scene.feet),
+            None if scene.body is None else self.poses(scene.body),
+        )
+
+    def _all(self, group: Mapping[K, P]) -> dict[K, P]:
+        return {name: self.poses(poses) for name, poses in group.items()}
+
+
+def unity_euler_deg(xyzw: FloatArray) -> FloatArray:
+    """Return Unity's Euler angles (3,), x y z, degrees, of a quaternion (4,) in Unity's axes; see the module.
+
+    Where x is ±90° (gimbal lock) only a sum of the others is known; z is taken as 0.
+    """
+    R = rotation_from_quaternion(xyzw)
+    sine_x = float(np.clip(-R[1, 2], -1.0, 1.0))
+    x = np.arcsin(sine_x)
+    if abs(sine_x) > _GIMBAL_LOCK:
+        y, z = np.arctan2(-R[2, 0], R[0, 0]), 0.0
+    else:
+        y, z = np.arctan2(R[0, 2], R[2, 2]), np.arctan2(R[1, 0], R[1, 1])
+    degrees: FloatArray = np.degrees(np.array([x, y, z]))
+    return degrees

@@ -1,0 +1,167 @@
+"""What comes from the bus, decoded once for all bridges of a process."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Mapping
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.bus import LatestSubscriber
+from rhot.errors import BusError, WireError
+from rhot.messages import BodyPose, FootPose, HandPose, HeadPose, ObjectPose, Space, decode
+from rhot.service import Node
+from rhot_bridge.scene import Tracked, tracked
+
+logger = logging.getLogger(__name__)
+
+FloatArray = NDArray[np.float64]
+
+STAGE_KEY: Final = "rhot/space/stage"
+_STAGE_RETRY_S: Final = 1.0
+_OTHER_HAND_S: Final = 0.002
+"""ik publishes both hands of a moment one right after the other: two turns of an event loop's clock."""
+
+_MODELS: Final[Mapping[str, type[HandPose | ObjectPose | FootPose | BodyPose]]] = {
+    "rhot/hand/*": HandPose,
+    "rhot/object/*": ObjectPose,
+    "rhot/head": HeadPose,
+    "rhot/foot/*": FootPose,
+    "rhot/body": BodyPose,
+}
+
+
+class Listener(Protocol):
+    """Who uses the feed: a bridge."""
+
+    def take(self, key: str, tracked: Tracked, arrived_ns: int) -> None:
+        """Keep a sample; it arrived at a moment of `time.monotonic_ns`."""
+        ...
+
+    def moment(self, kind: str, arrived_ns: int) -> None:
+        """Send, if it is time to: all of a kind (`hand`, `foot`, …) that belongs to one moment has been handed over."""
+        ...
+
+    def stage(self, T_rig_stage: FloatArray) -> None:
+        """Use a floor frame from now on."""
+        ...
+
+
+class Moments:
+    """Tells when both hands of a moment are there; pure.
+
+    Hands that are solved together carry the same time. If the other hand did so last time, the first of a moment waits
+    for it.
+    """
+
+    def __init__(self) -> None:
+        self._stamps: dict[str, int] = {}
+        self._together = False
+
+    def complete(self, key: str, t_ns: int) -> bool:
+        """Take a hand's time, and return whether nothing more is to be waited for."""
+        self._stamps[key] = t_ns
+        others = [stamp for other, stamp in self._stamps.items() if other != key]
+        if t_ns in others:
+            self._together = True
+            return True
+        return not self._together
+
+    def waited_in_vain(self) -> None:
+        """The other hand did not come: wait no more until both come together again."""
+        self._together = False
+
+
+class Feed:
+    """Subscribes on the bus of the first bridge that is attached, and hands all on to all bridges."""
+
+    def __init__(self) -> None:
+        self._node: asyncio.Future[Node] = asyncio.get_running_loop().create_future()
+        self._listeners: list[Listener] = []
+        self._moments = Moments()
+        self._late: asyncio.TimerHandle | None = None
+        self._stage_known = False
+
+    def attach(self, node: Node, listener: Listener) -> None:
+        """Add a bridge."""
+        self._listeners.append(listener)
+        if not self._node.done():
+            self._node.set_result(node)
+
+    async def run(self) -> None:
+        """Hand on what comes until the bus is closed."""
+        node = await self._node
+        mailboxes = {keys: node.bus.latest(keys) for keys in (*_MODELS, STAGE_KEY)}
+        async with asyncio.TaskGroup() as tasks:
+            for keys, model in _MODELS.items():
+                tasks.create_task(self._follow(node, mailboxes[keys], model))
+            tasks.create_task(self._follow_stage(node, mailboxes[STAGE_KEY]))
+            tasks.create_task(self._ask_for_stage(node))
+
+    async def _follow(
+        self, node: Node, mailbox: LatestSubscriber, model: type[HandPose | ObjectPose | FootPose | BodyPose]
+    ) -> None:
+        async for sample in mailbox:
+            message = node.read(sample, model)
+            if message is None:
+                continue
+            mailbox.keep_slot_of(sample.key)
+            node.status.tick("input")
+            try:
+                found = tracked(message)
+            except WireError as error:
+                node.refuse(sample.key, error)
+                continue
+            for listener in self._listeners:
+                listener.take(sample.key, found, sample.arrived_ns)
+            self._tell(sample.key, found.t_ns, sample.arrived_ns)
+
+    def _tell(self, key: str, t_ns: int, arrived_ns: int) -> None:
+        kind = key.removeprefix("rhot/").partition("/")[0]
+        if kind == "hand":
+            if not self._moments.complete(key, t_ns):
+                if self._late is None:
+                    loop = asyncio.get_running_loop()
+                    self._late = loop.call_later(_OTHER_HAND_S, self._hand_alone, arrived_ns)
+                return
+            if self._late is not None:
+                self._late.cancel()
+                self._late = None
+        for listener in self._listeners:
+            listener.moment(kind, arrived_ns)
+
+    def _hand_alone(self, arrived_ns: int) -> None:
+        self._late = None
+        self._moments.waited_in_vain()
+        for listener in self._listeners:
+            listener.moment("hand", arrived_ns)
+
+    async def _follow_stage(self, node: Node, mailbox: LatestSubscriber) -> None:
+        async for sample in mailbox:
+            if not sample.deleted:
+                self._take_stage(node, sample.payload)
+
+    async def _ask_for_stage(self, node: Node) -> None:
+        """Ask for the floor, which may have been published before this process was there."""
+        while not self._stage_known:
+            with contextlib.suppress(BusError):
+                for reply in await node.bus.get(STAGE_KEY, timeout_s=_STAGE_RETRY_S):
+                    if not reply.error:
+                        self._take_stage(node, reply.payload)
+            await asyncio.sleep(_STAGE_RETRY_S)
+
+    def _take_stage(self, node: Node, payload: bytes) -> None:
+        try:
+            space = decode(payload, Space)
+        except WireError as error:
+            node.refuse(STAGE_KEY, error)
+            return
+        if not self._stage_known:
+            logger.info("the floor is known, by %s", space.source)
+        self._stage_known = True
+        for listener in self._listeners:
+            listener.stage(np.array(space.T_rig_space))

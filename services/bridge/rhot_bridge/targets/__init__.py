@@ -1,0 +1,58 @@
+"""The other programs: one module each, scenes in, packets out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from rhot_bridge.scene import Axes, Scene
+
+
+class Target(Protocol):
+    """One other program's protocol; pure."""
+
+    @property
+    def axes(self) -> Axes:
+        """In which it takes its scenes."""
+        ...
+
+    @property
+    def leads(self) -> Sequence[str]:
+        """Kinds of things whose samples give the beat, the most important first; see `rhot_bridge.pace`."""
+        ...
+
+    def frame(self, scene: Scene, now_ns: int) -> list[bytes]:
+        """Return the packets of a moment; none where there is nothing to say.
+
+        Args:
+            scene: in the target's axes; may be empty.
+            now_ns: monotonic, for what is sent once in a while.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class TargetKind:
+    """One line of the table of targets.
+
+    Attributes:
+        summary: what it is for, a line for people.
+        module: that holds it: `make_output(config)` returns a `rhot_bridge.output.Output`.
+        port: that the other program usually listens on; None where there is none.
+        extra: what to install when a library is missing.
+    """
+
+    summary: str
+    module: str
+    port: int | None = None
+    extra: str = "bridge"
+
+
+TARGETS: Final[Mapping[str, TargetKind]] = {
+    "json": TargetKind(
+        "Unity, Godot, Blender, browsers, your program: JSON by WebSocket or UDP.",
+        "rhot_bridge.targets.json_text",
+        8765,
+    ),
+}

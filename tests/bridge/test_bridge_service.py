@@ -1,0 +1,233 @@
+"""Bridges on a real bus."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import socket
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import bridge_poses
+import numpy as np
+import pytest
+from bus_watch import PATIENCE_S, until
+from click.testing import CliRunner
+from websockets.asyncio.client import connect
+
+from rhot.bus import Bus
+from rhot.errors import ConfigError, RhotError
+from rhot.messages import Control, HandPose, ServiceStatus, Space, decode
+from rhot.rig import BridgeConfig, BusConfig
+from rhot.service import configuration, runner
+from rhot.service.clock_sync import serve_clock
+from rhot_bridge.command import bridge
+from rhot_bridge.feed import Feed
+from rhot_bridge.service import BridgeService, serve_bridges
+
+
+@pytest.fixture(autouse=True)
+def quick_status(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "_STATUS_INTERVAL_S", 0.05)
+
+
+class FakeRig:
+    """Publishes both hands at 60 Hz, and the floor once, before anybody listens."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._stage = bus.publisher("rhot/space/stage", Space)
+        self._hands = {side: bus.publisher(f"rhot/hand/{side}", HandPose) for side in ("left", "right")}
+        self.still = False
+
+    def know_floor(self) -> None:
+        self._stage.put(bridge_poses.stage_message(1))
+
+    async def run(self) -> None:
+        control = self._bus.publisher("rhot/control", Control, reliable=True)
+        assert await control.wait_for_reader(PATIENCE_S)
+        now_ns = time.time_ns()
+        control.put(Control(t_ns=now_ns, action="start", session="one", start_t_ns=now_ns))
+        while True:
+            t_ns = time.time_ns()
+            for side, publisher in self._hands.items():
+                if not self.still:
+                    publisher.put(bridge_poses.hand_message("flat", side, t_ns))  # type: ignore[arg-type]
+            await asyncio.sleep(1 / 60)
+
+
+@asynccontextmanager
+async def running(
+    router: BusConfig, bridges: dict[str, dict[str, object]], *, floor: bool = True
+) -> AsyncIterator[tuple[Bus, FakeRig]]:
+    configs = {name: BridgeConfig.model_validate(config) for name, config in bridges.items()}
+    async with await Bus.open(router) as bus:
+        serve_clock(bus)
+        rig = FakeRig(bus)
+        if floor:
+            rig.know_floor()
+        tasks = [asyncio.create_task(serve_bridges(configs, router)), asyncio.create_task(rig.run())]
+        try:
+            yield bus, rig
+        finally:
+            begun = time.monotonic()
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            assert time.monotonic() - begun < 10.0
+
+
+async def status(bus: Bus, name: str, wanted: object) -> ServiceStatus:
+    async with asyncio.timeout(PATIENCE_S):
+        while True:
+            for reply in await bus.get(f"rhot/status/bridge/{name}", timeout_s=1.0):
+                found = decode(reply.payload, ServiceStatus)
+                if wanted(found):  # type: ignore[operator]
+                    return found
+            await asyncio.sleep(0.02)
+
+
+async def frames(port: int) -> AsyncIterator[dict[str, object]]:
+    """Frames of a WebSocket that may not be open yet."""
+    async with asyncio.timeout(PATIENCE_S):
+        while True:
+            try:
+                async with connect(f"ws://127.0.0.1:{port}") as socket_:
+                    async for text in socket_:
+                        yield json.loads(text)
+            except OSError:
+                await asyncio.sleep(0.02)
+
+
+async def test_hands_come_out_above_the_floor_by_two_bridges_of_one_process(router: BusConfig, free_port: int) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.setblocking(False)
+        bridges: dict[str, dict[str, object]] = {
+            "page": {"target": "json", "port": free_port},
+            "game": {
+                "target": "json",
+                "transport": "udp",
+                "port": receiver.getsockname()[1],
+                "axes": "unity",
+            },
+        }
+        async with running(router, bridges) as (bus, _):
+            async for frame in frames(free_port):
+                hands = {hand["side"]: hand for hand in frame["hands"]}  # type: ignore[attr-defined]
+                if len(hands) == 2:
+                    break
+            for side, hand in hands.items():
+                wanted = bridge_poses.hand("flat", side).positions
+                assert np.abs(np.array(hand["positions"]).reshape(26, 3) - wanted).max() < 2e-5
+            loop = asyncio.get_running_loop()
+            while len((unity := json.loads(await loop.sock_recv(receiver, 65536)))["hands"]) < 2:
+                pass
+            depth = np.array(unity["hands"][0]["positions"])[2::3]
+            assert unity["axes"] == "unity"
+            assert (depth > 0.2).all()
+            found = await status(bus, "game", lambda each: each.rates.get("output", 0.0) > 20.0)
+            assert found.problem == ""
+            assert {"p50", "p99"} <= set(found.latency_s["output_age"])
+            # Nobody reads the page any more: its bridge is there, and idles.
+            await status(bus, "page", lambda each: each.rates.get("output", 0.0) == 0.0 and each.problem == "")
+
+
+async def test_both_hands_of_a_moment_are_one_frame(router: BusConfig, free_port: int) -> None:
+    seen: list[set[float]] = []
+    async with running(router, {"page": {"target": "json", "port": free_port}}) as (bus, _):
+        async for frame in frames(free_port):
+            if len(frame["hands"]) == 2:  # type: ignore[arg-type]
+                seen.append({frame["t"]})  # type: ignore[arg-type]
+            if len(seen) == 60:
+                break
+        found = await status(bus, "page", lambda each: "to_wire" in each.latency_s)
+        assert found.counts["output"] <= found.counts["input"] / 2 + 60
+    assert len(set.union(*seen)) > 50
+
+
+async def test_without_a_floor_nothing_is_sent_and_it_is_said_once(
+    router: BusConfig, free_port: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.WARNING, "rhot_bridge")
+    async with running(router, {"page": {"target": "json", "port": free_port}}, floor=False) as (bus, rig):
+        async with asyncio.timeout(PATIENCE_S):
+            while True:
+                try:
+                    reader = await connect(f"ws://127.0.0.1:{free_port}")
+                    break
+                except OSError:
+                    await asyncio.sleep(0.02)
+        found = await status(bus, "page", lambda each: "no floor" in each.problem)
+        assert "rhot calibrate stage" in found.problem
+        assert "--axes rig" in found.problem
+        await until(lambda: any("no floor" in record.message for record in caplog.records))
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(reader.recv(), 0.5)
+        assert sum("no floor" in record.message for record in caplog.records) == 1
+        rig.know_floor()
+        assert json.loads(await asyncio.wait_for(reader.recv(), PATIENCE_S))["axes"] == "stage"
+        await status(bus, "page", lambda each: each.problem == "")
+        await reader.close()
+
+
+async def test_a_hand_that_is_gone_fades_and_then_is_not_sent(router: BusConfig, free_port: int) -> None:
+    weights: list[float] = []
+    async with running(router, {"page": {"target": "json", "port": free_port, "axes": "rig"}}) as (_, rig):
+        async for frame in frames(free_port):
+            hands = frame["hands"]
+            if hands and len(weights) == 0:
+                rig.still = True
+            if rig.still and not hands:
+                break
+            if hands:
+                weights.append(hands[0]["weight"])  # type: ignore[index]
+    fading = [weight for weight in weights if weight < 1.0]
+    assert len(fading) > 8
+    assert fading == sorted(fading, reverse=True)
+
+
+async def test_rate_and_policy_can_change_while_it_runs_and_the_port_cannot() -> None:
+    service = BridgeService("page", BridgeConfig(target="json", axes="rig"), Feed())
+    service.reconfigure(configuration.changed(service.config, {"rate_hz": 30.0, "absent": "keep"}))
+    assert service.config.rate_hz == 30.0
+    with pytest.raises(ConfigError, match="port: fixed while the bridge runs"):
+        service.reconfigure(configuration.changed(service.config, {"port": 9}))
+
+
+def test_the_command_says_what_there_is(tmp_path: object) -> None:
+    run = CliRunner().invoke
+    assert "JSON by WebSocket" in run(bridge, ["--help"]).output
+    nothing = run(bridge, [])
+    assert nothing.exit_code == 2
+    assert "which program? one of json" in nothing.output
+    unknown = run(bridge, ["teapot"])
+    assert unknown.exit_code == 2
+    assert "there is no bridge to 'teapot'" in unknown.output
+
+
+def test_the_command_takes_bridges_of_the_rig(rig_folder: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    from pathlib import Path
+
+    from rhot_bridge import command
+
+    toml = Path(str(rig_folder)) / "rig.toml"
+    toml.write_text(toml.read_text() + '\n[bridges.desk]\ntarget = "json"\nport = 4000\n')
+    asked: list[dict[str, BridgeConfig]] = []
+
+    async def note(bridges: dict[str, BridgeConfig], _: BusConfig) -> int:
+        asked.append(bridges)
+        return 0
+
+    monkeypatch.setattr(command, "serve_bridges", note)
+    for words in ([], ["desk", "--rate-hz", "30"], ["json", "--axes", "unity"]):
+        done = CliRunner().invoke(bridge, [*words, "--rig", str(rig_folder)], standalone_mode=False)
+        assert done.exception is None, done.exception
+    assert [list(each) for each in asked] == [["desk"], ["desk"], ["json"]]
+    assert (asked[0]["desk"].rate_hz, asked[1]["desk"].rate_hz, asked[1]["desk"].port) == (90.0, 30.0, 4000)
+    assert asked[2]["json"].axes == "unity"
+    toml.write_text(toml.read_text() + "rate = 1\n")
+    with pytest.raises(RhotError, match=r"bridges\.desk\.rate"):
+        CliRunner().invoke(bridge, ["--rig", str(rig_folder)], standalone_mode=False, catch_exceptions=False)
