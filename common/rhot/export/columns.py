@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 from rhot.anatomy.skeleton import FINGERS, JOINTS
-from rhot.messages import HandPose, MarkerFrame, Message, ObjectPose, PointSet
+from rhot.messages import BodyPose, FootPose, HandPose, MarkerFrame, Message, ObjectPose, PointSet
 
 Value = float | str
 
@@ -51,7 +51,7 @@ class Table:
 
 
 def tables(messages: Iterable[tuple[str, Message]]) -> list[Table]:
-    """Return a table for every hand, point set, object, head and camera in a recording."""
+    """Return a table for every hand, point set, object, head, foot, body and camera in a recording."""
     found: dict[str, Table] = {}
     for key, message in messages:
         row = row_of(message)
@@ -66,17 +66,21 @@ def tables(messages: Iterable[tuple[str, Message]]) -> list[Table]:
 
 def row_of(message: Message) -> dict[str, Value] | None:
     """Return the columns of a message; None for kinds that are not exported."""
+    row: dict[str, Value] | None = None
     match message:
         case HandPose():
-            return _hand(message)
+            row = _hand(message)
         case PointSet():
-            return _points(message)
+            row = _points(message)
         case ObjectPose():
-            return {"state": message.state, **_pose("", message.position, message.orientation)}
+            row = {"state": message.state, **_pose("", message.position, message.orientation)}
+        case FootPose():
+            row = _foot(message)
+        case BodyPose():
+            row = _body(message)
         case MarkerFrame():
-            return _markers(message)
-        case _:
-            return None
+            row = _markers(message)
+    return row
 
 
 def _hand(hand: HandPose) -> dict[str, Value]:
@@ -94,6 +98,21 @@ def _hand(hand: HandPose) -> dict[str, Value]:
         row[f"{finger}_residual"] = hand.residual.get(finger, math.nan)
         row[f"{finger}_state"] = hand.fingers.get(finger, "")
     return row
+
+
+def _foot(foot: FootPose) -> dict[str, Value]:
+    row: dict[str, Value] = {"state": foot.state, "stage": foot.stage, "stationary": float(foot.stationary)}
+    row |= _pose("", foot.position, foot.orientation)
+    return row | dict(zip(("vx", "vy", "vz"), foot.velocity, strict=True)) | {"sigma": foot.sigma}
+
+
+def _body(body: BodyPose) -> dict[str, Value]:
+    row: dict[str, Value] = {"state": body.state}
+    for name, joint in body.joints.items():
+        row |= _pose(f"{name}_", joint.position, joint.orientation)
+    for side, angles in body.angles.items():
+        row |= {f"{side}_{name}": value for name, value in angles}
+    return row | {f"{side}_state": state for side, state in body.legs.items()}
 
 
 def _points(points: PointSet) -> dict[str, Value]:

@@ -1,42 +1,116 @@
-"""Hand poses as arrays over time, for what needs a whole motion at once."""
+"""What moves in a recording, as arrays over time: hands, body, feet, objects and the headset."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.anatomy.skeleton import JOINTS
+from rhot.anatomy.skeleton import JOINTS, PARENTS
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import rotation_from_quaternion
-from rhot.messages import HandPose, Message, Side
+from rhot.messages import BodyPose, FootPose, HandPose, Message, ObjectPose, Side
+from rhot.messages.base import Pose
+from rhot.messages.objects import ObjectShape
 
 FloatArray = NDArray[np.float64]
 
+HAND_PARENTS: Final = tuple(-1 if (parent := PARENTS[name]) is None else JOINTS.index(parent) for name in JOINTS)
+"""(26,) index in `JOINTS` of each joint's parent, −1 for the wrist."""
+_LEG: Final = ("hip", "knee", "ankle", "foot")
+_LIMB_RADIUS_M: Final = 0.03
+"""Of hips and legs where they are drawn; their messages carry none."""
+
 
 @dataclass(frozen=True, slots=True)
-class HandMotion:
-    """One hand over time.
+class Motion:
+    """One thing over time: a skeleton of joints, or a rigid thing, which is a skeleton of one.
 
     Attributes:
-        side: whose hand.
+        name: as in its key, such as `hand_right`, `object_cup`, `body`.
+        joints: their names.
+        parents: (J,) index of each joint's parent, −1 for the root.
         t_ns: (N,) int64, increasing.
-        positions: (N, 26, 3) metres, rig frame, order of `rhot.anatomy.skeleton.JOINTS`.
-        rotations: (N, 26, 3, 3) joint axes as columns, rig frame.
+        positions: (N, J, 3) metres.
+        rotations: (N, J, 3, 3) joint axes as columns.
+        radii_m: (J,) of what is around the joints.
+        angles: by name, (N,) radians; for hands and body.
+        shape: of an object where it is known.
         incomplete: poses left out because a joint is missing.
     """
 
-    side: Side
+    name: str
+    joints: tuple[str, ...]
+    parents: tuple[int, ...]
     t_ns: NDArray[np.int64]
     positions: FloatArray
     rotations: FloatArray
-    incomplete: int
+    radii_m: FloatArray
+    angles: Mapping[str, FloatArray] = field(default_factory=dict)
+    shape: ObjectShape | None = None
+    incomplete: int = 0
+
+    @property
+    def root(self) -> int:
+        """Index of the joint that has no parent."""
+        return self.parents.index(-1)
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether there is one joint alone."""
+        return len(self.joints) == 1
+
+    def moved(self, T_to_from: FloatArray) -> Motion:
+        """Return the motion in another frame, T_to_from (4, 4), metres."""
+        R = T_to_from[:3, :3]
+        return replace(self, positions=self.positions @ R.T + T_to_from[:3, 3], rotations=R @ self.rotations)
 
 
-def hand_motion(messages: Iterable[tuple[str, Message]], side: Side | None) -> HandMotion:
-    """Collect the complete poses of one hand, by time; of several at one moment the last counts.
+@dataclass(slots=True)
+class _Collected:
+    """The poses of one thing: time to (J, 8), position, quaternion and radius of each joint, and angles."""
+
+    joints: tuple[str, ...]
+    poses: dict[int, FloatArray] = field(default_factory=dict)
+    angles: dict[int, dict[str, float]] = field(default_factory=dict)
+    shape: ObjectShape | None = None
+    incomplete: int = 0
+
+
+def motions(messages: Iterable[tuple[str, Message]], *, measured: bool = False) -> dict[str, Motion]:
+    """Collect everything that moves, by name; of several poses at one moment the last counts.
+
+    Args:
+        messages: of a recording, rig frame.
+        measured: leave out poses that are only predicted.
+    """
+    found: dict[str, _Collected] = {}
+    for key, message in messages:
+        if not isinstance(message, HandPose | BodyPose | FootPose | ObjectPose):
+            continue
+        if measured and message.state != "measured":
+            continue
+        name = key.removeprefix("rhot/").replace("/", "_")
+        joints, poses = _posed(message)
+        kept = found.setdefault(
+            f"{name}:{'+'.join(joints)}" if isinstance(message, BodyPose) else name, _Collected(joints)
+        )
+        if not all(joint in poses for joint in joints):
+            kept.incomplete += 1
+            continue
+        rows = [(*poses[joint].position, *poses[joint].orientation, _radius(poses[joint])) for joint in joints]
+        kept.poses[message.t_ns] = np.array(rows, np.float64)
+        kept.angles[message.t_ns] = _angles(message)
+        if isinstance(message, ObjectPose) and message.shape is not None:
+            kept.shape = message.shape
+    return {name: _motion(name, kept) for name, kept in _with_one_body(found).items() if kept.poses}
+
+
+def hand_motion(messages: Iterable[tuple[str, Message]], side: Side | None) -> Motion:
+    """Collect the complete poses of one hand, by time.
 
     Args:
         messages: of a recording.
@@ -45,23 +119,75 @@ def hand_motion(messages: Iterable[tuple[str, Message]], side: Side | None) -> H
     Raises:
         ConfigError: no such hand, or both hands and no choice.
     """
-    found: dict[Side, dict[int, FloatArray]] = {}
-    incomplete = 0
-    for _, message in messages:
-        if not isinstance(message, HandPose) or side not in (None, message.side):
-            continue
-        if not all(name in message.joints for name in JOINTS):
-            incomplete += 1
-            continue
-        joints = [message.joints[name] for name in JOINTS]
-        pose = np.array([(*joint.position, *joint.orientation) for joint in joints])
-        found.setdefault(message.side, {})[message.t_ns] = pose
+    wanted = ("hand_left", "hand_right") if side is None else (f"hand_{side}",)
+    hands = [(key, message) for key, message in messages if isinstance(message, HandPose)]
+    found = {name: motion for name, motion in motions(hands).items() if name in wanted}
     if not found:
         which = "hand" if side is None else f"{side} hand"
+        incomplete = sum(1 for _, message in hands if side in (None, message.side))
         raise ConfigError(f"the recording holds no complete pose of a {which} ({incomplete} lack joints)")
     if len(found) > 1:
         raise ConfigError("the recording holds both hands; choose one with --hand left or --hand right")
-    ((only, poses),) = found.items()
-    t_ns = np.array(sorted(poses), dtype=np.int64)
-    stacked = np.stack([poses[moment] for moment in t_ns.tolist()])
-    return HandMotion(only, t_ns, stacked[..., :3], rotation_from_quaternion(stacked[..., 3:]), incomplete)
+    return next(iter(found.values()))
+
+
+def _posed(message: HandPose | BodyPose | FootPose | ObjectPose) -> tuple[tuple[str, ...], Mapping[str, Pose]]:
+    """Return the joints that a complete message has, and those that this one has."""
+    if isinstance(message, HandPose):
+        return JOINTS, message.joints
+    if isinstance(message, BodyPose):
+        legs = [side for side in ("left", "right") if f"{side}_knee" in message.joints]
+        return ("hips", *(f"{side}_{joint}" for side in legs for joint in _LEG)), message.joints
+    return ("origin",), {"origin": Pose(position=message.position, orientation=message.orientation)}
+
+
+def _radius(pose: Pose) -> float:
+    return float(getattr(pose, "radius", _LIMB_RADIUS_M))
+
+
+def _angles(message: HandPose | BodyPose | FootPose | ObjectPose) -> dict[str, float]:
+    if not isinstance(message, HandPose | BodyPose):
+        return {}
+    return {f"{part}_{name}": value for part, angles in message.angles.items() for name, value in angles}
+
+
+def _with_one_body(found: Mapping[str, _Collected]) -> dict[str, _Collected]:
+    """Keep of each body the legs that most of its poses have; the other poses count as incomplete."""
+    kept = {name: each for name, each in found.items() if ":" not in name}
+    bodies: dict[str, list[_Collected]] = {}
+    for name, each in found.items():
+        if ":" in name:
+            bodies.setdefault(name.partition(":")[0], []).append(each)
+    for name, variants in bodies.items():
+        most = max(variants, key=lambda each: len(each.poses))
+        most.incomplete += sum(len(each.poses) for each in variants if each is not most)
+        kept[name] = most
+    return kept
+
+
+def _motion(name: str, kept: _Collected) -> Motion:
+    t_ns = np.array(sorted(kept.poses), dtype=np.int64)
+    stacked = np.stack([kept.poses[moment] for moment in t_ns.tolist()])
+    angles = [kept.angles[moment] for moment in t_ns.tolist()]
+    names = sorted({each for row in angles for each in row})
+    return Motion(
+        name=name,
+        joints=kept.joints,
+        parents=_parents(kept.joints),
+        t_ns=t_ns,
+        positions=stacked[..., :3],
+        rotations=rotation_from_quaternion(stacked[..., 3:7]),
+        radii_m=np.median(stacked[..., 7], axis=0),
+        angles={each: np.array([row.get(each, np.nan) for row in angles]) for each in names},
+        shape=kept.shape,
+        incomplete=kept.incomplete,
+    )
+
+
+def _parents(joints: Sequence[str]) -> tuple[int, ...]:
+    if tuple(joints) == JOINTS:
+        return HAND_PARENTS
+    if len(joints) == 1:
+        return (-1,)
+    # Hips, then legs from the hip downwards: each joint follows its parent, but a leg's first hangs on the hips.
+    return tuple(-1 if row == 0 else 0 if name.endswith("_hip") else row - 1 for row, name in enumerate(joints))

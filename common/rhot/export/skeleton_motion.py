@@ -1,32 +1,25 @@
-"""A hand's recorded motion as a skeleton of constant bones that turn.
+"""A recorded motion as a skeleton of constant bones that turn.
 
-Each joint but the wrist hangs on its parent by an offset that is constant in the parent's axes; its length is the
-median of the recorded bone's. Axes are the recorded ones (OpenXR), each rotated by the smallest rotation that makes the
-bone to its child point where the recorded child is:
+Each joint but the root (a hand's wrist, a body's hips) hangs on its parent by an offset that is constant in the
+parent's axes; its length is the median of the recorded bone's. Axes are the recorded ones, each rotated by the smallest
+rotation that makes the bone to its child point where the recorded child is:
 
     p_child = p_parent + R_parent · offset_child
 
-With constant bone lengths the joints of the fingers are met exactly, wherever the recorded axes point. The wrist has
-six children and keeps its recorded axes.
+With constant bone lengths the joints of the fingers are met exactly, wherever the recorded axes point. The root has
+several children and keeps its recorded axes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.anatomy.hand import WRIST
-from rhot.anatomy.skeleton import JOINTS, PARENTS
-from rhot.export.poses import FloatArray, HandMotion
+from rhot.export.poses import FloatArray, Motion
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
-
-PARENT_OF: Final = tuple(-1 if (parent := PARENTS[name]) is None else JOINTS.index(parent) for name in JOINTS)
-"""(26,) index in `JOINTS` of each joint's parent, −1 for the wrist."""
-TREE_ORDER: Final = (WRIST, *(joint for joint in range(len(JOINTS)) if joint != WRIST))
-"""Joints in an order in which parents come first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +27,17 @@ class SkeletonMotion:
     """A skeleton over time.
 
     Attributes:
+        joints: names of the J joints.
+        parents: index of each joint's parent, −1 for the root.
         interval_s: time between frames.
-        offsets: (26, 3) metres, each joint's position in its parent's axes; zero for the wrist.
-        root: (N, 3) metres, position of the wrist, rig frame.
-        local: (N, 26, 3, 3) rotation of each joint relative to its parent's; of the wrist relative to the rig frame.
+        offsets: (J, 3) metres, each joint's position in its parent's axes; zero for the root.
+        root: (N, 3) metres, position of the root.
+        local: (N, J, 3, 3) rotation of each joint relative to its parent's; of the root in the motion's frame.
         timing_error_s: largest distance between a pose's time and that of its frame.
     """
 
+    joints: tuple[str, ...]
+    parents: tuple[int, ...]
     interval_s: float
     offsets: FloatArray
     root: FloatArray
@@ -48,11 +45,11 @@ class SkeletonMotion:
     timing_error_s: float
 
     def positions(self) -> FloatArray:
-        """Return all joints (N, 26, 3), metres, rig frame, by forward kinematics."""
-        positions = np.empty((len(self.root), len(JOINTS), 3))
-        rotations = np.empty((len(self.root), len(JOINTS), 3, 3))
-        for joint in TREE_ORDER:
-            parent = PARENT_OF[joint]
+        """Return all joints (N, J, 3), metres, by forward kinematics."""
+        positions = np.empty((len(self.root), len(self.joints), 3))
+        rotations = np.empty((len(self.root), len(self.joints), 3, 3))
+        for joint in tree_order(self.parents):
+            parent = self.parents[joint]
             if parent < 0:
                 positions[:, joint], rotations[:, joint] = self.root, self.local[:, joint]
                 continue
@@ -61,7 +58,16 @@ class SkeletonMotion:
         return positions
 
 
-def skeleton_motion(motion: HandMotion, rate_hz: float | None = None) -> SkeletonMotion:
+def tree_order(parents: Sequence[int]) -> list[int]:
+    """Return the joints in an order in which parents come first."""
+
+    def depth(joint: int) -> int:
+        return 0 if parents[joint] < 0 else 1 + depth(parents[joint])
+
+    return sorted(range(len(parents)), key=depth)
+
+
+def skeleton_motion(motion: Motion, rate_hz: float | None = None) -> SkeletonMotion:
     """Fit a skeleton to a recorded motion.
 
     Args:
@@ -73,27 +79,28 @@ def skeleton_motion(motion: HandMotion, rate_hz: float | None = None) -> Skeleto
     offsets = _offsets(motion)
     axes = _turned_to_children(motion, offsets)
     local = axes.copy()
-    for joint, parent in enumerate(PARENT_OF):
+    for joint, parent in enumerate(motion.parents):
         if parent >= 0:
             local[:, joint] = np.swapaxes(axes[:, parent], -1, -2) @ axes[:, joint]
-    root = motion.positions[:, WRIST]
+    root = motion.positions[:, motion.root]
     if rate_hz is None:
         interval_s = float(t_s[-1]) / (len(t_s) - 1) if len(t_s) > 1 else 1.0 / 60.0
         error_s = float(np.abs(t_s - interval_s * np.arange(len(t_s))).max())
-        return SkeletonMotion(interval_s, offsets, root, local, error_s)
+        return SkeletonMotion(motion.joints, motion.parents, interval_s, offsets, root, local, error_s)
     frames_s = np.arange(int(t_s[-1] * rate_hz + 1e-6) + 1) / rate_hz
     before = np.clip(np.searchsorted(t_s, frames_s, side="right") - 1, 0, max(len(t_s) - 2, 0))
     after = np.minimum(before + 1, len(t_s) - 1)
     span_s = np.maximum(t_s[after] - t_s[before], 1e-9)
     share = np.clip((frames_s - t_s[before]) / span_s, 0.0, 1.0)
     root = root[before] + share[:, None] * (root[after] - root[before])
-    return SkeletonMotion(1.0 / rate_hz, offsets, root, _between(local[before], local[after], share), 0.0)
+    turned = rotations_between(local[before], local[after], share)
+    return SkeletonMotion(motion.joints, motion.parents, 1.0 / rate_hz, offsets, root, turned, 0.0)
 
 
-def _offsets(motion: HandMotion) -> FloatArray:
+def _offsets(motion: Motion) -> FloatArray:
     """Return each joint's constant position in its parent's axes: median direction, median length."""
-    offsets = np.zeros((len(JOINTS), 3))
-    for joint, parent in enumerate(PARENT_OF):
+    offsets = np.zeros((len(motion.joints), 3))
+    for joint, parent in enumerate(motion.parents):
         if parent < 0:
             continue
         bones = motion.positions[:, joint] - motion.positions[:, parent]
@@ -104,10 +111,10 @@ def _offsets(motion: HandMotion) -> FloatArray:
     return offsets
 
 
-def _turned_to_children(motion: HandMotion, offsets: FloatArray) -> FloatArray:
+def _turned_to_children(motion: Motion, offsets: FloatArray) -> FloatArray:
     axes = motion.rotations.copy()
-    for joint, parent in enumerate(PARENT_OF):
-        if parent < 0 or parent == WRIST:
+    for joint, parent in enumerate(motion.parents):
+        if parent < 0 or parent == motion.root:
             continue
         bones = motion.positions[:, joint] - motion.positions[:, parent]
         axes[:, parent] = _smallest_rotations(axes[:, parent] @ offsets[joint], bones) @ axes[:, parent]
@@ -132,8 +139,8 @@ def _smallest_rotations(start: FloatArray, end: FloatArray) -> FloatArray:
     return rotation_from_quaternion(xyzw)
 
 
-def _between(first: FloatArray, second: FloatArray, share: NDArray[np.float64]) -> FloatArray:
-    """Return rotations (N, 26, 3, 3) on the shortest way from `first` to `second` (spherical interpolation)."""
+def rotations_between(first: FloatArray, second: FloatArray, share: NDArray[np.float64]) -> FloatArray:
+    """Return rotations (N, J, 3, 3) at shares (N,) of the shortest way between two (spherical interpolation)."""
     p, q = quaternion_from_rotation(first), quaternion_from_rotation(second)
     cosine = (p * q).sum(axis=-1, keepdims=True)
     q = np.where(cosine < 0.0, -q, q)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from rhot.anatomy.skeleton import CHAINS, JOINTS
 from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
 from rhot.export.bvh import bvh_text, euler_zyx_deg
-from rhot.export.poses import HandMotion, hand_motion
+from rhot.export.poses import Motion, hand_motion
 from rhot.export.skeleton_motion import skeleton_motion
 from rhot.geometry.rotations import rotation_from_vector, rotation_x, rotation_y, rotation_z
 from rhot.messages import Message
@@ -92,7 +92,7 @@ def stream(model: HandModel, frames: int = 120, rate_hz: float = 60.0) -> list[t
     ]
 
 
-def errors_mm(text: str, motion: HandMotion) -> NDArray[np.float64]:
+def errors_mm(text: str, motion: Motion) -> NDArray[np.float64]:
     root, _, frames = parse(text)
     assert len(frames) == len(motion.t_ns)
     tips = {f"{chain[-2]} end": chain[-1] for chain in CHAINS.values()}
@@ -125,7 +125,7 @@ def test_axes_that_do_not_follow_the_bones_are_turned_until_they_do() -> None:
     for joint in range(2, len(JOINTS)):
         for frame in range(len(rotations)):
             rotations[frame, joint] = rotations[frame, joint] @ rotation_from_vector(rng.normal(0.0, 0.1, 3))
-    turned = HandMotion(motion.side, motion.t_ns, motion.positions, rotations, 0)
+    turned = replace(motion, rotations=rotations)
     errors = errors_mm(bvh_text(skeleton_motion(turned)), turned)
     assert errors.max() < 0.1
 

@@ -3,53 +3,46 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 
 import click
-import numpy as np
 from rich.console import Console
 
+from rhot.cli.recordings.motion_files import MotionTargets, write_motion_files
 from rhot.errors import ConfigError
-from rhot.export.bvh import bvh_text
 from rhot.export.columns import tables
-from rhot.export.poses import hand_motion
+from rhot.export.poses import motions
 from rhot.export.rerun_file import write_rerun
-from rhot.export.skeleton_motion import skeleton_motion
 from rhot.export.source import RecordedMessages
+from rhot.export.stage_axes import NO_STAGE, stage_of
 from rhot.export.table_files import write_csv, write_parquet
-from rhot.messages import Message, Side
+from rhot.messages import Side
 from rhot.recording.mcap.beside import StoredPicture, pictures_beside, stored_pictures, unpack_rig
-from rhot.rig import CameraCalibration, load_rig
-from rhot.rig.folder import write_text_atomic
+from rhot.rig import Rig, load_rig
+
+_FILE = click.Path(path_type=Path, dir_okay=False)
 
 
-def _write_bvh(messages: Iterable[tuple[str, Message]], file: Path, side: Side | None, rate_hz: float | None) -> None:
-    motion = hand_motion(messages, side)
-    skeleton = skeleton_motion(motion, rate_hz)
-    write_text_atomic(file, bvh_text(skeleton))
-    console = Console(soft_wrap=True)
-    console.print(f"{file}: {motion.side} hand, {len(skeleton.root)} frames of {1e3 * skeleton.interval_s:.3f} ms, cm")
-    if rate_hz is None:
-        error_mm = 1e3 * float(np.linalg.norm(skeleton.positions() - motion.positions, axis=-1).max())
-        console.print(f"joints within {error_mm:.4f} mm of the recording, constant bone lengths")
-        if skeleton.timing_error_s > skeleton.interval_s / 2.0:
-            console.print(
-                f"[yellow]poses came unevenly: up to {1e3 * skeleton.timing_error_s:.1f} ms from the time of their "
-                "frame; --fps 60 puts them at their times[/]"
-            )
-    if motion.incomplete:
-        console.print(f"[yellow]{motion.incomplete} poses lack joints and are left out[/]")
-
-
-def _cameras(parts: Sequence[RecordedMessages]) -> dict[str, CameraCalibration]:
-    """Return the cameras of the rig that a recording has attached; none where it has none."""
+def _attached_rig(parts: Sequence[RecordedMessages]) -> Rig | None:
+    """Return the rig that a recording has attached; None where it has none."""
     for part in parts:
         if part.attachments:
             with tempfile.TemporaryDirectory(prefix="rhot-export-") as folder:
-                return dict(load_rig(unpack_rig(part.attachments, Path(folder), part.path)).cameras)
-    return {}
+                return load_rig(unpack_rig(part.attachments, Path(folder), part.path))
+    return None
+
+
+def _write_tables(parts: Sequence[RecordedMessages], csv_folder: Path | None, parquet_folder: Path | None) -> None:
+    made = tables(chain.from_iterable(parts))
+    if not made:
+        raise ConfigError(f"{parts[0].path}: holds no hand, body, foot, points, object or markers to export")
+    written = [] if csv_folder is None else write_csv(csv_folder, made)
+    written += [] if parquet_folder is None else write_parquet(parquet_folder, made)
+    rows = {table.name: len(table.order()) for table in made}
+    for path in written:
+        click.echo(f"{path}: {rows[path.stem]} rows")
 
 
 def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
@@ -65,7 +58,11 @@ def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
 @click.option(
     "--parquet", "parquet_folder", type=click.Path(path_type=Path, file_okay=False), help="Folder for Parquet tables."
 )
-@click.option("--bvh", "bvh_file", type=click.Path(path_type=Path, dir_okay=False), help="BVH animation of one hand.")
+@click.option("--bvh", type=_FILE, help="BVH animation of one hand, or of what --bvh-of names.")
+@click.option("--gltf", type=_FILE, help="Animated glTF scene, .glb or .gltf, for Blender, engines and browsers.")
+@click.option("--trc", type=_FILE, help="Markers for OpenSim.")
+@click.option("--mot", type=_FILE, help="Joint angles for OpenSim.")
+@click.option("--c3d", type=_FILE, help="Markers for Mokka, Visual3D, MATLAB and others.")
 @click.option(
     "--foxglove",
     "foxglove_file",
@@ -74,38 +71,64 @@ def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
 )
 @click.option("--rerun", "rerun_file", type=click.Path(path_type=Path, dir_okay=False), help="RRD file for Rerun.")
 @click.option("--hand", "side", type=click.Choice(["left", "right"]), help="With --bvh: which hand, if there are both.")
+@click.option("--bvh-of", metavar="NAME", help="With --bvh: body, foot_left, object_cup, … in place of a hand.")
 @click.option(
     "--fps",
     "rate_hz",
     type=click.FloatRange(1, 1000),
-    help="Frames per second of the animation, interpolated.  [default: one frame per recorded pose]",
+    help="Frames per second of BVH, TRC, MOT and C3D, interpolated.  [default: the recorded rate]",
+)
+@click.option("--measured", is_flag=True, help="Leave out poses that are only predicted; not with tables and viewers.")
+@click.option(
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Rig folder that knows the floor, where the recording does not.",
 )
 def export(
     files: tuple[Path, ...],
     csv_folder: Path | None,
     parquet_folder: Path | None,
-    bvh_file: Path | None,
+    bvh: Path | None,
+    gltf: Path | None,
+    trc: Path | None,
+    mot: Path | None,
+    c3d: Path | None,
     foxglove_file: Path | None,
     rerun_file: Path | None,
     side: Side | None,
+    bvh_of: str | None,
     rate_hz: float | None,
+    measured: bool,
+    rig_path: Path | None,
 ) -> None:
-    """Turn a recording into tables (CSV, Parquet), an animation (BVH), or files for Foxglove, Lichtblick and Rerun.
+    """Turn a recording into tables, animations, files for labs, or files for Foxglove, Lichtblick and Rerun.
 
     FILE is an MCAP file of `rhot record`, or JSON Lines of `rhot process`; several parts of one recording are joined.
-    There is one table for each hand, object and camera and one for the points: a row is one moment, t_s counts seconds
-    from the first row of any table, t_ns nanoseconds since 1970 on the rig clock; lengths are metres, angles radians,
-    quaternions qx qy qz qw. The animation is a skeleton whose root is the wrist, in centimetres with Y up; Blender
-    opens it with File > Import > Motion Capture (scale 0.01). Files for viewers show hands, points, objects, cameras
-    and markers, over the pictures where `rhot record --frames` wrote them beside the recording.
+
+    Tables (CSV, Parquet), in the rig frame: one for each hand, body, foot, object and camera and one for the points. A
+    row is one moment, t_s counts seconds from the first row of any table, t_ns nanoseconds since 1970 on the rig clock;
+    lengths are metres, angles radians, quaternions qx qy qz qw.
+
+    Motion (glTF, BVH, TRC, MOT, C3D), in the stage: y up, origin on the floor, as the recording or the rig folder knows
+    it. Time 0 is the first pose. TRC and glTF are in metres, BVH in centimetres, C3D in millimetres, MOT in degrees.
+    docs/export.md says what to open them with.
+
+    Files for viewers show hands, points, objects, cameras and markers, over the pictures where `rhot record --frames`
+    wrote them beside the recording.
 
     \b
     rhot export grasp.mcap --csv tables
-    rhot export grasp.mcap --bvh grasp.bvh --fps 60
+    rhot export grasp.mcap --gltf grasp.glb --bvh grasp.bvh --fps 60
+    rhot export grasp.mcap --trc grasp.trc --mot grasp.mot --c3d grasp.c3d
     rhot export grasp.mcap --foxglove grasp.foxglove.mcap --rerun grasp.rrd
     """
-    if all(target is None for target in (csv_folder, parquet_folder, bvh_file, foxglove_file, rerun_file)):
-        raise click.UsageError("say what to write: --csv, --parquet, --bvh, --foxglove or --rerun")
+    bvh_name = bvh_of or (None if side is None else f"hand_{side}")
+    targets = MotionTargets(bvh, trc, mot, c3d, gltf, bvh_name, rate_hz)
+    if not targets.any and all(each is None for each in (csv_folder, parquet_folder, foxglove_file, rerun_file)):
+        raise click.UsageError(
+            "say what to write: --csv, --parquet, --gltf, --bvh, --trc, --mot, --c3d, --foxglove or --rerun"
+        )
     if foxglove_file is not None and foxglove_file.resolve() in [file.resolve() for file in files]:
         raise click.UsageError(f"--foxglove {foxglove_file} is the recording itself; choose another name")
     parts = [RecordedMessages(file) for file in files]
@@ -114,16 +137,17 @@ def export(
         if part.note:
             errors.print(f"[yellow]{part.note}[/]")
     if csv_folder is not None or parquet_folder is not None:
-        made = tables(chain.from_iterable(parts))
-        if not made:
-            raise ConfigError(f"{files[0]}: holds no hand, points, object or markers to export")
-        written = [] if csv_folder is None else write_csv(csv_folder, made)
-        written += [] if parquet_folder is None else write_parquet(parquet_folder, made)
-        rows = {table.name: len(table.order()) for table in made}
-        for path in written:
-            click.echo(f"{path}: {rows[path.stem]} rows")
-    if bvh_file is not None:
-        _write_bvh(chain.from_iterable(parts), bvh_file, side, rate_hz)
+        _write_tables(parts, csv_folder, parquet_folder)
+    rig = _attached_rig(parts) if rig_path is None else load_rig(rig_path)
+    if targets.any:
+        T_stage_rig = stage_of(chain.from_iterable(parts), rig)
+        found = motions(chain.from_iterable(parts), measured=measured)
+        if T_stage_rig is None:
+            errors.print(f"[yellow]{NO_STAGE}[/]")
+        else:
+            found = {name: motion.moved(T_stage_rig) for name, motion in found.items()}
+        write_motion_files(targets, found, in_stage=T_stage_rig is not None)
+    cameras = {} if rig is None else dict(rig.cameras)
     if foxglove_file is not None:
         try:
             from rhot.export.foxglove.file import write_foxglove  # noqa: PLC0415  # its extra may be absent
@@ -131,10 +155,10 @@ def export(
             raise ConfigError(
                 f"--foxglove needs the Python module {error.name}; pip install 'rhot[foxglove]'"
             ) from error
-        written_topics = write_foxglove(foxglove_file, chain.from_iterable(parts), _cameras(parts), _pictures(parts))
+        written_topics = write_foxglove(foxglove_file, chain.from_iterable(parts), cameras, _pictures(parts))
         click.echo(f"{foxglove_file}: {sum(written_topics.values())} messages on {len(written_topics)} topics")
     if rerun_file is not None:
-        count = write_rerun(rerun_file, chain.from_iterable(parts), _cameras(parts), _pictures(parts))
+        count = write_rerun(rerun_file, chain.from_iterable(parts), cameras, _pictures(parts))
         click.echo(f"{rerun_file}: {count} messages")
     invalid = sum(part.invalid for part in parts)
     if invalid:

@@ -1,0 +1,1 @@
+"""Files of biomechanics: TRC and MOT for OpenSim, C3D."""

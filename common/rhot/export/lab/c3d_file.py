@@ -1,0 +1,55 @@
+"""C3D (biomechanics, c3d.org), for Mokka, Visual3D, MATLAB and others: markers in millimetres at a steady rate.
+
+A marker that is absent from a frame has the residual −1, which C3D programs show as a gap.
+"""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.atomic_file import replacing
+from rhot.errors import ConfigError
+from rhot.export.lab.frames import Frames
+
+MM_PER_M: Final = 1e3
+"""C3D programs expect millimetres, whatever POINT:UNITS says."""
+
+
+def write_c3d(file: Path, frames: Frames, *, y_up: bool) -> None:
+    """Write markers.
+
+    Args:
+        file: to write.
+        frames: the markers.
+        y_up: whether the vertical is known to be y; told to programs that draw the scene.
+
+    Raises:
+        ConfigError: ezc3d is not installed, or the file cannot be written.
+    """
+    try:
+        ezc3d = importlib.import_module("ezc3d")
+    except ModuleNotFoundError as error:
+        raise ConfigError("--c3d needs the Python module ezc3d; pip install 'rhot[c3d]'") from error
+    positions = MM_PER_M * np.moveaxis(frames.positions, 0, -1)
+    absent: NDArray[np.bool_] = np.asarray(np.isnan(positions).any(axis=1))
+    positions = np.where(absent[:, None], 0.0, positions)
+    made = ezc3d.c3d()
+    point = made["parameters"]["POINT"]
+    point["UNITS"]["value"] = ["mm"]
+    point["RATE"]["value"] = [frames.rate_hz]
+    point["LABELS"]["value"] = list(frames.markers)
+    point["DESCRIPTIONS"]["value"] = list(frames.markers)
+    if y_up:
+        made.add_parameter("POINT", "X_SCREEN", ["+X"])
+        made.add_parameter("POINT", "Y_SCREEN", ["+Y"])
+    ones = np.ones((1, *positions.shape[::2]))
+    made["data"]["points"] = np.concatenate([positions.transpose(1, 0, 2), ones])
+    made["data"]["meta_points"]["residuals"] = np.where(absent, -1.0, 0.0)[None]
+    made["data"]["meta_points"]["camera_masks"] = np.zeros((7, *absent.shape), dtype=bool)
+    with replacing(file) as part:
+        made.write(str(part))
