@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bvh_reader import read_bvh_file, world_positions
 from click.testing import CliRunner
 from hand_messages import LEFT_MODEL, MODEL, hand_pose
 from numpy.typing import NDArray
@@ -24,67 +25,6 @@ from rhot.messages import Message
 BEGIN_NS = 1_800_000_000_000_000_000
 
 
-@dataclass
-class Node:
-    name: str
-    offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    channels: list[str] = field(default_factory=list)
-    children: list[Node] = field(default_factory=list)
-
-
-def parse(text: str) -> tuple[Node, float, NDArray[np.float64]]:
-    """Return root, frame time and frames of a BVH file."""
-    words = iter(text.split())
-    assert next(words) == "HIERARCHY"
-    assert next(words) == "ROOT"
-
-    def node(name: str) -> Node:
-        made = Node(name)
-        assert next(words) == "{"
-        while (word := next(words)) != "}":
-            if word == "OFFSET":
-                made.offset = np.array([float(next(words)) for _ in range(3)])
-            elif word == "CHANNELS":
-                made.channels = [next(words) for _ in range(int(next(words)))]
-            elif word == "JOINT":
-                made.children.append(node(next(words)))
-            else:
-                assert (word, next(words)) == ("End", "Site")
-                made.children.append(node(f"{name} end"))
-        return made
-
-    root = node(next(words))
-    assert (next(words), next(words)) == ("MOTION", "Frames:")
-    count = int(next(words))
-    assert (next(words), next(words)) == ("Frame", "Time:")
-    frame_s = float(next(words))
-    frames = np.array([float(word) for word in words]).reshape(count, -1)
-    return root, frame_s, frames
-
-
-def world_positions(root: Node, frame: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Forward kinematics of one frame: channels in the order of the file, each turning what came before."""
-    values = iter(frame.tolist())
-    turn = {"X": rotation_x, "Y": rotation_y, "Z": rotation_z}
-    found: dict[str, NDArray[np.float64]] = {}
-
-    def visit(node: Node, R: NDArray[np.float64], p: NDArray[np.float64]) -> None:
-        p = p + R @ node.offset
-        for channel in node.channels:
-            value = next(values)
-            if channel.endswith("position"):
-                p = p + np.eye(3)["XYZ".index(channel[0])] * value
-            else:
-                R = R @ turn[channel[0]](np.radians(value))
-        found[node.name] = p
-        for child in node.children:
-            visit(child, R, p)
-
-    visit(root, np.eye(3), np.zeros(3))
-    assert next(values, None) is None
-    return found
-
-
 def stream(model: HandModel, frames: int = 120, rate_hz: float = 60.0) -> list[tuple[str, Message]]:
     return [
         (f"rhot/hand/{model.side}", hand_pose(frame / rate_hz, BEGIN_NS + round(frame / rate_hz * 1e9), model))
@@ -93,7 +33,7 @@ def stream(model: HandModel, frames: int = 120, rate_hz: float = 60.0) -> list[t
 
 
 def errors_mm(text: str, motion: Motion) -> NDArray[np.float64]:
-    root, _, frames = parse(text)
+    root, _, frames = read_bvh_file(text)
     assert len(frames) == len(motion.t_ns)
     tips = {f"{chain[-2]} end": chain[-1] for chain in CHAINS.values()}
     errors = []
@@ -109,7 +49,7 @@ def test_an_independent_parser_finds_every_joint_within_a_tenth_of_a_millimetre(
     motion = hand_motion(stream(model), None)
     text = bvh_text(skeleton_motion(motion))
     assert errors_mm(text, motion).max() < 0.001
-    root, frame_s, frames = parse(text)
+    root, frame_s, frames = read_bvh_file(text)
     assert root.name == "wrist"
     assert root.channels[:3] == ["Xposition", "Yposition", "Zposition"]
     assert frame_s == pytest.approx(1.0 / 60.0, abs=1e-8)

@@ -6,6 +6,7 @@ A marker that is absent from a frame has the residual −1, which C3D programs s
 from __future__ import annotations
 
 import importlib
+import tempfile
 from pathlib import Path
 from typing import Final
 
@@ -51,5 +52,8 @@ def write_c3d(file: Path, frames: Frames, *, y_up: bool) -> None:
     made["data"]["points"] = np.concatenate([positions.transpose(1, 0, 2), ones])
     made["data"]["meta_points"]["residuals"] = np.where(absent, -1.0, 0.0)[None]
     made["data"]["meta_points"]["camera_masks"] = np.zeros((7, *absent.shape), dtype=bool)
-    with replacing(file) as part:
-        made.write(str(part))
+    with replacing(file) as part, tempfile.TemporaryDirectory(dir=file.parent, prefix=".rhot-c3d-") as folder:
+        # ezc3d appends the suffix to any other name.
+        whole = Path(folder) / "whole.c3d"
+        made.write(str(whole))
+        part.write_bytes(whole.read_bytes())

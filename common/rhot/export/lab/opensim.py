@@ -1,7 +1,8 @@
 """TRC (positions of markers) and MOT (joint angles) as OpenSim reads them.
 
 Formats: OpenSim's documentation, "Marker (.trc) Files" and "Motion (.mot) Files". Lengths are metres (`Units m`), time
-is rig time from the first pose, angles are degrees. A marker that is absent from a frame has empty cells, an angle NaN.
+is rig time from the first pose, angles are degrees. What is absent from a frame is `nan`, as OpenSim itself writes it:
+empty cells at the end of a line it refuses.
 
 Legs carry the names and signs of OpenSim's full-body model (Rajagopal et al. 2016, "Full-Body Musculoskeletal Model for
 Muscle-Driven Simulation of Human Gait"): with s = r or l,
@@ -44,7 +45,7 @@ def trc_text(frames: Frames, name: str) -> str:
         "",
     ]
     for number, (t_s, row) in enumerate(zip(frames.t_s, frames.positions.reshape(count, -1), strict=True), start=1):
-        cells = ("" if np.isnan(value) else f"{value:.6f}" for value in row.tolist())
+        cells = (f"{value:.6f}" for value in row.tolist())
         lines.append(f"{number}\t{t_s:.6f}\t" + "\t".join(cells))
     return "\n".join(lines) + "\n"
 

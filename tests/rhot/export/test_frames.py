@@ -1,0 +1,86 @@
+"""Motions read at common moments: the real rate, time 0 at the first pose, and gaps that stay gaps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hand_messages import hand_pose, object_pose
+
+from rhot.cli.recordings.export import export
+from rhot.export.lab.frames import MAX_GAP_S, frames_of
+from rhot.export.poses import motions
+from rhot.messages import Message, ObjectPose
+
+BEGIN_NS = 1_800_000_000_000_000_000
+
+
+def objects(times_s: list[float], name: str = "cup") -> list[tuple[str, Message]]:
+    return [(f"rhot/object/{name}", object_pose(BEGIN_NS + round(t * 1e9), t)) for t in times_s]
+
+
+def x_of(messages: list[tuple[str, Message]], rate_hz: float | None = None) -> tuple[float, np.ndarray, np.ndarray]:
+    frames = frames_of(list(motions(messages).values()), rate_hz)
+    return frames.rate_hz, frames.t_s, frames.positions[:, frames.markers.index("object_cup"), 0]
+
+
+def test_the_rate_is_the_real_one_also_where_a_sample_is_lost() -> None:
+    times = [number / 59.94 for number in range(40) if number != 17]
+    rate_hz, t_s, x = x_of(objects(times))
+    assert rate_hz == pytest.approx(59.94, rel=1e-6)
+    assert t_s[0] == 0.0
+    assert len(t_s) == 40
+    np.testing.assert_allclose(x, t_s, atol=1e-6)
+
+
+def test_a_pause_is_a_gap_and_what_begins_later_is_absent_before() -> None:
+    times = [n / 100.0 for n in range(20)] + [0.2 + MAX_GAP_S + n / 100.0 for n in range(20)]
+    messages = [*objects(times), *objects([0.1 + n / 100.0 for n in range(10)], "late")]
+    frames = frames_of(list(motions(messages).values()))
+    cup = frames.positions[:, frames.markers.index("object_cup"), 0]
+    gap = (frames.t_s > 0.191) & (frames.t_s < 0.2 + MAX_GAP_S - 1e-6)
+    assert gap.sum() == 10
+    assert np.isnan(cup[gap]).all()
+    assert not np.isnan(cup[~gap]).any()
+    late = frames.positions[:, frames.markers.index("object_late"), 0]
+    assert (np.isnan(late) == ((frames.t_s < 0.0999) | (frames.t_s > 0.1901))).all()
+
+
+def test_a_rate_of_ones_own_reads_between_poses() -> None:
+    rate_hz, t_s, x = x_of(objects([n / 60.0 for n in range(61)]), 250.0)
+    assert rate_hz == 250.0
+    assert t_s[-1] == pytest.approx(1.0)
+    np.testing.assert_allclose(x, t_s, atol=1e-6)
+
+
+def test_what_was_only_predicted_can_be_left_out() -> None:
+    messages = objects([n / 100.0 for n in range(30)])
+    kept = {"state": "predicted"}
+    predicted = [
+        (key, message.model_copy(update=kept if 10 < n < 25 else {})) for n, (key, message) in enumerate(messages)
+    ]
+    assert len(motions(predicted)["object_cup"].t_ns) == 30
+    assert len(motions(predicted, measured=True)["object_cup"].t_ns) == 16
+
+
+def test_nothing_that_moves_is_one_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "x.jsonl").write_text("")
+    done = CliRunner().invoke(export, [str(tmp_path / "x.jsonl"), "--trc", str(tmp_path / "x.trc")])
+    assert "no hand, body, foot, object or head" in str(done.exception)
+    message = object_pose(BEGIN_NS, 0.0)
+    assert isinstance(message, ObjectPose)
+    (tmp_path / "x.jsonl").write_text(f'{{"key": "rhot/object/cup", "value": {message.model_dump_json()}}}\n')
+    done = CliRunner().invoke(export, [str(tmp_path / "x.jsonl"), "--mot", str(tmp_path / "x.mot")])
+    assert "no joint angles" in str(done.exception)
+
+
+def test_without_a_floor_the_rigs_own_axes_are_told(tmp_path: Path) -> None:
+    hand = hand_pose(0.0, BEGIN_NS)
+    (tmp_path / "x.jsonl").write_text(f'{{"key": "rhot/hand/right", "value": {hand.model_dump_json()}}}\n')
+    done = CliRunner().invoke(export, [str(tmp_path / "x.jsonl"), "--trc", str(tmp_path / "x.trc")])
+    assert done.exit_code == 0
+    assert "no floor is known" in done.output
+    row = (tmp_path / "x.trc").read_text().splitlines()[-1].split("\t")
+    np.testing.assert_allclose([float(cell) for cell in row[2:5]], hand.joints["palm"].position, atol=1e-6)
