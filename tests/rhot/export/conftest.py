@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from bridge_poses import POSES, T_RIG_STAGE, angles, hand_message, object_message, stage_message
-from still_recording import BEGIN_NS, RATE_HZ, SECONDS_A_POSE, body_message, foot_message, head_message
+from exported.person import BEGIN_NS, RATE_HZ, SECONDS_A_POSE, body_message, foot_message, head_message
 
 from rhot.anatomy.skeleton import FINGERS
 from rhot.messages import FingerAngles, Message, Side

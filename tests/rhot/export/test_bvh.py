@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bvh_reader import read_bvh_file, world_positions
 from click.testing import CliRunner
+from exported.bvh_reader import read_bvh_file, world_positions
 from hand_messages import LEFT_MODEL, MODEL, hand_pose
 from numpy.typing import NDArray
 

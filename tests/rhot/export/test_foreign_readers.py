@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import still_recording as person
 from bridge_poses import hand
 from click.testing import CliRunner
+from exported import person
+from exported.npm_packages import npm_packages
 from hand_messages import object_pose
-from npm_packages import npm_packages
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.cli.recordings.export import export

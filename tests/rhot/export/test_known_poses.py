@@ -13,11 +13,11 @@ from pathlib import Path
 import c3d
 import numpy as np
 import pytest
-import still_recording as person
 from bridge_poses import POSES, hand
-from bvh_reader import read_bvh_file, world_positions
 from click.testing import CliRunner
-from gltf_reader import GltfScene
+from exported import person
+from exported.bvh_reader import read_bvh_file, world_positions
+from exported.gltf_reader import GltfScene
 from numpy.typing import NDArray
 from trc import TRCData
 

@@ -15,7 +15,7 @@ def npm_packages(config: pytest.Config, *packages: str) -> Path:
     """Return a folder with packages (`name@version`) in `node_modules`, kept in pytest's cache; skip without npm."""
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("needs node and npm: apt install nodejs npm")
-    folder = config.cache.mkdir("npm-" + "-".join(packages).replace("/", "_").replace("@", "_"))  # type: ignore[union-attr]
+    folder = config.cache.mkdir("npm-" + "-".join(packages).replace("/", "_").replace("@", "_"))
     if (folder / "whole").exists():
         return folder
     command = ["npm", "install", "--silent", "--no-audit", "--no-fund", "--ignore-scripts", *packages]
