@@ -67,6 +67,20 @@ async def broadcast(bus: Bus, action: Literal["start", "stop"], session: str, de
     return await asyncio.to_thread(publisher.put, control)
 
 
+async def followers(bus: Bus, sent: Control, wait_s: float) -> int:
+    """Return how many services follow a control message of `broadcast`; asks until one does or `wait_s` is over."""
+    deadline = time.monotonic() + wait_s
+    while True:
+        count = -1  # whoever sent it knows it, too
+        for reply in await bus.get(CONTROL_KEY, timeout_s=1.0):
+            with contextlib.suppress(WireError):
+                known = decode(reply.payload, Control)
+                count += (known.action, known.session, known.revision) == (sent.action, sent.session, sent.revision)
+        if count > 0 or time.monotonic() >= deadline:
+            return max(count, 0)
+        await asyncio.sleep(0.1)
+
+
 async def newest_control(bus: Bus) -> Control | None:
     """Return the newest control message that any service knows; None when the rig was never started."""
     newest: Control | None = None

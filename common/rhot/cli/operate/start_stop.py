@@ -10,7 +10,8 @@ import click
 
 from rhot.bus import Bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
-from rhot.operation.control import broadcast, new_session, newest_control, rig_now_ns
+from rhot.errors import BusError
+from rhot.operation.control import broadcast, followers, new_session, newest_control, rig_now_ns
 from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE, load_config
 
@@ -18,6 +19,8 @@ _AUTO_WAIT_S = 3600.0
 _LOOKS = 3
 _LOOK_S = 1.0
 """Services ask for the start signal every two seconds: one that joined before has told the others by then."""
+_HEARD_S = 3.0
+"""A service takes a start or stop as it arrives; on a busy machine it may answer late."""
 
 
 async def _control(
@@ -26,6 +29,12 @@ async def _control(
     async with await Bus.open(config, timeout_s=max(wait_s, 2.0)) as bus:
         sent = await broadcast(bus, action, session, delay_s, wait_s)
         alive = sorted({reply.key.removeprefix("rhot/alive/") for reply in await bus.who_is_alive()})
+        # A camera's certificate does not even show who is there.
+        if (alive or config.tls) and not await followers(bus, sent, _HEARD_S):
+            raise BusError(
+                f"{action} was sent, but no service took it; on a secured bus only an operator may start and stop "
+                "(`rhot keys list` names the roles, RHOT_IDENTITY chooses a certificate)"
+            )
         click.echo(
             f"{action} {sent.session or '(any session)'} sent to {len(alive)} services: {', '.join(alive) or 'none'}"
         )

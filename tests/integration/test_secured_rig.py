@@ -1,0 +1,76 @@
+"""The whole rig over TLS: every service with a certificate, and only an operator starts and stops it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from bus_watch import PATIENCE_S
+from rig_processes import Processes, hand_measured_after, start_rig
+
+from rhot.bus import Bus
+from rhot.keys.making import add_holder, make_keys
+from rhot.keys.roles import Holder
+from rhot.operation.control import newest_control
+from rhot.rig.folder import RIG_FILE, load_config
+from rhot.rig.toml_edit import change_rig_file
+from rhot_sim.rig.folder import write_simulated_rig
+
+pytestmark = [pytest.mark.integration]
+
+SERVICES = ("router", "capture left", "capture right", "fusion", "ik")
+
+
+@pytest.fixture
+async def secured(tmp_path: Path, free_port: int) -> AsyncIterator[Processes]:
+    """A simulated rig with keys, whose services run."""
+    folder = tmp_path / "rig"
+    write_simulated_rig(folder)
+    make_keys(folder, ["127.0.0.1"], free_port)
+    add_holder(folder, "tablet", Holder(role="tool"))
+    change_rig_file(folder, {("bus",): {"listen": [f"tls/127.0.0.1:{free_port}"]}})
+    assert "tcp/" not in "".join(load_config(folder).bus.connect), (folder / RIG_FILE).read_text()
+    processes = Processes(folder, tmp_path)
+    try:
+        for name in SERVICES:
+            await processes.start(name)
+        yield processes
+    finally:
+        await processes.supervisor.stop()
+
+
+async def said_by(rig: Path, identity: str, *words: str) -> tuple[int, str]:
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "rhot", *words, "--rig", str(rig)),
+        env={**os.environ, "RHOT_IDENTITY": identity},
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+    )
+    async with asyncio.timeout(PATIENCE_S):
+        said, _ = await process.communicate()
+    assert process.returncode is not None
+    return process.returncode, " ".join(said.decode().split())
+
+
+async def test_only_an_operator_starts_and_stops_it(secured: Processes) -> None:
+    bus_config = load_config(secured.rig).bus.model_copy(update={"listen": ()})
+    async with await Bus.open(bus_config, timeout_s=PATIENCE_S) as bus:
+        started = await start_rig(bus, PATIENCE_S)
+        try:
+            await hand_measured_after(bus, started.start_t_ns)
+        except TimeoutError:
+            pytest.fail(secured.logs())
+        for identity in ("camera-left", "tablet"):
+            code, said = await said_by(secured.rig, identity, "stop")
+            assert code != 0, (identity, said)
+            assert "Traceback" not in said
+            assert "only an operator may start and stop" in said, said
+            known = await newest_control(bus)
+            assert known is not None
+            assert known.action == "start", f"{identity} stopped the rig"
+        code, said = await said_by(secured.rig, "operator", "stop")
+        assert (code, "sent to 4 services" in said) == (0, True), said
