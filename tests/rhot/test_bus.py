@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import threading
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ import pytest
 import zenoh
 from bus_watch import PATIENCE_S, answers, settled
 
-from rhot.bus import Answer, Bus, Request
+from rhot.bus import Answer, Bus, Publisher, Request
 from rhot.bus.query import received
 from rhot.errors import BusError, ConfigError
 from rhot.messages import Control, Marker, MarkerFrame, decode
@@ -206,3 +207,22 @@ async def test_a_wrong_selector_is_an_error_of_ours(router: BusConfig) -> None:
     async with await Bus.open(router) as bus:
         with pytest.raises(BusError, match="rhot//x"):
             await bus.get("rhot//x")
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+async def test_closing_while_threads_still_publish_ends_quietly(router: BusConfig) -> None:
+    for _ in range(20):
+        bus = await Bus.open(router)
+        publishers = [bus.publisher(f"rhot/markers/c{k}", MarkerFrame) for k in range(4)]
+
+        def publish(publishers: list[Publisher[MarkerFrame]] = publishers) -> None:
+            with contextlib.suppress(BusError):
+                while True:
+                    for publisher in publishers:
+                        publisher.put(frame(1))
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        await bus.close()
+        await asyncio.to_thread(thread.join, PATIENCE_S)
+        assert not thread.is_alive(), "what was put after the end says that the session is closed"

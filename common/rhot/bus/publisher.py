@@ -52,7 +52,8 @@ class Publisher(Generic[M]):
         self._last = numbered
         try:
             self._publisher.put(encode(numbered), encoding=self._encoding)
-        except zenoh.ZError as error:
+        # RuntimeError: another thread is taking the publisher back.
+        except (zenoh.ZError, RuntimeError) as error:
             raise BusError(f"{self.key}: cannot publish: {error}") from error
         return numbered
 

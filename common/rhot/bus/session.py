@@ -287,7 +287,8 @@ class Bus:
         for declared in reversed(self._declared):
             try:
                 declared.undeclare()
-            except zenoh.ZError as error:
+            # RuntimeError: a thread is still inside a `put` on it ("Already borrowed"); it ends with the session.
+            except (zenoh.ZError, RuntimeError) as error:
                 logger.debug("undeclare: %s", error)
         try:
             self._session.close()  # type: ignore[no-untyped-call]
