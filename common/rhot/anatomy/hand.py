@@ -32,8 +32,12 @@ from rhot.rig.file_model import Vector3
 
 FloatArray = NDArray[np.float64]
 
-CAP_LENGTH_M: Final = 0.015
-"""A painted fingertip is painted over this length, measured along the bone from the very tip."""
+CAP_SHARE: Final = 0.75
+"""A painted fingertip is painted over this share of its last segment, from the very tip. People stop between the root
+of the nail (about half of it) and the crease at the last joint (all of it, as on the 2018 rig, whose paint is 1.6 to
+1.9 times as long as wide in the photo of the flat hand)."""
+CAP_LENGTH_M: Final = 0.017
+"""What that is on the long fingers of an average hand, where nothing more is known of it."""
 PATCH_FORWARD_M: Final = 0.025
 """The patch on the back of the hand is centred this far in front of the wrist joint."""
 
@@ -135,6 +139,12 @@ class HandModel:
         """+1 for a right hand, −1 for a left one: the sign that abduction takes about a finger's Y axis."""
         return 1.0 if self.side == "right" else -1.0
 
+    @property
+    def cap_lengths(self) -> FloatArray:
+        """(5,) metres: how much of each fingertip is painted, from the very tip."""
+        lengths: FloatArray = CAP_SHARE * (self.bones[:, 2] + self.radii[MOVING[:, 3]])
+        return lengths
+
     def clamp(self, angles: FloatArray) -> FloatArray:
         """Return angles (..., 5, 4), radians, brought inside the limits."""
         return np.clip(angles, self.angle_min, self.angle_max)
@@ -203,10 +213,10 @@ class HandModel:
     def marker_offset(self, name: str, marker: MarkerConfig) -> FloatArray:
         """Return where a marker's painted centre lies in its joint's frame, (3,), metres.
 
-        A cap covers the last 15 mm of the finger, taken as a cylinder with a half ball at its end whose centre is the
-        tip joint; the centre is that of the painted volume, about 8 mm behind the very tip. A patch lies on the skin
-        of the back: above the palm joint when it marks the palm, above the middle metacarpal, 25 mm in front of the
-        wrist joint, when it marks the wrist. An offset measured in `hand.json` replaces either.
+        A cap covers `CAP_SHARE` of the last segment, taken as a cylinder with a half ball at its end whose centre is
+        the tip joint; the centre is that of the painted volume, about 10 mm behind the very tip. A patch lies on the
+        skin of the back: above the palm joint when it marks the palm, above the middle metacarpal, 25 mm in front of
+        the wrist joint, when it marks the wrist. An offset measured in `hand.json` replaces either.
         """
         if name in self.marker_offsets_m:
             return np.array(self.marker_offsets_m[name], dtype=np.float64)
@@ -220,7 +230,8 @@ class HandModel:
             return np.array([0.0, radius, 0.0])
         if not marker.joint.endswith("_tip"):
             return np.zeros(3)
-        straight = max(CAP_LENGTH_M - radius, 0.0)
+        finger = int(np.flatnonzero(JOINTS.index(marker.joint) == MOVING[:, 3])[0])
+        straight = max(float(self.cap_lengths[finger]) - radius, 0.0)
         ball, cylinder = 2.0 / 3.0 * radius, straight
         # First moments of half ball (centroid 3/8 r in front of the tip joint) and cylinder (half its length behind).
         behind = (cylinder * straight / 2.0 - ball * 3.0 / 8.0 * radius) / (ball + cylinder)

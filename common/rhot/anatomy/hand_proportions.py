@@ -1,10 +1,14 @@
 """An adult's hand in numbers: bones, rest directions, flesh and limits, scaled by the hand's length.
 
 Bone lengths are the means of Buryanov & Kotiuk, "Proportions of Hand Segments", Int. J. Morphol. 28(3), 2010, tables
-1–3 (metacarpals, phalanges, soft tissue beyond the distal phalanx). The wrist joint lies 28 mm behind the base of the
-middle metacarpal, which makes that hand 184.9 mm long from the wrist crease to the tip of the middle finger; every
-length scales with it. Where the metacarpals stand and how the fingers spread at rest is a choice that matches a flat
-relaxed hand.
+1–3 (metacarpals, phalanges, soft tissue beyond the distal phalanx), which were taken from end to end of each bone on
+radiographs. A joint turns about a centre inside the head of its nearer bone, a head's radius before its end
+(`HEAD_MM`), so a joint lies nearer to the wrist than the gap between two bones. The wrist joint lies 28 mm behind the
+base of the middle metacarpal, which makes that hand 184.9 mm long from the wrist crease to the tip of the middle
+finger; every length scales with it. Where the metacarpals stand and how the fingers spread at rest is a choice that
+matches a flat relaxed hand; that of the little finger puts its knuckle as far from the wrist as Buchholz, Armstrong &
+Goldstein, "Anthropometric data for describing the kinematics of the human hand", Ergonomics 35(3), 1992, measured it
+(0.414 hand lengths; the other three agree with them to 3 mm).
 """
 
 from __future__ import annotations
@@ -26,21 +30,42 @@ FloatArray = NDArray[np.float64]
 REFERENCE_LENGTH_M: Final = 0.18491
 """Wrist joint to the end of the middle finger of the hand that the following millimetres describe."""
 
-METACARPAL_MM: Final = {"index": 68.12, "middle": 64.60, "ring": 58.00, "little": 53.69}
-BONES_MM: Final = {
+HEAD_MM: Final = {
+    "thumb": (0.0, 6.5, 4.0),
+    "index": (7.0, 4.0, 3.0),
+    "middle": (7.0, 4.0, 3.0),
+    "ring": (6.5, 4.0, 3.0),
+    "little": (6.0, 3.5, 2.5),
+}
+"""Radius of the heads that carry each finger's moving bones. Metacarpals: half of what heads are wide, 13 to 17 mm;
+their surface has one centre (Unsworth & Alexander, "Dimensions of the metacarpo-phalangeal joint", Eng. Med. 8, 1979);
+middle and last joints: half of the depth of such a condyle, our own estimate. The thumb's saddle joint has one axis in
+each of its two bones, so its centre is the gap between them."""
+_METACARPAL_END_TO_END_MM: Final = {"index": 68.12, "middle": 64.60, "ring": 58.00, "little": 53.69}
+_BONES_END_TO_END_MM: Final = {
     "thumb": (46.22, 31.57, 21.67 + 5.67),
     "index": (39.78, 22.38, 15.82 + 3.84),
     "middle": (44.63, 26.33, 17.40 + 3.95),
     "ring": (41.37, 25.65, 17.30 + 3.95),
     "little": (32.74, 18.11, 15.96 + 3.73),
 }
-"""Moving bones from the knuckle outwards; the last with its soft tissue, up to the very tip of the finger."""
+METACARPAL_MM: Final = {finger: length - HEAD_MM[finger][0] for finger, length in _METACARPAL_END_TO_END_MM.items()}
+"""Base of each metacarpal to the centre of its knuckle."""
+BONES_MM: Final = {
+    finger: (
+        a + HEAD_MM[finger][0] - HEAD_MM[finger][1],
+        b + HEAD_MM[finger][1] - HEAD_MM[finger][2],
+        c + HEAD_MM[finger][2],
+    )
+    for finger, (a, b, c) in _BONES_END_TO_END_MM.items()
+}
+"""Moving bones from the knuckle outwards, centre to centre; the last with its soft tissue, up to the very tip."""
 CARPAL_MM: Final = {
     "thumb": (-20.0, -11.0, -14.0),
     "index": (-11.0, 3.0, -25.0),
     "middle": (0.0, 4.0, -28.0),
     "ring": (9.5, 3.0, -26.0),
-    "little": (17.0, 0.0, -23.0),
+    "little": (17.0, 0.0, -26.0),
 }
 """Wrist joint to the base of each metacarpal, wrist frame of a right hand. Metacarpals lie above the wrist's centre,
 because the back of a flat hand is straight: skin is some 17 mm above the centre of the wrist and 13 above the
@@ -89,8 +114,8 @@ SPREAD_LIMITS: Final = (0.5, 2.0)
 class RestGeometry:
     """A right hand with all angles zero; the fields are those of `rhot.anatomy.hand.HandModel`.
 
-    With the default length of 189 mm the knuckles stand, in millimetres of the wrist frame, at index (−22, 2, −94),
-    middle (0, 4, −95), ring (19, 2, −85), little (33, −3, −76), and the thumb's carpometacarpal joint at
+    With the default length of 189 mm the knuckles stand, in millimetres of the wrist frame, at index (−21, 2, −87),
+    middle (0, 4, −87), ring (18, 2, −79), little (32, −3, −73), and the thumb's carpometacarpal joint at
     (−20, −11, −14).
     """
 

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.anatomy.hand import CAP_LENGTH_M, METACARPALS, MOVING, WRIST, HandJoints, HandModel
+from rhot.anatomy.hand import METACARPALS, MOVING, WRIST, HandJoints, HandModel
 from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
 from rhot.messages import Side
 from rhot.rig.config import MarkerConfig
@@ -159,8 +159,8 @@ class _HandBody:
         }
         radii = hand.radii[MOVING]
         self._radii = radii
-        # The cut lies CAP_LENGTH_M behind the very tip; the radius there lies between those of tip and last hinge.
-        behind = CAP_LENGTH_M - radii[:, 3]
+        # The cut lies the cap's length behind the very tip; the radius there lies between those of tip and last hinge.
+        behind = hand.cap_lengths - radii[:, 3]
         share = behind / hand.bones[:, 2]
         self._cut_m = behind
         self._cut_radius = radii[:, 3] + share * (radii[:, 2] - radii[:, 3])

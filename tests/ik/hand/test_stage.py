@@ -289,7 +289,6 @@ def test_a_stage_and_its_first_sample_cost_little(costs_s: tuple[float, float, f
     assert first_s < 300.0 * closed_form_s
 
 
-@pytest.mark.xfail(reason="a known miss: 11 to 13 times since the hand learns the person; half a millisecond is wanted")
 def test_a_sample_costs_few_times_the_closed_form_of_five_fingers(costs_s: tuple[float, float, float]) -> None:
     closed_form_s, sample_s, _ = costs_s
     assert sample_s < 12.0 * closed_form_s
@@ -409,7 +408,7 @@ def test_hidden_fingers_stop_at_the_cylinder_that_the_hand_holds(
     """A rod of 70 mm across the palm; all fingers but the thumb go out of sight over it."""
     joints, markers = right_hand.forward(wrist(), EASE), right_rig.config.markers
     T, radius = wrist(), 0.035
-    middle = T[:3, 3] + T[:3, :3] @ np.array([0.0, -0.055, -0.125])
+    middle = T[:3, 3] + T[:3, :3] @ np.array([0.0, -0.055, -0.118])
     along = T[:3, :3] @ np.array([1.0, 0.0, 0.0])
     # The object's z along the knuckles.
     half = T[:3, :3] @ rotation_from_vector(np.array([0.0, np.pi / 2, 0.0]))

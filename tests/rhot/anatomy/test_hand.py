@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rhot.anatomy.hand import CAP_LENGTH_M, MOVING, HandModel
+from rhot.anatomy.hand import CAP_SHARE, MOVING, HandModel
+from rhot.anatomy.hand_proportions import REFERENCE_LENGTH_M
 from rhot.anatomy.skeleton import FINGERS, JOINTS, PARENTS
 from rhot.geometry.rotations import rotation_from_vector, rotation_x, rotation_y
 from rhot.messages import Side
@@ -114,12 +115,24 @@ def test_size_scales_with_length() -> None:
 def test_cap_centre_is_that_of_the_painted_volume(model: HandModel) -> None:
     marker = MarkerConfig(hand=model.side, joint="index_tip")
     radius = model.radii[JOINTS.index("index_tip")]
+    length = CAP_SHARE * (model.bones[FINGERS.index("index"), 2] + radius)
     # Monte Carlo over the painted part of a capsule: z = 0 at the tip joint, the very tip at −radius.
-    points = np.random.default_rng(1).uniform(-1.0, 1.0, (200_000, 3)) * (radius, radius, CAP_LENGTH_M)
-    inside = (np.hypot(points[:, 0], points[:, 1]) < radius) & (points[:, 2] < CAP_LENGTH_M - radius)
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (200_000, 3)) * (radius, radius, length)
+    inside = (np.hypot(points[:, 0], points[:, 1]) < radius) & (points[:, 2] < length - radius)
     inside &= np.where(points[:, 2] < 0.0, np.linalg.norm(points, axis=1) < radius, True)
     expected = points[inside].mean(axis=0)
     assert np.allclose(model.marker_offset("index", marker), expected, atol=1e-4)
+
+
+def test_joints_are_inside_the_heads_of_bones_and_lengths_stay_whole(model: HandModel) -> None:
+    """Centres lie a head's radius before a bone's end, so a knuckle is nearer to the wrist and the hand as long."""
+    scale = model.length_m / REFERENCE_LENGTH_M / 1000.0
+    bones, knuckle = model.bones[FINGERS.index("middle")], model.knuckles[FINGERS.index("middle")]
+    tip = model.radii[JOINTS.index("middle_tip")]
+    assert -knuckle[2] + bones.sum() + tip == pytest.approx(model.length_m, abs=1e-4)
+    assert -knuckle[2] == pytest.approx((28.0 + 64.60 - 7.0) * scale, abs=1e-4)
+    # From the crease over the last joint to the very tip: 0.12 to 0.14 hand lengths.
+    assert 0.115 < (bones[2] + tip) / model.length_m < 0.14
 
 
 def test_markers_and_patch_move_with_the_hand(model: HandModel) -> None:

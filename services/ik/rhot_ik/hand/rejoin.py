@@ -60,10 +60,15 @@ def rejoined(
         dt_s: since then.
         settings: how fast.
     """
-    begin, share, change = geometry.marker_points(shown), np.ones(5), estimated - shown
+    change = estimated - shown
+    # No tip goes further than its finger turns; most samples end here, without the tips themselves.
+    least_m = settings.step_m + settings.fastest_m_s * dt_s
+    if not left_s.any() and (np.abs(change).sum(axis=1) * geometry.reaches).max() <= least_m:
+        return estimated, left_s
+    begin, share = geometry.marker_points(shown), np.ones(5)
     way = geometry.marker_points(estimated) - begin
     gap_m = np.sqrt((way * way).sum(-1))
-    led: BoolArray = (left_s > 0.0) | (gap_m > settings.step_m + settings.fastest_m_s * dt_s)
+    led: BoolArray = (left_s > 0.0) | (gap_m > least_m)
     if not led.any():
         return estimated, left_s
     most_m = np.minimum(settings.step_m, settings.first_m + settings.share * gap_m) + settings.speed_m_s * dt_s

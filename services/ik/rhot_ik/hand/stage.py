@@ -9,7 +9,6 @@ import numpy as np
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
-from rhot.arrays import FloatArray
 from rhot.explain import Explanation
 from rhot.messages import FingerAngles, HandPose, ObjectPose, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
@@ -23,6 +22,9 @@ from rhot_ik.hand.solver import HandSolution, HandSolver
 _ANGLES = tuple(FingerAngles.model_fields)
 _REACH = 1.6
 """No fingertip is further from the back of its hand than this many hand lengths."""
+_NOWHERE: tuple[float, ...] = (math.nan, math.nan, math.nan)
+_ANY: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+"""Covariance, m², of a tip that is not there."""
 
 
 class HandStage:
@@ -103,8 +105,7 @@ class HandStage:
         return [table for side, solver in self._solvers.items() for table in solver_tables(side, solver)]
 
     def _observation(self, points: PointSet, base_name: str, solver: HandSolver) -> HandObservation:
-        tips, measured = np.full((len(FINGERS), 3), np.nan), np.zeros(len(FINGERS), dtype=np.bool_)
-        covariances = np.tile(np.eye(3), (len(FINGERS), 1, 1))
+        tips, covariances, measured = [_NOWHERE] * 5, [_ANY] * 5, [False] * 5
         base = self._believable(points, base_name)
         reach_m = _REACH * solver.geometry.model.length_m
         for place, finger in enumerate(FINGERS):
@@ -115,17 +116,17 @@ class HandStage:
                 self._counts["not_of_this_hand"] += 1
                 continue
             tips[place] = point.position
-            covariances[place] = covariance_of(point)
+            covariances[place] = _covariance(point)
             measured[place] = point.state != "predicted"
         return HandObservation(
             t_ns=points.t_ns,
             base=None if base is None else np.array(base.position),
             base_measured=base is not None and base.state != "predicted",
             corners=None if base is None or base.corners is None else np.array(base.corners),
-            tips=tips,
-            tips_measured=measured,
-            base_covariance=None if base is None else covariance_of(base),
-            tip_covariances=covariances,
+            tips=np.array(tips),
+            tips_measured=np.array(measured),
+            base_covariance=None if base is None else np.array(_covariance(base)).reshape(3, 3),
+            tip_covariances=np.array(covariances).reshape(-1, 3, 3),
         )
 
     def _believable(self, points: PointSet, name: str) -> Point | None:
@@ -141,12 +142,13 @@ class HandStage:
         return None
 
 
-def covariance_of(point: Point) -> FloatArray:
-    """Return the covariance (3, 3) of a point's error, m²; alike in all directions where none is stated."""
+def _covariance(point: Point) -> tuple[float, ...]:
+    """Return the covariance of a point's error, m², row by row; alike in all directions where none is stated."""
     if point.covariance is None:
-        return np.eye(3) * (point.sigma**2 / 3.0)
+        variance = point.sigma**2 / 3.0
+        return (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
     xx, xy, xz, yy, yz, zz = point.covariance
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return (xx, xy, xz, xy, yy, yz, xz, yz, zz)
 
 
 def hand_pose(points: PointSet, model: HandModel, solution: HandSolution) -> HandPose:

@@ -128,12 +128,13 @@ class HandFilter(HandProcess):
             H, y = self._linearise(rows, at, modelled)
             innovation = y + H @ dx
             if step == 0:
-                P, given = self._given_room(prior, rows, H, innovation)
+                P, PHt, S, given = self._given_room(prior, rows, H, innovation)
                 noise = given
+            else:
+                PHt = P @ H.T
+                S = H @ PHt
             if far or step > 0:
                 noise = self._doubted(rows, given, y, H[:15, :6] if step == 0 else None, P[:6, :6])
-            PHt = P @ H.T
-            S = H @ PHt
             S.reshape(7, 3, 7, 3)[_BLOCKS, :, _BLOCKS] += noise
             wanted[:, :SIZE], wanted[:, SIZE] = PHt.T, innovation
             solved = np.linalg.solve(S, wanted)
@@ -234,9 +235,13 @@ class HandFilter(HandProcess):
 
     def _given_room(
         self, prior: HandState, rows: Rows, H: FloatArray, innovation: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return P with more room for hands that move faster than usual, and the noise (7, 3, 3) of outliers raised."""
-        S = H @ prior.P @ H.T
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return P with more room for hands that move faster than usual, P·Hᵀ, H·P·Hᵀ and the noise (7, 3, 3).
+
+        The noise of outliers is raised.
+        """
+        PHt = prior.P @ H.T
+        S = H @ PHt
         own = S.reshape(7, 3, 7, 3)[_TIPS, :, _TIPS] + rows.noise[:5]
         off = innovation[:15].reshape(5, 3)
         nis = (off * np.linalg.solve(own, off[:, :, None])[:, :, 0]).sum(-1) / 3.0
@@ -251,8 +256,11 @@ class HandFilter(HandProcess):
                 times = np.where(rows.seen[:5], times, times[rows.seen[:5]].mean())
                 more = np.repeat(times, 4)
                 P = prior.P.copy()
-                P[ANGLES, ANGLES] += prior.stationary_share * more[:, None] * self._stationary * more
-        return P, noise
+                room = prior.stationary_share * more[:, None] * self._stationary * more
+                P[ANGLES, ANGLES] += room
+                PHt[ANGLES] += room @ H[:, ANGLES].T
+                S = H @ PHt
+        return P, PHt, S, noise
 
     def _doubted(
         self, rows: Rows, noise: FloatArray, y: FloatArray, by_pose: FloatArray | None, P: FloatArray
@@ -278,6 +286,8 @@ class HandFilter(HandProcess):
         for _ in range(3):
             q = angles + dx[ANGLES]
             over = np.minimum(np.maximum(q, self._low), self._high) - q
+            if not over.any():
+                break
             bad = np.flatnonzero(np.abs(over) > 1e-6)
             if not len(bad):
                 break
