@@ -41,13 +41,13 @@ def angles(pose: str) -> FloatArray:
 
 
 def wrist(pose: str, side: Side) -> FloatArray:
-    """Wrist (4, 4) in stage axes: one metre up, half a metre in front, 0.2 m to its side; palm down, but in `thumb up`.
+    """Wrist (4, 4) in stage axes: 1.1 m up, 0.4 m in front, 0.2 m to its side; palm down, but in `thumb up`.
 
     There the palm faces the other hand, so that the thumb points up.
     """
     sign = 1.0 if side == "right" else -1.0
     R = rotation_z(-sign * np.pi / 2) if pose == "thumb up" else np.eye(3)
-    return rigid(R, np.array([0.2 * sign, 1.0, -0.5]))
+    return rigid(R, np.array([0.2 * sign, 1.1, -0.4]))
 
 
 def hand(pose: str, side: Side) -> Hand:

@@ -28,6 +28,7 @@ class BridgeConfig(FileModel):
         axes: of `json`: the floor's, Unity's, or the rig's own, which need no floor.
         transport: of `json`.
         body: of `vmc`: `fingers` alone, or with `arms` from head and wrists, hips and feet.
+        height_m: of `vmc` with `arms`: of the person, standing, without shoes; arms follow from it.
         allow_origins: web pages that may read `json` by WebSocket, such as `https://example.org`; those of this
             machine may, and no others.
     """
@@ -43,4 +44,5 @@ class BridgeConfig(FileModel):
     axes: Literal["stage", "unity", "rig"] = "stage"
     transport: Literal["websocket", "udp"] = "websocket"
     body: Literal["fingers", "arms"] = "fingers"
+    height_m: Annotated[float, Field(ge=0.5, le=2.5)] = 1.70
     allow_origins: Annotated[tuple[str, ...], Field(max_length=16)] = ()

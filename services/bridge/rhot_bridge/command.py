@@ -40,6 +40,7 @@ from rhot_bridge.targets import TARGETS
     type=click.Choice(["fingers", "arms"]),
     help="vmc only: fingers alone, or arms, hips and feet, too.  [fingers]",
 )
+@click.option("--height-m", type=click.FloatRange(0.5, 2.5), help="vmc with arms: height of the person.  [1.7]")
 @click.option(
     "--allow-origin",
     "allow_origins",

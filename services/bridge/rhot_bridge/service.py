@@ -31,7 +31,7 @@ FloatArray = NDArray[np.float64]
 
 _REPEAT_NS: Final = 100_000_000
 """While nothing comes, a frame is repeated ten times a second: other programs take longer silence for a loss."""
-_FIXED: Final = ("target", "host", "port", "axes", "transport", "body", "allow_origins")
+_FIXED: Final = ("target", "host", "port", "axes", "transport", "body", "height_m", "allow_origins")
 """Settings that are fixed when the bridge is made."""
 
 

@@ -1,0 +1,154 @@
+"""The rest of an avatar from what is known of a person: arms from head and wrists, hips and legs from the body.
+
+Unity's axes; N as in `rhot_bridge.retarget.vrm`. Nobody measures elbows and shoulders: shoulders hang at the neck,
+which hangs at the head, over the hips; the elbow lies where two bones of known length meet, on the side that points
+down, a little outwards and back. Half of the hand's rotation about the forearm is given to the forearm, as bone and
+skin do. Lengths are shares of the body's height, from the figure that `rhot.anatomy.body_proportions` names.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.anatomy.body_proportions import NECK_BEHIND_EYES, NECK_BELOW_EYES
+from rhot.anatomy.hand import WRIST
+from rhot.geometry.rotations import (
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_x,
+    rotation_y,
+)
+from rhot.messages import Side
+from rhot_bridge.retarget.vrm import avatar_rotations
+from rhot_bridge.scene import Scene
+
+FloatArray = NDArray[np.float64]
+
+UPPER_ARM: Final = 0.186
+FOREARM: Final = 0.146
+SHOULDER_BELOW_NECK: Final = 0.058
+SHOULDER_OUTWARDS: Final = 0.129
+HIPS_BELOW_NECK: Final = 0.346
+"""As shares of the body's height: shoulders at 0.818, 0.259 apart, hips at 0.530, the head's pivot at 0.876."""
+_ELBOW: Final = np.array([0.4, -1.0, -0.3])
+"""Where an elbow likes to be: outwards, up, forwards of the trunk. A choice that looks natural, no measurement."""
+_REACH: Final = 0.999
+"""An arm is never straighter: its elbow would flip."""
+_LEGS: Final = (("UpperLeg", "hip"), ("LowerLeg", "knee"), ("Foot", "ankle"))
+
+
+@dataclass(frozen=True, slots=True)
+class Bone:
+    """One bone of an avatar in its parent's axes.
+
+    Attributes:
+        name: Unity's HumanBodyBones name.
+        position: (3,) metres.
+        rotation: (3, 3).
+    """
+
+    name: str
+    position: FloatArray
+    rotation: FloatArray
+
+
+def body_bones(scene: Scene, height_m: float) -> list[Bone]:
+    """Return hips, head, arms and legs as far as they are known; none without a head.
+
+    Args:
+        scene: in Unity's axes.
+        height_m: of the person.
+    """
+    if scene.head is None:
+        return []
+    N_head = rotation_from_quaternion(scene.head.orientations[0])
+    neck_in_head = height_m * np.array([0.0, -NECK_BELOW_EYES, -NECK_BEHIND_EYES])
+    neck = scene.head.positions[0] + N_head @ neck_in_head
+    body, row = scene.body, None if scene.body is None else scene.body.row("hips")
+    if body is not None and row is not None:
+        hips, N_hips = body.positions[row], rotation_from_quaternion(body.orientations[row])
+    else:
+        forward = N_head[:, 2]
+        N_hips = rotation_y(float(np.arctan2(forward[0], forward[2])))
+        hips = neck - np.array([0.0, HIPS_BELOW_NECK * height_m, 0.0])
+    bones = [Bone("Hips", hips, N_hips), Bone("Head", N_hips.T @ (neck - hips), N_hips.T @ N_head)]
+    for side in scene.hands:
+        bones += _arm(scene, side, neck, N_hips, height_m)
+    return bones + _legs(scene, hips, N_hips)
+
+
+def _arm(scene: Scene, side: Side, neck: FloatArray, N_chest: FloatArray, height_m: float) -> list[Bone]:
+    out = 1.0 if side == "right" else -1.0
+    hand = scene.hands[side]
+    outwards = np.array([out * SHOULDER_OUTWARDS, -SHOULDER_BELOW_NECK, 0.0])
+    shoulder = neck + N_chest @ (height_m * outwards)
+    upper_m, lower_m = UPPER_ARM * height_m, FOREARM * height_m
+    pole = N_chest @ (_ELBOW * np.array([out, 1.0, 1.0]))
+    elbow, wrist, hinge = two_bones(shoulder, hand.positions[WRIST], upper_m, lower_m, pole)
+    name = side.capitalize()
+    N_upper = _axes(out * (elbow - shoulder), -out * hinge)
+    N_lower = _axes(out * (wrist - elbow), -out * hinge)
+    N_hand = rotation_from_quaternion(avatar_rotations(hand, side)[WRIST])
+    x, _, _, w = quaternion_from_rotation(N_lower.T @ N_hand).tolist()
+    # Twist about the forearm (swing and twist): 2·atan(x / w), of which the forearm takes half.
+    N_lower = N_lower @ rotation_x(float(np.arctan2(x, w) if w >= 0.0 else np.arctan2(-x, -w)))
+    length = np.array([out, 0.0, 0.0])
+    return [
+        Bone(f"{name}UpperArm", N_chest.T @ (shoulder - neck), N_chest.T @ N_upper),
+        Bone(f"{name}LowerArm", length * upper_m, N_upper.T @ N_lower),
+        Bone(f"{name}Hand", length * lower_m, N_lower.T @ N_hand),
+    ]
+
+
+def two_bones(
+    start: FloatArray, end: FloatArray, first_m: float, second_m: float, pole: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return where two bones meet.
+
+    Args:
+        start, end: (3,) metres; an end out of reach is taken nearer, on the same line.
+        first_m, second_m: lengths.
+        pole: (3,) the side on which the joint lies.
+
+    Returns:
+        The joint, the end that is reached, and the hinge: the unit vector along first bone × second bone.
+    """
+    way = end - start
+    far = float(np.linalg.norm(way))
+    u = way / far if far > 1e-6 else np.array([0.0, -1.0, 0.0])
+    d = float(np.clip(far, abs(first_m - second_m) + 1e-3, _REACH * (first_m + second_m)))
+    side = pole - (pole @ u) * u
+    size = float(np.linalg.norm(side))
+    if size < 1e-6:
+        side, size = np.cross(u, np.eye(3)[int(np.argmin(np.abs(u)))]), 1.0
+    side = side / np.linalg.norm(side)
+    along = (first_m**2 - second_m**2 + d * d) / (2.0 * d)
+    aside = float(np.sqrt(max(first_m**2 - along**2, 0.0)))
+    return start + along * u + aside * side, start + d * u, np.cross(side, u)
+
+
+def _axes(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return N (3, 3) whose x points along a vector and whose y is a unit vector at right angles to it."""
+    unit = x / np.linalg.norm(x)
+    return np.stack([unit, y, np.cross(unit, y)], axis=1)
+
+
+def _legs(scene: Scene, hips: FloatArray, N_hips: FloatArray) -> list[Bone]:
+    bones: list[Bone] = []
+    body = scene.body
+    if body is None:
+        return bones
+    for side in ("left", "right"):
+        before, N_before = hips, N_hips
+        for bone, joint in _LEGS:
+            row = body.row(f"{side}_{joint}")
+            if row is None:
+                break
+            position, N = body.positions[row], rotation_from_quaternion(body.orientations[row])
+            bones.append(Bone(f"{side.capitalize()}{bone}", N_before.T @ (position - before), N_before.T @ N))
+            before, N_before = position, N
+    return bones

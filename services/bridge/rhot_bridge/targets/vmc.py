@@ -1,0 +1,88 @@
+"""VMC protocol: avatars in VSeeFace, Warudo, VNyan, VMagicMirror, Blender.
+
+    /VMC/Ext/OK i                     1: there is something
+    /VMC/Ext/T f                      seconds since the bridge started
+    /VMC/Ext/Root/Pos s fff ffff      root, at the origin
+    /VMC/Ext/Bone/Pos s fff ffff      bone (Unity's HumanBodyBones), position, quaternion x y z w, in the parent's axes
+    /VMC/Ext/Tra/Pos s fff ffff       an object by its id, in the world's axes
+
+Unity's axes; bones as in `rhot_bridge.retarget`. With `fingers` only finger bones go out, for programs that get arms
+and head from elsewhere; with `arms` whole arms, head, hips and legs as far as they are known. A frame is several
+bundles, each below an Ethernet frame. A hand that is not there is not in it: the avatar keeps its own. Source: the VMC
+protocol's specification, protocol.vmc.info.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal
+
+from rhot.geometry.rotations import quaternion_from_rotation
+from rhot.messages import Side
+from rhot.rig import BridgeConfig
+from rhot_bridge.links import UdpLink
+from rhot_bridge.output import PacketOutput
+from rhot_bridge.retarget.arms import body_bones
+from rhot_bridge.retarget.quaternions import faded
+from rhot_bridge.retarget.vrm import FINGER_BONES, finger_bones
+from rhot_bridge.scene import Axes, Scene
+from rhot_bridge.targets.osc import Block, Template, bundles
+
+PORT: Final = 39539
+"""Of a program that shows an avatar (marionette); one that passes motion on (performer) listens on 39540."""
+_SIDES: Final[tuple[Side, Side]] = ("left", "right")
+_ARMS: Final = {
+    side: tuple(f"{side.capitalize()}{name}" for name in ("UpperArm", "LowerArm", "Hand")) for side in _SIDES
+}
+_ROOT: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+class VmcTarget:
+    """Bones of a VRM avatar."""
+
+    axes: Axes = "unity"
+    leads = ("hand", "body", "head", "foot", "object")
+
+    def __init__(self, body: Literal["fingers", "arms"] = "fingers", height_m: float = 1.70) -> None:
+        self._body = body
+        self._height_m = height_m
+        self._started_ns: int | None = None
+        self._ok = Template("/VMC/Ext/OK", 1, floats=0).pack()
+        self._time = Template("/VMC/Ext/T", floats=1)
+        self._root = Template("/VMC/Ext/Root/Pos", "root", floats=7).pack(*_ROOT)
+        self._fingers = {side: Block([_bone(side.capitalize() + name) for name in FINGER_BONES], 7) for side in _SIDES}
+        self._bones: dict[str, Template] = {}
+        self._trackers: dict[str, Template] = {}
+
+    def frame(self, scene: Scene, now_ns: int) -> list[bytes]:
+        """Return the bones that are known; without any only that the rig is there."""
+        if self._started_ns is None:
+            self._started_ns = now_ns
+        messages = [self._ok, self._time.pack((now_ns - self._started_ns) / 1e9)]
+        if self._body == "arms":
+            messages.append(self._root)
+            for bone in body_bones(scene, self._height_m):
+                rotation = quaternion_from_rotation(bone.rotation)
+                for side in _SIDES:
+                    if bone.name in _ARMS[side]:
+                        rotation = faded(rotation, scene.hands[side].weight)
+                if bone.name not in self._bones:
+                    self._bones[bone.name] = _bone(bone.name)
+                messages.append(self._bones[bone.name].pack(*bone.position.tolist(), *rotation.tolist()))
+        for identity, thing in scene.objects.items():
+            template = self._trackers.get(identity)
+            if template is None:
+                template = self._trackers[identity] = Template("/VMC/Ext/Tra/Pos", identity, floats=7)
+            messages.append(template.pack(*thing.positions[0].tolist(), *thing.orientations[0].tolist()))
+        packets = bundles(messages)
+        for side, hand in scene.hands.items():
+            packets += self._fingers[side].pack(finger_bones(hand, side))
+        return packets
+
+
+def _bone(name: str) -> Template:
+    return Template("/VMC/Ext/Bone/Pos", name, floats=7)
+
+
+def make_output(config: BridgeConfig) -> PacketOutput:
+    """Return the output that a configuration asks for."""
+    return PacketOutput(VmcTarget(config.body, config.height_m), UdpLink(config.host, config.port or PORT))

@@ -1,0 +1,103 @@
+"""Virtual Motion Tracker, a driver of SteamVR on Windows: trackers for objects, feet and hips, hands with fingers.
+
+    /VMT/Room/Driver     i i f fff ffff   device, what it is (0 off, 1 tracker, 5 and 6 left and right controller), time
+                                          offset, position, quaternion x y z w
+    /VMT/Skeleton/Driver i i fff ffff     device, bone, position, quaternion, in the parent's axes
+    /VMT/Skeleton/Apply  i f              device, time offset
+    /VMT/Set/RoomMatrix/Temporary 12 f    3x4, row by row
+
+OpenVR's axes, which are the stage's. VMT refuses poses until it has a room matrix: the identity is sent once a second,
+and holds until SteamVR ends. Devices: 0 and 1 the hands, 2 and 3 the feet, 4 the hips, 10 and up the objects in the
+order in which they came. Types are strict. Source: VMT's documentation.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.messages import Side
+from rhot.rig import BridgeConfig
+from rhot_bridge.links import UdpLink
+from rhot_bridge.output import PacketOutput
+from rhot_bridge.retarget.openvr import BONES, openvr_bones
+from rhot_bridge.scene import Axes, Scene
+from rhot_bridge.targets.osc import Block, Template, bundles
+
+FloatArray = NDArray[np.float64]
+
+PORT: Final = 39570
+_ROOM_INTERVAL_NS: Final = 1_000_000_000
+_OFF, _TRACKER = 0, 1
+_CONTROLLER: Final[dict[Side, int]] = {"left": 5, "right": 6}
+_HAND: Final[dict[Side, int]] = {"left": 0, "right": 1}
+_FOOT: Final[dict[Side, int]] = {"left": 2, "right": 3}
+_HIPS: Final = 4
+_FIRST_OBJECT: Final = 10
+_MOST_DEVICES: Final = 58
+_IDENTITY: Final = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+_NOWHERE: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+class VmtTarget:
+    """Devices of VMT."""
+
+    axes: Axes = "stage"
+    leads = ("hand", "object", "body", "foot", "head")
+
+    def __init__(self) -> None:
+        self._room = Template("/VMT/Set/RoomMatrix/Temporary", floats=12).pack(*_IDENTITY)
+        self._room_sent_ns: int | None = None
+        self._bones = {
+            side: Block([Template("/VMT/Skeleton/Driver", device, bone, floats=7) for bone in range(BONES)], 7)
+            for side, device in _HAND.items()
+        }
+        self._apply = {
+            side: Template("/VMT/Skeleton/Apply", device, floats=1).pack(0.0) for side, device in _HAND.items()
+        }
+        self._drivers: dict[tuple[int, int], Template] = {}
+        self._objects: dict[str, int] = {}
+        self._on: set[int] = set()
+
+    def frame(self, scene: Scene, now_ns: int) -> list[bytes]:
+        """Return all devices; what was there and is no more is switched off."""
+        messages: list[bytes] = []
+        bones: list[bytes] = []
+        applied: list[bytes] = []
+        if self._room_sent_ns is None or now_ns - self._room_sent_ns >= _ROOM_INTERVAL_NS:
+            self._room_sent_ns = now_ns
+            messages.append(self._room)
+        present: set[int] = set()
+
+        def device(number: int, mode: int, position: FloatArray, orientation: FloatArray) -> None:
+            present.add(number)
+            messages.append(self._driver(number, mode).pack(0.0, *position.tolist(), *orientation.tolist()))
+
+        for side, hand in scene.hands.items():
+            device(_HAND[side], _CONTROLLER[side], hand.positions[1], hand.orientations[1])
+            bones += self._bones[side].pack(openvr_bones(hand, side))
+            applied.append(self._apply[side])
+        for side, foot in scene.feet.items():
+            device(_FOOT[side], _TRACKER, foot.positions[0], foot.orientations[0])
+        if scene.body is not None and (row := scene.body.row("hips")) is not None:
+            device(_HIPS, _TRACKER, scene.body.positions[row], scene.body.orientations[row])
+        for name, thing in scene.objects.items():
+            number = self._objects.setdefault(name, _FIRST_OBJECT + len(self._objects))
+            if number < _MOST_DEVICES:
+                device(number, _TRACKER, thing.positions[0], thing.orientations[0])
+        messages += [self._driver(number, _OFF).pack(*_NOWHERE) for number in sorted(self._on - present)]
+        self._on = present
+        return [*bundles(messages), *bones, *bundles(applied)]
+
+    def _driver(self, number: int, mode: int) -> Template:
+        found = self._drivers.get((number, mode))
+        if found is None:
+            found = self._drivers[number, mode] = Template("/VMT/Room/Driver", number, mode, floats=8)
+        return found
+
+
+def make_output(config: BridgeConfig) -> PacketOutput:
+    """Return the output that a configuration asks for."""
+    return PacketOutput(VmtTarget(), UdpLink(config.host, config.port or PORT))
