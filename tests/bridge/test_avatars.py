@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 
-import bridge_poses
 import numpy as np
 import pytest
-from bridge_readers import messages, read_vmc
+from bridged import poses as bridge_poses
+from bridged.readers import messages, read_vmc
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray

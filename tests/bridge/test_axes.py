@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import bridge_poses
 import numpy as np
 import pytest
+from bridged import poses as bridge_poses
 from hypothesis import given
 from hypothesis import strategies as st
 

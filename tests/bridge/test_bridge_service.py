@@ -10,9 +10,9 @@ import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-import bridge_poses
 import numpy as np
 import pytest
+from bridged import poses as bridge_poses
 from bus_watch import PATIENCE_S, until
 from click.testing import CliRunner
 from websockets.asyncio.client import connect
@@ -202,7 +202,7 @@ def test_the_command_says_what_there_is(tmp_path: object) -> None:
     assert "JSON by WebSocket" in run(bridge, ["--help"]).output
     nothing = run(bridge, [])
     assert nothing.exit_code == 2
-    assert "which program? one of json" in nothing.output
+    assert "which program? one of vmc, vrchat, vmt, json" in nothing.output
     unknown = run(bridge, ["teapot"])
     assert unknown.exit_code == 2
     assert "there is no bridge to 'teapot'" in unknown.output

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 
-import bridge_poses
 import numpy as np
 import pytest
+from bridged import poses as bridge_poses
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.messages import BoxShape

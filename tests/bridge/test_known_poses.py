@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
-import bridge_poses
 import numpy as np
 import pytest
-from bridge_readers import READERS, Seen
+from bridged import poses as bridge_poses
+from bridged.readers import READERS, Seen
 
 from rhot.geometry.transforms import inverse
 from rhot.messages import Side

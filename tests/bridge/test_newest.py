@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
-import bridge_poses
 import pytest
+from bridged import poses as bridge_poses
 
 from rhot.rig import BridgeConfig
 from rhot_bridge.newest import MOST_KEYS, Newest

@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-import bridge_poses
 import numpy as np
+from bridged import poses as bridge_poses
 from bus_watch import PATIENCE_S
 from numpy.typing import NDArray
 

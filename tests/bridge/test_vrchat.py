@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import bridge_poses
 import numpy as np
 import pytest
-from bridge_readers import read_vrchat
+from bridged import poses as bridge_poses
+from bridged.readers import read_vrchat
 from pythonosc.dispatcher import Dispatcher
 from pythonosc.osc_server import ThreadingOSCUDPServer
 
