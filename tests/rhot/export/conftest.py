@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from bridge_poses import POSES, T_RIG_STAGE, angles, hand_message, object_message, stage_message
+from bridged.poses import POSES, T_RIG_STAGE, angles, hand_message, object_message, stage_message
 from exported.person import BEGIN_NS, RATE_HZ, SECONDS_A_POSE, body_message, foot_message, head_message
 
 from rhot.anatomy.skeleton import FINGERS

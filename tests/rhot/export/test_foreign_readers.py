@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bridge_poses import hand
+from bridged.poses import hand
 from click.testing import CliRunner
 from exported import person
 from exported.npm_packages import npm_packages

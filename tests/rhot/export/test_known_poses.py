@@ -13,7 +13,7 @@ from pathlib import Path
 import c3d
 import numpy as np
 import pytest
-from bridge_poses import POSES, hand
+from bridged.poses import POSES, hand
 from click.testing import CliRunner
 from exported import person
 from exported.bvh_reader import read_bvh_file, world_positions
