@@ -6,6 +6,7 @@ timed on the camera's own clock, which is off and drifts when it is a `SkewedClo
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from typing import Final, Protocol
@@ -18,6 +19,9 @@ from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.pacing import Pacer
 from rhot_sim.rendering.render_process import AHEAD, RenderProcess
+from rhot_sim.sources.stride import Stride
+
+logger = logging.getLogger(__name__)
 
 _FORGETTING: Final = 0.1
 """Share of the newest picture in the mean time that a picture is waited for."""
@@ -106,6 +110,7 @@ class SimulatedSource:
         self._pacer = Pacer(TrueClock())
         self._world_start_ns = 0
         self._number = 0
+        self._stride = Stride()
         self._begun: deque[tuple[int, FrameMoment]] = deque()
         self._drawing_s = 0.0
         self._settings: CameraSettings | None = None
@@ -156,12 +161,28 @@ class SimulatedSource:
         """Begin to render the next frames that are not lost and can be ready in time."""
         while len(self._begun) < AHEAD and not self._pacer.stopped:
             number, moment = self._number, self._schedule.frame(self._number)
-            self._number += 1
+            self._number = self._stride.next_after(number)
+            if moment.dropped:
+                continue
             # Where rendering does not keep up, frames fall out as they would from a camera that nobody empties.
-            if moment.dropped or self._is_late(moment, len(self._begun) * self._drawing_s):
+            late = self._is_late(moment, len(self._begun) * self._drawing_s)
+            if self._stride.count(late):
+                logger.warning("%s", self.problem or f"camera {self._name}: all frames are drawn again")
+            if late:
                 continue
             self._renderer.begin(moment.t_first_row_s)
             self._begun.append((number, moment))
+
+    @property
+    def problem(self) -> str:
+        """That the machine is too busy to draw every frame, while it is."""
+        stride = self._stride.value
+        if stride == 1:
+            return ""
+        return (
+            f"camera {self._name}: this machine is too busy to draw {self._camera.rate_hz:g} pictures a second; the "
+            f"simulated camera runs at {self._camera.rate_hz / stride:g} Hz"
+        )
 
     def _finish(self) -> ImageArray | None:
         since_s = time.monotonic()
