@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation, rotation_from_quaternion
 from rhot.geometry.transforms import inverse
-from rhot_bridge.scene import Axes, Body, Hand, Scene, Thing
+from rhot_bridge.scene import Axes, Poses, Scene
 
 FloatArray = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ _UNITY_POSITION: Final = np.array([1.0, 1.0, -1.0])
 _UNITY_ORIENTATION: Final = np.array([-1.0, -1.0, 1.0, 1.0])
 _GIMBAL_LOCK: Final = 1.0 - 1e-9
 
-P = TypeVar("P", Hand, Thing, Body)
+P = TypeVar("P", bound=Poses)
 K = TypeVar("K", bound=str)
 
 

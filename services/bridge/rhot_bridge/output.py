@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
+from rhot.clock import RigClock
 from rhot.errors import ConfigError
 from rhot.rig import BridgeConfig
 from rhot_bridge.links import Link
-from rhot_bridge.scene import Axes, Scene
+from rhot_bridge.scene import Axes, Scene, Tracked
 from rhot_bridge.targets import TARGETS, Target
 
 
@@ -54,6 +55,19 @@ class Output(Protocol):
 
     async def close(self) -> None:
         """Release everything."""
+        ...
+
+
+@runtime_checkable
+class SampleOutput(Output, Protocol):
+    """An output that takes every sample by itself, each with its own time: for recorders. The rate is not capped."""
+
+    def use_clock(self, clock: RigClock) -> None:
+        """Take times from a rig clock."""
+        ...
+
+    def take(self, key: str, tracked: Tracked) -> bool:
+        """Send a sample in the output's axes; return whether it went out."""
         ...
 
 

@@ -21,7 +21,7 @@ from rhot.service.runner import serve
 from rhot_bridge.axes import Converter
 from rhot_bridge.feed import Feed
 from rhot_bridge.newest import Newest
-from rhot_bridge.output import make_output
+from rhot_bridge.output import SampleOutput, make_output
 from rhot_bridge.pace import Pace
 from rhot_bridge.scene import Tracked
 
@@ -56,6 +56,7 @@ class BridgeService:
         self._config = config
         self._feed = feed
         self._output = make_output(config)
+        self._recorder = self._output if isinstance(self._output, SampleOutput) else None
         self._newest = Newest(config)
         self._pace = Pace(config.rate_hz, self._output.leads)
         self._converter = Converter("rig") if self._output.axes == "rig" else None
@@ -81,6 +82,8 @@ class BridgeService:
     def attach(self, node: Node) -> None:
         """Join the feed."""
         self._node = node
+        if self._recorder is not None:
+            self._recorder.use_clock(node.clock)
         node.status.watch(self._figures)
         self._feed.attach(node, self)
 
@@ -90,7 +93,7 @@ class BridgeService:
 
     def _no_floor(self) -> str:
         return "no floor frame is known (rhot/space/stage), so nothing is sent; make one: `rhot calibrate stage`" + (
-            "; or send the rig's own axes: --axes rig" if self._config.target == "json" else ""
+            "; or send the rig's own axes: --axes rig" if self._config.target in ("json", "lsl", "ros2") else ""
         )
 
     async def run(self, node: Node, start: Control) -> None:
@@ -113,6 +116,16 @@ class BridgeService:
     def take(self, key: str, tracked: Tracked, arrived_ns: int) -> None:
         """Keep a sample of the feed."""
         self._newest.put(key, tracked, arrived_ns)
+        if self._running and self._recorder is not None:
+            self._pass_on(self._recorder, key, tracked, arrived_ns)
+
+    def _pass_on(self, output: SampleOutput, key: str, tracked: Tracked, arrived_ns: int) -> None:
+        node = self._node
+        if node is None or self._converter is None:
+            self._tell_of_floor()
+        elif output.take(key, self._converter.poses(tracked)):
+            node.status.tick("output")
+            node.status.latency("to_wire", (time.monotonic_ns() - arrived_ns) / 1e9)
 
     def moment(self, kind: str, arrived_ns: int) -> None:
         """Send if the target wants this kind's beat and the rate allows."""
@@ -129,9 +142,7 @@ class BridgeService:
         if node is None or not self._output.wanted(now_ns) or not self._pace.due(now_ns, kind):
             return
         if self._converter is None:
-            if not self._told_of_floor:
-                self._told_of_floor = True
-                logger.warning("bridge %s: %s", self.instance, self._no_floor())
+            self._tell_of_floor()
             return
         scene = self._converter.scene(self._newest.scene(now_ns))
         sent, lost = self._output.send(scene, now_ns)
@@ -143,6 +154,11 @@ class BridgeService:
             node.status.latency("to_wire", (time.monotonic_ns() - arrived_ns) / 1e9)
             if node.clock.ready:
                 node.status.latency("output_age", (node.clock.now_ns() - scene.t_ns) / 1e9)
+
+    def _tell_of_floor(self) -> None:
+        if not self._told_of_floor:
+            self._told_of_floor = True
+            logger.warning("bridge %s: %s", self.instance, self._no_floor())
 
 
 async def serve_bridges(bridges: Mapping[str, BridgeConfig], bus_config: BusConfig) -> int:

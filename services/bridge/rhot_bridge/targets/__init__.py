@@ -58,4 +58,7 @@ TARGETS: Final[Mapping[str, TargetKind]] = {
         "rhot_bridge.targets.json_text",
         8765,
     ),
+    "lsl": TargetKind(
+        "Lab Streaming Layer: LabRecorder and others, beside EEG, gaze, forces.", "rhot_bridge.targets.lsl", extra="lsl"
+    ),
 }

@@ -1,0 +1,199 @@
+"""LSL (Lab Streaming Layer): a stream of type `MoCap` for each hand, body, foot, object and the headset.
+
+Every sample that the rig publishes goes out once, at the moment at which it was true: its rig time, mapped to LSL's
+`local_clock()` (`rhot_bridge.clock_map`), never the time of sending. So a recording lines up with EEG, gaze or force
+plates whatever the tracker's latency is.
+
+Channels, float32, after the meta-data specification of MoCap streams (sccn/xdf wiki): for each joint PositionX, Y, Z
+(metres) and OrientationA, B, C, D (quaternion w, x, y, z), then one Confidence: 1 measured, 0 predicted. The rate is
+irregular.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.anatomy.skeleton import JOINTS
+from rhot.clock import RigClock
+from rhot.errors import ConfigError
+from rhot.rig import BridgeConfig
+from rhot_bridge.clock_map import ClockMap
+from rhot_bridge.scene import Axes, Body, Hand, Scene, Tracked
+
+try:
+    import pylsl
+except RuntimeError as error:
+    raise ConfigError(
+        "LSL's library (liblsl) is not on this machine; pylsl brings it for x86-64. Elsewhere install liblsl from your "
+        f"distribution or from its release page: {str(error).splitlines()[0][:120]}"
+    ) from error
+
+logger = logging.getLogger(__name__)
+
+MOST_STREAMS: Final = 64
+"""Things that one bridge sends; a rig has about ten."""
+_POSITION: Final = ("PositionX", "PositionY", "PositionZ")
+_ORIENTATION: Final = ("OrientationA", "OrientationB", "OrientationC", "OrientationD")
+_BUFFERED: Final = 60
+"""Hundreds of samples that are kept for a recorder which stalls: a minute at 100 Hz, 4 MB for a hand."""
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One number of a stream, in the words of the MoCap specification."""
+
+    label: str
+    marker: str
+    object: str
+    type: str
+    unit: str
+
+
+def channels_of(name: str, joints: Sequence[str]) -> list[Channel]:
+    """Return the channels of a thing: of each joint position and orientation, then the confidence.
+
+    Args:
+        name: of the thing, such as `hand_right`.
+        joints: its joints; one, of the thing's own name, where it is rigid.
+    """
+    channels = []
+    for joint in joints:
+        for kinds, unit in ((_POSITION, "meters"), (_ORIENTATION, "quaternion")):
+            channels += [Channel(f"{joint}_{kind}", joint, name, kind, unit) for kind in kinds]
+    return [*channels, Channel("Confidence", "", name, "Confidence", "normalized")]
+
+
+def sample_of(tracked: Tracked) -> NDArray[np.float32]:
+    """Return the numbers of a sample, in the order of its channels."""
+    wxyz = tracked.orientations[:, [3, 0, 1, 2]]
+    joints = np.concatenate([tracked.positions, wxyz], axis=1)
+    confidence = 1.0 if tracked.state == "measured" else 0.0
+    return np.append(joints.ravel(), confidence).astype(np.float32)
+
+
+class LslOutput:
+    """Streams of this machine; see `rhot_bridge.output.SampleOutput`."""
+
+    leads: Sequence[str] = ()
+    problem = ""
+
+    def __init__(self, config: BridgeConfig) -> None:
+        """Prepare; of the configuration, axes and what is predicted count."""
+        self.axes: Axes = config.axes
+        self._predicted = config.predicted == "send"
+        self._clock: RigClock | None = None
+        self._map = ClockMap()
+        self._outlets: dict[str, Any] = {}
+        self._joints: dict[str, tuple[str, ...]] = {}
+        self._opening: dict[str, asyncio.Task[None]] = {}
+        self._sent_ns: dict[str, int] = {}
+
+    @property
+    def where(self) -> str:
+        """Who finds the streams."""
+        return "LSL streams of type MoCap, for whom LSL's own configuration (lsl_api.cfg) lets find them"
+
+    def use_clock(self, clock: RigClock) -> None:
+        """Take times from a rig clock."""
+        self._clock = clock
+
+    async def open(self) -> None:
+        """Nothing: streams appear with their first samples."""
+
+    def wanted(self, now_ns: int) -> bool:
+        """Return that no scenes are: every sample goes out by itself."""
+        return False
+
+    def send(self, scene: Scene, now_ns: int) -> tuple[int, int]:
+        """Send nothing."""
+        return 0, 0
+
+    def take(self, key: str, tracked: Tracked) -> bool:
+        """Send a sample in the wanted axes; return whether it went out."""
+        if tracked.state == "predicted" and not self._predicted:
+            return False
+        name = key.removeprefix("rhot/").replace("/", "_")
+        outlet = self._outlets.get(name)
+        joints = _joints_of(name, tracked)
+        if outlet is None or self._joints[name] != joints:
+            self._offer(name, joints)
+            return False
+        if tracked.t_ns <= self._sent_ns.get(name, 0) or not self._read_clocks():
+            return False
+        self._sent_ns[name] = tracked.t_ns
+        outlet.push_sample(sample_of(tracked).tolist(), self._map.to_local_ns(tracked.t_ns) / 1e9)
+        return True
+
+    def _read_clocks(self) -> bool:
+        clock = self._clock
+        if clock is None or not clock.ready:
+            return False
+        before_s = pylsl.local_clock()
+        rig_ns = clock.now_ns()
+        self._map.read(rig_ns, round(1e9 * before_s), round(1e9 * pylsl.local_clock()))
+        return True
+
+    def _offer(self, name: str, joints: tuple[str, ...]) -> None:
+        """Make a stream, on a thread of its own: opening its ports takes some milliseconds."""
+        if name in self._opening or len(self._outlets) + len(self._opening) >= MOST_STREAMS:
+            return
+
+        async def offer() -> None:
+            outlet = await asyncio.to_thread(_outlet, name, joints, self.axes)
+            self._outlets[name], self._joints[name] = outlet, joints
+            del self._opening[name]
+            logger.info("LSL stream %s is there, %d channels", name, 7 * len(joints) + 1)
+
+        self._opening[name] = asyncio.create_task(offer())
+
+    async def close(self) -> None:
+        """Close all streams."""
+        for task in self._opening.values():
+            task.cancel()
+        await asyncio.gather(*self._opening.values(), return_exceptions=True)
+        outlets = list(self._outlets.values())
+        self._opening.clear()
+        self._outlets.clear()
+        self._sent_ns.clear()
+        # The last reference ends a stream, which takes a moment.
+        await asyncio.to_thread(outlets.clear)
+
+
+def make_output(config: BridgeConfig) -> LslOutput:
+    """Return the output that a configuration asks for."""
+    return LslOutput(config)
+
+
+def _joints_of(name: str, tracked: Tracked) -> tuple[str, ...]:
+    if isinstance(tracked, Hand):
+        return JOINTS
+    return tracked.names if isinstance(tracked, Body) else (name,)
+
+
+def _outlet(name: str, joints: Sequence[str], axes: Axes) -> Any:
+    channels = channels_of(name, joints)
+    info = pylsl.StreamInfo(
+        f"rhot_{name}",
+        "MoCap",
+        len(channels),
+        pylsl.IRREGULAR_RATE,
+        pylsl.cf_float32,
+        # The same after a restart, so that recorders find the stream again.
+        f"rhot_{socket.gethostname()}_{name}",
+    )
+    described = info.desc().append_child("channels")
+    for channel in channels:
+        one = described.append_child("channel")
+        for field in ("label", "marker", "object", "type", "unit"):
+            one.append_child_value(field, getattr(channel, field))
+    info.desc().append_child("setup").append_child_value("frame", axes)
+    info.desc().append_child("acquisition").append_child_value("manufacturer", "RHOT")
+    return pylsl.StreamOutlet(info, max_buffered=_BUFFERED)
