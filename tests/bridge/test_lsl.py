@@ -12,9 +12,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-import bridge_poses
 import numpy as np
 import pytest
+from bridged import poses as bridge_poses
 from bus_watch import PATIENCE_S
 
 from rhot.anatomy.skeleton import JOINTS
