@@ -104,7 +104,7 @@ def look_at(pose: str, side: Side, p: Callable[[str], FloatArray]) -> None:
     inwards = 1.0 if side == "left" else -1.0
     ahead = p("middle_tip") - p("wrist")
     across = p("index_proximal") - p("little_proximal")
-    assert 0.9 < p("wrist")[1] < 1.1, "a metre above the floor"
+    assert 1.0 < p("wrist")[1] < 1.2, "as high above the floor as it was held"
     assert p("wrist")[0] * inwards < -0.15, "a left hand is on the left"
     if pose == "flat":
         assert 0.15 < np.linalg.norm(ahead) < 0.22, "metres"
