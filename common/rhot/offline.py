@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from rhot.errors import ConfigError
-from rhot.messages import MarkerFrame, Message
+from rhot.messages import HeadPose, MarkerFrame, Message, ObjectPose
 from rhot.plugins import load_plugin
 from rhot.recording import Recording, TrackTiming, marker_track_frames
 from rhot.rig import Rig
@@ -23,13 +23,33 @@ def core(name: str) -> Callable[..., Any]:
 
 
 def track(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[str, Message]]:
-    """Yield every message that a live rig would have published for these marker frames, in order."""
-    yield from track_with(core("fusion")(rig), core("ik")(rig), frames)
+    """Yield every message that a live rig would have published for these marker frames, in order.
+
+    Objects of the rig whose source is `recorded` are played beside them, from the first frame on.
+    """
+    yield from track_with(core("fusion")(rig), core("ik")(rig), frames, _objects(rig))
 
 
-def track_with(fusion: Any, ik: Any, frames: Iterable[MarkerFrame]) -> Iterator[tuple[str, Message]]:
-    """Yield what cores make of marker frames, as `track` does."""
+def _objects(rig: Rig) -> Any:
+    """Return the recorded objects of a rig, if it has any."""
+    recorded = any(config.source == "recorded" for config in rig.config.objects.values())
+    return core("objects")(rig) if recorded else None
+
+
+def _played(objects: Any, ik: Any, t_ns: int) -> Iterator[tuple[str, Message]]:
+    """Yield what is known of objects up to a time, when inverse kinematics has heard of it."""
+    for key, pose in () if objects is None else objects.until(t_ns):
+        if isinstance(pose, ObjectPose) and not isinstance(pose, HeadPose):
+            ik.feed_object(pose)
+        yield key, pose
+
+
+def track_with(
+    fusion: Any, ik: Any, frames: Iterable[MarkerFrame], objects: Any = None
+) -> Iterator[tuple[str, Message]]:
+    """Yield what cores make of marker frames and recorded objects, as `track` does."""
     for frame in frames:
+        yield from _played(objects, ik, frame.t_ns)
         yield f"rhot/markers/{frame.camera}", frame
         for points_key, points in fusion.feed(frame):
             yield points_key, points
@@ -57,8 +77,9 @@ def track_smoothly(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[st
         for _, points in fusion.feed(frame):
             for _, hand in ik.feed(points):
                 fusion.feed(hand)
-    ik = core("ik")(rig)
+    ik, objects = core("ik")(rig), _objects(rig)
     for points in fusion.smoothed():
+        yield from _played(objects, ik, points.t_ns)
         yield "rhot/points", points
         yield from ik.feed(points)
 

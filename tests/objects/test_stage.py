@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot.messages import HeadPose, ObjectPose
+from rhot.messages import CylinderShape, HeadPose, ObjectPose
 from rhot.rig import RegistrationFile, RigidTransform
 from rhot.stage import Output
 from rhot_objects.pose import Pose
@@ -31,6 +31,15 @@ def test_a_tracked_object_is_measured_in_the_rig_frame() -> None:
     assert (pose.state, pose.t_ns, pose.frame) == ("measured", 7 * MS, "rig")
     assert pose.position == pytest.approx((0.25, 0.0, 1.0))
     assert not isinstance(pose, HeadPose)
+
+
+def test_an_object_states_its_shape_measured_or_predicted() -> None:
+    cup = CylinderShape(radius=0.04, height=0.1)
+    stage = ObjectStage(SHIFTED, shapes={"cup": cup})
+    assert only(stage.feed({"cup": sample(0)}, 0))[1].shape == cup
+    _, held = only(stage.feed({}, MS))
+    assert (held.state, held.shape) == ("predicted", cup)
+    assert only(ObjectStage(SHIFTED, shapes={"cup": cup}).feed({"pen": sample(0)}, 0))[1].shape is None
 
 
 def test_the_headset_has_its_own_key_and_message() -> None:

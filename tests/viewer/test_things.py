@@ -5,18 +5,31 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot.messages import BodyJoint, BodyPose, FootPose, HeadPose, ObjectPose, Point, PointSet
+from rhot.messages import (
+    BodyJoint,
+    BodyPose,
+    BoxShape,
+    CylinderShape,
+    FootPose,
+    HeadPose,
+    ObjectPose,
+    ObjectShape,
+    Point,
+    PointSet,
+    SphereShape,
+)
 from rhot_viewer.scene.things import (
     FOOT_MIDDLE_M,
     FOOT_SIZE_M,
     MARKER_RADIUS_M,
+    OBJECT_SIZE_M,
     PREDICTED_COLOR,
     PREDICTED_SHARE,
     UNKNOWN_COLOR,
     foot_boxes,
     leg_rods,
     marker_balls,
-    object_boxes,
+    object_copies,
 )
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -38,11 +51,35 @@ def test_markers_have_their_colours_and_predicted_ones_are_smaller() -> None:
 def test_objects_and_head_stand_where_they_are() -> None:
     cube = ObjectPose(t_ns=1, frame="rig", position=(1.0, 2.0, 3.0), orientation=QUARTER_ABOUT_Y, state="predicted")
     head = HeadPose(t_ns=1, frame="rig", position=(0.0, 1.7, 0.0), orientation=LEVEL, state="measured")
-    copies = object_boxes({"cube": cube}, head)
+    copies = object_copies({"cube": cube}, head).boxes
     assert copies.positions.tolist() == [[1.0, 2.0, 3.0], pytest.approx([0.0, 1.7, 0.0])]
     assert copies.wxyzs[0] == pytest.approx((np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0))
     assert tuple(copies.colors[0]) == PREDICTED_COLOR
-    assert len(object_boxes({}, None)) == 0
+    assert copies.scales[0] == pytest.approx(OBJECT_SIZE_M, abs=1e-5)
+    assert len(object_copies({}, None).boxes) == 0
+
+
+def test_objects_have_the_size_of_their_shapes() -> None:
+    shapes: dict[str, ObjectShape] = {
+        "book": BoxShape(size=(0.15, 0.2, 0.03)),
+        "cup": CylinderShape(radius=0.04, height=0.1),
+        "ball": SphereShape(radius=0.03),
+    }
+    middle = (0.1, 0.2, 0.8)
+    objects = {
+        name: ObjectPose(
+            t_ns=1, frame="rig", position=middle, orientation=QUARTER_ABOUT_Y, state="measured", shape=shape
+        )
+        for name, shape in shapes.items()
+    }
+    copies = object_copies(objects, None)
+    # A rod's mesh has radius 1 and length 1 along z, a ball's radius 1.
+    sizes = ((0.15, 0.2, 0.03), (0.04, 0.04, 0.1), (0.03, 0.03, 0.03))
+    for found, size in zip((copies.boxes, copies.rods, copies.balls), sizes, strict=True):
+        assert len(found) == 1
+        assert found.scales[0] == pytest.approx(size, abs=1e-5)
+        assert found.positions[0] == pytest.approx(middle)
+        assert found.wxyzs[0] == pytest.approx((np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0))
 
 
 def test_a_foot_turns_about_its_marker() -> None:

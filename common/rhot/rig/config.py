@@ -13,6 +13,7 @@ from rhot.rig.bus_config import BusConfig
 from rhot.rig.calibration import DeskHeight
 from rhot.rig.feet_config import BodyConfig, FeetConfig
 from rhot.rig.file_model import FileModel, HoldS, NotNegative, Positive, Vector3
+from rhot.rig.shape_config import ShapeConfig
 from rhot.rig.v4l2_control import V4l2Control
 
 WalkProgram = Literal[
@@ -184,6 +185,8 @@ class ObjectConfig(FileModel):
         path: CSV file with `t_ns,x,y,z,qx,qy,qz,qw`, relative to the rig folder.
         rate_hz: how often the pose is asked for.
         loop: start the recording again at its end.
+        shape: what fingers meet, about the object's own frame: its middle is the pose, see `T_tracker_object` of
+            `registration.json`. Not known where absent.
     """
 
     source: Literal["steamvr", "recorded", "simulated"] = "steamvr"
@@ -191,6 +194,7 @@ class ObjectConfig(FileModel):
     path: str | None = None
     rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 90.0
     loop: bool = False
+    shape: ShapeConfig | None = None
 
     @model_validator(mode="after")
     def _has_origin(self) -> ObjectConfig:

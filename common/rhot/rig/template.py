@@ -86,12 +86,17 @@ _OBJECTS: Final = """
 # [objects.mug]
 # source = "steamvr"
 # serial = "LHR-12345678"
+# What fingers meet; the pose is that of its middle, z its axis. Or { kind = "box", size = [0.1, 0.06, 0.065] }, or
+# { kind = "sphere", radius = 0.04 }.
+# shape = { kind = "cylinder", radius = 0.04, height = 0.1 }
 """
 
 _SIM_OBJECT: Final = """
 [objects.{name}]
 source = "simulated"
 rate_hz = 60.0
+# The one shape that the simulated world draws.
+shape = {{ kind = "box", size = [0.1, 0.06, 0.065] }}
 """
 
 _SIM: Final = """

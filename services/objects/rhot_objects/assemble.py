@@ -40,11 +40,12 @@ def plan_sources(rig: Rig) -> list[SourcePlan]:
     """
     registration = Registration.from_file(rig.registration)
     objects = rig.config.objects
+    shapes = {name: config.shape for name, config in objects.items() if config.shape is not None}
     plans = []
 
     def add(name: str, source: PoseSource, configs: Mapping[str, ObjectConfig]) -> None:
         rate_hz = max(config.rate_hz for config in configs.values())
-        plans.append(SourcePlan(name, rate_hz, source, ObjectStage(registration)))
+        plans.append(SourcePlan(name, rate_hz, source, ObjectStage(registration, shapes=shapes)))
 
     steamvr = {name: config for name, config in objects.items() if config.source == "steamvr"}
     if steamvr:

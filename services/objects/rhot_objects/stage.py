@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from rhot.messages import HeadPose, ObjectPose, State
+from rhot.messages import HeadPose, ObjectPose, ObjectShape, State
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.stage import Output
 from rhot_objects.pose import Pose
@@ -28,13 +28,20 @@ class ObjectStage:
     One instance belongs to one source: an object that is absent from a reading counts as lost.
     """
 
-    def __init__(self, registration: Registration, hold_s: float = HOLD_S) -> None:
+    def __init__(
+        self,
+        registration: Registration,
+        hold_s: float = HOLD_S,
+        shapes: Mapping[str, ObjectShape] | None = None,
+    ) -> None:
         """Start with nothing tracked.
 
         Args:
             registration: tracker space to rig.
             hold_s: how long a lost object is held, seconds.
+            shapes: of objects, by their ids, as far as they are known.
         """
+        self._shapes = dict(shapes or {})
         self._registration = registration
         self._hold_ns = round(hold_s * 1e9)
         self._last: dict[str, tuple[int, Pose]] = {}
@@ -59,25 +66,27 @@ class ObjectStage:
                 self.unusable += 1
                 continue
             self._last[object_id] = (sample.t_ns, T_rig_object)
-            outputs.append(_output(object_id, T_rig_object, sample.t_ns, "measured"))
+            outputs.append(self._output(object_id, T_rig_object, sample.t_ns, "measured"))
         fresh = {key for key, _ in outputs}
         for object_id, (t_ns, T_rig_object) in list(self._last.items()):
             if key_of(object_id) in fresh:
                 continue
             if 0 <= now_ns - t_ns <= self._hold_ns:
-                outputs.append(_output(object_id, T_rig_object, now_ns, "predicted"))
+                outputs.append(self._output(object_id, T_rig_object, now_ns, "predicted"))
             else:
                 del self._last[object_id]
         return outputs
+
+    def _output(self, object_id: str, pose: Pose, t_ns: int, state: State) -> Output:
+        model = HeadPose if object_id == HEAD else ObjectPose
+        position, orientation = wire_position(pose.position), wire_quaternion(pose.orientation_xyzw)
+        shape = self._shapes.get(object_id)
+        message = model(
+            t_ns=t_ns, frame=RIG_FRAME, position=position, orientation=orientation, state=state, shape=shape
+        )
+        return key_of(object_id), message
 
 
 def key_of(object_id: str) -> str:
     """Return the key on which an object is published; the headset has its own."""
     return "rhot/head" if object_id == HEAD else f"rhot/object/{object_id}"
-
-
-def _output(object_id: str, pose: Pose, t_ns: int, state: State) -> Output:
-    model = HeadPose if object_id == HEAD else ObjectPose
-    position, orientation = wire_position(pose.position), wire_quaternion(pose.orientation_xyzw)
-    message = model(t_ns=t_ns, frame=RIG_FRAME, position=position, orientation=orientation, state=state)
-    return key_of(object_id), message

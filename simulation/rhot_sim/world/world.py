@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandJoints, HandModel
 from rhot.anatomy.skeleton import JOINTS
+from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import quaternion_from_rotation
-from rhot.messages import Side, TruePose, Truth
+from rhot.messages import BoxShape, Side, TruePose, Truth
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig.config import MarkerConfig, SimConfig
 from rhot.rig.folder import Rig
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.walker.world import WalkerWorld
 from rhot_sim.world.board import BoardMotion, ChessBoard, LyingBoard
-from rhot_sim.world.motion import Motion, StillMotion, true_pose
+from rhot_sim.world.motion import OBJECT_SIZE_M, Motion, StillMotion, true_pose
 from rhot_sim.world.script import ScriptedMotion
 
 FloatArray = NDArray[np.float64]
@@ -86,7 +87,11 @@ class World:
 
     @classmethod
     def from_rig(cls, rig: Rig) -> World:
-        """Build the world that a rig folder describes: hands, markers and simulated objects, or a board; a walker."""
+        """Build the world that a rig folder describes: hands, markers and simulated objects, or a board; a walker.
+
+        Raises:
+            ConfigError: an object is said to have a shape that this world does not draw.
+        """
         config = rig.config
         if config.sim.motion in ("board", "desk_board"):
             board = ChessBoard(config.sim.board_columns, config.sim.board_rows, config.sim.board_square_m)
@@ -95,6 +100,14 @@ class World:
         walker = None if config.feet is None else WalkerWorld.from_rig(rig)
         worn = () if walker is None else (HEAD,)
         objects = [name for name, item in config.objects.items() if item.source == "simulated" and name not in worn]
+        for name in objects:
+            shape = config.objects[name].shape
+            if shape is not None and not (isinstance(shape, BoxShape) and np.allclose(shape.size, OBJECT_SIZE_M)):
+                edges = " x ".join(f"{1e3 * edge:g}" for edge in OBJECT_SIZE_M)
+                raise ConfigError(
+                    f"{rig.path / 'rig.toml'}: objects.{name}: the simulated world has boxes of {edges} mm only; "
+                    "correct `shape` or leave it out"
+                )
         motion = _motion(config.sim, hands, objects)
         return cls(
             config.sim.seed,

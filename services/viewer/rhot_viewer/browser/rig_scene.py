@@ -21,7 +21,7 @@ from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.truth_track import TruthTrack
 from rhot_viewer.scene.hand import fingertips, ghost_shape, hand_shape
 from rhot_viewer.scene.instances import Rgb, turn_of_z, unit_ball, unit_box, unit_rod
-from rhot_viewer.scene.things import UNKNOWN_COLOR, foot_boxes, leg_rods, marker_balls, object_boxes
+from rhot_viewer.scene.things import UNKNOWN_COLOR, foot_boxes, leg_rods, marker_balls, object_copies
 from rhot_viewer.scene.trails import Trails
 from rhot_viewer.scene.viewpoint import Viewpoint, close_up, desk_middle, overview, through, up_direction, volume_lines
 
@@ -91,7 +91,9 @@ class RigScene:
         self._hands = {side: HandLayer(scene, f"/hands/{side}") for side in SIDES}
         self._ghosts = {side: HandLayer(scene, f"/truth/{side}", ghost=True) for side in SIDES}
         self._markers = InstanceLayer(scene, "/markers", unit_ball())
-        self._objects = InstanceLayer(scene, "/objects", unit_box())
+        self._boxes = InstanceLayer(scene, "/objects/boxes", unit_box())
+        self._cylinders = InstanceLayer(scene, "/objects/cylinders", unit_rod())
+        self._spheres = InstanceLayer(scene, "/objects/spheres", unit_ball())
         self._feet = InstanceLayer(scene, "/feet", unit_box())
         self._leg_joints = InstanceLayer(scene, "/legs/joints", unit_ball())
         self._leg_bones = InstanceLayer(scene, "/legs/bones", unit_rod())
@@ -209,7 +211,10 @@ class RigScene:
     def _show_objects(self) -> None:
         objects = self._inbox.all_newest("rhot/object/", ObjectPose, _SLOW_AGE_S)
         head = self._inbox.newest("rhot/head", HeadPose, _SLOW_AGE_S)
-        self._objects.show(object_boxes(objects, head))
+        copies = object_copies(objects, head)
+        self._boxes.show(copies.boxes)
+        self._cylinders.show(copies.rods)
+        self._spheres.show(copies.balls)
         positions = {name: pose.position for name, pose in objects.items()}
         if head is not None:
             positions["head"] = head.position

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
 from rhot.geometry.rotations import rotation_from_quaternion
-from rhot.messages import BodyPose, FootPose, HeadPose, ObjectPose, PointSet
+from rhot.messages import (
+    BodyPose,
+    BoxShape,
+    CylinderShape,
+    FootPose,
+    HeadPose,
+    ObjectPose,
+    PointSet,
+    SphereShape,
+)
 from rhot_viewer.scene.instances import Instances, Rgb, balls, instances, rods
 
 MARKER_RADIUS_M: Final = 0.0095
@@ -18,7 +28,7 @@ PREDICTED_SHARE: Final = 0.6
 UNKNOWN_COLOR: Final[Rgb] = (150, 150, 150)
 OBJECT_COLOR: Final[Rgb] = (214, 160, 60)
 OBJECT_SIZE_M: Final = (0.06, 0.06, 0.06)
-"""An object's pose says nothing of its shape: a cube stands for it, its axes show how it is rotated."""
+"""A cube stands for an object of unknown shape; its axes show how it is rotated."""
 HEAD_COLOR: Final[Rgb] = (110, 118, 130)
 HEADSET_SIZE_M: Final = (0.18, 0.10, 0.12)
 FOOT_COLOR: Final[Rgb] = (92, 128, 172)
@@ -29,6 +39,8 @@ PREDICTED_COLOR: Final[Rgb] = (150, 190, 235)
 LEG_COLOR: Final[Rgb] = (176, 182, 190)
 LEG_RADIUS_M: Final = 0.045
 
+_Placed = tuple[ObjectPose, tuple[float, float, float], Rgb]
+"""A body, its size along its own axes, metres, and its colour."""
 _LEG: Final = ("hip", "knee", "ankle", "foot")
 
 
@@ -40,16 +52,45 @@ def marker_balls(points: PointSet, colors: Mapping[str, Rgb]) -> Instances:
     return balls(centers, np.array(radii), [colors.get(name, UNKNOWN_COLOR) for name in names])
 
 
-def object_boxes(objects: Mapping[str, ObjectPose], head: HeadPose | None) -> Instances:
-    """Return objects and the headset as boxes."""
-    poses = [(pose, OBJECT_SIZE_M, OBJECT_COLOR) for pose in objects.values()]
+@dataclass(frozen=True, slots=True)
+class ObjectCopies:
+    """Objects and the headset, to scale.
+
+    Attributes:
+        boxes, rods, balls: copies of the three unit meshes.
+    """
+
+    boxes: Instances
+    rods: Instances
+    balls: Instances
+
+
+def object_copies(objects: Mapping[str, ObjectPose], head: HeadPose | None) -> ObjectCopies:
+    """Return objects by their shapes, and the headset as a box."""
+    boxes: list[_Placed] = []
+    rods_: list[_Placed] = []
+    balls_: list[_Placed] = []
+    for pose in objects.values():
+        match pose.shape:
+            case BoxShape(size=size):
+                boxes.append((pose, size, OBJECT_COLOR))
+            case CylinderShape(radius=radius, height=height):
+                rods_.append((pose, (radius, radius, height), OBJECT_COLOR))
+            case SphereShape(radius=radius):
+                balls_.append((pose, (radius, radius, radius), OBJECT_COLOR))
+            case None:
+                boxes.append((pose, OBJECT_SIZE_M, OBJECT_COLOR))
     if head is not None:
-        poses.append((head, HEADSET_SIZE_M, HEAD_COLOR))
+        boxes.append((head, HEADSET_SIZE_M, HEAD_COLOR))
+    return ObjectCopies(_copies(boxes), _copies(rods_), _copies(balls_))
+
+
+def _copies(placed: Sequence[_Placed]) -> Instances:
     return instances(
-        [pose.position for pose, _, _ in poses],
-        np.array([_wxyz(pose.orientation) for pose, _, _ in poses]).reshape(-1, 4),
-        [size for _, size, _ in poses],
-        [color if pose.state == "measured" else PREDICTED_COLOR for pose, _, color in poses],
+        [pose.position for pose, _, _ in placed],
+        np.array([_wxyz(pose.orientation) for pose, _, _ in placed]).reshape(-1, 4),
+        [size for _, size, _ in placed],
+        [color if pose.state == "measured" else PREDICTED_COLOR for pose, _, color in placed],
     )
 
 
