@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from bridged import poses as bridge_poses
 from bridged.readers import READERS, Seen
+from bridged.samples import LslPackets, Ros2Packets
 
 from rhot.geometry.transforms import inverse
 from rhot.messages import Side
@@ -28,6 +29,8 @@ SIDES: tuple[Side, Side] = ("left", "right")
 MAKERS: dict[str, Callable[[], Target]] = {
     "json": lambda: JsonTarget("stage"),
     "json in Unity's axes": lambda: JsonTarget("unity"),
+    "lsl": LslPackets,
+    "ros2": Ros2Packets,
     "vmc": lambda: VmcTarget("arms", 1.70),
     "vmt": VmtTarget,
     "vrchat": VrChatTarget,

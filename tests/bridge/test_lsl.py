@@ -24,6 +24,7 @@ from rhot.rig import BusConfig
 from rhot.service.clock_sync import serve_clock
 from rhot_bridge.clock_map import STEP_NS, TIME_CONSTANT_NS, ClockMap
 from rhot_bridge.scene import Thing, tracked
+from rhot_bridge.targets.mocap_channels import channels_of, sample_of
 
 _LOOPBACK = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n[log]\nlevel = -2\n"
 """Ask this machine alone, port by port: multicast is for real networks."""
@@ -76,16 +77,15 @@ class TestClockMap:
 
 
 def test_a_sample_is_position_and_quaternion_w_first() -> None:
-    lsl = pytest.importorskip("rhot_bridge.targets.lsl", reason="pip install 'rhot[lsl]'")
     thing = Thing(1, "predicted", 1.0, np.array([[1.0, 2.0, 3.0]]), np.array([[0.1, 0.2, 0.3, 0.9]]))
-    np.testing.assert_allclose(lsl.sample_of(thing), [1, 2, 3, 0.9, 0.1, 0.2, 0.3, 0.0], rtol=1e-6)
-    channels = lsl.channels_of("object_cup", ["object_cup"])
+    np.testing.assert_allclose(sample_of(thing), [1, 2, 3, 0.9, 0.1, 0.2, 0.3, 0.0], rtol=1e-6)
+    channels = channels_of("object_cup", ["object_cup"])
     assert [channel.type for channel in channels] == [
         *("PositionX", "PositionY", "PositionZ", "OrientationA", "OrientationB", "OrientationC", "OrientationD"),
         "Confidence",
     ]
     hand = tracked(bridge_poses.hand_message("flat", "left", 1))
-    assert len(lsl.sample_of(hand)) == len(lsl.channels_of("hand_left", JOINTS)) == 26 * 7 + 1
+    assert len(sample_of(hand)) == len(channels_of("hand_left", JOINTS)) == 26 * 7 + 1
 
 
 @pytest.mark.integration

@@ -32,7 +32,7 @@ from rhot_bridge.targets import TARGETS
 @click.option(
     "--axes",
     type=click.Choice(["stage", "unity", "rig"]),
-    help="json and lsl: metres from the floor, the same in Unity's axes, or the rig's own.  [stage]",
+    help="json, lsl, ros2: metres from the floor, the same in Unity's axes, or the rig's own.  [stage]",
 )
 @click.option("--transport", type=click.Choice(["websocket", "udp"]), help="json only: how it is sent.  [websocket]")
 @click.option(

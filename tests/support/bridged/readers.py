@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
+from bridged.samples import lsl_samples, ros_messages
 from numpy.typing import NDArray
 from pythonosc.osc_bundle import OscBundle
 from pythonosc.osc_message import OscMessage
@@ -194,8 +195,53 @@ def _openxr_parents() -> Mapping[str, str]:
     return parents
 
 
+def read_lsl(packets: list[bytes]) -> Seen:
+    """As a program that reads the channels' labels: positions in metres, quaternions w first."""
+    seen = Seen()
+    for name, joints in lsl_samples(packets).items():
+        joints.pop("")
+        for joint, value in joints.items():
+            label = _label(name, joint)
+            seen.positions[label] = np.array([value[f"Position{axis}"] for axis in "XYZ"])
+            seen.rotations[label] = matrix([value[f"Orientation{part}"] for part in "BCDA"])
+    return seen
+
+
+def read_ros2(packets: list[bytes]) -> Seen:
+    """As a ROS node: x forward, y left, z up."""
+    seen = Seen()
+    found = ros_messages(packets)
+    stage = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+    transforms = {each.child_frame_id: each.transform for each in found.pop("/tf").transforms}
+    for topic, message in found.items():
+        name = topic.removeprefix("/rhot/")
+        assert message.header.frame_id == "rhot_floor"
+        poses = message.poses if hasattr(message, "poses") else [message.pose]
+        joints = [name] if len(poses) == 1 else JOINTS
+        for joint, pose in zip(joints, poses, strict=True):
+            p, q = pose.position, pose.orientation
+            seen.positions[_label(name, joint)] = stage @ np.array([p.x, p.y, p.z])
+            seen.rotations[_label(name, joint)] = stage @ matrix([q.x, q.y, q.z, q.w])
+    for child, transform in transforms.items():
+        p = transform.translation
+        thing = child.removesuffix("_wrist")
+        label = _label(thing, "wrist" if child != thing else thing)
+        assert np.allclose(stage @ np.array([p.x, p.y, p.z]), seen.positions[label])
+    return seen
+
+
+def _label(name: str, joint: str) -> str:
+    """Return `left index_tip`, `left foot`, `cube` or `head`, as `Seen` has them."""
+    kind, _, rest = name.partition("_")
+    if kind == "hand":
+        return f"{rest} {joint}"
+    return {"foot": f"{rest} foot", "object": rest}.get(kind, name)
+
+
 READERS: Final[Mapping[str, Callable[[list[bytes]], Seen]]] = {
     "json": read_json,
+    "lsl": read_lsl,
+    "ros2": read_ros2,
     "vmc": read_vmc,
     "vrchat": read_vrchat,
     "vmt": read_vmt,

@@ -61,4 +61,5 @@ TARGETS: Final[Mapping[str, TargetKind]] = {
     "lsl": TargetKind(
         "Lab Streaming Layer: LabRecorder and others, beside EEG, gaze, forces.", "rhot_bridge.targets.lsl", extra="lsl"
     ),
+    "ros2": TargetKind("ROS 2, by rmw_zenoh: tf, PoseArray, PoseStamped.", "rhot_bridge.targets.ros2", 7447, "ros2"),
 }

@@ -4,9 +4,7 @@ Every sample that the rig publishes goes out once, at the moment at which it was
 `local_clock()` (`rhot_bridge.clock_map`), never the time of sending. So a recording lines up with EEG, gaze or force
 plates whatever the tracker's latency is.
 
-Channels, float32, after the meta-data specification of MoCap streams (sccn/xdf wiki): for each joint PositionX, Y, Z
-(metres) and OrientationA, B, C, D (quaternion w, x, y, z), then one Confidence: 1 measured, 0 predicted. The rate is
-irregular.
+Channels: see `rhot_bridge.targets.mocap_channels`. The rate is irregular.
 """
 
 from __future__ import annotations
@@ -15,18 +13,14 @@ import asyncio
 import logging
 import socket
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from rhot.anatomy.skeleton import JOINTS
 from rhot.clock import RigClock
 from rhot.errors import ConfigError
 from rhot.rig import BridgeConfig
 from rhot_bridge.clock_map import ClockMap
-from rhot_bridge.scene import Axes, Body, Hand, Scene, Tracked
+from rhot_bridge.scene import Axes, Scene, Tracked
+from rhot_bridge.targets.mocap_channels import channels_of, joints_of, sample_of
 
 try:
     import pylsl
@@ -40,43 +34,8 @@ logger = logging.getLogger(__name__)
 
 MOST_STREAMS: Final = 64
 """Things that one bridge sends; a rig has about ten."""
-_POSITION: Final = ("PositionX", "PositionY", "PositionZ")
-_ORIENTATION: Final = ("OrientationA", "OrientationB", "OrientationC", "OrientationD")
 _BUFFERED: Final = 60
 """Hundreds of samples that are kept for a recorder which stalls: a minute at 100 Hz, 4 MB for a hand."""
-
-
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """One number of a stream, in the words of the MoCap specification."""
-
-    label: str
-    marker: str
-    object: str
-    type: str
-    unit: str
-
-
-def channels_of(name: str, joints: Sequence[str]) -> list[Channel]:
-    """Return the channels of a thing: of each joint position and orientation, then the confidence.
-
-    Args:
-        name: of the thing, such as `hand_right`.
-        joints: its joints; one, of the thing's own name, where it is rigid.
-    """
-    channels = []
-    for joint in joints:
-        for kinds, unit in ((_POSITION, "meters"), (_ORIENTATION, "quaternion")):
-            channels += [Channel(f"{joint}_{kind}", joint, name, kind, unit) for kind in kinds]
-    return [*channels, Channel("Confidence", "", name, "Confidence", "normalized")]
-
-
-def sample_of(tracked: Tracked) -> NDArray[np.float32]:
-    """Return the numbers of a sample, in the order of its channels."""
-    wxyz = tracked.orientations[:, [3, 0, 1, 2]]
-    joints = np.concatenate([tracked.positions, wxyz], axis=1)
-    confidence = 1.0 if tracked.state == "measured" else 0.0
-    return np.append(joints.ravel(), confidence).astype(np.float32)
 
 
 class LslOutput:
@@ -122,7 +81,7 @@ class LslOutput:
             return False
         name = key.removeprefix("rhot/").replace("/", "_")
         outlet = self._outlets.get(name)
-        joints = _joints_of(name, tracked)
+        joints = joints_of(name, tracked)
         if outlet is None or self._joints[name] != joints:
             self._offer(name, joints)
             return False
@@ -170,12 +129,6 @@ class LslOutput:
 def make_output(config: BridgeConfig) -> LslOutput:
     """Return the output that a configuration asks for."""
     return LslOutput(config)
-
-
-def _joints_of(name: str, tracked: Tracked) -> tuple[str, ...]:
-    if isinstance(tracked, Hand):
-        return JOINTS
-    return tracked.names if isinstance(tracked, Body) else (name,)
 
 
 def _outlet(name: str, joints: Sequence[str], axes: Axes) -> Any:

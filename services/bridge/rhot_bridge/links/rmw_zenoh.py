@@ -1,0 +1,175 @@
+"""Speaking ROS 2's Zenoh middleware, rmw_zenoh: where a message goes, who is told of it, and what is attached.
+
+A topic's key is `<domain>/<topic>/<package>::msg::dds_::<Type>_/<type hash>`. Each node and each publisher has a
+liveliness token, from which `ros2 topic list` and others learn of it:
+
+    @ros2_lv/<domain>/<zid>/<node id>/<id>/NN/%/%/<node>
+    @ros2_lv/<domain>/<zid>/<node id>/<id>/MP/%/%/<node>/<topic, / as %>/<type>/<type hash>/<quality of service>
+
+(an empty enclave and namespace are `%`; `::,10:,:,:,,` is the default quality of service). Attached to every message:
+a sequence number from 1 and a time in ns (8 bytes each, little-endian), 16, and the publisher's id of 16 bytes.
+Source: rmw_zenoh, docs/design.md and `attachment_helpers.cpp`, versions from Jazzy on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+import struct
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import zenoh
+
+from rhot.bus.zenoh_config import plain_reason, session_config
+from rhot.errors import DeviceError
+from rhot.rig import BusConfig
+
+logger = logging.getLogger(__name__)
+
+NODE: Final = "rhot"
+DEFAULT_QOS: Final = "::,10:,:,:,,"
+_ID_BYTES: Final = 16
+_CLOSE_LIMIT_S: Final = 1.0
+_LOOK_NS: Final = 1_000_000_000
+
+
+def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
+    """Return the key of a topic such as `/rhot/head` with a type such as `geometry_msgs/msg/PoseStamped`."""
+    return f"{domain}/{topic.strip('/')}/{dds_type(type_name)}/{type_hash}"
+
+
+def dds_type(type_name: str) -> str:
+    """Return a type as the middleware names it, such as `geometry_msgs::msg::dds_::PoseStamped_`."""
+    package, kind, name = type_name.split("/")
+    return f"{package}::{kind}::dds_::{name}_"
+
+
+def node_token(domain: int, zid: str) -> str:
+    """Return the liveliness token of our node."""
+    return f"@ros2_lv/{domain}/{zid}/0/0/NN/%/%/{NODE}"
+
+
+def publisher_token(domain: int, zid: str, number: int, topic: str, type_name: str, type_hash: str) -> str:
+    """Return the liveliness token of a publisher; numbers count from 1 in the node."""
+    mangled = topic.replace("/", "%")
+    return f"@ros2_lv/{domain}/{zid}/0/{number}/MP/%/%/{NODE}/{mangled}/{dds_type(type_name)}/{type_hash}/{DEFAULT_QOS}"
+
+
+def attachment(sequence: int, t_ns: int, publisher_id: bytes) -> bytes:
+    """Return what goes with every message."""
+    return struct.pack(f"<qqB{_ID_BYTES}s", sequence, t_ns, _ID_BYTES, publisher_id)
+
+
+@dataclass(slots=True)
+class _Publisher:
+    publisher: Any
+    token: Any
+    id: bytes
+    sequence: int = 0
+
+
+class RmwZenohLink:
+    """A session of its own with a Zenoh router: ROS's (`rmw_zenohd`), or the rig's where ROS uses that."""
+
+    def __init__(self, host: str, port: int, domain: int, type_hash: Callable[[str], str]) -> None:
+        self._host, self._port = host, port
+        self._domain = domain
+        self._type_hash = type_hash
+        self._session: zenoh.Session | None = None
+        self._node: Any = None
+        self._publishers: dict[str, _Publisher] = {}
+        self._looked_ns = 0
+        self._problem = ""
+
+    @property
+    def where(self) -> str:
+        """Where it leads, for people."""
+        return f"ROS 2 (rmw_zenoh) at {self._host} port {self._port}, domain {self._domain}"
+
+    @property
+    def problem(self) -> str:
+        """That the router has gone."""
+        return self._problem
+
+    async def open(self) -> None:
+        """Open the session.
+
+        Raises:
+            DeviceError: no router answers.
+        """
+        config = BusConfig(connect=(f"tcp/{self._host}:{self._port}",))
+        try:
+            self._session = await asyncio.to_thread(zenoh.open, session_config(config))
+        except zenoh.ZError as error:
+            raise DeviceError(
+                f"no Zenoh router answers at {self._host} port {self._port}; start `ros2 run rmw_zenoh_cpp "
+                f"rmw_zenohd`, or name it with --host and --port (Zenoh: {plain_reason(error)})"
+            ) from error
+        self._problem = ""
+        self._node = self._session.liveliness().declare_token(node_token(self._domain, self._zid()))
+
+    def wanted(self, now_ns: int) -> bool:
+        """Return whether a router is there; looked at once a second."""
+        session = self._session
+        if session is None:
+            return False
+        if now_ns - self._looked_ns >= _LOOK_NS:
+            self._looked_ns = now_ns
+            there = bool(session.info.routers_zid())
+            problem = "" if there else f"the Zenoh router at {self._host} port {self._port} has gone; it is tried again"
+            if problem != self._problem:
+                logger.info("%s", problem or f"the Zenoh router at {self._host} port {self._port} is back")
+            self._problem = problem
+        return not self._problem
+
+    def put(self, topic: str, type_name: str, payload: bytes) -> bool:
+        """Send a message; return whether it went out."""
+        session = self._session
+        if session is None:
+            return False
+        try:
+            publisher = self._publishers.get(topic) or self._announce(session, topic, type_name)
+            publisher.sequence += 1
+            publisher.publisher.put(payload, attachment=attachment(publisher.sequence, time.time_ns(), publisher.id))
+        except zenoh.ZError:
+            return False
+        return True
+
+    def _announce(self, session: zenoh.Session, topic: str, type_name: str) -> _Publisher:
+        type_hash = self._type_hash(type_name)
+        number = len(self._publishers) + 1
+        token = publisher_token(self._domain, self._zid(), number, topic, type_name, type_hash)
+        made = _Publisher(
+            session.declare_publisher(
+                topic_key(self._domain, topic, type_name, type_hash),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME,
+                reliability=zenoh.Reliability.RELIABLE,
+            ),
+            session.liveliness().declare_token(token),
+            hashlib.blake2b(token.encode(), digest_size=_ID_BYTES).digest(),
+        )
+        self._publishers[topic] = made
+        logger.info("ROS topic %s is there, %s", topic, type_name)
+        return made
+
+    def _zid(self) -> str:
+        if self._session is None:
+            raise RuntimeError("not open")
+        return str(self._session.info.zid())
+
+    async def close(self) -> None:
+        """Close the session; what it has declared goes with it."""
+        session, self._session = self._session, None
+        self._publishers.clear()
+        self._node = None
+        if session is not None:
+            # A daemon thread: a close that hangs must not keep the process alive.
+            closer = threading.Thread(target=session.close, name="rhot-ros2-close", daemon=True)
+            closer.start()
+            await asyncio.to_thread(closer.join, _CLOSE_LIMIT_S)

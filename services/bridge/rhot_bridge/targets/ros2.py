@@ -1,0 +1,206 @@
+"""ROS 2: poses as ROS's own messages, by Zenoh as its middleware rmw_zenoh speaks it; no ROS is needed here.
+
+| topic | message | of |
+|---|---|---|
+| `/rhot/hand_right`, `/rhot/hand_left` | geometry_msgs/PoseArray | the 26 joints in OpenXR's order |
+| `/rhot/body` | geometry_msgs/PoseArray | hips and legs, in the order of `rhot.messages.BodyPose` |
+| `/rhot/object_cup`, `/rhot/head`, `/rhot/foot_left`, … | geometry_msgs/PoseStamped | one thing |
+| `/tf` | tf2_msgs/TFMessage | `rhot_floor` to `hand_right_wrist`, `object_cup`, `body_hips`, … |
+
+The stamp is the moment at which the pose was true, rig time, which like ROS's counts from 1970. What is no longer
+tracked is not sent, and nothing is sent twice.
+
+The frame `rhot_floor` is the stage in ROS's axes (REP 103: x forward, y left, z up, origin on the floor):
+
+    p_ros = C · p_stage = (−z, −x, y),   R_ros = C · R_stage
+
+so a joint's own axes stay OpenXR's. With `axes = "rig"` the frame is `rhot_rig`, the first camera's optical frame.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
+
+from rhot.anatomy.hand import WRIST
+from rhot.errors import ConfigError
+from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
+from rhot.rig import BridgeConfig
+from rhot_bridge.links.rmw_zenoh import RmwZenohLink
+from rhot_bridge.scene import Axes, Body, Poses, Scene
+
+FloatArray = NDArray[np.float64]
+
+PORT: Final = 7447
+"""Of rmw_zenoh's router, and of ours."""
+POSE_ARRAY: Final = "geometry_msgs/msg/PoseArray"
+POSE_STAMPED: Final = "geometry_msgs/msg/PoseStamped"
+TF_MESSAGE: Final = "tf2_msgs/msg/TFMessage"
+R_ROS_STAGE: FloatArray = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+R_ROS_STAGE.setflags(write=False)
+
+# Definitions and type hashes of these messages have been the same from Humble to Kilted.
+_TYPES: Final = get_typestore(Stores.ROS2_KILTED)
+_MULTIPLY: Final = product_matrix(*quaternion_from_rotation(R_ROS_STAGE).tolist())
+
+
+@dataclass(frozen=True, slots=True)
+class RosMessage:
+    """A message as it goes out: its topic, its type (`geometry_msgs/msg/PoseArray`) and its CDR bytes."""
+
+    topic: str
+    type: str
+    payload: bytes
+
+
+def type_hash(type_name: str) -> str:
+    """Return the hash of a message's definition, such as `RIHS01_af0c…` (REP 2011)."""
+    return _TYPES.hash_rihs01(type_name)
+
+
+class RosMessages:
+    """Makes messages of scenes; pure, but for the times that it remembers."""
+
+    def __init__(self, axes: Axes) -> None:
+        """Begin; `axes`: of the scenes, `stage` or `rig`."""
+        self.frame_id = "rhot_floor" if axes == "stage" else "rhot_rig"
+        self._turn = axes == "stage"
+        self._sent_ns: dict[str, int] = {}
+
+    def of(self, scene: Scene) -> list[RosMessage]:
+        """Return the messages of all that is new in a scene."""
+        found: list[RosMessage] = []
+        transforms: list[Any] = []
+        for name, poses in _named(scene):
+            if poses.state == "kept" or poses.t_ns <= self._sent_ns.get(name, 0):
+                continue
+            self._sent_ns[name] = poses.t_ns
+            header = self._header(poses.t_ns)
+            positions, orientations = self._turned(poses)
+            ros = [_pose(*each) for each in zip(positions.tolist(), orientations.tolist(), strict=True)]
+            if len(ros) == 1:
+                found.append(_message(f"/rhot/{name}", POSE_STAMPED, header=header, pose=ros[0]))
+            else:
+                found.append(_message(f"/rhot/{name}", POSE_ARRAY, header=header, poses=ros))
+            transforms += self._transforms(name, poses, header, positions, orientations)
+        if transforms:
+            found.append(_message("/tf", TF_MESSAGE, transforms=transforms))
+        return found
+
+    def _header(self, t_ns: int) -> Any:
+        seconds, nanoseconds = divmod(t_ns, 1_000_000_000)
+        stamp = _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+        return _make("std_msgs/msg/Header", stamp=stamp, frame_id=self.frame_id)
+
+    def _turned(self, poses: Poses) -> tuple[FloatArray, FloatArray]:
+        if not self._turn:
+            return poses.positions, poses.orientations
+        return poses.positions @ R_ROS_STAGE.T, poses.orientations @ _MULTIPLY.T
+
+    def _transforms(
+        self, name: str, poses: Poses, header: Any, positions: FloatArray, orientations: FloatArray
+    ) -> Iterator[Any]:
+        if isinstance(poses, Body):
+            rows = [(f"{name}_{joint}", row) for row, joint in enumerate(poses.names)]
+        else:
+            # A hand's other joints are in its own topic: every listener of /tf would keep ten seconds of all of them.
+            rows = [(name, 0) if len(positions) == 1 else (f"{name}_wrist", WRIST)]
+        for child, row in rows:
+            x, y, z = positions[row].tolist()
+            qx, qy, qz, qw = orientations[row].tolist()
+            yield _make(
+                "geometry_msgs/msg/TransformStamped",
+                header=header,
+                child_frame_id=child,
+                transform=_make(
+                    "geometry_msgs/msg/Transform",
+                    translation=_make("geometry_msgs/msg/Vector3", x=x, y=y, z=z),
+                    rotation=_make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
+                ),
+            )
+
+
+class Ros2Output:
+    """ROS messages over rmw_zenoh's link."""
+
+    leads: Sequence[str] = ("hand", "body", "foot", "object", "head")
+
+    def __init__(self, config: BridgeConfig) -> None:
+        """Prepare.
+
+        Raises:
+            ConfigError: axes that ROS has not, or a domain that is no number.
+        """
+        if config.axes == "unity":
+            raise ConfigError('bridge ros2: axes = "unity" is not ROS\'s; use stage or rig')
+        self.axes: Axes = config.axes
+        self._messages = RosMessages(config.axes)
+        self._link = RmwZenohLink(config.host, config.port or PORT, ros_domain(), type_hash)
+        self.open, self.close, self.wanted = self._link.open, self._link.close, self._link.wanted
+
+    @property
+    def where(self) -> str:
+        """The link's."""
+        return self._link.where
+
+    @property
+    def problem(self) -> str:
+        """The link's."""
+        return self._link.problem
+
+    def send(self, scene: Scene, now_ns: int) -> tuple[int, int]:
+        """Send what is new in a scene."""
+        messages = self._messages.of(scene)
+        lost = sum(not self._link.put(each.topic, each.type, each.payload) for each in messages)
+        return len(messages) - lost, lost
+
+
+def make_output(config: BridgeConfig) -> Ros2Output:
+    """Return the output that a configuration asks for."""
+    return Ros2Output(config)
+
+
+def ros_domain() -> int:
+    """Return ROS's domain, as its own programs find it: `ROS_DOMAIN_ID`, else 0.
+
+    Raises:
+        ConfigError: it is no number.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not text.isdecimal():
+        raise ConfigError(f"ROS_DOMAIN_ID = {text[:20]!r} is not a number, such as 0")
+    return int(text)
+
+
+def _named(scene: Scene) -> Iterator[tuple[str, Poses]]:
+    yield from ((f"hand_{side}", hand) for side, hand in scene.hands.items())
+    yield from ((f"object_{name.replace('-', '_').replace('.', '_')}", thing) for name, thing in scene.objects.items())
+    yield from ((f"foot_{side}", thing) for side, thing in scene.feet.items())
+    if scene.head is not None:
+        yield "head", scene.head
+    if scene.body is not None:
+        yield "body", scene.body
+
+
+def _make(type_name: str, **fields: Any) -> Any:
+    return _TYPES.types[type_name](**fields)
+
+
+def _message(topic: str, type_name: str, **fields: Any) -> RosMessage:
+    return RosMessage(topic, type_name, bytes(_TYPES.serialize_cdr(_make(type_name, **fields), type_name)))
+
+
+def _pose(position: Sequence[float], xyzw: Sequence[float]) -> Any:
+    x, y, z = position
+    qx, qy, qz, qw = xyzw
+    return _make(
+        "geometry_msgs/msg/Pose",
+        position=_make("geometry_msgs/msg/Point", x=x, y=y, z=z),
+        orientation=_make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
+    )
