@@ -83,6 +83,7 @@ class RmwZenohLink:
         self._session: zenoh.Session | None = None
         self._node: Any = None
         self._publishers: dict[str, _Publisher] = {}
+        self._announcing: dict[str, asyncio.Task[None]] = {}
         self._looked_ns = 0
         self._problem = ""
 
@@ -127,36 +128,45 @@ class RmwZenohLink:
             self._problem = problem
         return not self._problem
 
-    def put(self, topic: str, type_name: str, payload: bytes) -> bool:
-        """Send a message; return whether it went out."""
-        session = self._session
-        if session is None:
-            return False
+    def put(self, topic: str, type_name: str, payload: bytes) -> bool | None:
+        """Send a message; return whether it went out, None while its topic is being announced.
+
+        Announcing waits for the router, so it happens on a thread of its own.
+        """
+        publisher = self._publishers.get(topic)
+        if publisher is None:
+            if self._session is not None and topic not in self._announcing:
+                number = len(self._announcing) + 1
+                self._announcing[topic] = asyncio.create_task(self._announce(self._session, number, topic, type_name))
+            return None
+        publisher.sequence += 1
         try:
-            publisher = self._publishers.get(topic) or self._announce(session, topic, type_name)
-            publisher.sequence += 1
             publisher.publisher.put(payload, attachment=attachment(publisher.sequence, time.time_ns(), publisher.id))
         except zenoh.ZError:
             return False
         return True
 
-    def _announce(self, session: zenoh.Session, topic: str, type_name: str) -> _Publisher:
+    async def _announce(self, session: zenoh.Session, number: int, topic: str, type_name: str) -> None:
         type_hash = self._type_hash(type_name)
-        number = len(self._publishers) + 1
+        key = topic_key(self._domain, topic, type_name, type_hash)
         token = publisher_token(self._domain, self._zid(), number, topic, type_name, type_hash)
-        made = _Publisher(
-            session.declare_publisher(
-                topic_key(self._domain, topic, type_name, type_hash),
+
+        def declare() -> _Publisher:
+            publisher = session.declare_publisher(
+                key,
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.REAL_TIME,
                 reliability=zenoh.Reliability.RELIABLE,
-            ),
-            session.liveliness().declare_token(token),
-            hashlib.blake2b(token.encode(), digest_size=_ID_BYTES).digest(),
-        )
-        self._publishers[topic] = made
+            )
+            publisher_id = hashlib.blake2b(token.encode(), digest_size=_ID_BYTES).digest()
+            return _Publisher(publisher, session.liveliness().declare_token(token), publisher_id)
+
+        try:
+            self._publishers[topic] = await asyncio.to_thread(declare)
+        except zenoh.ZError as error:
+            logger.warning("ROS topic %s cannot be announced: %s", topic, plain_reason(error))
+            return
         logger.info("ROS topic %s is there, %s", topic, type_name)
-        return made
 
     def _zid(self) -> str:
         if self._session is None:
@@ -166,6 +176,10 @@ class RmwZenohLink:
     async def close(self) -> None:
         """Close the session; what it has declared goes with it."""
         session, self._session = self._session, None
+        for task in self._announcing.values():
+            task.cancel()
+        await asyncio.gather(*self._announcing.values(), return_exceptions=True)
+        self._announcing.clear()
         self._publishers.clear()
         self._node = None
         if session is not None:

@@ -156,9 +156,8 @@ class Ros2Output:
 
     def send(self, scene: Scene, now_ns: int) -> tuple[int, int]:
         """Send what is new in a scene."""
-        messages = self._messages.of(scene)
-        lost = sum(not self._link.put(each.topic, each.type, each.payload) for each in messages)
-        return len(messages) - lost, lost
+        went = [self._link.put(each.topic, each.type, each.payload) for each in self._messages.of(scene)]
+        return went.count(True), went.count(False)
 
 
 def make_output(config: BridgeConfig) -> Ros2Output:
