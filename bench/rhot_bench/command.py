@@ -13,6 +13,7 @@ from rich.progress import Progress
 from rhot.rig import Rig
 from rhot_bench.measures.rows import Section, check_output
 from rhot_bench.output import json_option, show
+from rhot_bench.speed.bridges import bridges_section
 from rhot_bench.speed.cores import Scene, capture_section, fusion_section, ik_section, pipeline_section
 from rhot_bench.speed.interleaved import Spread
 from rhot_bench.speed.live import live_section
@@ -23,7 +24,7 @@ from rhot_bench.speed.services import processes_section
 from rhot_bench.speed.soak import soak_section
 from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
 
-PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "live", "processes", "tls")
+PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "live", "processes", "tls", "bridge")
 LONG_PARTS: Final = ("soak",)
 """Measured only where they are asked for by name."""
 
@@ -68,6 +69,7 @@ def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | N
     live       latency of the whole system, as processes on the bus
     processes  start-up time and memory of each service
     tls        what a secured bus costs: latency with and without certificates
+    bridge     four other programs at once: latency from the bus to the packet, rate, processor time
     soak       hours of the running rig: memory, descriptors, threads, latency and losses, each minute
 
     The machine should do nothing else meanwhile. This takes about two minutes, or one with --quick.
@@ -93,7 +95,7 @@ def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | N
 def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) -> list[Section]:
     seconds = 0.6 if quick else 6.0
     sections: list[Section] = []
-    if set(parts) - {"live", "processes", "tls"}:
+    if set(parts) - {"live", "processes", "tls", "bridge"}:
         pictures = progress.add_task("rendering", total=2 * seconds * RATE_HZ)
         scene = Scene(rig, seconds, lambda: progress.advance(pictures))
         work = progress.add_task("measuring the cores", total=4 + scaling_steps())
@@ -119,5 +121,9 @@ def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) 
     if "tls" in parts:
         waiting = progress.add_task("a bus with and without TLS", total=None)
         sections.append(secured_section(6.0 if quick else 20.0))
+        progress.remove_task(waiting)
+    if "bridge" in parts:
+        waiting = progress.add_task("bridges to four programs", total=None)
+        sections.append(bridges_section(rig, 6.0 if quick else 20.0))
         progress.remove_task(waiting)
     return sections

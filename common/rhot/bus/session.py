@@ -112,20 +112,21 @@ class Bus:
         self.queryable(key, publisher.answer_last)
         return publisher
 
-    def latest(self, key_expr: str) -> LatestSubscriber:
-        """Subscribe newest-wins: one slot per key."""
-        return self._subscribe(key_expr, LatestSubscriber(self._limits))
+    def latest(self, *key_exprs: str) -> LatestSubscriber:
+        """Subscribe newest-wins: one slot per key; several key expressions share a mailbox and its wake-ups."""
+        return self._subscribe(LatestSubscriber(self._limits), *key_exprs)
 
     def events(self, key_expr: str, limit: int = _EVENT_LIMIT) -> EventSubscriber:
         """Subscribe to every sample, up to `limit` unread ones."""
-        return self._subscribe(key_expr, EventSubscriber(limit, self._limits))
+        return self._subscribe(EventSubscriber(limit, self._limits), key_expr)
 
     _Mail = TypeVar("_Mail", LatestSubscriber, EventSubscriber)
 
-    def _subscribe(self, key_expr: str, mailbox: _Mail) -> _Mail:
-        # indirect=False: no queue and no thread of zenoh's own between the network and the mailbox.
-        handler = zenoh.handlers.Callback(mailbox, indirect=False)
-        self._declared.append(self._session.declare_subscriber(key_expr, handler))
+    def _subscribe(self, mailbox: _Mail, *key_exprs: str) -> _Mail:
+        for key_expr in key_exprs:
+            # indirect=False: no queue and no thread of zenoh's own between the network and the mailbox.
+            handler = zenoh.handlers.Callback(mailbox, indirect=False)
+            self._declared.append(self._session.declare_subscriber(key_expr, handler))
         self._mailboxes.append(mailbox)
         return mailbox
 

@@ -21,14 +21,14 @@ axis, and the matrices are the usual ones.
 
 from __future__ import annotations
 
-import dataclasses
+import math
 from collections.abc import Mapping
-from typing import Final, TypeVar
+from typing import Final, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.geometry.rotations import product_matrix, quaternion_from_rotation, rotation_from_quaternion
+from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
 from rhot.geometry.transforms import inverse
 from rhot_bridge.scene import Axes, Poses, Scene
 
@@ -36,6 +36,8 @@ FloatArray = NDArray[np.float64]
 
 _UNITY_POSITION: Final = np.array([1.0, 1.0, -1.0])
 _UNITY_ORIENTATION: Final = np.array([-1.0, -1.0, 1.0, 1.0])
+_MOST_KNOWN: Final = 64
+"""Poses whose conversion is remembered, for the other bridges of the process that want the same axes."""
 _GIMBAL_LOCK: Final = 1.0 - 1e-9
 
 P = TypeVar("P", bound=Poses)
@@ -71,14 +73,18 @@ class Converter:
         self._rotate = (T_stage_rig[:3, :3].T * mirror).copy()
         self._shift = T_stage_rig[:3, 3] * mirror
         self._multiply = (rotation.T * mirror_q).copy()
+        self._known: dict[int, tuple[Poses, Poses]] = {}
 
     def poses(self, poses: P) -> P:
-        """Return poses in the rig's axes in the target's."""
-        return dataclasses.replace(
-            poses,
-            positions=poses.positions @ self._rotate + self._shift,
-            orientations=poses.orientations @ self._multiply,
-        )
+        """Return poses in the rig's axes in the target's; the same poses again cost nothing."""
+        found = self._known.get(id(poses))
+        if found is not None and found[0] is poses:
+            return cast(P, found[1])
+        if len(self._known) >= _MOST_KNOWN:
+            self._known.clear()
+        moved = poses.moved(poses.positions @ self._rotate + self._shift, poses.orientations @ self._multiply)
+        self._known[id(poses)] = poses, moved
+        return moved
 
     def scene(self, scene: Scene) -> Scene:
         """Return a scene in the rig's axes in the target's."""
@@ -96,17 +102,17 @@ class Converter:
         return {name: self.poses(poses) for name, poses in group.items()}
 
 
-def unity_euler_deg(xyzw: FloatArray) -> FloatArray:
-    """Return Unity's Euler angles (3,), x y z, degrees, of a quaternion (4,) in Unity's axes; see the module.
+def unity_euler_deg(xyzw: FloatArray) -> tuple[float, float, float]:
+    """Return Unity's Euler angles x, y, z, degrees, of a unit quaternion (4,) in Unity's axes; see the module.
 
     Where x is ±90° (gimbal lock) only a sum of the others is known; z is taken as 0.
     """
-    R = rotation_from_quaternion(xyzw)
-    sine_x = float(np.clip(-R[1, 2], -1.0, 1.0))
-    x = np.arcsin(sine_x)
+    x, y, z, w = xyzw.tolist()
+    # Elements of R: R12 = −sin x, R02 : R22 = tan y, R10 : R11 = tan z.
+    sine_x = min(max(-2.0 * (y * z - w * x), -1.0), 1.0)
     if abs(sine_x) > _GIMBAL_LOCK:
-        y, z = np.arctan2(-R[2, 0], R[0, 0]), 0.0
+        about_y, about_z = math.atan2(-2.0 * (x * z - w * y), 1.0 - 2.0 * (y * y + z * z)), 0.0
     else:
-        y, z = np.arctan2(R[0, 2], R[2, 2]), np.arctan2(R[1, 0], R[1, 1])
-    degrees: FloatArray = np.degrees(np.array([x, y, z]))
-    return degrees
+        about_y = math.atan2(2.0 * (x * z + w * y), 1.0 - 2.0 * (x * x + y * y))
+        about_z = math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z))
+    return math.degrees(math.asin(sine_x)), math.degrees(about_y), math.degrees(about_z)

@@ -15,7 +15,8 @@ from rhot.bus import LatestSubscriber
 from rhot.errors import BusError, WireError
 from rhot.messages import BodyPose, FootPose, HandPose, HeadPose, ObjectPose, Space, decode
 from rhot.service import Node
-from rhot_bridge.scene import Tracked, tracked
+from rhot_bridge.axes import Converter
+from rhot_bridge.scene import Axes, Tracked, tracked
 
 logger = logging.getLogger(__name__)
 
@@ -26,13 +27,15 @@ _STAGE_RETRY_S: Final = 1.0
 _OTHER_HAND_S: Final = 0.002
 """ik publishes both hands of a moment one right after the other: two turns of an event loop's clock."""
 
+_KEYS: Final = ("rhot/hand/*", "rhot/object/*", "rhot/head", "rhot/foot/*", "rhot/body")
 _MODELS: Final[Mapping[str, type[HandPose | ObjectPose | FootPose | BodyPose]]] = {
-    "rhot/hand/*": HandPose,
-    "rhot/object/*": ObjectPose,
-    "rhot/head": HeadPose,
-    "rhot/foot/*": FootPose,
-    "rhot/body": BodyPose,
+    "hand": HandPose,
+    "object": ObjectPose,
+    "head": HeadPose,
+    "foot": FootPose,
+    "body": BodyPose,
 }
+"""What stands on these keys, by the second chunk of each: its kind."""
 
 
 class Listener(Protocol):
@@ -46,8 +49,8 @@ class Listener(Protocol):
         """Send, if it is time to: all of a kind (`hand`, `foot`, …) that belongs to one moment has been handed over."""
         ...
 
-    def stage(self, T_rig_stage: FloatArray) -> None:
-        """Use a floor frame from now on."""
+    def floor(self) -> None:
+        """The floor has been found, or another one: ask for another converter."""
         ...
 
 
@@ -84,7 +87,15 @@ class Feed:
         self._listeners: list[Listener] = []
         self._moments = Moments()
         self._late: asyncio.TimerHandle | None = None
-        self._stage_known = False
+        self._first_ns = 0
+        self._T_rig_stage: FloatArray | None = None
+        self._converters: dict[Axes, Converter] = {"rig": Converter("rig")}
+
+    def converter(self, axes: Axes) -> Converter | None:
+        """Return the converter that all bridges share which want these axes; None while the floor is not known."""
+        if axes not in self._converters and self._T_rig_stage is not None:
+            self._converters[axes] = Converter(axes, self._T_rig_stage)
+        return self._converters.get(axes)
 
     def attach(self, node: Node, listener: Listener) -> None:
         """Add a bridge."""
@@ -95,18 +106,16 @@ class Feed:
     async def run(self) -> None:
         """Hand on what comes until the bus is closed."""
         node = await self._node
-        mailboxes = {keys: node.bus.latest(keys) for keys in (*_MODELS, STAGE_KEY)}
+        poses, stages = node.bus.latest(*_KEYS), node.bus.latest(STAGE_KEY)
         async with asyncio.TaskGroup() as tasks:
-            for keys, model in _MODELS.items():
-                tasks.create_task(self._follow(node, mailboxes[keys], model))
-            tasks.create_task(self._follow_stage(node, mailboxes[STAGE_KEY]))
+            tasks.create_task(self._follow(node, poses))
+            tasks.create_task(self._follow_stage(node, stages))
             tasks.create_task(self._ask_for_stage(node))
 
-    async def _follow(
-        self, node: Node, mailbox: LatestSubscriber, model: type[HandPose | ObjectPose | FootPose | BodyPose]
-    ) -> None:
+    async def _follow(self, node: Node, mailbox: LatestSubscriber) -> None:
         async for sample in mailbox:
-            message = node.read(sample, model)
+            kind = sample.key.split("/", 2)[1]
+            message = node.read(sample, _MODELS[kind])
             if message is None:
                 continue
             mailbox.keep_slot_of(sample.key)
@@ -118,27 +127,28 @@ class Feed:
                 continue
             for listener in self._listeners:
                 listener.take(sample.key, found, sample.arrived_ns)
-            self._tell(sample.key, found.t_ns, sample.arrived_ns)
+            self._tell(kind, sample.key, found.t_ns, sample.arrived_ns)
 
-    def _tell(self, key: str, t_ns: int, arrived_ns: int) -> None:
-        kind = key.removeprefix("rhot/").partition("/")[0]
+    def _tell(self, kind: str, key: str, t_ns: int, arrived_ns: int) -> None:
         if kind == "hand":
             if not self._moments.complete(key, t_ns):
                 if self._late is None:
-                    loop = asyncio.get_running_loop()
-                    self._late = loop.call_later(_OTHER_HAND_S, self._hand_alone, arrived_ns)
+                    self._first_ns = arrived_ns
+                    self._late = asyncio.get_running_loop().call_later(_OTHER_HAND_S, self._hand_alone)
                 return
             if self._late is not None:
+                # The moment is as old as its first hand.
+                arrived_ns = self._first_ns
                 self._late.cancel()
                 self._late = None
         for listener in self._listeners:
             listener.moment(kind, arrived_ns)
 
-    def _hand_alone(self, arrived_ns: int) -> None:
+    def _hand_alone(self) -> None:
         self._late = None
         self._moments.waited_in_vain()
         for listener in self._listeners:
-            listener.moment("hand", arrived_ns)
+            listener.moment("hand", self._first_ns)
 
     async def _follow_stage(self, node: Node, mailbox: LatestSubscriber) -> None:
         async for sample in mailbox:
@@ -147,7 +157,7 @@ class Feed:
 
     async def _ask_for_stage(self, node: Node) -> None:
         """Ask for the floor, which may have been published before this process was there."""
-        while not self._stage_known:
+        while self._T_rig_stage is None:
             with contextlib.suppress(BusError):
                 for reply in await node.bus.get(STAGE_KEY, timeout_s=_STAGE_RETRY_S):
                     if not reply.error:
@@ -160,8 +170,12 @@ class Feed:
         except WireError as error:
             node.refuse(STAGE_KEY, error)
             return
-        if not self._stage_known:
+        T_rig_stage = np.array(space.T_rig_space)
+        if self._T_rig_stage is not None and np.array_equal(T_rig_stage, self._T_rig_stage):
+            return
+        if self._T_rig_stage is None:
             logger.info("the floor is known, by %s", space.source)
-        self._stage_known = True
+        self._T_rig_stage = T_rig_stage
+        self._converters = {"rig": self._converters["rig"]}
         for listener in self._listeners:
-            listener.stage(np.array(space.T_rig_space))
+            listener.floor()

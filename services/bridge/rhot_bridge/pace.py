@@ -27,27 +27,28 @@ class Pace:
         """
         self._period_ns = round(1e9 / rate_hz)
         self._rank = {kind: rank for rank, kind in enumerate(leads)}
-        self._heard_ns: dict[str, int] = {}
+        self._heard_ns = [-LEADER_ABSENT_NS] * len(self._rank)
         self._due_ns = 0
         self.sent_ns = 0
 
     def due(self, now_ns: int, kind: str | None = None) -> bool:
-        """Return whether a frame may go out now, and count it as sent if so.
+        """Return whether a frame may go out now.
 
         Args:
             now_ns: monotonic.
             kind: what has just come; None = nothing, a repetition.
         """
         if kind is not None:
-            self._heard_ns[kind] = now_ns
             rank = self._rank.get(kind)
-            if rank is None or any(
-                self._rank.get(other, rank) < rank and now_ns - heard_ns < LEADER_ABSENT_NS
-                for other, heard_ns in self._heard_ns.items()
-            ):
+            if rank is None:
                 return False
-        if now_ns < self._due_ns:
-            return False
+            self._heard_ns[rank] = now_ns
+            for heard_ns in self._heard_ns[:rank]:
+                if now_ns - heard_ns < LEADER_ABSENT_NS:
+                    return False
+        return now_ns >= self._due_ns
+
+    def sent(self, now_ns: int) -> None:
+        """Count a frame."""
         self._due_ns = max(self._due_ns + self._period_ns, now_ns)
         self.sent_ns = now_ns
-        return True

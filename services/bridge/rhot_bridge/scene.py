@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,10 @@ class Poses:
     positions: FloatArray
     orientations: FloatArray
 
+    def moved(self, positions: FloatArray, orientations: FloatArray) -> Self:
+        """Return the same poses elsewhere."""
+        return type(self)(self.t_ns, self.state, self.weight, positions, orientations)
+
 
 @dataclass(frozen=True, slots=True)
 class Hand(Poses):
@@ -49,6 +53,10 @@ class Hand(Poses):
     """
 
     radii: FloatArray
+
+    def moved(self, positions: FloatArray, orientations: FloatArray) -> Hand:
+        """Return the same hand elsewhere."""
+        return Hand(self.t_ns, self.state, self.weight, positions, orientations, self.radii)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +69,10 @@ class Thing(Poses):
 
     shape: ObjectShape | None = None
 
+    def moved(self, positions: FloatArray, orientations: FloatArray) -> Thing:
+        """Return the same thing elsewhere."""
+        return Thing(self.t_ns, self.state, self.weight, positions, orientations, self.shape)
+
 
 @dataclass(frozen=True, slots=True)
 class Body(Poses):
@@ -71,6 +83,10 @@ class Body(Poses):
     """
 
     names: tuple[str, ...] = ()
+
+    def moved(self, positions: FloatArray, orientations: FloatArray) -> Body:
+        """Return the same body elsewhere."""
+        return Body(self.t_ns, self.state, self.weight, positions, orientations, self.names)
 
     def row(self, name: str) -> int | None:
         """Return the row of a joint, None when it is not known."""

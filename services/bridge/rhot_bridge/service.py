@@ -8,8 +8,6 @@ import time
 from collections.abc import Mapping
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from rhot.clock import SystemClock
@@ -18,7 +16,6 @@ from rhot.messages import Control
 from rhot.rig import BridgeConfig, BusConfig
 from rhot.service import Node
 from rhot.service.runner import serve
-from rhot_bridge.axes import Converter
 from rhot_bridge.feed import Feed
 from rhot_bridge.newest import Newest
 from rhot_bridge.output import SampleOutput, make_output
@@ -26,8 +23,6 @@ from rhot_bridge.pace import Pace
 from rhot_bridge.scene import Tracked
 
 logger = logging.getLogger(__name__)
-
-FloatArray = NDArray[np.float64]
 
 _REPEAT_NS: Final = 100_000_000
 """While nothing comes, a frame is repeated ten times a second: other programs take longer silence for a loss."""
@@ -59,7 +54,7 @@ class BridgeService:
         self._recorder = self._output if isinstance(self._output, SampleOutput) else None
         self._newest = Newest(config)
         self._pace = Pace(config.rate_hz, self._output.leads)
-        self._converter = Converter("rig") if self._output.axes == "rig" else None
+        self._converter = feed.converter(self._output.axes)
         self._node: Node | None = None
         self._running = False
         self._told_of_floor = False
@@ -132,15 +127,15 @@ class BridgeService:
         if self._running:
             self._send(time.monotonic_ns(), kind, arrived_ns)
 
-    def stage(self, T_rig_stage: FloatArray) -> None:
-        """Use a floor from now on."""
-        if self._output.axes != "rig":
-            self._converter = Converter(self._output.axes, T_rig_stage)
+    def floor(self) -> None:
+        """Use the floor that is known now."""
+        self._converter = self._feed.converter(self._output.axes)
 
     def _send(self, now_ns: int, kind: str | None, arrived_ns: int = 0) -> None:
         node = self._node
-        if node is None or not self._output.wanted(now_ns) or not self._pace.due(now_ns, kind):
+        if node is None or not self._pace.due(now_ns, kind) or not self._output.wanted(now_ns):
             return
+        self._pace.sent(now_ns)
         if self._converter is None:
             self._tell_of_floor()
             return

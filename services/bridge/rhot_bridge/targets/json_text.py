@@ -16,15 +16,16 @@ while something fades. `shape` is `{"kind": "box", "size": [3]}`, `{"kind": "cyl
 
 from __future__ import annotations
 
+import itertools
 import json
-from typing import Any, Final
+from typing import Final
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.messages import ObjectShape
 from rhot.rig import BridgeConfig
 from rhot_bridge.links import UdpLink, WebSocketLink
 from rhot_bridge.output import PacketOutput
-from rhot_bridge.scene import Axes, Hand, Poses, Scene, Thing
+from rhot_bridge.scene import Axes, FloatArray, Hand, Poses, Scene, Thing
 
 VERSION: Final = 1
 WEBSOCKET_PORT: Final = 8765
@@ -77,8 +78,8 @@ def make_output(config: BridgeConfig) -> PacketOutput:
     return PacketOutput(target, WebSocketLink(config.host, config.port or WEBSOCKET_PORT, config.allow_origins))
 
 
-def _numbers(*arrays: Any) -> tuple[float, ...]:
-    return tuple(number for array in arrays for number in array.ravel().tolist())
+def _numbers(*arrays: FloatArray) -> tuple[float, ...]:
+    return tuple(itertools.chain.from_iterable(array.ravel().tolist() for array in arrays))
 
 
 def _state(poses: Poses) -> str:

@@ -16,6 +16,9 @@ from pythonosc.osc_message_builder import OscMessageBuilder
 
 MOST_BYTES: Final = 1472
 """An Ethernet frame without IPv4's and UDP's headers: nothing is cut into pieces on its way."""
+_CHUNK: Final = 5
+"""Messages of a block that stay in one packet: few, so that packets get full."""
+_SIZE: Final = struct.Struct(">i")
 _BUNDLE: Final = b"#bundle\0" + struct.pack(">Q", 1)
 """A bundle's start; the time tag 1 means at once."""
 
@@ -41,62 +44,65 @@ class Template:
         for _ in range(floats):
             builder.add_arg(0.0, builder.ARG_TYPE_FLOAT)
         self.zeros = builder.build().dgram
-        self._head = self.zeros[: len(self.zeros) - 4 * floats]
+        self._head = element(self.zeros)[: 4 + len(self.zeros) - 4 * floats]
         self._floats = struct.Struct(f">{floats}f")
 
     def pack(self, *values: float) -> bytes:
-        """Return the message with its floats."""
+        """Return an element of a bundle: the message with its floats."""
         return self._head + self._floats.pack(*values)
 
 
 class Block:
-    """Messages that always go out together, as bundles: filling them is one assignment of numpy's.
+    """Messages that always go out together: filling them is one assignment of numpy's.
 
     Everything in OSC lies on multiples of four bytes, and so do the floats.
     """
 
-    def __init__(self, templates: Sequence[Template], floats: int) -> None:
-        """Make the packets with zeros in them.
+    def __init__(self, templates: Sequence[Template], floats: int, after: bytes = b"") -> None:
+        """Make the messages with zeros in them.
 
         Args:
             templates: of the messages.
             floats: how many each ends with.
+            after: a constant message that follows them.
         """
-        self._packets: list[tuple[bytearray, NDArray[np.float32], NDArray[np.intp], slice]] = []
-        first = 0
-        while first < len(templates):
-            packet, ends, last = bytearray(_BUNDLE), list[int](), first
-            while last < len(templates):
-                zeros = templates[last].zeros
-                if ends and len(packet) + 4 + len(zeros) > MOST_BYTES:
-                    break
-                packet += struct.pack(">i", len(zeros)) + zeros
-                ends.append(len(packet) // 4)
-                last += 1
-            places = np.array(ends)[:, None] + np.arange(-floats, 0)
-            self._packets.append((packet, np.frombuffer(packet, dtype=">f4"), places, slice(first, last)))
-            first = last
+        self._buffer = bytearray()
+        self._cuts: list[tuple[int, int]] = []
+        ends: list[int] = []
+        for first in range(0, len(templates), _CHUNK):
+            begin = len(self._buffer)
+            for template in templates[first : first + _CHUNK]:
+                self._buffer += element(template.zeros)
+                ends.append(len(self._buffer) // 4)
+            if first + _CHUNK >= len(templates) and after:
+                self._buffer += element(after)
+            self._cuts.append((begin, len(self._buffer)))
+        self._floats = np.frombuffer(self._buffer, dtype=">f4")
+        self._places = np.array(ends)[:, None] + np.arange(-floats, 0)
 
     def pack(self, values: NDArray[np.float64]) -> list[bytes]:
-        """Return the packets with the floats (messages, floats) of each message."""
-        packets: list[bytes] = []
-        for packet, view, places, rows in self._packets:
-            view[places] = values[rows]
-            packets.append(bytes(packet))
-        return packets
+        """Return elements of a bundle with the floats (messages, floats) of each message."""
+        self._floats[self._places] = values
+        filled = bytes(self._buffer)
+        return [filled[begin:end] for begin, end in self._cuts]
 
 
-def bundles(messages: Iterable[bytes]) -> list[bytes]:
-    """Return messages as bundles, each small enough for one network frame; order is kept."""
+def element(message: bytes) -> bytes:
+    """Return a message as an element of a bundle: its size before it."""
+    return _SIZE.pack(len(message)) + message
+
+
+def bundles(elements: Iterable[bytes]) -> list[bytes]:
+    """Return elements, or runs of them, as bundles, each small enough for one network frame; order is kept."""
     packets: list[bytes] = []
     parts: list[bytes] = [_BUNDLE]
     size = len(_BUNDLE)
-    for message in messages:
-        if size + 4 + len(message) > MOST_BYTES and len(parts) > 1:
+    for each in elements:
+        if size + len(each) > MOST_BYTES and len(parts) > 1:
             packets.append(b"".join(parts))
             parts, size = [_BUNDLE], len(_BUNDLE)
-        parts += (struct.pack(">i", len(message)), message)
-        size += 4 + len(message)
+        parts.append(each)
+        size += len(each)
     if len(parts) > 1:
         packets.append(b"".join(parts))
     return packets

@@ -73,10 +73,9 @@ class VmcTarget:
             if template is None:
                 template = self._trackers[identity] = Template("/VMC/Ext/Tra/Pos", identity, floats=7)
             messages.append(template.pack(*thing.positions[0].tolist(), *thing.orientations[0].tolist()))
-        packets = bundles(messages)
         for side, hand in scene.hands.items():
-            packets += self._fingers[side].pack(finger_bones(hand, side))
-        return packets
+            messages += self._fingers[side].pack(finger_bones(hand, side))
+        return bundles(messages)
 
 
 def _bone(name: str) -> Template:

@@ -51,11 +51,12 @@ class VmtTarget:
         self._room = Template("/VMT/Set/RoomMatrix/Temporary", floats=12).pack(*_IDENTITY)
         self._room_sent_ns: int | None = None
         self._bones = {
-            side: Block([Template("/VMT/Skeleton/Driver", device, bone, floats=7) for bone in range(BONES)], 7)
+            side: Block(
+                [Template("/VMT/Skeleton/Driver", device, bone, floats=7) for bone in range(BONES)],
+                7,
+                Template("/VMT/Skeleton/Apply", device, floats=1).zeros,
+            )
             for side, device in _HAND.items()
-        }
-        self._apply = {
-            side: Template("/VMT/Skeleton/Apply", device, floats=1).pack(0.0) for side, device in _HAND.items()
         }
         self._drivers: dict[tuple[int, int], Template] = {}
         self._objects: dict[str, int] = {}
@@ -65,7 +66,6 @@ class VmtTarget:
         """Return all devices; what was there and is no more is switched off."""
         messages: list[bytes] = []
         bones: list[bytes] = []
-        applied: list[bytes] = []
         if self._room_sent_ns is None or now_ns - self._room_sent_ns >= _ROOM_INTERVAL_NS:
             self._room_sent_ns = now_ns
             messages.append(self._room)
@@ -78,7 +78,6 @@ class VmtTarget:
         for side, hand in scene.hands.items():
             device(_HAND[side], _CONTROLLER[side], hand.positions[1], hand.orientations[1])
             bones += self._bones[side].pack(openvr_bones(hand, side))
-            applied.append(self._apply[side])
         for side, foot in scene.feet.items():
             device(_FOOT[side], _TRACKER, foot.positions[0], foot.orientations[0])
         if scene.body is not None and (row := scene.body.row("hips")) is not None:
@@ -89,7 +88,7 @@ class VmtTarget:
                 device(number, _TRACKER, thing.positions[0], thing.orientations[0])
         messages += [self._driver(number, _OFF).pack(*_NOWHERE) for number in sorted(self._on - present)]
         self._on = present
-        return [*bundles(messages), *bones, *bundles(applied)]
+        return bundles([*messages, *bones])
 
     def _driver(self, number: int, mode: int) -> Template:
         found = self._drivers.get((number, mode))

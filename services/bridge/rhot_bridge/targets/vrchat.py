@@ -72,7 +72,7 @@ class VrChatTarget:
     def _tracker(self, name: str, position: FloatArray, orientation: FloatArray) -> list[bytes]:
         return [
             self._position[name].pack(*position.tolist()),
-            self._rotation[name].pack(*unity_euler_deg(orientation).tolist()),
+            self._rotation[name].pack(*unity_euler_deg(orientation)),
         ]
 
 
