@@ -15,6 +15,7 @@ from bridged import poses as bridge_poses
 from bridged.readers import READERS, Seen
 from bridged.samples import LslPackets, Ros2Packets
 
+from rhot.anatomy.skeleton import JOINTS
 from rhot.geometry.transforms import inverse
 from rhot.messages import Side
 from rhot_bridge.axes import Converter
@@ -35,7 +36,8 @@ MAKERS: dict[str, Callable[[], Target]] = {
     "vmt": VmtTarget,
     "vrchat": VrChatTarget,
 }
-WITH_HANDS = [name for name in MAKERS if name != "vrchat"]
+ALL = [*MAKERS, "lsl"]
+WITH_HANDS = [name for name in ALL if name != "vrchat"]
 FINGERS = ("index", "middle", "ring", "little")
 EXTENDED = {"flat": FINGERS, "fist": (), "thumb up": (), "pointing": ("index",)}
 
@@ -50,13 +52,32 @@ def rig_scene(pose: str) -> Scene:
 
 @cache
 def seen(name: str, pose: str) -> Seen:
+    if name == "lsl":
+        return seen_by_lsl(Converter("stage", bridge_poses.T_RIG_STAGE).scene(rig_scene(pose)))
     target = MAKERS[name]()
     scene = Converter(target.axes, bridge_poses.T_RIG_STAGE).scene(rig_scene(pose))
     return READERS[name.split(maxsplit=1)[0]](target.frame(scene, 0))
 
 
-def test_every_target_is_read_here() -> None:
-    assert set(TARGETS) <= set(READERS)
+def seen_by_lsl(scene: Scene) -> Seen:
+    """A stream's sample by its channels' descriptions, as a lab's script reads it."""
+    lsl = pytest.importorskip("rhot_bridge.targets.lsl", reason="pip install 'rhot[lsl]'")
+    found = Seen()
+    things = {f"hand_{side}": (hand, JOINTS) for side, hand in scene.hands.items()}
+    things |= {name: (thing, (name,)) for name, thing in scene.objects.items()}  # type: ignore[misc]
+    for name, (thing, joints) in things.items():
+        sample = dict(
+            zip(((c.marker, c.type) for c in lsl.channels_of(name, joints)), lsl.sample_of(thing), strict=True)
+        )
+        for joint in joints:
+            position = np.array([sample[joint, f"Position{axis}"] for axis in "XYZ"], dtype=np.float64)
+            found.positions[f"{name[5:]} {joint}" if name.startswith("hand_") else name] = position
+    return found
+
+
+def test_every_target_is_read() -> None:
+    """ROS 2 is read by rclpy, in a test of its own."""
+    assert set(TARGETS) - {"ros2"} <= {name.split(maxsplit=1)[0] for name in ALL}
 
 
 @pytest.mark.parametrize("pose", bridge_poses.POSES)
@@ -102,7 +123,7 @@ def test_fingers_say_what_the_hand_does(target: str, pose: str) -> None:
             assert all(hand[f"{finger}_distal"][1] < hand[f"{finger}_proximal"][1] - 0.01 for finger in FINGERS)
 
 
-@pytest.mark.parametrize("target", list(MAKERS))
+@pytest.mark.parametrize("target", ALL)
 def test_up_is_up_and_metres_are_metres(target: str) -> None:
     positions = seen(target, "flat").positions
     known = {
@@ -110,7 +131,7 @@ def test_up_is_up_and_metres_are_metres(target: str) -> None:
         "left foot": (-0.1, 0.05, 0.0),
         "right foot": (0.1, 0.05, 0.0),
     }
-    if target != "vmc":
+    if target not in ("vmc", "lsl"):
         known["head"] = (0.0, 1.6, -0.1)
     checked = [name for name in known if name in positions]
     assert checked
