@@ -35,7 +35,7 @@ _COMMANDS: Final = {
         "Put a recording back on the bus, as if live.", "rhot.cli.recordings.replay:replay", "record"
     ),
     "export": LazyCommand(
-        "Turn a recording into tables (CSV, Parquet) or an animation (BVH).",
+        "Turn a recording into tables, animations (glTF, BVH) or files for labs (TRC, MOT, C3D).",
         "rhot.cli.recordings.export:export",
         "record",
     ),
@@ -79,6 +79,7 @@ _EVALUATIONS: Final = {
     "hands": LazyCommand("Predict the inner joints of recorded real hands.", extra="bench"),
     "motion": LazyCommand("Track recorded hand motion before a family of random rigs.", extra="bench"),
     "pictures": LazyCommand("Track photo-real pictures of another rig and hand.", extra="bench"),
+    "grasp": LazyCommand("Measure how well a hand takes hold of an object.", extra="bench"),
     "streams": LazyCommand("Fuse recorded marker tracks: measure steps, delay and noise at rest.", extra="bench"),
     "feet": LazyCommand(
         "Track the feet of a simulated person, and compare with the 2021 thesis's tracker.", extra="bench"

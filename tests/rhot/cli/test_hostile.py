@@ -48,7 +48,7 @@ async def rhot(*arguments: str) -> tuple[int | None, str]:
         (("status", "--json"), 0),
         (("get", "rhot/**"), 0),
         (("get", "rhot/config/x/y"), 1),
-        (("stop",), 0),
+        (("stop",), 1),  # who claims to be there did not take it
         (("doctor", "--rig", "/nonexistent"), 1),
     ],
 )
