@@ -91,6 +91,14 @@ _OBJECTS: Final = """
 # shape = { kind = "cylinder", radius = 0.04, height = 0.1 }
 """
 
+_BRIDGES: Final = """
+# Other programs that `rhot up` sends everything to: vmc (avatars), vrchat, vmt (SteamVR), json, lsl, ros2.
+# See docs/bridges.md.
+# [bridges.avatar]
+# target = "vmc"
+# host = "127.0.0.1"
+"""
+
 _SIM_OBJECT: Final = """
 [objects.{name}]
 source = "simulated"
@@ -161,6 +169,7 @@ def rig_template(
         parts.append(_BASE.format(name=f"{prefix}base", side=side))
     parts.append(_TAIL)
     parts += [_SIM_OBJECT.format(name=name) for name in simulated_objects] or [_OBJECTS]
+    parts.append(_BRIDGES)
     if seed is not None:
         parts.append(_SIM.format(seed=seed))
     return "".join(parts)
