@@ -2,13 +2,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rhot.errors import ConfigError
 from rhot.messages import ObjectPose
 from rhot.rig import Rig, load_rig
+from rhot.rig.folder import registration_path
 from rhot_objects.assemble import plan_sources
 from rhot_objects.pose import Pose, angle_between
+from rhot_objects.sources import PoseSample
 from rhot_sim.world.world import World
 
 START = 1_700_000_000_000_000_000
@@ -98,3 +101,30 @@ def test_simulated_objects_come_out_where_the_world_has_them(tmp_path: Path) -> 
             Pose.from_arrays(message.position, message.orientation), Pose.from_arrays(true.position, true.orientation)
         )
         assert angle < 0.01
+
+
+def test_each_source_has_a_registration_of_its_own_else_the_one_of_all(tmp_path: Path) -> None:
+    """Rigs of earlier versions have one file for everything; it goes on holding for what has none of its own."""
+    objects = """
+        [objects.cup]
+        source = "steamvr"
+        serial = "LHR-1"
+        [objects.pen]
+        source = "recorded"
+        path = "pen.csv"
+        """
+    (tmp_path / "registration.steamvr.json").write_text('{"T_rig_tracker": {"position": [7.0, 0.0, 0.0]}}')
+    rig = rig_with(tmp_path, objects)
+    assert registration_path(tmp_path, "steamvr") == tmp_path / "registration.steamvr.json"
+    assert registration_path(tmp_path, "recorded") == tmp_path / "registration.json"
+    here = {
+        "cup": PoseSample(START, Pose.from_matrix(np.eye(4))),
+        "pen": PoseSample(START, Pose.from_matrix(np.eye(4))),
+    }
+    positions = {}
+    for plan in plan_sources(rig):
+        for key, message in plan.stage.feed(here, START):
+            assert isinstance(message, ObjectPose)
+            positions[plan.name, key] = message.position
+    assert positions["steamvr", "rhot/object/cup"] == (7.0, 0.0, 0.0)
+    assert positions["recorded.pen", "rhot/object/pen"] == (0.5, 1.0, 1.5)

@@ -14,7 +14,7 @@ from rhot.bus import Bus
 from rhot.clock import SystemClock
 from rhot.errors import WireError
 from rhot.messages import Control, Space, decode, encode
-from rhot.rig import BusConfig, FusionConfig, RigidTransform, StageFile, write_json_model
+from rhot.rig import BusConfig, FusionConfig, RegistrationFile, RigidTransform, StageFile, write_json_model
 from rhot.service import Node
 from rhot.service.runner import serve
 from rhot.service.spaces import publish_spaces
@@ -93,6 +93,13 @@ async def test_the_folders_floor_is_published_without_a_session(owner: Path, rou
         assert json.loads(answer.payload)["T_rig_space"][2][3] == 1.69
         (owner / "stage.json").write_text("{}")
         assert (await _next(heard)).T_rig_space[2][3] == 1.69, "what cannot be read changes nothing"
+        registration = RegistrationFile(quality={"residual_rms_mm": 1.5})
+        write_json_model(owner / "registration.steamvr.json", registration)
+        while True:
+            space = await _next(heard)
+            if space.source == "steamvr registration":
+                break
+        assert space.residual_m == pytest.approx(0.0015)
         (owner / "stage.json").unlink()
         while await bus.get("rhot/space/stage", timeout_s=2.0):
             await asyncio.sleep(0.05)

@@ -17,7 +17,8 @@ from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.geometry.rotations import FloatArray
 from rhot.rig import BusConfig, RegistrationFile, Rig, load_rig, write_json_model
-from rhot.rig.folder import REGISTRATION_FILE
+from rhot.rig.config import ObjectSource
+from rhot.rig.folder import registration_name, registration_path
 from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
 from rhot_calibration.objects.collector import Place, PlaceCollector
 from rhot_calibration.objects.fit import Estimate, Places, RegistrationFit, first_prior, fit_registration
@@ -32,7 +33,6 @@ from rhot_calibration.objects.record import (
 )
 from rhot_calibration.objects.table import read_places
 
-PREVIOUS_FILE: Final = "registration.previous.json"
 _UNKNOWN_LEVER_SD_M: Final = 0.05
 """A marker sits on a tracker of 10 cm, somewhere."""
 _PATIENCE_S: Final = 15.0
@@ -137,14 +137,17 @@ def objects(
     tracker_x_m, tracker_y_m, tracker_z_m, tracker_qx, tracker_qy, tracker_qz, tracker_qw (the device in the tracking
     system's space) and, where known, sigma_m (noise of each coordinate).
 
-    Writes registration.json; the one before becomes registration.previous.json.
+    Writes registration.SOURCE.json, such as registration.steamvr.json; the one before becomes
+    registration.SOURCE.previous.json.
     """
     rig = load_rig(rig_path)
-    file = rig_path / REGISTRATION_FILE
-    earlier = _Earlier(rig.registration, read_quality(file, rig.registration))
-    if realign and not file.exists():
-        raise ConfigError(f"{file} is not there; --realign corrects one, so register once without it")
     shown = _Shown(object_id or "", marker or "")
+    source = _source_of(rig, shown)
+    file = rig_path / registration_name(source)
+    held, before = registration_path(rig_path, source), rig.registration_of(source)
+    earlier = _Earlier(before, read_quality(held or file, before))
+    if realign and held is None:
+        raise ConfigError(f"{file} is not there; --realign corrects one, so register once without it")
     if live:
         if table is not None or not object_id or not marker:
             raise ConfigError("--live needs --object ID and --marker NAME, and no table")
@@ -176,11 +179,9 @@ def objects(
     if dry_run:
         console.print(f"nothing was written (--dry-run); {file} is as before")
         return
-    if file.exists():
-        write_json_model(rig_path / PREVIOUS_FILE, rig.registration)
-    written = registration_file(
-        fit, places, rig.registration, object_id=shown.object_id, marker=shown.marker, prior=prior
-    )
+    if held is not None:
+        write_json_model(file.with_suffix(".previous.json"), before)
+    written = registration_file(fit, places, before, object_id=shown.object_id, marker=shown.marker, prior=prior)
     write_json_model(file, written)
     console.print(f"written: {file}; `rhot objects` takes it when it is started again")
 
@@ -207,6 +208,17 @@ def _realign_prior(
         drift_m=drift[0],
         drift_rad=drift[1],
     )
+
+
+def _source_of(rig: Rig, shown: _Shown) -> ObjectSource:
+    """Return the source of tracking that is registered: that of the object, else the only one, else SteamVR."""
+    objects = rig.config.objects
+    if shown.object_id in objects:
+        return objects[shown.object_id].source
+    sources = sorted({config.source for config in objects.values()})
+    if len(sources) > 1 and not shown.object_id:
+        raise ConfigError(f"the rig's objects come from {' and '.join(sources)}; say with --object ID which was shown")
+    return sources[0] if len(sources) == 1 else "steamvr"
 
 
 def _check_names(rig: Rig, shown: _Shown) -> None:

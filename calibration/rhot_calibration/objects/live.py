@@ -15,7 +15,7 @@ from rhot.errors import BusError, ConfigError, WireError
 from rhot.messages import Control, ObjectPose, PointSet, decode
 from rhot.operation.control import newest_control
 from rhot.rig import BusConfig, Rig
-from rhot.rig.folder import REGISTRATION_FILE
+from rhot.rig.folder import registration_name, registration_path
 from rhot_calibration.objects.collector import Place, PlaceCollector
 from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
@@ -59,7 +59,8 @@ async def collect_places(
         BusError: no router, or a key stays silent.
         ConfigError: the session began with another registration than the rig folder holds.
     """
-    registration = Registration.from_file(rig.registration)
+    source = rig.config.objects[object_id].source
+    registration = Registration.from_file(rig.registration_of(source))
     done = asyncio.Event()
     heard: set[str] = set()
     object_key = key_of(object_id)
@@ -93,7 +94,9 @@ async def collect_places(
                 keep(collector.add_pose(message.t_ns, registration.to_tracker(object_id, pose)))
 
     async with await Bus.open(bus_config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
-        _check_session(await newest_control(bus), rig.path / REGISTRATION_FILE)
+        _check_session(
+            await newest_control(bus), registration_path(rig.path, source) or rig.path / registration_name(source)
+        )
         tasks = [asyncio.create_task(follow(bus)) for follow in (follow_points, follow_device)]
         try:
             await _wait(done, tasks, heard, ("rhot/points", object_key), collector, patience_s, hint)

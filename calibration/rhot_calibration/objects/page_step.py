@@ -11,7 +11,8 @@ import numpy as np
 from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView
 from rhot.errors import ConfigError
 from rhot.rig import RegistrationFile, load_rig
-from rhot.rig.folder import REGISTRATION_FILE
+from rhot.rig.folder import REGISTRATION_FILE, registration_name
+from rhot.rig.kept_file import KeptFile
 from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
 from rhot_calibration.objects.collector import Place, PlaceCollector
 from rhot_calibration.objects.fit import Places, RegistrationFit, first_prior, fit_registration
@@ -35,12 +36,13 @@ class ObjectStep(PageStep[RegistrationFile]):
     buttons = (
         Button("start", "start taking places", "Press again to start over."),
         Button("solve", "finish and fit", "Use the places taken so far."),
-        *trial_buttons(REGISTRATION_FILE, "registration"),
+        *trial_buttons("registration.SOURCE.json", "registration"),
     )
 
     def __init__(self, context: StepContext) -> None:
-        super().__init__(context, context.rig_path / REGISTRATION_FILE, RegistrationFile)
         config = load_rig(context.rig_path).config
+        first = next((each.source for each in config.objects.values()), "steamvr")
+        super().__init__(context, context.rig_path / registration_name(first), RegistrationFile)
         self._objects = tuple(config.objects)
         self._simulated = all(each.source == "simulated" for each in config.objects.values())
         markers = tuple(config.markers)
@@ -67,6 +69,8 @@ class ObjectStep(PageStep[RegistrationFile]):
         if not self._objects:
             return "rig.toml names no objects; nothing to do", True
         absent = ("not registered: objects stand in their own space", False)
+        if (self._context.rig_path / REGISTRATION_FILE).exists():
+            absent = (f"registered {load_rig(self._context.rig_path).registration.date}", True)
         if self._simulated:
             absent = ("simulated objects stand in the cameras' space; nothing to do", True)
         return self._standing(absent, "a new registration on trial", lambda stored: (f"registered {stored.date}", True))
@@ -99,6 +103,9 @@ class ObjectStep(PageStep[RegistrationFile]):
             raise ConfigError("rig.toml names no objects; add [objects.NAME] with source and serial")
         self._collector, self._hint, self._found, self._fitted = PlaceCollector(), "", None, ((), ())
         rig = load_rig(self._context.rig_path)
+        source = rig.config.objects[device].source
+        if self._kept.path.name != registration_name(source):
+            self._kept = KeptFile(self._context.rig_path / registration_name(source), RegistrationFile)
         with self._busy("taking places"):
             await self._stoppable(
                 collect_places(
@@ -116,7 +123,9 @@ class ObjectStep(PageStep[RegistrationFile]):
             self._doing = "fitting"
             places = self._collector.to_places()
             fit = await asyncio.to_thread(_fitted, places)
-            found = registration_file(fit, places, rig.registration, object_id=device, marker=marker, prior=None)
+            found = registration_file(
+                fit, places, rig.registration_of(source), object_id=device, marker=marker, prior=None
+            )
             self._fitted = _shown(places, fit)
             check_fit(fit)
         self._found = found

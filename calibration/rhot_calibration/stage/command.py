@@ -16,7 +16,7 @@ from rhot.errors import CalibrationError, ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.rig import Rig, StageFile, load_rig, read_json_model, write_json_model
 from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
-from rhot.rig.folder import REGISTRATION_FILE, STAGE_FILE
+from rhot.rig.folder import STAGE_FILE, registration_name, registration_path
 from rhot_calibration.cameras.board.boards import DEFAULT_DICTIONARY, parse_board
 from rhot_calibration.cameras.live.live import CONNECT_S
 from rhot_calibration.cameras.pictures import read_pictures
@@ -94,12 +94,12 @@ def stage(
         raise ConfigError("give one of: a folder of pictures, --live, --registration; see --help")
     console = Console(soft_wrap=True, markup=False, highlight=False)
     if registration:
-        if not (rig.path / REGISTRATION_FILE).exists():
+        if registration_path(rig.path, "steamvr") is None:
             raise CalibrationError(
-                f"{rig.path / REGISTRATION_FILE} is not there: no tracking system is registered; `rhot calibrate "
+                f"{rig.path / registration_name('steamvr')} is not there: SteamVR is not registered; `rhot calibrate "
                 "objects` does that, or use a board on the desk"
             )
-        found = registration_stage(rig.registration, "steamvr")
+        found = registration_stage(rig.registration_of("steamvr"), "steamvr")
     else:
         if counts is None or square_mm is None or desk_mm is None:
             raise ConfigError(

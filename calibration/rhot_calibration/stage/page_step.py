@@ -13,7 +13,7 @@ from rhot.errors import CalibrationError, ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.rig import StageFile, load_rig
 from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
-from rhot.rig.folder import REGISTRATION_FILE, STAGE_FILE
+from rhot.rig.folder import STAGE_FILE, registration_path
 from rhot_calibration.cameras.board.boards import parse_board
 from rhot_calibration.cameras.live.live import CONNECT_S
 from rhot_calibration.page_step import PageStep, trial_buttons
@@ -32,7 +32,7 @@ class StageStep(PageStep[StageFile]):
     )
     buttons = (
         Button("look", "look at the desk", "The board must lie still."),
-        Button("registered", "take SteamVR's floor", "From registration.json; nothing to measure."),
+        Button("registered", "take SteamVR's floor", "From its registration; nothing to measure."),
         *trial_buttons(STAGE_FILE, "floor"),
     )
 
@@ -58,7 +58,7 @@ class StageStep(PageStep[StageFile]):
     def view(self) -> StepView:
         """Return where the floor is, and how well the board told it."""
         own = set() if self._doing else {"look"}
-        if not self._doing and (self._context.rig_path / REGISTRATION_FILE).exists():
+        if not self._doing and registration_path(self._context.rig_path, "steamvr") is not None:
             own.add("registered")
         trial = (Remark("The running rig publishes the new floor now. Save or undo.", "good"),)
         return self._view(
@@ -81,7 +81,8 @@ class StageStep(PageStep[StageFile]):
         if button == "look" and not self._doing:
             await self._look(values)
         elif button == "registered" and not self._doing:
-            self._found, self._tables = registration_stage(load_rig(self._context.rig_path).registration, "steamvr"), ()
+            registration = load_rig(self._context.rig_path).registration_of("steamvr")
+            self._found, self._tables = registration_stage(registration, "steamvr"), ()
         else:
             await super().press(button, values)
 

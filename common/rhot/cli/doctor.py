@@ -27,7 +27,7 @@ from rhot.messages import ServiceStatus
 from rhot.operation.status import fetch_status
 from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.calibration import CalibrationFile
-from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE
+from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE, registration_name, registration_path
 from rhot.rig.quality import epipolar_limit_px, figure, figures_with_units, pair_epipolar_p95_px
 
 _MARK: Final = {"ok": "[green]ok  [/]", "note": "[blue]note[/]", "warn": "[yellow]warn[/]", "bad": "[red]BAD [/]"}
@@ -97,17 +97,27 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
                 f"rhot calibrate hand RECORDING --rig {path}",
             )
         )
-    if (path / REGISTRATION_FILE).exists():
-        findings.append(Finding("ok", _summary(REGISTRATION_FILE, rig.registration)))
-    elif rig.config.objects:
-        findings.append(
-            Finding(
-                "warn",
-                "registration.json is missing: objects are not in the cameras' frame",
-                f"rhot calibrate objects --live --object {next(iter(rig.config.objects))} --marker NAME --rig {path}",
-            )
-        )
+    findings += _check_registrations(rig)
     return rig, [*findings, *check_stage(rig), *_check_sources(rig), *check_bus(rig)]
+
+
+def _check_registrations(rig: Rig) -> Iterator[Finding]:
+    """Tell for each source of objects where its space lies."""
+    objects = {config.source: name for name, config in reversed(rig.config.objects.items())}
+    if not objects and (rig.path / REGISTRATION_FILE).exists():
+        yield Finding("ok", _summary(REGISTRATION_FILE, rig.registration))
+    told = set()
+    for source, name in sorted(objects.items()):
+        file = registration_path(rig.path, source)
+        if file is None:
+            yield Finding(
+                "warn",
+                f"{registration_name(source)} is missing: objects are not in the cameras' frame",
+                f"rhot calibrate objects --live --object {name} --marker NAME --rig {rig.path}",
+            )
+        elif file not in told:
+            told.add(file)
+            yield Finding("ok", _summary(file.name, rig.registration_of(source)))
 
 
 def _check_sources(rig: Rig) -> Iterator[Finding]:

@@ -14,7 +14,7 @@ from rhot.errors import WireError
 from rhot.geometry.transforms import inverse
 from rhot.messages import HandPose, decode
 from rhot.rig import Rig, StageFile
-from rhot.rig.folder import REGISTRATION_FILE, STAGE_FILE
+from rhot.rig.folder import STAGE_FILE, registration_path
 
 FloatArray = NDArray[np.float64]
 
@@ -65,14 +65,15 @@ def _heights(rig: Rig, stage: StageFile, T_stage_rig: FloatArray) -> Iterator[st
 
 def _against_registration(rig: Rig, stage: StageFile) -> Iterator[str]:
     """Compare with the registered tracking system's space, which has a floor of its own."""
-    if not (rig.path / REGISTRATION_FILE).exists():
+    file = registration_path(rig.path, "steamvr")
+    if file is None:
         return
-    T_tracker_stage = inverse(rig.registration.T_rig_tracker.matrix) @ stage.T_rig_stage.matrix
+    T_tracker_stage = inverse(rig.registration_of("steamvr").T_rig_tracker.matrix) @ stage.T_rig_stage.matrix
     tilt_deg = float(np.degrees(np.arccos(np.clip(T_tracker_stage[1, 1], -1.0, 1.0))))
     floor_m = float(T_tracker_stage[1, 3])
     if tilt_deg > _UP_DIFFERS_DEG or abs(floor_m) > _FLOOR_DIFFERS_M:
         yield (
-            f"{REGISTRATION_FILE} has the floor {100 * abs(floor_m):.0f} cm {'lower' if floor_m > 0 else 'higher'} and "
+            f"{file.name} has the floor {100 * abs(floor_m):.0f} cm {'lower' if floor_m > 0 else 'higher'} and "
             f"{tilt_deg:.1f}° tilted against it; one of the two is old or wrong"
         )
 

@@ -175,6 +175,9 @@ class IkConfig(FileModel):
     hold_s: HoldS = 0.5
 
 
+ObjectSource = Literal["steamvr", "recorded", "simulated"]
+
+
 class ObjectConfig(FileModel):
     """One tracked object; the one with the id `head` is the headset and is published on `rhot/head`.
 
@@ -189,7 +192,7 @@ class ObjectConfig(FileModel):
             `registration.json`. Not known where absent.
     """
 
-    source: Literal["steamvr", "recorded", "simulated"] = "steamvr"
+    source: ObjectSource = "steamvr"
     serial: str | None = None
     path: str | None = None
     rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 90.0

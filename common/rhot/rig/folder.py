@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import logging
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
@@ -16,7 +17,7 @@ from rhot.atomic_file import write_atomic
 from rhot.errors import CalibrationError, ConfigError, RhotError
 from rhot.messages import first_problem
 from rhot.rig.calibration import CameraCalibration, CamerasFile, HandFile, Matrix3, Matrix4, RegistrationFile, StageFile
-from rhot.rig.config import CameraConfig, RigConfig
+from rhot.rig.config import CameraConfig, ObjectSource, RigConfig
 
 logger = logging.getLogger(__name__)
 
@@ -25,6 +26,8 @@ CAMERAS_FILE = "cameras.json"
 COLORS_FILE = "colors.json"
 HAND_FILE = "hand.json"
 REGISTRATION_FILE = "registration.json"
+"""Of all sources of tracked objects that have none of their own; earlier versions knew no other."""
+OBJECT_SOURCES: tuple[ObjectSource, ...] = get_args(ObjectSource)
 STAGE_FILE = "stage.json"
 
 _F = TypeVar("_F", bound=BaseModel)
@@ -41,9 +44,10 @@ class Rig:
         calibrated: whether that geometry comes from `cameras.json`; otherwise it is nominal (field of view and
             position from `rig.toml`, no distortion).
         hand: `hand.json`, or the default scaled by `[hand] length_m`.
-        registration: `registration.json`, or identity.
+        registration: `registration.json`, or identity; it holds for sources that have none of their own.
         quality: what `cameras.json` says of itself; see `rhot.rig.quality`.
         stage: `stage.json`, where the floor is; None when it is not known.
+        registrations: those of one source of tracked objects alone, `registration.<source>.json`.
     """
 
     path: Path
@@ -54,6 +58,11 @@ class Rig:
     registration: RegistrationFile
     quality: Any = None
     stage: StageFile | None = None
+    registrations: Mapping[str, RegistrationFile] = field(default_factory=dict)
+
+    def registration_of(self, source: str) -> RegistrationFile:
+        """Return where the space of a source of tracked objects (`steamvr`, …) lies in the rig."""
+        return self.registrations.get(source, self.registration)
 
     @property
     def colors_path(self) -> Path:
@@ -82,7 +91,19 @@ def load_rig(path: Path) -> Rig:
     hand = _optional(path / HAND_FILE, HandFile) or HandFile(length_m=config.hand.length_m)
     registration = _optional(path / REGISTRATION_FILE, RegistrationFile) or RegistrationFile()
     stage = _optional(path / STAGE_FILE, StageFile)
-    return Rig(path, config, cameras, calibrated, hand, registration, quality, stage)
+    own = {source: _optional(path / registration_name(source), RegistrationFile) for source in OBJECT_SOURCES}
+    registrations: dict[str, RegistrationFile] = {source: file for source, file in own.items() if file is not None}
+    return Rig(path, config, cameras, calibrated, hand, registration, quality, stage, registrations)
+
+
+def registration_name(source: str) -> str:
+    """Return the name of the file with the registration of one source of tracked objects."""
+    return f"registration.{source}.json"
+
+
+def registration_path(path: Path, source: str) -> Path | None:
+    """Return the file that holds a source's registration now: its own, else `registration.json`; None without one."""
+    return next((file for file in (path / registration_name(source), path / REGISTRATION_FILE) if file.exists()), None)
 
 
 def latest_rig(rig: Rig) -> Rig:

@@ -18,7 +18,8 @@ from rhot.rig.folder import read_json_model, write_json_model
 F = TypeVar("F", bound=CalibrationFile)
 
 _Stamp = tuple[int, int]
-_ABSENT: Final = (0, 0)
+ABSENT: Final = (0, 0)
+"""Stamp of a file that is not there."""
 
 
 class KeptFile(Generic[F]):
@@ -40,7 +41,7 @@ class KeptFile(Generic[F]):
         self._untried = path.with_name(f".{path.stem}.untried.json")
         self._previous = path.with_name(f"{path.stem}.previous.json")
         self._swapped = path.with_name(f".{path.stem}.swapped.json")
-        self._stamp = _ABSENT
+        self._stamp = ABSENT
         self._content: F | None = None
 
     @property
@@ -62,7 +63,7 @@ class KeptFile(Generic[F]):
         """
         stamp = file_stamp(self.path)
         if stamp != self._stamp:
-            self._content = None if stamp == _ABSENT else read_json_model(self.path, self._model)
+            self._content = None if stamp == ABSENT else read_json_model(self.path, self._model)
             self._stamp = stamp
         return self._content
 
@@ -151,6 +152,6 @@ def file_stamp(path: Path) -> _Stamp:
     try:
         found = path.stat()
     except OSError:
-        return _ABSENT
+        return ABSENT
     # A file that is put back keeps its own time, which differs from that of the one it replaces.
     return found.st_mtime_ns, found.st_ino

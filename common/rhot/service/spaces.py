@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
 from rhot.bus import Publisher
 from rhot.errors import RhotError
 from rhot.messages import Space
-from rhot.rig import StageFile, read_json_model
+from rhot.rig import RegistrationFile, StageFile, read_json_model
 from rhot.rig.calibration import RigidTransform, matrix4
-from rhot.rig.folder import STAGE_FILE
-from rhot.rig.kept_file import file_stamp
+from rhot.rig.folder import OBJECT_SOURCES, STAGE_FILE, registration_name
+from rhot.rig.kept_file import ABSENT, file_stamp
+from rhot.rig.quality import figure
 from rhot.service.node import Node
 
 logger = logging.getLogger(__name__)
@@ -31,45 +31,61 @@ def publish_spaces(node: Node, rig_path: Path) -> None:
     node.beside(lambda: _publish(node, rig_path))
 
 
-def spaces_of(rig_path: Path, t_ns: int) -> dict[str, Space]:
-    """Return the spaces that a rig folder knows, by name.
+def space_files(rig_path: Path) -> dict[str, Path]:
+    """Return the files that may hold a space, by the space's name."""
+    names = {STAGE: STAGE_FILE} | {str(source): registration_name(source) for source in OBJECT_SOURCES}
+    return {name: rig_path / file for name, file in names.items()}
+
+
+def read_space(name: str, file: Path, t_ns: int) -> Space | None:
+    """Return the space that a file holds; None without a file.
 
     Args:
-        rig_path: the folder.
-        t_ns: for the messages, rig clock.
+        name: of the space.
+        file: see `space_files`.
+        t_ns: for the message, rig clock.
 
     Raises:
-        CalibrationError: a file is not valid.
+        CalibrationError: the file is not valid.
     """
-    file = rig_path / STAGE_FILE
     if not file.exists():
-        return {}
-    stage = read_json_model(file, StageFile)
-    return {STAGE: _space(stage.T_rig_stage, stage.source, stage.residual_m, t_ns)}
+        return None
+    if name == STAGE:
+        stage = read_json_model(file, StageFile)
+        return _space(stage.T_rig_stage, stage.source, stage.residual_m, t_ns)
+    registration = read_json_model(file, RegistrationFile)
+    rms_mm = figure(registration.quality, "residual_rms_mm")
+    residual_m = None if rms_mm is None else 1e-3 * rms_mm
+    return _space(registration.T_rig_tracker, f"{name} registration", residual_m, t_ns)
 
 
 async def _publish(node: Node, rig_path: Path) -> None:
+    files = space_files(rig_path)
     publishers: dict[str, Publisher[Space]] = {}
-    spaces: Mapping[str, Space] = {}
-    stamp, since_s = None, 0.0
+    spaces: dict[str, Space] = {}
+    stamps: dict[str, tuple[int, int]] = {}
+    since_s = 0.0
     while True:
-        now = file_stamp(rig_path / STAGE_FILE)
-        changed = now != stamp
-        if changed:
-            stamp = now
+        changed = {name for name, file in files.items() if file_stamp(file) != stamps.get(name, ABSENT)}
+        for name in changed:
+            stamps[name] = file_stamp(files[name])
             try:
-                spaces = await asyncio.to_thread(spaces_of, rig_path, 0)
+                space = await asyncio.to_thread(read_space, name, files[name], 0)
             except RhotError as error:
                 node.status.error(str(error))
-                logger.error("the spaces stay as they were: %s", error)
-        if changed or since_s >= REPEAT_S:
-            since_s = 0.0
-            for name, space in spaces.items():
+                logger.error("%s stays as it was: %s", name, error)
+                continue
+            if space is not None:
+                spaces[name] = space
+            elif spaces.pop(name, None) is not None:
+                publishers[name].forget()
+        repeat = since_s >= REPEAT_S
+        since_s = 0.0 if repeat else since_s
+        for name, space in spaces.items():
+            if repeat or name in changed:
                 if name not in publishers:
                     publishers[name] = node.bus.publisher(f"rhot/space/{name}", Space)
                 publishers[name].put(space.model_copy(update={"t_ns": node.clock.now_ns()}))
-            for name in publishers.keys() - spaces.keys():
-                publishers[name].forget()
         await asyncio.sleep(_LOOK_S)
         since_s += _LOOK_S
 

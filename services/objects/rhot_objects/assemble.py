@@ -38,13 +38,13 @@ def plan_sources(rig: Rig) -> list[SourcePlan]:
     Raises:
         ConfigError: two objects share a serial number.
     """
-    registration = Registration.from_file(rig.registration)
     objects = rig.config.objects
     shapes = {name: config.shape for name, config in objects.items() if config.shape is not None}
     plans = []
 
     def add(name: str, source: PoseSource, configs: Mapping[str, ObjectConfig]) -> None:
         rate_hz = max(config.rate_hz for config in configs.values())
+        registration = Registration.from_file(rig.registration_of(source_kind(name)))
         plans.append(SourcePlan(name, rate_hz, source, ObjectStage(registration, shapes=shapes)))
 
     steamvr = {name: config for name, config in objects.items() if config.source == "steamvr"}
@@ -52,12 +52,18 @@ def plan_sources(rig: Rig) -> list[SourcePlan]:
         add("steamvr", SteamVrSource(_ids_by_serial(rig, steamvr)), steamvr)
     simulated = {name: config for name, config in objects.items() if config.source == "simulated"}
     if simulated:
+        registration = Registration.from_file(rig.registration_of("simulated"))
         source = load_simulated("objects")(rig, registration, frozenset(simulated))
         add("simulated", source, simulated)
     for name, config in objects.items():
         if config.source == "recorded" and config.path is not None:
             add(f"recorded.{name}", RecordedSource(name, rig.resolve(config.path), loop=config.loop), {name: config})
     return plans
+
+
+def source_kind(name: str) -> str:
+    """Return the kind of source, whose registration holds, of a plan's name: `recorded` of `recorded.cup`."""
+    return name.partition(".")[0]
 
 
 def _ids_by_serial(rig: Rig, objects: Mapping[str, ObjectConfig]) -> dict[str, str]:

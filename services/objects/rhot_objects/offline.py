@@ -17,7 +17,7 @@ class RecordedObjects:
     """
 
     def __init__(self, rig: Rig) -> None:
-        registration = Registration.from_file(rig.registration)
+        registration = Registration.from_file(rig.registration_of("recorded"))
         configs = {name: config for name, config in rig.config.objects.items() if config.source == "recorded"}
         shapes = {name: config.shape for name, config in configs.items() if config.shape is not None}
         self._players = [

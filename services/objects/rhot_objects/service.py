@@ -19,7 +19,7 @@ from rhot.rig.file_model import FileModel
 from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread
-from rhot_objects.assemble import SourcePlan, plan_sources
+from rhot_objects.assemble import SourcePlan, plan_sources, source_kind
 from rhot_objects.registration import Registration
 from rhot_objects.sources import SpaceMovedError
 from rhot_objects.stage import ObjectStage
@@ -87,7 +87,7 @@ class ObjectsService:
         self._plans = {plan.name: plan for plan in plan_sources(rig)}
         async with asyncio.TaskGroup() as tasks:
             for name in self._plans:
-                tasks.create_task(self._follow(node, start, name, rig.registration))
+                tasks.create_task(self._follow(node, start, name, rig.registration_of(source_kind(name))))
 
     async def _follow(self, node: Node, start: Control, name: str, registration: RegistrationFile) -> None:
         device = DeviceThread(name)
@@ -95,7 +95,7 @@ class ObjectsService:
             # Published nevertheless: registering anew needs the poses.
             self._trouble(
                 name,
-                f"the space of {name} has moved since registration.json was made, so all its poses are wrong until it "
+                f"the space of {name} has moved since it was registered, so all its poses are wrong until it "
                 "is registered again: `rhot calibrate objects --live` (a few places are enough with --realign)",
             )
         else:
@@ -137,9 +137,9 @@ class ObjectsService:
         self._troubles[name] = text
 
     async def _registered_anew(self, name: str, old: RegistrationFile) -> RegistrationFile:
-        """Wait for another `registration.json`, and use it."""
+        """Wait for another registration, and use it."""
         while True:
-            new = (await asyncio.to_thread(latest_rig, self._rig)).registration
+            new = (await asyncio.to_thread(latest_rig, self._rig)).registration_of(source_kind(name))
             if new != old:
                 break
             await asyncio.sleep(_RETRY_S)

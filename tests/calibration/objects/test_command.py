@@ -57,12 +57,16 @@ def write_table(file: Path, rows: FloatArray) -> Path:
     return file
 
 
+FILE = "registration.steamvr.json"
+"""Of the only source of objects that a rig without objects can have."""
+
+
 def run(rig: Path, *arguments: str | Path) -> Result:
     return CliRunner().invoke(objects, [*map(str, arguments), "--rig", str(rig)], catch_exceptions=False)
 
 
 def registration(rig: Path) -> RegistrationFile:
-    return read_json_model(rig / "registration.json", RegistrationFile)
+    return read_json_model(rig / FILE, RegistrationFile)
 
 
 def off(file: RegistrationFile, moved_m: FloatArray | float = 0.0) -> tuple[float, float]:
@@ -88,13 +92,13 @@ def test_a_table_becomes_a_registration(rig_folder: Path, tmp_path: Path) -> Non
     assert written.quality["places"] == 10
     assert 0.3 < written.quality["position_sd_mm"] < 2.0
     np.testing.assert_allclose(written.quality["lever_m"], LEVER, atol=2e-3)
-    assert (rig_folder / "registration.previous.json").exists()
+    assert (rig_folder / "registration.steamvr.previous.json").exists()
 
 
 def test_a_dry_run_writes_nothing(rig_folder: Path, tmp_path: Path) -> None:
     done = run(rig_folder, write_table(tmp_path / "places.csv", shown()), "--dry-run")
     assert "nothing was written" in done.output
-    assert not (rig_folder / "registration.json").exists()
+    assert not (rig_folder / FILE).exists()
 
 
 def test_realign_with_one_place_moves_and_does_not_turn(rig_folder: Path, tmp_path: Path) -> None:
@@ -114,7 +118,7 @@ def test_realign_with_one_place_moves_and_does_not_turn(rig_folder: Path, tmp_pa
     assert written.quality["method"] == "realigned"
     assert 4.0 < written.quality["moved_mm"] < 8.0
     assert written.quality["rotation_sd_deg"] > 0.15, "a place cannot make the rotation surer"
-    assert read_json_model(rig_folder / "registration.previous.json", RegistrationFile) == first
+    assert read_json_model(rig_folder / "registration.steamvr.previous.json", RegistrationFile) == first
 
 
 def test_realign_with_four_places_turns_too(rig_folder: Path, tmp_path: Path) -> None:
@@ -152,11 +156,11 @@ def test_realign_of_a_registration_of_unknown_origin_asks_for_the_lever(rig_fold
 def test_a_damaged_record_is_named(rig_folder: Path, tmp_path: Path) -> None:
     table = write_table(tmp_path / "first.csv", shown())
     run(rig_folder, table)
-    content = json.loads((rig_folder / "registration.json").read_text())
+    content = json.loads((rig_folder / FILE).read_text())
     damages: list[tuple[str, Any]] = [("covariance", [[0.0] * 9] * 9), ("covariance", [1.0]), ("lever_m", "long")]
     for field, value in damages:
         damaged = {**content, "quality": {**content["quality"], field: value}}
-        (rig_folder / "registration.json").write_text(json.dumps(damaged))
+        (rig_folder / FILE).write_text(json.dumps(damaged))
         with pytest.raises(CalibrationError, match=rf"quality\.{field}.*without --realign"):
             run(rig_folder, table, "--realign")
 

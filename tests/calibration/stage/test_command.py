@@ -71,7 +71,7 @@ def test_the_registered_space_is_the_stage(desk_pictures: tuple[Rig, Path], tmp_
     (path / "registration.json").unlink()
     refused = run("--registration", "--rig", path)
     assert refused.exit_code == 1
-    assert "registration.json is not there" in refused.output
+    assert "registration.steamvr.json is not there" in refused.output
 
 
 @pytest.mark.parametrize(

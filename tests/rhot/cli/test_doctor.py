@@ -32,7 +32,7 @@ def test_missing_calibrations_name_the_exact_command(rig_folder: Path) -> None:
     for file, remedy in (
         ("cameras.json", f"rhot calibrate cameras RECORDING --rig {rig_folder} --board 9x6 --square-mm 25"),
         ("hand.json", f"rhot calibrate hand RECORDING --rig {rig_folder}"),
-        ("registration.json", f"rhot calibrate objects --live --object cup --marker NAME --rig {rig_folder}"),
+        ("registration.steamvr.json", f"rhot calibrate objects --live --object cup --marker NAME --rig {rig_folder}"),
     ):
         assert remedy in about(findings, file).remedy
 

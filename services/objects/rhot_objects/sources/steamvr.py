@@ -168,7 +168,7 @@ class SteamVrSource:
         self._space, self._has_tracked, self._moved, self._asks_space = space, True, "", False
         if moved:
             raise SpaceMovedError(
-                f"SteamVR's standing space has moved ({moved}): registration.json no longer says where it is, so that "
+                f"SteamVR's standing space has moved ({moved}): its registration no longer says where it is, so that "
                 "neither objects nor headset are published. Run `rhot stop` and `rhot start`, then register it again: "
                 "`rhot calibrate objects --live` (a few places are enough with --realign)"
             )
