@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhot.anatomy.hand import HandModel
-from rhot.anatomy.skeleton import JOINTS
+from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.geometry.camera import CameraModel
 from rhot.rig import FusionConfig, Rig
 from rhot_fusion.filter.birth import Birth, View, on_ray
@@ -31,14 +31,31 @@ class Hand:
     Attributes:
         index: (H,) of them among all markers.
         base: which of those H is the patch on its back; −1 = none.
+        across: which of those H are the tips of the little and of the index finger; none without either.
+        beside_m: (H,) how far the knuckle of each fingertip is beside the patch, towards the index finger, metres.
         filter: theirs.
         record: of their frames; none when nobody will look back.
     """
 
     index: IndexArray
     base: int
+    across: tuple[int, int] | None
+    beside_m: FloatArray
     filter: JointFilter
     record: HandRecord | None
+
+    def roots(self, place: FloatArray) -> FloatArray:
+        """Return where the fingers of its markers at places (H, 3) begin (H, 3), across the hand; needs the patch.
+
+        Fingers run side by side from their knuckles, so from there they point the same way however far they bend.
+        """
+        base = place[self.base]
+        if self.across is None or not self.filter.state.alive[list(self.across)].all():
+            return np.broadcast_to(base, place.shape)
+        little, first = self.across
+        along = place[first] - place[little]
+        roots: FloatArray = base + self.beside_m[:, None] * (along / max(float(np.sqrt(along @ along)), 1e-6))
+        return roots
 
 
 class Acquisition:
@@ -185,14 +202,26 @@ def rows_of(hand: Hand, sightings: Sightings, *, alone: bool) -> IndexArray:
 
 def hands_of(rig: Rig, cameras: Sequence[CameraModel], settings: FilterSettings, *, record: bool) -> list[Hand]:
     """Return the hands of a rig; `record` keeps their frames."""
-    markers = list(rig.config.markers.values())
+    names, markers = list(rig.config.markers), list(rig.config.markers.values())
     sides = np.array([marker.hand for marker in markers])
     hands = []
     for side in np.unique(sides):
         index = np.flatnonzero(sides == side)
         base = next((k for k, m in enumerate(index.tolist()) if markers[m].kind == "patch"), -1)
         joint = JointFilter(len(index), settings.motion, settings.track.gate)
-        hands.append(Hand(index, base, joint, HandRecord(index, cameras) if record else None))
+        joints = [markers[m].joint for m in index.tolist()]
+        ends = ("little_tip", "index_tip")
+        across = (joints.index(ends[0]), joints.index(ends[1])) if set(ends) <= set(joints) else None
+        beside_m = np.zeros(len(index))
+        if base >= 0:
+            model = HandModel.from_file(rig.hand, markers[int(index[0])].hand)
+            patch = model.marker_offset(names[int(index[base])], markers[int(index[base])])
+            sense = np.sign(model.knuckles[1, 0] - model.knuckles[4, 0])
+            fingers = {f"{name}_tip": row for row, name in enumerate(FINGERS)}
+            for k, name in enumerate(joints):
+                if name in fingers:
+                    beside_m[k] = sense * (model.knuckles[fingers[name], 0] - patch[0])
+        hands.append(Hand(index, base, across, beside_m, joint, HandRecord(index, cameras) if record else None))
     return hands
 
 

@@ -16,6 +16,9 @@ from rhot_fusion.filter.state import SHARED, BoolArray, FloatArray, IndexArray, 
 
 _HUBER = 9.0
 """Squared Mahalanobis distance beyond which a view's variance grows in proportion to it."""
+_BACK = 6.0
+"""The same of a view of a marker that the camera had lost, beyond which the marker is elsewhere: 5 % by chance."""
+_EYE: FloatArray = np.eye(2)
 _NEAREST_M = 0.05
 """A marker on or behind the image plane has no useful derivative; its innovation refuses it."""
 _REACH = 0.02
@@ -109,19 +112,36 @@ class JointFilter:
         H, J, y = self._observation(state, views)
         HP, HQ = H @ state.P, H @ Q
         S, S_more = HP @ H.T, HQ @ H.T
-        innovation, weight = self._judge(state.weight, views, y, J, S, S_more)
+        weight, evidence = self._weigh(state.weight, views, y, J, S, S_more)
         scale2 = self._scale2(weight) if scale2 is None else scale2
-        before = State(state.t_s, state.x, state.P + scale2 * Q, weight, state.alive)
-        # What lies far off counts less: Huber's loss.
-        variance = views.variance * np.maximum(1.0, innovation.nis / _HUBER)[:, None, None]
-        variance += self._between(views, J, scale2)
         S += scale2 * S_more
+        between = self._between(views, J, scale2)
+        own = views.variance + between
+        innovation = self._gated(views, y, S, own, evidence)
+        before = State(state.t_s, state.x, state.P + scale2 * Q, weight, state.alive)
+        HP += scale2 * HQ
+        if views.back is not None and (loose := views.back & innovation.accepted & (innovation.nis > _BACK)).any():
+            before = self._loosened(before, views.index[loose], innovation.nis[loose])
+            HP = H @ before.P
+            S = HP @ H.T
+            innovation = self._gated(views, y, S, own, evidence)
+        # What lies far off counts less: Huber's loss.
+        variance = views.variance * np.maximum(1.0, innovation.nis / _HUBER)[:, None, None] + between
         _add_blocks(S, variance)
-        self.state = _updated(before, HP + scale2 * HQ, S, y, innovation.accepted)
+        self.state = _updated(before, HP, S, y, innovation.accepted)
         return innovation, Step(dt, F, before, self.state)
 
     def _scale2(self, weight: FloatArray) -> float:
         return float(weight @ self._scales2)
+
+    def _loosened(self, state: State, index: IndexArray, nis: FloatArray) -> State:
+        """Return a state that is less sure of markers that came back elsewhere: it is not the views that are wrong."""
+        P = state.P.copy()
+        for marker, distance2 in zip(index.tolist(), nis.tolist(), strict=True):
+            rows = self._rows(marker)
+            own = np.ix_(rows, rows)
+            P[own] += (0.5 * distance2 - 1.0) * state.P[own]
+        return replace(state, P=P)
 
     def _moved(self, t_s: float) -> tuple[State, float, FloatArray]:
         """Return the state at a moment without the noise of the way, how long that is and its transition."""
@@ -175,37 +195,54 @@ class JointFilter:
         blocks[every, :, 1, index] = delta[:, :, None] * J
         return H, J, views.xy - xy
 
-    def _judge(
-        self, weight: FloatArray, views: Views, y: FloatArray, J: FloatArray, S: FloatArray, S_more: FloatArray
-    ) -> tuple[Innovation, FloatArray]:
-        """Weigh the scales by a frame's views, each marker by itself, and gate the views."""
-        number = len(views.index)
-        every = np.arange(number)
-        own = S.reshape(number, 2, number, 2)[every, :, every] + views.variance
-        more = S_more.reshape(number, 2, number, 2)[every, :, every] + self._between(views, J, 1.0)
-        y0, y1 = y.T
-        y00, y01, y11 = y0 * y0, y0 * y1, y1 * y1
-        all_S = own + self._scales2[:, None, None, None] * more
-        a, b, c = all_S[..., 0, 0], all_S[..., 0, 1], all_S[..., 1, 1]
-        det = a * c - b * b
-        nis = (c * y00 - 2.0 * b * y01 + a * y11) / det
+    def _weigh(
+        self,
+        weight: FloatArray,
+        views: Views,
+        y: FloatArray,
+        J: FloatArray,
+        S: FloatArray,
+        S_more: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the scales' weights after a frame's views, each marker by itself, and their evidence."""
+        own = _blocks(S) + views.variance
+        more = _blocks(S_more) + self._between(views, J, 1.0)
+        nis, det = _distance2(own + self._scales2[:, None, None, None] * more, y)
         # What no gate would pass tells of an outlier, not of a scale.
         evidence = -0.5 * (np.minimum(nis, self._gate) + np.log(det)).sum(axis=1)
         weight = weight * np.exp(evidence - evidence.max())
-        weight /= weight.sum()
-        own += self._scale2(weight) * more
-        a, b, c = own[:, 0, 0], own[:, 0, 1], own[:, 1, 1]
-        distance2 = (c * y00 - 2.0 * b * y01 + a * y11) / (a * c - b * b)
-        slack2 = views.slack * views.slack
-        a, c = a + slack2, c + slack2
-        loose2 = (c * y00 - 2.0 * b * y01 + a * y11) / (a * c - b * b)
-        return Innovation(y, own, distance2, loose2 <= self._gate, evidence), weight
+        return weight / weight.sum(), evidence
+
+    def _gated(
+        self, views: Views, y: FloatArray, S: FloatArray, variance: FloatArray, evidence: FloatArray
+    ) -> Innovation:
+        """Judge each of a frame's views by itself."""
+        own = _blocks(S) + variance
+        nis, _ = _distance2(own, y)
+        loose2, _ = _distance2(own + (views.slack * views.slack)[:, None, None] * _EYE, y)
+        return Innovation(y, own, nis, loose2 <= self._gate, evidence)
 
     def _between(self, views: Views, J: FloatArray, scale2: float) -> FloatArray:
         """Return the noise (N, 2, 2) between the frame's moment and the row's, as if independent of the way before."""
         power = (scale2 * self._settings.own**2 / 3.0) * np.abs(views.delta_s) ** 3
         between: FloatArray = power[:, None, None] * (J @ J.swapaxes(1, 2))
         return between
+
+
+def _blocks(S: FloatArray) -> FloatArray:
+    """Return the (N, 2, 2) along the diagonal of (2 N, 2 N)."""
+    number = len(S) // 2
+    every = np.arange(number)
+    blocks: FloatArray = S.reshape(number, 2, number, 2)[every, :, every]
+    return blocks
+
+
+def _distance2(S: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the squared Mahalanobis distances of y (N, 2) by covariances (..., N, 2, 2), and their determinants."""
+    y0, y1 = y.T
+    a, b, c = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
+    det = a * c - b * b
+    return (c * y0 * y0 - 2.0 * b * y0 * y1 + a * y1 * y1) / det, det
 
 
 def _add_blocks(S: FloatArray, blocks: FloatArray) -> None:

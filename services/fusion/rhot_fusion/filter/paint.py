@@ -6,8 +6,8 @@ direction u to the camera, the middle of that side lies off the finger's axis, a
     −(π/4) ρ r c        further along the finger,
 
 r its radius, ρ ≈ 0.85 the share of the paint that is on its shaft rather than on its round end. The direction of a
-finger in the picture is that from the patch on the back of the hand to the tip; how far it bends away from the camera
-is told by its visible area, which is
+finger across the view is that to the tip from beside the patch on the back of the hand, where its knuckle is; how far
+it bends away from the camera is told by its visible area, which is
 
     A(c) / A(0) = (2 λ √(1 − c²) + (π/2) (1 + c)) / (2 λ + π/2)        for c ≤ 0,
 
@@ -38,6 +38,7 @@ class Paint:
 
     Attributes:
         bend: (M,) c of each fingertip by its area, −1 to 0.
+        changing: (C, M) share by which the paint that is visible has grown or shrunk of late, 0 to 1.
     """
 
     def __init__(self, cameras: Sequence[CameraModel], radius_m: FloatArray, settings: PaintSettings) -> None:
@@ -57,15 +58,19 @@ class Paint:
         self.bend: FloatArray = np.full(markers, settings.first_bend)
         self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
         centers = np.stack([camera.center for camera in cameras])
+        self._middle: FloatArray = centers.mean(axis=0)
         # In each camera's picture, the direction away from the other cameras.
-        away = [camera.R_camera_rig[:2] @ (camera.center - centers.mean(axis=0)) for camera in cameras]
+        away = [camera.R_camera_rig[:2] @ (camera.center - self._middle) for camera in cameras]
         self._away: FloatArray = np.array([a / max(float(np.hypot(*a)), 1e-9) for a in away])
         self._width: FloatArray = np.zeros((len(cameras), markers))
+        self.changing: FloatArray = np.zeros((len(cameras), markers))
+        self._slow: FloatArray = np.zeros((len(cameras), markers))
         self._seen_s: FloatArray = np.full((len(cameras), markers), -np.inf)
 
     def clear(self) -> None:
         """Forget all areas."""
         self._seen_s[:] = -np.inf
+        self._slow[:] = 0.0
         self._largest[:] = 0.0
         self.bend[:] = self._settings.first_bend
 
@@ -76,15 +81,19 @@ class Paint:
             camera: that sees them.
             index: (N,) markers.
             tip: (N, 3) where they are, metres, rig frame.
-            base: (3,) the patch on the back of their hand.
+            base: (N, 3) where their fingers begin.
         """
-        local = tip @ camera.R_camera_rig.T + camera.t_camera_rig
+        c = np.maximum(self.bend[index], self._settings.most_bend)[:, None]
+        sight = _unit(self._middle - tip)
+        finger = tip - base
+        d = c * sight + np.sqrt(1.0 - c * c) * _unit(finger - (finger * sight).sum(axis=1, keepdims=True) * sight)
+        own = _unit(camera.center - tip)
+        c = (d * own).sum(axis=1, keepdims=True)
+        offset = self._settings.side * self._radius_m[index][:, None] * c * _unit(d - c * own)
+        local, offset = tip @ camera.R_camera_rig.T + camera.t_camera_rig, offset @ camera.R_camera_rig.T
         depth = np.maximum(local[:, 2:], 0.05)
-        finger = (tip - base) @ camera.R_camera_rig.T
-        across = finger[:, :2] - local[:, :2] / depth * finger[:, 2:]
-        across /= np.maximum(np.sqrt((across * across).sum(axis=1)), 1e-6)[:, None]
-        offset = self._settings.side * self._radius_m[index] * self.bend[index]
-        return across * (offset[:, None] / depth)
+        shift: FloatArray = (offset[:, :2] - local[:, :2] / depth * offset[:, 2:]) / depth
+        return shift
 
     def correct(
         self, camera: int, index: IndexArray, t_s: float, area_px: FloatArray, depth_m: FloatArray
@@ -104,11 +113,12 @@ class Paint:
         settings = self._settings
         width = np.sqrt(area_px) / self._focal_px[camera]
         # Both cameras' widths lag by the same time: a marker that turns away shrinks in both.
-        elapsed = t_s - self._seen_s[camera, index]
+        elapsed = np.maximum(t_s - self._seen_s[camera, index], 0.0)
         gain = np.where(elapsed > settings.compare_s, 1.0, -np.expm1(-elapsed / settings.settle_s))
         old = self._width[camera, index]
         # Widths in metres: how far the cameras are from the marker makes no difference.
         self._width[camera, index] = old + gain * (width * depth_m - old)
+        self.changing[camera, index] = self._changing(camera, index, elapsed, width * depth_m)
         self._seen_s[camera, index] = t_s
         recent = self._seen_s[:, index] >= t_s - settings.compare_s
         full = np.where(recent, self._width[:, index], 0.0).max(axis=0)
@@ -128,7 +138,34 @@ class Paint:
         doubt = np.hypot(settings.doubt * size, settings.wander * width)
         return settings.shift * size[:, None] * self._away[camera], doubt
 
+    def _changing(self, camera: int, index: IndexArray, elapsed: FloatArray, width: FloatArray) -> FloatArray:
+        """Return by what share (N,) of it the visible paint has grown or shrunk of late, 0 to 1."""
+        settings = self._settings
+        lost = elapsed > settings.compare_s
+        # What comes back is as it was, or comes out from behind something.
+        old = np.where(np.isinf(elapsed), width, self._slow[camera, index])
+        slow = old - np.expm1(-np.where(lost, 0.0, elapsed) / settings.appears_s) * (width - old)
+        self._slow[camera, index] = slow
+        low, high = np.minimum(slow, width), np.maximum(slow, width)
+        change: FloatArray = np.clip(1.0 - np.square(low / np.maximum(high, 1e-9)) - settings.uneven, 0.0, 1.0)
+        return np.where(width > 0.0, change, 0.0)
+
+    def doubt_back(self, index: IndexArray, depth_m: FloatArray) -> FloatArray:
+        """Return how far what is seen of markers (N,) may be off their middles when they come back: normalised units.
+
+        Of what is seen for the first time nothing tells that it was hidden.
+        """
+        whole = np.where(self._largest[index] > 0.0, 2.0 * self._radius_m[index], 0.0)
+        doubt: FloatArray = self._settings.appearing * whole / depth_m
+        return doubt
+
     def slack(self, camera: int, area_px: FloatArray) -> FloatArray:
         """Return how far views of markers (N,) may be off for what hides them, normalised units."""
         slack: FloatArray = (self._settings.slack_px + self._settings.slack * np.sqrt(area_px)) / self._focal_px[camera]
         return slack
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    """Return vectors (N, 3) of length 1."""
+    unit: FloatArray = vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1, keepdims=True)), 1e-6)
+    return unit

@@ -147,6 +147,13 @@ class PaintSettings:
         side: (π/4) ρ of `paint`.
         shaft: λ of `paint`: tips are painted over 15 to 20 mm and 6 to 7 mm thick.
         first_bend: c of a finger at ease, bent away from the camera by a quarter of a right angle or a little more.
+        most_bend: c beyond which a small area tells that paint is hidden rather than how a finger bends: 45 degrees;
+            between 0.7 and 0.8 alike within 0.1 mm on rendered pictures and two simulated hands.
+        appears_s: time constant of the width that what is visible is compared with, seconds: two frames at 60 fps.
+        appearing: standard deviation of where the middle of a marker is that comes out from behind something, as a
+            share of its width: half of what one can see is hidden at the median; 0.1 to 0.25 alike.
+        settled: a marker is not called measured while its visible paint has changed by more than this share within
+            `appears_s`: it is being hidden or comes out.
         seen_first: how far the largest area of a marker is taken from its first one rather than from how long paint
             should be: between 0 and 0.5 alike on rendered and simulated hands, 1 is worse by 0.4 mm on the latter.
         found: share of a tip's area that is found as its colour; the rim is mixed with what is behind.
@@ -161,9 +168,13 @@ class PaintSettings:
     shift: float = 0.5
     doubt: float = 0.25
     wander: float = 0.0
+    appears_s: float = 0.03
+    appearing: float = 0.15
+    settled: float = 0.4
     side: float = 0.66
     shaft: float = 1.8
     first_bend: float = -0.45
+    most_bend: float = -0.7
     seen_first: float = 0.25
     found: float = 0.9
     slack_px: float = 0.5

@@ -28,6 +28,7 @@ class Views:
         xy: (N, 2) normalised image coordinates.
         variance: (N, 2, 2) of them.
         slack: (N,) standard deviation beyond that which the gate allows for, normalised units.
+        back: (N,) whether the camera has not shown the marker for a while; none when not given.
     """
 
     camera: CameraModel
@@ -36,6 +37,7 @@ class Views:
     xy: FloatArray
     variance: FloatArray
     slack: FloatArray
+    back: BoolArray | None = None
 
     def chosen(self, chosen: BoolArray) -> Views:
         """Return some (N,) of the views."""
@@ -46,6 +48,7 @@ class Views:
             self.xy[chosen],
             self.variance[chosen],
             self.slack[chosen],
+            None if self.back is None else self.back[chosen],
         )
 
 

@@ -77,6 +77,7 @@ class FilterTracker:
         calibration_px = float(self.noise.calibration_px.max())
         self._paint = Paint(cameras, radii, settings.paint)
         self._systematic = Systematic(cameras, rig.quality, calibration_px, radii, settings.systematic)
+        self._calibrated = rig.calibrated
         self._time_variance = 0.0 if rig.calibrated else settings.noise.uncalibrated_s**2
         self.gates: dict[int, tuple[IndexArray, Innovation, FloatArray]] = {}
         self._history: deque[tuple[Sightings, list[State]]] = deque(maxlen=_LONGEST_HISTORY)
@@ -150,7 +151,8 @@ class FilterTracker:
                 if track.belief is Belief.BELIEVED:
                     position[marker], covariance[marker] = place[k], own[k, :, k]
                     seen[:, marker] = track.views(newest_s, fresh)
-        outcome = outcome_of(then_s, position, covariance, seen, self._systematic, self._settings.track)
+        settled = np.where(seen, self._paint.changing, 0.0).max(axis=0) <= self._settings.paint.settled
+        outcome = outcome_of(then_s, position, covariance, seen, self._systematic, settled, self._settings.track)
         self._counts["measured"] += sum(outcome.measured)
         return outcome
 
@@ -232,8 +234,10 @@ class FilterTracker:
             if hand.record is not None:
                 hand.record.add(sightings, here)
             free = []
-            for row, marker in zip(here.tolist(), index.tolist(), strict=True):
-                view = View(self._cameras[camera], float(sightings.times_s[row]), sightings.xy[row], variance)
+            doubt = self._paint.doubt_back(index, self._depth(hand, camera, index))
+            for row, marker, more in zip(here.tolist(), index.tolist(), doubt.tolist(), strict=True):
+                time_s, xy = float(sightings.times_s[row]), sightings.xy[row]
+                view = View(self._cameras[camera], time_s, xy, variance + more * more)
                 self._acquisition.add(marker, camera, view)
                 free.append(self._acquisition.is_free(marker, camera, t_s))
             self._update(hand, sightings, here[~np.array(free, dtype=bool)], variance)
@@ -243,7 +247,21 @@ class FilterTracker:
         if self._acquisition.begun > begun:
             self._history.clear()
 
-    def _update(self, hand: Hand, sightings: Sightings, here: IndexArray, variance: float | None) -> None:
+    def _depth(self, hand: Hand, camera: int, index: IndexArray) -> FloatArray:
+        """Return how far markers (N,) are from a camera; those that are not known are where their hand is."""
+        model, alive = self._cameras[camera], hand.filter.state.alive
+        depth = np.maximum(hand.filter.place @ model.R_camera_rig[2] + model.t_camera_rig[2], 0.1)
+        unknown = float(depth[alive].mean()) if alive.any() else np.inf
+        known: FloatArray = np.where(alive, depth, unknown)[np.searchsorted(hand.index, index)]
+        return known
+
+    def _update(
+        self,
+        hand: Hand,
+        sightings: Sightings,
+        here: IndexArray,
+        variance: float | None,
+    ) -> None:
         """Let views of known markers of a hand move its filter; a variance of None is for once more."""
         if not len(here):
             return
@@ -251,11 +269,11 @@ class FilterTracker:
         camera, index = self._cameras[sightings.camera], sightings.index[here]
         local = np.searchsorted(hand.index, index)
         place, t_s = hand.filter.place, max(sightings.t_s, hand.filter.state.t_s)
-        depth = np.maximum(place[local] @ camera.R_camera_rig[2] + camera.t_camera_rig[2], 0.1)
         area_px = sightings.area_px[here]
+        depth = self._depth(hand, sightings.camera, index)
         shift, doubt = self._paint.correct(sightings.camera, index, sightings.t_s, area_px, depth)
         if hand.base >= 0 and hand.filter.state.alive[hand.base]:
-            along = self._paint.along(camera, index, place[local], place[hand.base])
+            along = self._paint.along(camera, index, place[local], hand.roots(place)[local])
             # Without areas it is not paint that is seen, or nobody knows how a finger bends.
             shift[area_px > 0.0] += along[area_px > 0.0]
         variances = np.zeros((len(here), 2, 2))
@@ -265,7 +283,13 @@ class FilterTracker:
             pace = hand.filter.velocity[local] @ camera.R_camera_rig[:2].T / depth[:, None]
             variances += self._time_variance * pace[:, :, None] * pace[:, None, :]
         slack = self._paint.slack(sightings.camera, area_px)
-        views = Views(camera, local, sightings.times_s[here] - t_s, sightings.xy[here] + shift, variances, slack)
+        delta_s = sightings.times_s[here] - t_s
+        xy = sightings.xy[here] + shift
+        lost_s = sightings.t_s - self._settings.track.lost_periods * self._schedule.longest_period_s
+        back = np.array([self.tracks[m].accepted_s[sightings.camera] < lost_s for m in index.tolist()]) & (
+            self._calibrated and not again
+        )
+        views = Views(camera, local, delta_s, xy, variances, slack, back)
         innovation, _ = hand.filter.step(t_s, views)
         if again:
             return

@@ -101,6 +101,7 @@ def outcome_of(
     covariance: FloatArray,
     seen: BoolArray,
     systematic: Systematic,
+    settled: BoolArray | None = None,
     settings: TrackSettings = DEFAULT.track,
 ) -> Outcome:
     """Return markers at positions (M, 3), NaN = absent, with covariances (M, 3, 3), seen by cameras (C, M).
@@ -108,6 +109,8 @@ def outcome_of(
     Two cameras that see a marker measure it if its place has become certain by that.
     """
     sharp = np.trace(covariance, axis1=1, axis2=2) <= settings.measured_m**2
+    if settled is not None:
+        sharp &= settled
     covariance = covariance + systematic.covariance(position)
     views = seen.sum(axis=0)
     measured = (views >= 2) & sharp & np.isfinite(position[:, 0])
