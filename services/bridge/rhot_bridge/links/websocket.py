@@ -51,6 +51,9 @@ class WebSocketLink:
         Raises:
             DeviceError: the port or the address cannot be had.
         """
+        # It logs every connection that fails; who reads is told here.
+        library = logging.getLogger("rhot_bridge.websockets")
+        library.setLevel(logging.ERROR)
         try:
             self._server = await serve(
                 self._stay,
@@ -61,14 +64,13 @@ class WebSocketLink:
                 compression=None,
                 max_size=1024,
                 close_timeout=0.5,
-                logger=logging.getLogger("rhot_bridge.websockets"),
+                logger=library,
             )
         except OSError as error:
             raise DeviceError(
                 f"cannot listen on {self._host} port {self._port}: {error.strerror or error}; another program, or "
                 "another bridge, has it: choose another --port"
             ) from error
-        logging.getLogger("rhot_bridge.websockets").setLevel(logging.ERROR)
 
     async def _stay(self, reader: ServerConnection) -> None:
         if len(self._readers) >= _MOST_READERS:
