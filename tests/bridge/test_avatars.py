@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import rotation_from_quaternion
+from rhot.messages import Side
 from rhot_bridge.axes import Converter
 from rhot_bridge.retarget.arms import two_bones
 from rhot_bridge.retarget.quaternions import conjugate, relative, right_product
@@ -22,6 +23,7 @@ from rhot_bridge.targets.osc import MOST_BYTES, Template, bundles
 from rhot_bridge.targets.vmc import VmcTarget
 from rhot_bridge.targets.vmt import VmtTarget
 
+SIDES: tuple[Side, Side] = ("left", "right")
 COORDINATE = st.floats(-1.0, 1.0)
 UNITY = Converter("unity", np.eye(4))
 
@@ -45,12 +47,20 @@ def test_a_fading_fist_opens() -> None:
     fist = UNITY.poses(bridge_poses.hand("fist", "left"))
     bends = []
     for weight in (1.0, 0.7, 0.4, 0.1):
-        quaternions = finger_bones(dataclasses.replace(fist, weight=weight), "left")[:, 3:]
+        quaternions = finger_bones({"left": dataclasses.replace(fist, weight=weight)})[0, :, 3:]
         assert np.allclose(np.linalg.norm(quaternions, axis=1), 1.0)
         bends.append(float(2.0 * np.degrees(np.arccos(np.clip(np.abs(quaternions[4, 3]), 0.0, 1.0)))))
     assert bends == sorted(bends, reverse=True)
     assert bends[0] > 80.0
     assert bends[-1] < 20.0
+
+
+def test_of_two_hands_only_the_one_that_is_gone_fades() -> None:
+    left, right = (UNITY.poses(bridge_poses.hand("fist", side)) for side in SIDES)
+    together = finger_bones({"left": dataclasses.replace(left, weight=0.3), "right": right})
+    assert np.allclose(together[0], finger_bones({"left": dataclasses.replace(left, weight=0.3)})[0])
+    assert np.allclose(together[1], finger_bones({"right": right})[0])
+    assert not np.allclose(together[0], finger_bones({"left": left})[0], atol=0.05)
 
 
 def test_without_hands_an_avatar_keeps_its_own() -> None:

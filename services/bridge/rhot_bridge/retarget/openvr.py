@@ -17,6 +17,8 @@ little finger once more, in the device's axes.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -56,26 +58,43 @@ _AFTER: Final = {side: right_product(quaternion_from_rotation(_C[side].T)[None])
 _WRIST: Final = {side: quaternion_from_rotation(_D[side].T) for side in _D}
 
 
-def openvr_bones(hand: Hand, side: Side) -> FloatArray:
-    """Return the bones of a hand in their parents' axes.
+@cache
+def _tables(number: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return finger joints and their parents of several hands, one after the other."""
+    starts = [len(JOINTS) * hand for hand in range(number)]
+    return (
+        np.concatenate([_FINGER_JOINTS + start for start in starts]),
+        np.concatenate([_PARENT_ROWS + start for start in starts]),
+    )
+
+
+def openvr_bones(hands: Mapping[Side, Hand]) -> FloatArray:
+    """Return the bones of hands in their parents' axes.
+
+    Hands go together: arrays so small cost what their calls cost.
 
     Args:
-        hand: in stage axes, which are OpenVR's; each bone lies along its joint's z.
-        side: whose.
+        hands: one or both, in stage axes, which are OpenVR's; each bone lies along its joint's z.
 
     Returns:
-        (31, 7): positions, metres, and quaternions, x y z w.
+        (hands, 31, 7): positions, metres, and quaternions, x y z w.
     """
-    q, p = hand.orientations, hand.positions
-    bones = np.zeros((BONES, 7))
-    bones[0, 6] = 1.0
-    bones[1, 3:] = _WRIST[side]
-    offsets = p[_FINGER_JOINTS] - p[_PARENT_ROWS]
-    bones[2:26, 0] = np.sqrt((offsets * offsets).sum(axis=1)) * (1.0 if side == "left" else -1.0)
-    bones[2:26, 3:] = relative(q[_PARENT_ROWS], q[_FINGER_JOINTS])[:, _ORDER] * _SIGNS[side]
-    to_wrist = rotation_from_quaternion(q[WRIST])
-    bones[METACARPALS, :3] = (p[METACARPALS] - p[WRIST]) @ to_wrist @ _D[side].T
-    bones[METACARPALS, 3:] = bones[METACARPALS, 3:] @ _BEFORE[side]
-    bones[26:, :3] = (p[_LAST] - p[WRIST]) @ to_wrist
-    bones[26:, 3:] = relative(q[WRIST], q[_LAST]) @ _AFTER[side]
+    rows, parents = _tables(len(hands))
+    q = np.concatenate([hand.orientations for hand in hands.values()])
+    p = np.concatenate([hand.positions for hand in hands.values()])
+    offsets = p[rows] - p[parents]
+    lengths = np.sqrt((offsets * offsets).sum(axis=1)).reshape(-1, 24)
+    turns = relative(q[parents], q[rows])[:, _ORDER].reshape(-1, 24, 4)
+    bones = np.zeros((len(hands), BONES, 7))
+    bones[:, 0, 6] = 1.0
+    for own, length, turn, (side, hand) in zip(bones, lengths, turns, hands.items(), strict=True):
+        to_wrist = rotation_from_quaternion(hand.orientations[WRIST])
+        from_wrist = (hand.positions - hand.positions[WRIST]) @ to_wrist
+        own[1, 3:] = _WRIST[side]
+        own[2:26, 0] = length if side == "left" else -length
+        own[2:26, 3:] = turn * _SIGNS[side]
+        own[METACARPALS, :3] = from_wrist[METACARPALS] @ _D[side].T
+        own[METACARPALS, 3:] = own[METACARPALS, 3:] @ _BEFORE[side]
+        own[26:, :3] = from_wrist[_LAST]
+        own[26:, 3:] = relative(hand.orientations[WRIST], hand.orientations[_LAST]) @ _AFTER[side]
     return bones

@@ -14,6 +14,8 @@ Positions are the hand's own, p_sent = N_parent⁻¹ · (p_j − p_parent): zero
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -73,22 +75,40 @@ def avatar_rotations(hand: Hand, side: Side) -> FloatArray:
     return rotations
 
 
-def finger_bones(hand: Hand, side: Side) -> FloatArray:
-    """Return the finger bones of a hand in their parents' axes, in the order of `FINGER_BONES`.
+@cache
+def _tables(sides: tuple[Side, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
+    """Return rows, their parents, matrices and axes of several hands, one after the other."""
+    starts = [len(JOINTS) * number for number in range(len(sides))]
+    return (
+        np.concatenate([_ROWS + start for start in starts]),
+        np.concatenate([_PARENTS + start for start in starts]),
+        np.concatenate([_UNREST[side] for side in sides]),
+        np.concatenate([_BONE_AXIS[side] for side in sides]),
+    )
 
-    What fades goes to the open hand of the T-pose.
+
+def finger_bones(hands: Mapping[Side, Hand]) -> FloatArray:
+    """Return the finger bones of hands in their parents' axes, in the order of `FINGER_BONES`.
+
+    What fades goes to the open hand of the T-pose. Hands go together: arrays so small cost what their calls cost.
 
     Args:
-        hand: in Unity's axes; each bone lies along its joint's z.
-        side: whose.
+        hands: one or both, in Unity's axes; each bone lies along its joint's z.
 
     Returns:
-        (15, 7): positions, metres, and quaternions, x y z w.
+        (hands, 15, 7): positions, metres, and quaternions, x y z w.
     """
-    N = avatar_rotations(hand, side)
-    bones = np.empty((15, 7))
-    offsets = hand.positions[_ROWS] - hand.positions[_PARENTS]
-    bones[:, :3] = np.sqrt((offsets * offsets).sum(axis=1))[:, None] * _BONE_AXIS[side]
-    bones[::3, :3] = offsets[::3] @ rotation_from_quaternion(N[WRIST])
-    bones[:, 3:] = faded(relative(N[_PARENTS], N[_ROWS]), hand.weight)
+    rows, parents, unrest, axis = _tables(tuple(hands))
+    q = np.concatenate([hand.orientations for hand in hands.values()])
+    p = np.concatenate([hand.positions for hand in hands.values()])
+    N = (q[:, None, :] @ unrest)[:, 0]
+    bones = np.empty((len(hands), 15, 7))
+    offsets = p[rows] - p[parents]
+    bones[..., :3] = (np.sqrt((offsets * offsets).sum(axis=1))[:, None] * axis).reshape(-1, 15, 3)
+    bones[..., 3:] = relative(N[parents], N[rows]).reshape(-1, 15, 4)
+    for number, hand in enumerate(hands.values()):
+        R_hand = rotation_from_quaternion(N[number * len(JOINTS) + WRIST])
+        bones[number, ::3, :3] = offsets[15 * number : 15 * number + 15 : 3] @ R_hand
+        if hand.weight < 1.0:
+            bones[number, :, 3:] = faded(bones[number, :, 3:], hand.weight)
     return bones

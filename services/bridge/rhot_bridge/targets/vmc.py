@@ -73,8 +73,9 @@ class VmcTarget:
             if template is None:
                 template = self._trackers[identity] = Template("/VMC/Ext/Tra/Pos", identity, floats=7)
             messages.append(template.pack(*thing.positions[0].tolist(), *thing.orientations[0].tolist()))
-        for side, hand in scene.hands.items():
-            messages += self._fingers[side].pack(finger_bones(hand, side))
+        if scene.hands:
+            for side, bones in zip(scene.hands, finger_bones(scene.hands), strict=True):
+                messages += self._fingers[side].pack(bones)
         return bundles(messages)
 
 

@@ -77,7 +77,9 @@ class VmtTarget:
 
         for side, hand in scene.hands.items():
             device(_HAND[side], _CONTROLLER[side], hand.positions[1], hand.orientations[1])
-            bones += self._bones[side].pack(openvr_bones(hand, side))
+        if scene.hands:
+            for side, skeleton in zip(scene.hands, openvr_bones(scene.hands), strict=True):
+                bones += self._bones[side].pack(skeleton)
         for side, foot in scene.feet.items():
             device(_FOOT[side], _TRACKER, foot.positions[0], foot.orientations[0])
         if scene.body is not None and (row := scene.body.row("hips")) is not None:
