@@ -5,11 +5,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help sim test lint format clean
+.PHONY: help sim foreign test lint format clean
 
 help:
 	@echo "make sim    set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
 	@echo "make test   set up, then lint, types, layers and all tests"
+	@echo "make foreign  programs of others that tests hand our output to (make test calls it)"
 	@echo "make lint   only lint, types and layers"
 	@echo "make clean  remove the environment and caches"
 
@@ -22,11 +23,30 @@ $(READY): pyproject.toml constraints.txt
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' --constraint constraints.txt
 	@touch $@
 
+# Programs of others that tests hand our output to; tests that need one are skipped where it cannot be installed.
+NPM := .foreign/npm/.ready
+ROS := .foreign/ros/.ready
+
+$(NPM): tests/foreign/package.json
+	@command -v node >/dev/null && command -v npm >/dev/null
+	@mkdir -p $(@D) && cp $< $(@D)/
+	@cd $(@D) && npm install --silent --no-audit --no-fund --no-package-lock --ignore-scripts
+	@touch $@
+
+$(ROS): tests/foreign/ros.txt
+	@$(PYTHON) -m venv $(@D)
+	@$(@D)/bin/python -m pip install --quiet --disable-pip-version-check --prefer-binary --requirement $<
+	@touch $@
+
+foreign:
+	@$(MAKE) --no-print-directory $(NPM) 2>/dev/null || echo "going on without programs of npm (needs node and npm)"
+	@$(MAKE) --no-print-directory $(ROS) 2>/dev/null || echo "going on without ROS 2 (there are no packages for this machine)"
+
 sim: $(READY)
 	@$(BIN)/rhot sim --duration $(DURATION)
 
 # Real processes want both cores to themselves; everything else shares them.
-test: lint
+test: lint foreign
 	@$(BIN)/pytest --numprocesses auto --dist loadgroup -m "not integration and not faults" -rs
 	@$(BIN)/pytest -m "integration and not faults" -rs
 
@@ -41,4 +61,4 @@ format: $(READY)
 	@$(BIN)/ruff check --fix
 
 clean:
-	rm -rf $(VENV) .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache
+	rm -rf .foreign $(VENV) .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache

@@ -7,9 +7,6 @@ import json
 import os
 import struct
 import subprocess
-import sys
-import venv
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +14,7 @@ import zenoh
 from bridged import poses as bridge_poses
 from bus_watch import PATIENCE_S
 from exported import person
+from exported.foreign_programs import ros_python
 
 from rhot.bus import Bus
 from rhot.bus.zenoh_config import session_config
@@ -29,8 +27,6 @@ from rhot_bridge.targets import ros2
 
 POSE_ARRAY_HASH = "RIHS01_af0cc36d190e104d546d168d6b39df04fa4b4ccecf59cb4c9ed328d3d5004aa0"
 """Of geometry_msgs/msg/PoseArray, as rclpy of Kilted states it; see `test_rclpy_decodes_and_agrees_on_the_type`."""
-_ROS = ("ros-rclpy==9.1.2", "ros-rmw-fastrtps-cpp==9.3.3", "ros-geometry-msgs==5.5.1")
-_INSTALL_LIMIT_S = 240.0
 
 
 def scene() -> Scene:
@@ -153,28 +149,14 @@ rclpy.shutdown()
 """
 
 
-@pytest.fixture(scope="module")
-def ros_python(request: pytest.FixtureRequest) -> Path:
-    """Return an interpreter with real ROS 2, from PyPI, kept in pytest's cache (150 MB, 20 s); skip without wheels."""
-    folder = request.config.cache.mkdir(f"ros-{sys.version_info[0]}.{sys.version_info[1]}")
-    python = folder / "bin" / "python"
-    if not (folder / "whole").exists():
-        venv.create(folder, with_pip=True)
-        command = [str(python), "-m", "pip", "install", "--quiet", "--prefer-binary", *_ROS]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_INSTALL_LIMIT_S, check=False)
-        if done.returncode:
-            pytest.skip(f"pip cannot install {', '.join(_ROS)} here: {done.stderr.strip().splitlines()[-1][:200]}")
-        (folder / "whole").touch()
-    return python
-
-
 @pytest.mark.integration
-def test_rclpy_decodes_and_agrees_on_the_type(ros_python: Path) -> None:
+def test_rclpy_decodes_and_agrees_on_the_type() -> None:
+    python = ros_python()
     sent = [each for each in ros2.RosMessages("stage").of(scene()) if each.topic != "/tf"]
     lines = "".join(f"{each.topic} {each.type} {each.payload.hex()}\n" for each in sent)
     environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": "87"}
     done = subprocess.run(
-        [str(ros_python), "-c", _DECODE],
+        [str(python), "-c", _DECODE],
         input=lines,
         capture_output=True,
         text=True,

@@ -12,7 +12,7 @@ import pytest
 from bridged.poses import hand
 from click.testing import CliRunner
 from exported import person
-from exported.npm_packages import npm_packages
+from exported.foreign_programs import npm_packages
 from hand_messages import object_pose
 
 from rhot.anatomy.skeleton import JOINTS
@@ -29,9 +29,9 @@ Promise.all(process.argv.slice(1).map(f => validator.validateBytes(new Uint8Arra
 
 
 @pytest.fixture(scope="module")
-def validated(request: pytest.FixtureRequest, poses_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def validated(poses_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Return the validator's reports on the scene as GLB and glTF, on one pose, and on objects of all shapes."""
-    modules = npm_packages(request.config, "gltf-validator@2.0.0-dev.3.10")
+    modules = npm_packages()
     folder = tmp_path_factory.mktemp("gltf")
     one = folder / "one.jsonl"
     one.write_text("".join(poses_recording.read_text().splitlines(keepends=True)[:2]))
