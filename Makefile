@@ -8,11 +8,11 @@ READY := $(VENV)/.ready
 .PHONY: help sim foreign test lint format clean
 
 help:
-	@echo "make sim    set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
-	@echo "make test   set up, then lint, types, layers and all tests"
+	@echo "make sim      set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
+	@echo "make test     set up, then lint, types, layers and all tests"
 	@echo "make foreign  programs of others that tests hand our output to (make test calls it)"
-	@echo "make lint   only lint, types and layers"
-	@echo "make clean  remove the environment and caches"
+	@echo "make lint     only lint, types and layers"
+	@echo "make clean    remove the environment and caches"
 
 # The environment is made once and again whenever what it is made from changes.
 $(READY): pyproject.toml constraints.txt
