@@ -5,13 +5,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help sim foreign test lint format clean
+.PHONY: help sim foreign test lint web page format clean
 
 help:
 	@echo "make sim      set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
 	@echo "make test     set up, then lint, types, layers and all tests"
 	@echo "make foreign  programs of others that tests hand our output to (make test calls it)"
 	@echo "make lint     only lint, types and layers"
+	@echo "make web      build the page Grasp (node and npm); sim and test do it where these are there"
 	@echo "make clean    remove the environment and caches"
 
 # The environment is made once and again whenever what it is made from changes.
@@ -42,11 +43,26 @@ foreign:
 	@$(MAKE) --no-print-directory $(NPM) 2>/dev/null || echo "going on without programs of npm (needs node and npm)"
 	@$(MAKE) --no-print-directory $(ROS) 2>/dev/null || echo "going on without ROS 2 (there are no packages for this machine)"
 
-sim: $(READY)
+# The page Grasp. Without node and npm everything else works, and the page says what is missing.
+BUNDLE := services/viewer/rhot_viewer/static/grasp.js
+SOURCES := $(wildcard web/src/*) web/build.mjs web/package.json web/package-lock.json
+
+web: $(BUNDLE)
+
+$(BUNDLE): $(SOURCES)
+	@command -v node >/dev/null && command -v npm >/dev/null || \
+	  { echo "the page Grasp needs node and npm: apt install nodejs npm"; exit 1; }
+	@echo "building the page Grasp"
+	@cd web && npm ci --silent --no-audit --no-fund && node build.mjs
+
+page:
+	@$(MAKE) --no-print-directory web || echo "going on without the page Grasp"
+
+sim: $(READY) page
 	@$(BIN)/rhot sim --duration $(DURATION)
 
 # Real processes want both cores to themselves; everything else shares them.
-test: lint foreign
+test: lint foreign page
 	@$(BIN)/pytest --numprocesses auto --dist loadgroup -m "not integration and not faults" -rs
 	@$(BIN)/pytest -m "integration and not faults" -rs
 

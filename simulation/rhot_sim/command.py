@@ -15,7 +15,7 @@ import click
 from rich.console import Console
 
 from rhot.cli.options import rig_option
-from rhot.cli.page import free_page_port, page_command, page_options, page_url
+from rhot.cli.page import Pages, free_pages, page_options
 from rhot.errors import ConfigError
 from rhot.rig import Rig, load_rig
 from rhot.rig.config import WalkProgram
@@ -129,8 +129,9 @@ def sim(
     """Run a whole simulated rig on this machine and show how well it tracks.
 
     Every part runs as its own process, as on a real rig: one capture service per camera, fusion, ik, objects and the
-    web page. Each capture service draws what its camera would see, with lens, noise, blur, rolling shutter, lost frames
-    and its own clock. While it runs, open http://localhost:8080, or look at any key from another terminal:
+    web pages. Each capture service draws what its camera would see, with lens, noise, blur, rolling shutter, lost
+    frames and its own clock. While it runs, open http://localhost:8081 to see the hand or http://localhost:8080 to work
+    on the rig, or look at any key from another terminal:
 
     \b
     rhot status
@@ -185,15 +186,15 @@ def sim(
                 )
         if chosen != DEFAULT_ENDPOINT:
             console.print(f"The router listens on {chosen}: give the other commands --connect {chosen}", soft_wrap=True)
-        port = free_page_port(page_port) if viewer and not headless else None
-        page = None if port is None else page_command(port)
-        if port is not None:
-            console.print(f"The page is at {page_url(port)}", soft_wrap=True)
-        if not feet and (rig.config.sim.motion in ("board", "desk_board") or missing_calibration(rig)):
+        calibrating = not feet and (rig.config.sim.motion in ("board", "desk_board") or bool(missing_calibration(rig)))
+        pages = free_pages(page_port, grasp=not calibrating) if viewer and not headless else Pages()
+        for line in pages.lines():
+            console.print(line, soft_wrap=True)
+        if calibrating:
             limit_s = duration_s if _is_given(context, "duration_s") else None
-            calibrating = run_for_calibration(rig, chosen, limit_s, work, console, page)
-            return 128 + signal.SIGINT if asyncio.run(_unless_interrupted(calibrating)) else 0
-        run = (WalkerRun if feet else SimRun)(rig, chosen, duration_s, work, page)
+            work_on_it = run_for_calibration(rig, chosen, limit_s, work, console, pages.commands())
+            return 128 + signal.SIGINT if asyncio.run(_unless_interrupted(work_on_it)) else 0
+        run = (WalkerRun if feet else SimRun)(rig, chosen, duration_s, work, pages.commands())
         interrupted = asyncio.run(_unless_interrupted(run.execute(console, live=not headless and console.is_terminal)))
         if interrupted:
             console.print("interrupted; no summary")

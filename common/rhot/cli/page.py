@@ -1,11 +1,13 @@
-"""Starting the web page beside a rig: the options that `rhot sim` and `rhot up` share."""
+"""Starting the web pages beside a rig: what `rhot sim` and `rhot up` share."""
 
 from __future__ import annotations
 
 import logging
 import socket
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import click
@@ -14,6 +16,7 @@ logger = logging.getLogger(__name__)
 
 PAGE_PORT: Final = 8080
 _HOST: Final = "127.0.0.1"
+_LAST_PORT: Final = 65535
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -25,18 +28,66 @@ def page_options(command: F) -> F:
         type=click.IntRange(1, 65535),
         default=PAGE_PORT,
         show_default=True,
-        help="Port of the web page; if it is busy, another one is used.",
+        help="Port of the page for working on the rig; Grasp takes the next. If one is busy, another is used.",
     )(command)
-    return click.option("--viewer/--no-viewer", default=True, show_default=True, help="Show the rig as a web page.")(
+    return click.option("--viewer/--no-viewer", default=True, show_default=True, help="Show the rig as web pages.")(
         command
     )
 
 
-def free_page_port(wanted: int) -> int | None:
-    """Return the port for the page: the wanted one, or any other when it is busy; None when no viewer is installed."""
+@dataclass(frozen=True, slots=True)
+class Pages:
+    """The web pages of a rig on this machine; a port is None where a page is left out.
+
+    Attributes:
+        working: of the page for working on the rig.
+        grasp: of the page *Grasp*, which shows hand and object.
+    """
+
+    working: int | None = None
+    grasp: int | None = None
+
+    def commands(self) -> dict[str, list[str]]:
+        """Return the command that opens each page, by its name on the bus, without the rig's own options."""
+        found: dict[str, list[str]] = {}
+        for name, port, other, mode in (
+            ("viewer/main", self.working, self.grasp, []),
+            ("viewer/grasp", self.grasp, self.working, ["--xr"]),
+        ):
+            if port is not None:
+                link = [] if other is None else ["--other-page", _url(other)]
+                found[name] = ["viewer", *mode, "--host", _HOST, "--port", str(port), *link]
+        return found
+
+    def lines(self) -> list[str]:
+        """Return where a browser on this machine finds them, for people."""
+        if self.working is None:
+            return []
+        if self.grasp is None:
+            return [f"The page is at {_url(self.working)}"]
+        return [f"The hand is at {_url(self.grasp)}", f"The page for working on the rig is at {_url(self.working)}"]
+
+
+def free_pages(wanted: int, *, grasp: bool = True) -> Pages:
+    """Return ports for the pages: the wanted one and the next, or any others when they are busy.
+
+    Args:
+        wanted: for the page for working on the rig.
+        grasp: whether *Grasp* is shown, too, where it is built.
+    """
     if find_spec("rhot_viewer") is None or find_spec("viser") is None:
         logger.warning("no web page: the viewer is not installed; pip install 'rhot[viewer]'")
-        return None
+        return Pages()
+    working = _free(wanted)
+    if working is None or not grasp:
+        return Pages(working)
+    if not _grasp_is_built():
+        logger.warning("the page Grasp is not built, so only the working page is shown; `make web` builds it")
+        return Pages(working)
+    return Pages(working, _free(min(working + 1, _LAST_PORT)))
+
+
+def _free(wanted: int) -> int | None:
     for port in (wanted, 0):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -49,11 +100,13 @@ def free_page_port(wanted: int) -> int | None:
     return None
 
 
-def page_command(port: int) -> list[str]:
-    """Return the command that opens the page, without the rig's own options."""
-    return ["viewer", "--host", _HOST, "--port", str(port)]
+def _grasp_is_built() -> bool:
+    """Tell whether the page's bundle lies in the viewer's package, without loading the package."""
+    package = find_spec("rhot_viewer")
+    return package is not None and any(
+        (Path(folder) / "static" / "index.html").is_file() for folder in package.submodule_search_locations or ()
+    )
 
 
-def page_url(port: int) -> str:
-    """Return where a browser on this machine finds the page."""
+def _url(port: int) -> str:
     return f"http://localhost:{port}"

@@ -175,7 +175,7 @@ class IkConfig(FileModel):
     hold_s: HoldS = 0.5
 
 
-ObjectSource = Literal["steamvr", "recorded", "simulated"]
+ObjectSource = Literal["steamvr", "webxr", "recorded", "simulated"]
 
 
 class ObjectConfig(FileModel):
@@ -183,7 +183,8 @@ class ObjectConfig(FileModel):
 
     Attributes:
         source: kind of source; `steamvr` finds trackers by serial number. As soon as one object has it, trackers that
-            are not listed are published under their serial number, and the headset as `head`.
+            are not listed are published under their serial number, and the headset as `head`. `webxr` is a headset
+            that has the page *Grasp* open: the objects `head` and `controller`, and no others.
         serial: serial number of the Vive tracker, or of any other device that SteamVR tracks.
         path: CSV file with `t_ns,x,y,z,qx,qy,qz,qw`, relative to the rig folder.
         rate_hz: how often the pose is asked for.
@@ -297,6 +298,13 @@ class RigConfig(FileModel):
                     f"markers.{name} and markers.{seen[joint]} both mark {marker.joint} of the {marker.hand} hand"
                 )
             seen[joint] = name
+        return self
+
+    @model_validator(mode="after")
+    def _headset_is_head_and_controller(self) -> RigConfig:
+        strange = [n for n, thing in self.objects.items() if thing.source == "webxr" and n not in ("head", "controller")]
+        if strange:
+            raise ValueError(f'objects.{strange[0]}: source = "webxr" tracks `head` and `controller`, nothing else')
         return self
 
     @property

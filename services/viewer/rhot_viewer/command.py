@@ -12,8 +12,8 @@ import click
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.rig import load_rig
 from rhot_viewer.browser.access import Access, own_names
+from rhot_viewer.grasp.service import page_tls, serve_grasp
 from rhot_viewer.page_token import kept_token, new_token
-from rhot_viewer.service import serve_page
 
 
 @click.command()
@@ -52,6 +52,12 @@ from rhot_viewer.service import serve_page
     show_default=True,
     help="Folder below which the page records; nothing is written elsewhere.",
 )
+@click.option(
+    "--xr",
+    is_flag=True,
+    help="Serve the page Grasp instead: the hand and the object, on a desktop or in a headset.",
+)
+@click.option("--other-page", default="", metavar="URL", help="Address of the other page of this rig, for a link.")
 @rig_option
 @bus_options
 def viewer(
@@ -61,6 +67,8 @@ def viewer(
     token_file: Path | None,
     hosts: tuple[str, ...],
     recordings: Path,
+    xr: bool,
+    other_page: str,
     rig_path: Path,
     connect: tuple[str, ...],
     namespace: str | None,
@@ -73,16 +81,30 @@ def viewer(
     Only this machine can open the page. For a tablet, add --host 0.0.0.0: the log then shows two links, one to look
     and one to change things, too. Without a link nobody on the network gets in, and no website that you visit
     meanwhile can talk to the page.
+
+    With --xr it is the page Grasp (docs/grasp.md): the tracked hand takes hold of the tracked object's twin, with a
+    mouse on a desktop or through a headset's browser. Both pages can run side by side, each on its own port. A
+    stand-alone headset needs https: --xr uses the rig's certificates (`rhot keys make`) as soon as --host lets other
+    machines in.
     """
     # It logs every connection; the page itself reports who looks.
     logging.getLogger("websockets").setLevel(logging.WARNING)
     bus = tool_bus(rig_path, connect, namespace)
     rig = load_rig(rig_path)
+    remote = bool(hosts) or not _is_loopback(host)
+    tls = page_tls(bus) if xr and remote else None
+    scheme = "http" if tls is None else "https"
     token = ""
-    if hosts or not _is_loopback(host):
-        token = new_token() if token_file is None else kept_token(token_file, port)
+    if remote:
+        token = new_token() if token_file is None else kept_token(token_file, port, scheme)
     access = Access(token, own_names() | {name.lower() for name in hosts}, view_only)
-    return asyncio.run(serve_page(rig, bus, recordings, host, port, access, token_file if token else None))
+    links_file = token_file if token else None
+    if xr:
+        return asyncio.run(serve_grasp(rig, bus, host, port, access, other_page, tls, links_file))
+    # Grasp does without it, and loading it takes a second.
+    from rhot_viewer.service import serve_page  # noqa: PLC0415
+
+    return asyncio.run(serve_page(rig, bus, recordings, host, port, access, links_file, other_page))
 
 
 def _is_loopback(host: str) -> bool:

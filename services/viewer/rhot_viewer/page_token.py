@@ -20,7 +20,7 @@ def new_token() -> str:
     return secrets.token_urlsafe(_BYTES)
 
 
-def kept_token(file: Path, port: int) -> str:
+def kept_token(file: Path, port: int, scheme: str = "http") -> str:
     """Return the token that a file keeps; where there is no file, make both.
 
     The file holds the links for people, one with each token; the token is that of the first.
@@ -32,7 +32,7 @@ def kept_token(file: Path, port: int) -> str:
         text = file.read_text(encoding="utf-8")
     except FileNotFoundError:
         token = new_token()
-        _write(file, "".join(f"{line}\n" for line in links(Access(token), socket.gethostname(), port)))
+        _write(file, "".join(f"{line}\n" for line in links(Access(token), socket.gethostname(), port, scheme)))
         return token
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read: {error}") from error
@@ -42,9 +42,9 @@ def kept_token(file: Path, port: int) -> str:
     return token
 
 
-def links(access: Access, host: str, port: int) -> tuple[str, ...]:
+def links(access: Access, host: str, port: int, scheme: str = "http") -> tuple[str, ...]:
     """Return the links for other machines, each with what it lets people do."""
-    base = f"http://{host}:{port}/?{TOKEN_PARAMETER}="
+    base = f"{scheme}://{host}:{port}/?{TOKEN_PARAMETER}="
     look = f"to look: {base}{access.view_token}"
     return (look,) if access.view_only else (f"to look and change: {base}{access.token}", look)
 

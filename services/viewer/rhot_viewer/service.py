@@ -5,10 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import os
 import socket
 import statistics
-import threading
 import time
 from pathlib import Path
 from typing import Annotated, Final
@@ -29,6 +27,7 @@ from rhot_viewer.browser.marker_colors import marker_colors
 from rhot_viewer.browser.overview import Problems
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.rig_scene import RigScene
+from rhot_viewer.manners import end_within, give_way
 from rhot_viewer.page_token import links
 from rhot_viewer.panels import (
     CalibratePanel,
@@ -50,10 +49,6 @@ logger = logging.getLogger(__name__)
 
 _PANEL_INTERVAL_S: Final = 0.25
 _HISTORY_INTERVAL_S: Final = 1.0
-_END_LIMIT_S: Final = 0.9
-"""From Ctrl-C to the end of the process, at most; with two busy processes beside it that was 12 s without a limit."""
-_NICE: Final = 10
-"""Where processors are short, tracking goes first and the page shows fewer frames."""
 
 
 class ViewerConfig(FileModel):
@@ -79,7 +74,7 @@ class ViewerService:
     instance = "main"
     owns_clock = False
 
-    def __init__(self, page: Page, rig: Rig, bus_config: BusConfig, recordings: Path) -> None:
+    def __init__(self, page: Page, rig: Rig, bus_config: BusConfig, recordings: Path, other_page: str = "") -> None:
         """Fill the page.
 
         Args:
@@ -87,6 +82,7 @@ class ViewerService:
             rig: loaded.
             bus_config: how the running rig is reached.
             recordings: the one folder below which the page records.
+            other_page: address of the page *Grasp*; empty without one.
         """
         self._page = page
         self._rig = rig
@@ -120,6 +116,8 @@ class ViewerService:
             ViewPanel(page, self._scene),
         ]
         gui = page.server.gui
+        if other_page:
+            gui.add_markdown(f"[Grasp: the hand and the object, in a headset too]({other_page})")
         tabs = gui.add_tab_group()
         for panel in self.panels:
             with tabs.add_tab(panel.title):
@@ -219,15 +217,15 @@ def _announce(page: Page, access: Access, token_file: Path | None) -> None:
             logger.info("%s", line)
 
 
-def end_within(exit_code: int, limit_s: float = _END_LIMIT_S) -> None:
-    """End this process after a while whatever still runs: a thread that fits colours cannot be interrupted."""
-    timer = threading.Timer(limit_s, os._exit, (exit_code,))
-    timer.daemon = True
-    timer.start()
-
-
 async def serve_page(
-    rig: Rig, bus_config: BusConfig, recordings: Path, host: str, port: int, access: Access, token_file: Path | None
+    rig: Rig,
+    bus_config: BusConfig,
+    recordings: Path,
+    host: str,
+    port: int,
+    access: Access,
+    token_file: Path | None,
+    other_page: str = "",
 ) -> int:
     """Open the page and run the service until SIGINT or SIGTERM; return the exit code.
 
@@ -236,15 +234,15 @@ async def serve_page(
         host, port: where to listen.
         access: who may open the page.
         token_file: where the tokens are kept; without one the links stand in the log.
+        other_page: address of the page *Grasp*; empty without one.
 
     Raises:
         DeviceError: the port is taken.
     """
     page = Page(host, port, access)
-    with contextlib.suppress(AttributeError, OSError):  # not on every system
-        os.nice(_NICE)
+    give_way()
     try:
-        service = ViewerService(page, rig, bus_config, recordings)
+        service = ViewerService(page, rig, bus_config, recordings, other_page)
         _announce(page, access, token_file)
         serving = asyncio.create_task(serve(service, bus_config, SystemClock(), on_stop=end_within))
         showing = asyncio.create_task(service.show())

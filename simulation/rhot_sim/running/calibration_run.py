@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -41,7 +41,12 @@ def missing_calibration(rig: Rig) -> str:
 
 
 async def run_for_calibration(
-    rig: Rig, endpoint: str, duration_s: float | None, work: Path, console: Console, page: Sequence[str] | None = None
+    rig: Rig,
+    endpoint: str,
+    duration_s: float | None,
+    work: Path,
+    console: Console,
+    pages: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
     """Run router and all services until the time is over or cancelled, and say what to do.
 
@@ -51,13 +56,13 @@ async def run_for_calibration(
         duration_s: seconds to run; None = until cancelled.
         work: folder for logs.
         console: takes what to do next.
-        page: the command that opens the web page, see `service_commands`.
+        pages: the commands that open web pages, see `service_commands`.
 
     Raises:
         RhotError: the router or a service did not come up, or one ended by itself.
     """
     names = ["fusion", "ik", "truth", *(["objects"] if rig.config.objects else [])]
-    services = service_commands(rig, endpoint, names, page)
+    services = service_commands(rig, endpoint, names, pages)
     await with_processes(endpoint, services, work, partial(_stay, rig, endpoint, duration_s, console))
 
 

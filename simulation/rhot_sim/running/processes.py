@@ -18,7 +18,7 @@ _UP_LIMIT_S: Final = 30.0
 
 
 def service_commands(
-    rig: Rig, endpoint: str, names: Iterable[str], page: Sequence[str] | None = None
+    rig: Rig, endpoint: str, names: Iterable[str], pages: Mapping[str, Sequence[str]] | None = None
 ) -> dict[str, list[str]]:
     """Return the commands that run a rig's capture services and the other services named, by their names on the bus.
 
@@ -26,12 +26,12 @@ def service_commands(
         rig: loaded.
         endpoint: of the router.
         names: of the services beside capture.
-        page: the command that opens the web page, without the rig's own options; None = no page.
+        pages: name on the bus and command of each web page, without the rig's own options.
     """
     options = ["--rig", str(rig.path), "--connect", endpoint]
     services = {f"capture/{name}": ["capture", "--camera", name, *options] for name in rig.config.cameras}
     services |= {f"{name}/main": [name, *options] for name in names}
-    return services if page is None else services | {"viewer/main": [*page, *options]}
+    return services | {name: [*command, *options] for name, command in (pages or {}).items()}
 
 
 async def with_processes(

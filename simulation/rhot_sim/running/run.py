@@ -6,7 +6,7 @@ import gc
 import socket
 import sys
 import time
-from collections.abc import Coroutine, Sequence
+from collections.abc import Coroutine, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,11 +33,11 @@ class SimRun(WatchedRun):
     """A simulated rig, run once."""
 
     def __init__(
-        self, rig: Rig, endpoint: str, duration_s: float, work: Path, page: Sequence[str] | None = None
+        self, rig: Rig, endpoint: str, duration_s: float, work: Path, pages: Mapping[str, Sequence[str]] | None = None
     ) -> None:
         """Prepare a run; arguments as of `WatchedRun`."""
         names = ("fusion", "ik", "truth", *(("objects",) if rig.config.objects else ()))
-        super().__init__(rig, endpoint, duration_s, work, names, page)
+        super().__init__(rig, endpoint, duration_s, work, names, pages)
         self._world = World.from_rig(rig)
         self._collected = Collected()
 

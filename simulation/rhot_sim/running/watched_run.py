@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Coroutine, Sequence
+from collections.abc import Coroutine, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -38,7 +38,7 @@ class WatchedRun(ABC):
         duration_s: float,
         work: Path,
         names: Sequence[str],
-        page: Sequence[str] | None,
+        pages: Mapping[str, Sequence[str]] | None,
     ) -> None:
         """Prepare a run.
 
@@ -48,13 +48,13 @@ class WatchedRun(ABC):
             duration_s: seconds from start to stop.
             work: folder for logs.
             names: of the services beside capture.
-            page: the command that opens the web page, see `service_commands`.
+            pages: the commands that open web pages, see `service_commands`.
         """
         self._rig = rig
         self._endpoint = endpoint
         self._duration_s = duration_s
         self._logs = work
-        self._services = service_commands(rig, endpoint, names, page)
+        self._services = service_commands(rig, endpoint, names, pages)
         self._start_t_ns = 0
         self._before: dict[str, ServiceStatus] = {}
         self._after: dict[str, ServiceStatus] = {}

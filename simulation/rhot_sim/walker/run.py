@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Coroutine, Sequence
+from collections.abc import Coroutine, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,7 +26,7 @@ class WalkerRun(WatchedRun):
     """A simulated walker, run once."""
 
     def __init__(
-        self, rig: Rig, endpoint: str, duration_s: float, work: Path, page: Sequence[str] | None = None
+        self, rig: Rig, endpoint: str, duration_s: float, work: Path, pages: Mapping[str, Sequence[str]] | None = None
     ) -> None:
         """Prepare a run; arguments as of `WatchedRun`, the rig with `[feet]` and a simulated head.
 
@@ -35,7 +35,7 @@ class WalkerRun(WatchedRun):
         """
         if rig.config.feet is None:
             raise ConfigError(f"{rig.path / 'rig.toml'} names no feet; add [feet.left] or [feet.right] with marker_id")
-        super().__init__(rig, endpoint, duration_s, work, _SERVICES, page)
+        super().__init__(rig, endpoint, duration_s, work, _SERVICES, pages)
         self._feet = rig.config.feet
         self._world = WalkerWorld.from_rig(rig)
         self._collected = CollectedFeet()

@@ -11,7 +11,7 @@ import click
 
 from rhot.bus import Bus
 from rhot.cli.options import rig_option, tool_bus
-from rhot.cli.page import free_page_port, page_command, page_options
+from rhot.cli.page import Pages, free_pages, page_options
 from rhot.errors import BusError
 from rhot.operation.control import broadcast, new_session
 from rhot.operation.supervisor import Supervisor
@@ -29,18 +29,18 @@ _RIG_TIMEOUT_S = 20.0
 @page_options
 @rig_option
 def up(no_start: bool, viewer: bool, page_port: int, rig_path: Path) -> int:
-    """Run router, fusion, ik, objects, feet and the web page on this machine, and start the rig. Ctrl-C stops all.
+    """Run router, fusion, ik, objects, feet and the web pages on this machine, and start the rig. Ctrl-C stops all.
 
     So do the bridges to other programs that rig.toml names, as [bridges.NAME].
 
     The capture services run on the Pis (rhot capture --camera NAME) and join by themselves. If a router already
     answers, it is used instead of a second one. A service that ends by itself is started again.
     """
-    port = free_page_port(page_port) if viewer else None
-    return asyncio.run(_up(rig_path, port, start=not no_start))
+    pages = free_pages(page_port) if viewer else Pages()
+    return asyncio.run(_up(rig_path, pages, start=not no_start))
 
 
-async def _up(rig_path: Path, page_port: int | None, *, start: bool) -> int:
+async def _up(rig_path: Path, pages: Pages, *, start: bool) -> int:
     rig = load_rig(rig_path)
     bus_config = tool_bus(rig_path, (), None)
     stop = install_stop()
@@ -54,8 +54,8 @@ async def _up(rig_path: Path, page_port: int | None, *, start: bool) -> int:
         names = {"fusion": rig.config.cameras, "ik": True, "objects": rig.config.objects, "feet": rig.config.feet}
         for name in (name for name, wanted in names.items() if wanted):
             await supervisor.start(name, [name, "--rig", str(rig_path)])
-        if page_port is not None:
-            await beside.start("viewer", [*page_command(page_port), "--rig", str(rig_path)])
+        for name, command in pages.commands().items():
+            await beside.start(name.replace("/", " "), [*command, "--rig", str(rig_path)])
         if rig.config.bridges:
             await bridges.start("bridge", ["bridge", "--rig", str(rig_path)])
             watching.append(asyncio.create_task(_keep_bridges(bridges)))

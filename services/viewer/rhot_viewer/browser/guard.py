@@ -85,7 +85,7 @@ class Guard:
 
         def serve(*arguments: Any, process_request: Check | None = None, **options: Any) -> Any:
             def check(connection: ServerConnection, request: Request) -> Response | None:
-                return self._check(connection, request, process_request)
+                return self.check(connection, request, process_request)
 
             options |= {"process_request": check, "create_connection": Connection, "max_size": _MOST_BYTES}
             self.standing = True
@@ -116,7 +116,14 @@ class Guard:
         self._count("message")
         return False
 
-    def _check(self, connection: ServerConnection, request: Request, server: Check | None) -> Response | None:
+    def check(self, connection: ServerConnection, request: Request, server: Check | None) -> Response | None:
+        """Judge a request, for `process_request` of websockets; None lets a WebSocket begin.
+
+        Args:
+            connection: which asks.
+            request: as it came.
+            server: answers requests for files, and returns None for a WebSocket.
+        """
         port = connection.local_address[1]
         cookie = f"rhot_page_{port}"
         headers = request.headers
@@ -145,7 +152,10 @@ class Guard:
             response.headers[name] = value
         token = token_in_link(request.path)
         if self._access.knows(token):
-            response.headers["Set-Cookie"] = f"{cookie}={token}; Path=/; Max-Age={_COOKIE_S}; HttpOnly; SameSite=Strict"
+            secure = "; Secure" if connection.transport.get_extra_info("ssl_object") is not None else ""
+            response.headers["Set-Cookie"] = (
+                f"{cookie}={token}; Path=/; Max-Age={_COOKIE_S}; HttpOnly; SameSite=Strict{secure}"
+            )
         return response
 
     def _tell(self, asked: PageRequest, refusal: Refusal) -> None:

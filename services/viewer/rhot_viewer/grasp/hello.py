@@ -1,0 +1,102 @@
+"""What the page is told first: the hand that it draws, the desk, colours, where the working page is; pure."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.geometry.rotations import quaternion_from_rotation
+from rhot.geometry.transforms import rigid
+from rhot.messages import Side
+from rhot.rig import Rig
+from rhot_viewer.grasp.text import space_text
+from rhot_viewer.scene.viewpoint import desk_middle, up_direction
+
+FloatArray = NDArray[np.float64]
+Rgb = tuple[int, int, int]
+
+_SPREAD_DEG: Final = {"thumb": 25.0, "index": 15.0, "middle": 2.0, "ring": -12.0, "little": -15.0}
+"""Abduction of the hand in which the skin is made: fingers as far apart as they go, so that it does not grow together
+between them; nearly the limits of `ANGLE_LIMITS_DEG`."""
+_UNKNOWN_HEIGHT_M: Final = 0.74
+"""Of a desk whose height nobody has measured: a usual one (DIN EN 527-1 has 740 mm for desks that do not move)."""
+
+
+def hello_text(rig: Rig, colors: Mapping[str, Rgb], other_page: str, may_publish: bool, devices: list[str]) -> str:
+    """Return the first message, JSON.
+
+    Args:
+        rig: loaded.
+        colors: of the markers.
+        other_page: address of the working page; empty without one.
+        may_publish: whether this browser's headset counts.
+        devices: of the headset that `rig.toml` wants published.
+    """
+    sides: tuple[Side, ...] = ("left", "right")
+    T_rig_stage, source = stage_of(rig)
+    floor_m = float(np.linalg.inv(T_rig_stage)[1] @ np.append(desk_middle(rig), 1.0))
+    return json.dumps(
+        {
+            "type": "hello",
+            "rig": rig.config.name,
+            "hands": {side: rest_hand(rig, side) for side in sides},
+            "paint": {side: _paint(rig, colors, side) for side in sides},
+            "stage": json.loads(space_text(T_rig_stage.tolist(), source)),
+            "desk": {
+                "middle": [round(float(number), 4) for number in desk_middle(rig)],
+                "height_m": round(floor_m, 4),
+                "shown": rig.config.feet is None,
+            },
+            "other_page": other_page,
+            "may_publish": may_publish,
+            "devices": devices,
+        },
+        separators=(",", ":"),
+    )
+
+
+def stage_of(rig: Rig) -> tuple[FloatArray, str]:
+    """Return T_rig_stage (4, 4), metres, and where it is from.
+
+    Without a `stage.json` the floor is guessed: below the desk, forward as the person looks who sits at the pictures'
+    upper edge.
+    """
+    if rig.stage is not None:
+        return np.array(rig.stage.T_rig_stage.matrix), rig.stage.source
+    up = up_direction(rig)
+    forward = np.array([0.0, 1.0, 0.0]) if abs(up[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
+    back = -(forward - up * (forward @ up))
+    back /= np.linalg.norm(back)
+    R = np.column_stack([np.cross(up, back), up, back])
+    height_m = _UNKNOWN_HEIGHT_M if rig.config.feet is None else 0.0
+    return rigid(R, desk_middle(rig) - height_m * up), "a guess: `rhot calibrate stage` finds the floor"
+
+
+def rest_hand(rig: Rig, side: Side) -> dict[str, Any]:
+    """Return the hand in which its skin is made: fingers straight and spread, wrist frame."""
+    model = HandModel.from_file(rig.hand, side)
+    angles = np.zeros((len(FINGERS), 4))
+    angles[:, 1] = np.radians([_SPREAD_DEG[finger] for finger in FINGERS])
+    joints = model.forward_local(model.clamp(angles))
+    quaternions = quaternion_from_rotation(joints.rotations)
+    numbers = np.hstack([joints.positions, quaternions]).ravel()
+    return {
+        "joints": [round(float(number), 6) for number in numbers],
+        "radii": [round(float(radius), 5) for radius in model.radii],
+    }
+
+
+def _paint(rig: Rig, colors: Mapping[str, Rgb], side: Side) -> dict[str, Rgb]:
+    """Return the colour of each painted fingertip of a hand."""
+    tips = {JOINTS[JOINTS.index(f"{finger}_tip")]: finger for finger in FINGERS}
+    return {
+        tips[marker.joint]: colors[name]
+        for name, marker in rig.config.markers.items()
+        if marker.hand == side and marker.joint in tips and name in colors
+    }

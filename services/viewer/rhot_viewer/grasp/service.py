@@ -1,0 +1,320 @@
+"""The page *Grasp* on the bus: poses of the running rig to browsers, a headset's own poses to the rig."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+import socket
+import ssl
+import time
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from rhot.bus import LatestSubscriber
+from rhot.clock import SystemClock
+from rhot.errors import BusError, ConfigError, WireError
+from rhot.keys.folder import certificate_file, key_file
+from rhot.keys.roles import ROUTER
+from rhot.messages import BodyPose, Control, FootPose, HandPose, HeadPose, Message, ObjectPose, Space, Truth, decode
+from rhot.rig import BusConfig, Rig
+from rhot.rig.calibration import matrix4
+from rhot.rig.file_model import FileModel
+from rhot.rig.folder import HAND_FILE, REGISTRATION_FILE, RIG_FILE, STAGE_FILE, latest_rig
+from rhot.rig.kept_file import file_stamp
+from rhot.service import Node
+from rhot.service.runner import serve
+from rhot_viewer.browser.access import Access, Role
+from rhot_viewer.browser.guard import Guard
+from rhot_viewer.browser.marker_colors import marker_colors
+from rhot_viewer.grasp import files
+from rhot_viewer.grasp.hello import hello_text
+from rhot_viewer.grasp.newest import Newest
+from rhot_viewer.grasp.server import Browser, GraspServer
+from rhot_viewer.grasp.text import text_of
+from rhot_viewer.grasp.uplink import CONTROLLER, HEAD, Devices, Left, Moved, controller_pose, head_pose
+from rhot_viewer.manners import end_within, give_way
+from rhot_viewer.page_token import links
+
+logger = logging.getLogger(__name__)
+
+_KEYS: Final[Mapping[str, type[Message]]] = {
+    "rhot/hand/*": HandPose,
+    "rhot/object/*": ObjectPose,
+    "rhot/head": HeadPose,
+    "rhot/foot/*": FootPose,
+    "rhot/body": BodyPose,
+    "rhot/truth": Truth,
+    "rhot/space/*": Space,
+}
+_HAND: Final = "rhot/hand/"
+_TRUTH: Final = "rhot/truth"
+_SPACES: Final = "rhot/space/*"
+_WEBXR_KEY: Final = "rhot/space/webxr"
+_IDLE_S: Final = 0.1
+_LEAD_S: Final = 0.1
+"""So long after a hand, only hands make a frame go: what else is new goes with them."""
+_LOOK_S: Final = 0.5
+"""How often the rig folder is looked at."""
+_REPEAT_S: Final = 1.0
+_FILES: Final = (RIG_FILE, HAND_FILE, STAGE_FILE, REGISTRATION_FILE)
+
+
+class GraspConfig(FileModel):
+    """What `rhot/config/viewer/grasp` shows.
+
+    Attributes:
+        rate_hz: most frames per second for each browser; a browser may ask for fewer.
+    """
+
+    rate_hz: Annotated[float, Field(ge=1.0, le=120.0)] = 120.0
+
+
+class GraspService:
+    """Serves the page; see `rhot.service.Service` for the seam. It goes on with and without a session."""
+
+    name = "viewer"
+    instance = "grasp"
+    owns_clock = False
+
+    def __init__(self, rig: Rig, access: Access, other_page: str) -> None:
+        """Prepare.
+
+        Args:
+            rig: loaded.
+            access: who may open the page.
+            other_page: address of the page for working on the rig; empty without one.
+        """
+        self._rig = rig
+        self._other_page = other_page
+        self._config = GraspConfig()
+        self._node: Node | None = None
+        self._guard = Guard(access)
+        self._newest = Newest()
+        self._hand_s = -math.inf
+        self._wearer: Browser | None = None
+        self._moved = False
+        self.server = GraspServer(self._guard, self._newest, self._hello, self._now_ms, self._heard, self._gone)
+
+    @property
+    def config(self) -> GraspConfig:
+        """The configuration in force."""
+        return self._config
+
+    def reconfigure(self, config: BaseModel) -> None:
+        """Take another rate."""
+        if not isinstance(config, GraspConfig):
+            raise ConfigError(f"{type(config).__name__} is not a GraspConfig")
+        self._config = config
+        self.server.limit(config.rate_hz)
+
+    def attach(self, node: Node) -> None:
+        """Take the bus."""
+        self._node = node
+        node.status.watch(self._figures)
+        for keys, model in _KEYS.items():
+            mailbox = node.bus.latest(keys)
+            node.beside(partial(self._follow, node, keys, mailbox, model))
+        node.beside(lambda: self._ask_for_spaces(node))
+        node.beside(lambda: self._follow_folder(node))
+
+    def _figures(self) -> tuple[dict[str, float], str]:
+        refused = {f"refused_{kind}": float(count) for kind, count in self._guard.refused.items()}
+        problem = ""
+        if self._moved:
+            problem = (
+                "the headset's floor has been moved since it was registered: `rhot calibrate objects --live --object "
+                f"{CONTROLLER}` places it anew"
+            )
+        figures = {"browsers": float(len(self.server.browsers)), "headset": float(self._wearer is not None), **refused}
+        return figures, problem
+
+    async def run(self, node: Node, start: Control) -> None:
+        """Nothing begins or ends with a session."""
+        await asyncio.Event().wait()
+
+    async def _follow(self, node: Node, keys: str, mailbox: LatestSubscriber, model: type[Message]) -> None:
+        async for sample in mailbox:
+            rare = keys == _SPACES
+            if not rare and not self._wanted(keys):
+                # While nothing is taken, newer samples replace older ones without waking anybody.
+                await asyncio.sleep(_IDLE_S)
+                continue
+            message = node.read(sample, model)
+            if message is None:
+                continue
+            mailbox.keep_slot_of(sample.key)
+            self._take(sample.key, message)
+            if not rare:
+                node.status.tick("input")
+                node.status.latency("to_page", (time.monotonic_ns() - sample.arrived_ns) / 1e9)
+
+    def _wanted(self, keys: str) -> bool:
+        if keys == _TRUTH:
+            return any(browser.wants_truth for browser in self.server.browsers)
+        return bool(self.server.browsers)
+
+    def _take(self, key: str, message: Message) -> None:
+        text = text_of(message)
+        if text is None:
+            return
+        self._newest.put(key, text)
+        now_s = time.monotonic()
+        if key.startswith(_HAND):
+            self._hand_s = now_s
+        elif now_s - self._hand_s < _LEAD_S:
+            return
+        self.server.wake()
+
+    async def _ask_for_spaces(self, node: Node) -> None:
+        """Ask for the floor, which may have been published before this process was there."""
+        with contextlib.suppress(BusError):
+            for reply in await node.bus.get(_SPACES, timeout_s=_REPEAT_S):
+                if not reply.error:
+                    with contextlib.suppress(WireError):
+                        self._take(reply.key, decode(reply.payload, Space))
+
+    async def _follow_folder(self, node: Node) -> None:
+        """Use the rig folder as it is now: a new hand, floor or registration shows at once."""
+        stamps, spoken_s = None, 0.0
+        while True:
+            now = tuple(file_stamp(self._rig.path / name) for name in _FILES)
+            if now != stamps:
+                if stamps is not None:
+                    self._rig, self._moved = latest_rig(self._rig), False
+                    await self.server.tell_hello()
+                stamps = now
+            spoken_s += _LOOK_S
+            if self._wearer is not None and self._devices and self._registered and spoken_s >= _REPEAT_S:
+                spoken_s = 0.0
+                self._publish_space(node)
+            await asyncio.sleep(_LOOK_S)
+
+    @property
+    def _devices(self) -> list[str]:
+        return [name for name, thing in self._rig.config.objects.items() if thing.source == "webxr"]
+
+    @property
+    def _registered(self) -> bool:
+        return (self._rig.path / REGISTRATION_FILE).exists()
+
+    def _publish_space(self, node: Node) -> None:
+        if not node.clock.ready:
+            return
+        T = self._rig.registration.T_rig_tracker.matrix
+        node.publish(
+            _WEBXR_KEY,
+            Space(t_ns=node.clock.now_ns(), T_rig_space=matrix4(T), source="registration of the headset"),
+        )
+
+    def _now_ms(self) -> float:
+        node = self._node
+        return node.clock.now_ns() / 1e6 if node is not None and node.clock.ready else math.nan
+
+    def _hello(self, role: Role) -> str:
+        rig = self._rig
+        return hello_text(rig, marker_colors(rig), self._other_page, role == "control", self._devices)
+
+    def _heard(self, browser: Browser, message: Any) -> None:
+        if isinstance(message, Devices):
+            if self._wearer is None:
+                self._wearer = browser
+                logger.info("a headset is here%s", "" if self._devices else "; rig.toml does not publish its poses")
+                if self._node is not None and self._devices and self._registered:
+                    self._publish_space(self._node)
+            if self._wearer is browser:
+                self._publish(message)
+        elif isinstance(message, Left):
+            self._gone(browser)
+        elif isinstance(message, Moved) and self._wearer is browser and not self._moved:
+            self._moved = True
+            logger.warning("the headset's floor has been moved by its wearer: register it again")
+
+    def _gone(self, browser: Browser) -> None:
+        if self._wearer is browser:
+            self._wearer = None
+            logger.info("the headset has gone")
+
+    def _publish(self, devices: Devices) -> None:
+        node = self._node
+        if node is None or not node.clock.ready:
+            return
+        T = np.array(self._rig.registration.T_rig_tracker.matrix)
+        wanted = self._devices
+        try:
+            if devices.head is not None and HEAD in wanted:
+                node.publish("rhot/head", head_pose(devices.head, devices.t_ms, T))
+            if devices.controller is not None and CONTROLLER in wanted:
+                node.publish(f"rhot/object/{CONTROLLER}", controller_pose(devices.controller, devices.t_ms, T))
+        except ValueError:
+            node.status.count("invalid")
+
+
+def page_tls(bus: BusConfig) -> ssl.SSLContext | None:
+    """Return what the page is served with over HTTPS: the rig's own certificate; None where there is none.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    folder = Path(bus.keys)
+    certificate, key = certificate_file(folder, ROUTER), key_file(folder, ROUTER)
+    if not certificate.exists():
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    try:
+        context.load_cert_chain(certificate, key)
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigError(f"{key}: cannot be used for https: {error}; `rhot keys make` makes it") from error
+    return context
+
+
+async def serve_grasp(
+    rig: Rig,
+    bus_config: BusConfig,
+    host: str,
+    port: int,
+    access: Access,
+    other_page: str,
+    tls: ssl.SSLContext | None,
+    token_file: Path | None,
+) -> int:
+    """Open the page and run the service until SIGINT or SIGTERM; return the exit code.
+
+    Args:
+        rig, access, other_page: as `GraspService`.
+        bus_config: how the running rig is reached.
+        host, port: where to listen.
+        tls: for HTTPS; None = plain.
+        token_file: where the tokens are kept; without one the links stand in the log.
+
+    Raises:
+        DeviceError: the port is taken.
+    """
+    give_way()
+    service = GraspService(rig, access, other_page)
+    found = await service.server.open(host, port, tls)
+    scheme = "http" if tls is None else "https"
+    try:
+        shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::", "localhost") else host
+        logger.info("Grasp is at %s://%s:%d", scheme, shown, found)
+        if not files.is_built():
+            logger.warning("the page is not built: run `make web` (needs node and npm)")
+        if token_file is not None:
+            logger.info("links for other machines are in %s", token_file)
+        elif access.token:
+            for line in links(access, socket.gethostname(), found, scheme):
+                logger.info("%s", line)
+            if tls is None:
+                logger.warning(
+                    "headsets open this page as a page, but start no session over plain http from another machine: "
+                    "make certificates (`rhot keys make --address …`), and it is served over https"
+                )
+        return await serve(service, bus_config, SystemClock(), on_stop=end_within)
+    finally:
+        await service.server.close()

@@ -1,0 +1,131 @@
+"""What a browser tells: a frame is taken, how fast it wants them, where the headset is; pure."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
+
+from rhot.errors import WireError
+from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
+from rhot.messages import HeadPose, ObjectPose, first_problem
+from rhot.messages.base import Position, Quaternion, unit_quaternion, wire_position, wire_quaternion
+
+FloatArray = NDArray[np.float64]
+
+MOST_BYTES: Final = 2048
+"""Of a message from a browser; a head and two controllers take 500."""
+WEBXR: Final = "webxr"
+HEAD: Final = "head"
+CONTROLLER: Final = "controller"
+
+
+class _Told(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Taken(_Told):
+    """A frame has been taken."""
+
+    type: Literal["taken"]
+
+
+class Wish(_Told):
+    """What it wants.
+
+    Attributes:
+        rate_hz: most frames per second.
+        truth: also the simulated world's truth.
+    """
+
+    type: Literal["wish"]
+    rate_hz: Annotated[float, Field(ge=1.0, le=120.0)] = 90.0
+    truth: bool = False
+
+
+class Ask(_Told):
+    """What time is it?
+
+    Attributes:
+        at_ms: the browser's own time, handed back.
+    """
+
+    type: Literal["time"]
+    at_ms: float
+
+
+class DevicePose(_Told):
+    """Where a device is in the headset's space: metres, quaternion x, y, z, w."""
+
+    position: Annotated[Position, Field(strict=False)]
+    orientation: Annotated[Quaternion, Field(strict=False)]
+
+    @field_validator("orientation")
+    @classmethod
+    def _norm(cls, value: Quaternion) -> Quaternion:
+        return unit_quaternion(value)
+
+
+class Devices(_Told):
+    """Where headset and controller are, in WebXR's `local-floor` space.
+
+    Attributes:
+        t_ms: the moment for which the headset says so, rig clock.
+        head, controller: absent when not tracked.
+    """
+
+    type: Literal["devices"]
+    t_ms: Annotated[float, Field(ge=0.0, lt=4e12)]
+    head: DevicePose | None = None
+    controller: DevicePose | None = None
+
+
+class Moved(_Told):
+    """The headset's space has been moved by its owner: what was registered is not true any more."""
+
+    type: Literal["moved"]
+
+
+class Left(_Told):
+    """The headset has been taken off."""
+
+    type: Literal["left"]
+
+
+Told = Annotated[Taken | Wish | Ask | Devices | Moved | Left, Field(discriminator="type")]
+_ADAPTER: Final[TypeAdapter[Taken | Wish | Ask | Devices | Moved | Left]] = TypeAdapter(Told)
+
+
+def told(text: str | bytes) -> Taken | Wish | Ask | Devices | Moved | Left:
+    """Return what a browser says.
+
+    Raises:
+        WireError: it is none of the above.
+    """
+    try:
+        return _ADAPTER.validate_json(text)
+    except ValidationError as error:
+        raise WireError(f"not a message of the page: {first_problem(error)}") from error
+
+
+def head_pose(device: DevicePose, t_ms: float, T_rig_webxr: FloatArray) -> HeadPose:
+    """Return the headset in the rig frame."""
+    position, orientation = _to_rig(device, T_rig_webxr)
+    return HeadPose(t_ns=round(t_ms * 1e6), frame="rig", position=position, orientation=orientation, state="measured")
+
+
+def controller_pose(device: DevicePose, t_ms: float, T_rig_webxr: FloatArray) -> ObjectPose:
+    """Return the controller (its grip) in the rig frame."""
+    position, orientation = _to_rig(device, T_rig_webxr)
+    return ObjectPose(t_ns=round(t_ms * 1e6), frame="rig", position=position, orientation=orientation, state="measured")
+
+
+def _to_rig(device: DevicePose, T_rig_webxr: FloatArray) -> tuple[Position, Quaternion]:
+    rotation = product_matrix(*quaternion_from_rotation(T_rig_webxr[:3, :3]).tolist())
+    orientation = rotation @ np.array(device.orientation)
+    return (
+        wire_position(T_rig_webxr[:3, :3] @ np.array(device.position) + T_rig_webxr[:3, 3]),
+        wire_quaternion(orientation / np.linalg.norm(orientation)),
+    )

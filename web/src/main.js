@@ -1,0 +1,330 @@
+// The page Grasp: from the rig's messages to the picture, on a desktop or in a headset.
+import { PCFSoftShadowMap, PerspectiveCamera, Vector2, Vector3, WebGLRenderer } from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { Grip, VirtualThing } from "./grasp.js";
+import { HandView } from "./hand_view.js";
+import { Headset } from "./headset.js";
+import { Labels } from "./labels.js";
+import { Link } from "./link.js";
+import { IDENTITY, add, apply, compose, invert } from "./math.js";
+import { Pace, isSoftware } from "./pace.js";
+import { restrained } from "./proxy.js";
+import { Rig } from "./rig.js";
+import { Stage } from "./scene.js";
+import { Body, UNKNOWN, halfHeight } from "./shapes.js";
+import { BENDING, FINGERS, PALM } from "./skeleton.js";
+
+const BALL = { kind: "sphere", radius: 0.028 };
+/** Beside the middle of the desk, on the thumb's side of a right hand and a little nearer to the person. */
+const BALL_FROM_MIDDLE = [-0.14, 0, 0.1];
+/** From the thumb's side, over the hand: thumb and fingers are both seen. */
+const VIEW_FROM = { hand: [-0.36, 0.3, 0.4], body: [1.6, 1.1, 2.6] };
+const FOLLOW_S = 0.7;
+const GREEN = 0x62c987;
+const $ = (id) => document.getElementById(id);
+
+const rig = new Rig();
+const canvas = $("view");
+const renderer = makeRenderer();
+const pace = new Pace(isSoftware(rendererName(renderer)));
+if (pace.software) renderer.setPixelRatio(Math.min(1, 900 / innerWidth));
+else renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+renderer.shadowMap.enabled = !pace.software;
+renderer.shadowMap.type = PCFSoftShadowMap;
+const stage = new Stage(!pace.software);
+const camera = new PerspectiveCamera(42, 1, 0.02, 20);
+const controls = new OrbitControls(camera, canvas);
+controls.enableDamping = true;
+controls.minDistance = 0.12;
+controls.maxDistance = 6;
+const labels = new Labels($("tags"));
+const link = new Link(hear);
+const headset = new Headset(renderer, link);
+const views = new Map();
+const ghosts = new Map();
+const grips = new Map();
+let hello = null;
+let models = "";
+let ball = null;
+let deskHeight = 0;
+let framed = false;
+let lastMs = 0;
+
+/** For tests, and for whoever is curious at the console. */
+const seen = (window.rhot = {
+  frames: 0, drawn: {}, bones: {}, held: {}, waits: [], T_webxr_rig: null, rig, link, pace, headset,
+  get ball() { return ball?.at; },
+  software: pace.software,
+});
+
+function makeRenderer() {
+  try {
+    return new WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+  } catch (error) {
+    $("state").textContent = "This browser draws no 3D (WebGL): switch its hardware acceleration on, or use another one.";
+    throw error;
+  }
+}
+
+function rendererName(made) {
+  const gl = made.getContext();
+  const info = gl.getExtension("WEBGL_debug_renderer_info");
+  return info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
+}
+
+function hear(message, arrivedMs) {
+  if (message.type === "hello") {
+    hello = message;
+    rig.hello(message);
+    begin();
+  } else if (message.type === "frame") {
+    rig.frame(message.keys);
+    if (Object.keys(message.keys).some((key) => key.startsWith("rhot/hand/"))) seen.arrived ??= arrivedMs;
+    link.taken();
+  }
+}
+
+function begin() {
+  const wanted = JSON.stringify([hello.hands, hello.paint]);
+  if (wanted !== models) {
+    models = wanted;
+    for (const view of [...views.values(), ...ghosts.values()]) {
+      stage.root.remove(view);
+      view.dispose();
+    }
+    views.clear();
+    ghosts.clear();
+  }
+  const middle = apply(rig.T_stage_rig, hello.desk.middle);
+  deskHeight = hello.desk.shown ? middle[1] : 0;
+  stage.placeDesk(middle, hello.desk.shown);
+  const at = add(middle, BALL_FROM_MIDDLE);
+  ball = new VirtualThing({ p: [at[0], deskHeight + BALL.radius, at[2]], q: [0, 0, 0, 1] }, (q) => halfHeight(BALL, q));
+  $("other").hidden = !hello.other_page;
+  if (hello.other_page) $("other").href = hello.other_page;
+  if (!framed) {
+    framed = true;
+    const from = hello.desk.shown ? VIEW_FROM.hand : VIEW_FROM.body;
+    controls.target.set(middle[0], hello.desk.shown ? middle[1] + 0.12 : 0.9, middle[2]);
+    camera.position.copy(controls.target).add(new Vector3(...from));
+  }
+}
+
+function viewOf(side) {
+  if (!views.has(side)) {
+    const view = new HandView(side, hello.hands[side], hello.paint[side]);
+    stage.root.add(view);
+    views.set(side, view);
+  }
+  return views.get(side);
+}
+
+function ghostOf(side) {
+  if (!ghosts.has(side)) {
+    const ghost = new HandView(side, hello.hands[side], {});
+    ghost.ghost(GREEN);
+    stage.root.add(ghost);
+    ghosts.set(side, ghost);
+  }
+  return ghosts.get(side);
+}
+
+/** Whether a hand holds a body; what it was last time is kept by the pair's name. */
+function gripOf(side, name) {
+  const key = `${side} ${name}`;
+  if (!grips.has(key)) grips.set(key, new Grip());
+  return grips.get(key);
+}
+
+function placeInHeadset() {
+  const registered = rig.webxr !== null;
+  const T = headset.on && registered ? compose(invert(rig.webxr), rig.stage ?? IDENTITY) : IDENTITY;
+  stage.root.position.set(...T.p);
+  stage.root.quaternion.set(...T.q);
+  seen.T_webxr_rig = headset.on ? compose(T, rig.T_stage_rig) : null;
+}
+
+function frame(nowMs, xrFrame) {
+  if (!xrFrame && (headset.on || !pace.due(nowMs))) return;
+  const begun = performance.now();
+  const displayMs = xrFrame ? Headset.displayMs(xrFrame) : begun + 8;
+  if (xrFrame) headset.publish(xrFrame, displayMs);
+  if (hello && link.clock.ready) update(link.clock.rig(displayMs), displayMs, (nowMs - lastMs) / 1000);
+  lastMs = nowMs;
+  placeInHeadset();
+  if (!xrFrame) fit();
+  renderer.render(stage.scene, camera);
+  // Without a graphics card the drawing goes on after `render`: reading a pixel waits for it.
+  if (pace.software && !xrFrame) renderer.getContext().readPixels(0, 0, 1, 1, 6408, 5121, new Uint8Array(4));
+  const done = performance.now();
+  if (seen.arrived !== undefined) {
+    seen.waits.push(done - seen.arrived);
+    if (seen.waits.length > 600) seen.waits.shift();
+    seen.arrived = undefined;
+  }
+  pace.drawn(nowMs, done - begun);
+  seen.frames++;
+}
+
+function update(t, displayMs, elapsed) {
+  const hands = rig.handsAt(t);
+  const objects = rig.thingsAt(rig.objects, t);
+  objects.delete("controller");
+  const tags = new Map();
+  const bodies = new Map([...objects].map(([name, { shape, at }]) => [name, new Body(shape ?? UNKNOWN, at)]));
+  let carried = null;
+  const virtual = new Body(BALL, ball.at);
+  for (const side of ["left", "right"]) {
+    const hand = hands.get(side);
+    const grip = gripOf(side, "");
+    grip.step(displayMs, hand?.poses ?? null, hand?.radii, virtual);
+    if (grip.held && hand) carried ??= grip.carried(hand.poses);
+    else if (grip.held) carried ??= ball.at;
+    for (const [name, body] of bodies) gripOf(side, name).step(displayMs, hand?.poses ?? null, hand?.radii, body);
+  }
+  ball.step(displayMs, carried, deskHeight);
+  const holds = (name) => ["left", "right"].some((side) => grips.get(`${side} ${name}`)?.held);
+  seen.held = Object.fromEntries(["", ...bodies.keys()].map((name) => [name || "ball", holds(name)]));
+  const surfaces = [...bodies.values(), new Body(BALL, ball.at)];
+  for (const [side, view] of views) if (!hands.has(side)) view.visible = false;
+  seen.drawn = {};
+  for (const [side, hand] of hands) {
+    const poses = $("proxy").checked ? restrained(hand.poses, hand.radii, surfaces) : hand.poses;
+    const view = viewOf(side);
+    view.visible = true;
+    view.show(poses, hand.predicted, hand.state);
+    seen.drawn[side] = { tracked: hand.poses, drawn: poses };
+    tags.set(side, [hand.state === "predicted" ? `${side} hand, predicted` : `tracked ${side} hand`, poses[PALM].p]);
+    for (const finger of hand.predicted) {
+      const row = BENDING[FINGERS.indexOf(finger)].at(-1);
+      tags.set(`${side} ${finger}`, [`${finger}: not seen, predicted`, poses[row].p]);
+    }
+  }
+  for (const [name, { shape, state, at }] of objects) {
+    stage.thing(name, shape, at, { predicted: state === "predicted", lit: holds(name) });
+    const note = shape ? "" : ", shape not known: a 6 cm box";
+    tags.set(`thing ${name}`, [`${name}, twin of the tracked object${note}${holds(name) ? " · held" : ""}`, at.p]);
+  }
+  for (const name of bodiesGone(bodies)) stage.thing(name, null, null);
+  stage.thing(" ball", BALL, hello.desk.shown ? ball.at : null, { virtual: true, lit: holds("") });
+  if (hello.desk.shown) tags.set("ball", [holds("") ? "virtual ball · held" : "a ball that exists only here", ball.at.p]);
+  const feet = rig.thingsAt(rig.feet, t);
+  for (const side of ["left", "right"]) stage.foot(side, feet.get(side)?.at ?? null, feet.get(side)?.state === "predicted");
+  stage.legs(rig.legsAt(t), rig.body?.predicted ?? []);
+  showTruth(hands);
+  follow(hands, elapsed);
+  if (!headset.on) labels.set(tags, camera, innerWidth, innerHeight);
+  say(hands, t);
+}
+
+let known = [];
+function bodiesGone(bodies) {
+  const gone = known.filter((name) => !bodies.has(name));
+  known = [...bodies.keys()];
+  return gone;
+}
+
+function showTruth(hands) {
+  $("truth-label").hidden = false;
+  const wanted = $("truth").checked;
+  document.querySelector(".truth-key").hidden = !wanted;
+  for (const side of ["left", "right"]) {
+    const poses = wanted && hands.has(side) ? rig.trueHand(side) : null;
+    if (poses) ghostOf(side).show(poses, [], "measured");
+    if (ghosts.has(side)) ghosts.get(side).visible = Boolean(poses);
+  }
+}
+
+/** Keep hands in the middle, with the camera moving along; who has turned the view keeps the turn. */
+function follow(hands, elapsed) {
+  if (!$("follow").checked || !hands.size || headset.on || !hello.desk.shown) return;
+  let middle = [0, 0, 0];
+  for (const { poses } of hands.values()) middle = add(middle, poses[BENDING[2][0]].p);
+  const wanted = new Vector3(...middle).multiplyScalar(1 / hands.size);
+  const step = wanted.sub(controls.target).multiplyScalar(1 - Math.exp(-Math.min(elapsed, 0.5) / FOLLOW_S));
+  controls.target.add(step);
+  camera.position.add(step);
+}
+
+function fit() {
+  const { clientWidth: width, clientHeight: height } = canvas;
+  const size = renderer.getSize(new Vector2());
+  if (size.x !== width || size.y !== height) {
+    renderer.setSize(width, height, false);
+    camera.aspect = width / height;
+    camera.updateProjectionMatrix();
+  }
+  controls.update();
+}
+
+let saidMs = 0;
+function say(hands, t) {
+  if (performance.now() - saidMs < 250) return;
+  saidMs = performance.now();
+  const parts = [];
+  if (!hands.size && !rig.body) {
+    parts.push("no hand in view");
+  } else {
+    for (const [side, { state, predicted, track }] of hands) {
+      const age = Math.max(0, t - track.newest.t);
+      parts.push(`${side} hand ${state}${predicted.length ? `, ${predicted.join(", ")} predicted` : ""} · ${age.toFixed(0)} ms old`);
+    }
+  }
+  if ($("truth").checked) {
+    const error = rig.medianError;
+    parts.push(error === null ? "no truth here: only a simulation knows it" : `fingertips ${(1e3 * error).toFixed(1)} mm from the truth (median)`);
+  }
+  if (rig.guessed) parts.push("floor guessed");
+  if (pace.software) parts.push(`no graphics card: ${pace.rate.toFixed(0)} pictures/s`);
+  $("state").className = "";
+  $("state").textContent = parts.join(" · ");
+}
+
+function watch() {
+  if (!link.connected || !hello) {
+    $("state").className = "bad";
+    $("state").textContent = link.connections
+      ? "The rig does not answer; this page comes back by itself when it does."
+      : "connecting …";
+    rig.forget();
+  } else if (!link.clock.ready) {
+    $("state").className = "bad";
+    $("state").textContent = "The rig is not running: no clock (fusion). `rhot sim` or `rhot up` starts it.";
+  }
+  link.wish({ truth: $("truth").checked, rate_hz: Math.max(1, Math.min(120, headset.on ? 120 : Math.min(pace.rate, 90))) });
+}
+setInterval(watch, 500);
+
+$("what").onclick = () => {
+  $("about").hidden = !$("about").hidden;
+  $("what").setAttribute("aria-expanded", String(!$("about").hidden));
+};
+$("labels").onchange = () => (labels.shown = $("labels").checked);
+$("truth").onchange = () => { rig.errors = []; rig.truths = []; watch(); };
+
+function note(text) {
+  $("note").hidden = !text;
+  $("note").textContent = text;
+}
+
+headset.started = (entered) => {
+  stage.surroundings.visible = entered === "immersive-vr";
+  stage.scene.background = entered === "immersive-vr" ? stage.background : null;
+  $("tags").hidden = true;
+  if (!hello?.devices.length) note("To align headset and rig, rig.toml needs [objects.head] and [objects.controller] with source = \"webxr\"; see docs/grasp.md.");
+  else if (!rig.webxr) note("Not aligned with the rig yet: `rhot calibrate objects --live --object controller` takes ten places.");
+};
+headset.ended = () => {
+  stage.surroundings.visible = true;
+  stage.scene.background = stage.background;
+  $("tags").hidden = false;
+  note("");
+};
+Headset.modes().then((modes) => {
+  const wanted = modes.includes("immersive-vr") ? "immersive-vr" : modes[0];
+  $("headset").hidden = !wanted;
+  $("headset").onclick = () => headset.enter(wanted).catch((error) => note(`The headset did not start: ${error.message}`));
+  if (!wanted && !isSecureContext) note("Headsets need https here: `rhot keys make` on the rig, then open the page by https.");
+});
+
+renderer.setAnimationLoop(frame);

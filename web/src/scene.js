@@ -1,0 +1,168 @@
+// What is drawn around the hand: light, desk, floor, things by their shape, feet and legs. Stage axes: y up, metres.
+import {
+  BoxGeometry, CanvasTexture, CapsuleGeometry, Color, CylinderGeometry, DirectionalLight, Fog, Group, HemisphereLight,
+  Mesh, MeshStandardMaterial, PlaneGeometry, Quaternion, RepeatWrapping, SRGBColorSpace, Scene, SphereGeometry, Vector3,
+} from "three";
+import { UNKNOWN } from "./shapes.js";
+
+const BACKGROUND = 0x2b333c;
+const TWIN = 0xd6a03c;
+const PREDICTED = 0x4f93e0;
+const VIRTUAL = 0xb06bd6;
+const LIMB = 0xb4bac2;
+const DESK_SIZE = [1.3, 0.03, 0.75];
+const FOOT = { size: [0.09, 0.06, 0.26], middle: [0, -0.04, 0.03] };
+const LEG_RADIUS = 0.045;
+const LEGS = ["left", "right"].flatMap((side) =>
+  [["hips", "hip"], ["hip", "knee"], ["knee", "ankle"], ["ankle", "foot"]].map(([a, b]) => [
+    a === "hips" ? a : `${side}_${a}`, `${side}_${b}`, side,
+  ]),
+);
+const UP = new Vector3(0, 1, 0);
+
+function matTexture() {
+  const canvas = document.createElement("canvas");
+  canvas.width = canvas.height = 256;
+  const draw = canvas.getContext("2d");
+  draw.fillStyle = "#3d4b57";
+  draw.fillRect(0, 0, 256, 256);
+  draw.strokeStyle = "#5b6d7c";
+  draw.lineWidth = 3;
+  draw.strokeRect(0, 0, 256, 256);
+  const texture = new CanvasTexture(canvas);
+  texture.wrapS = texture.wrapT = RepeatWrapping;
+  texture.colorSpace = SRGBColorSpace;
+  texture.anisotropy = 4;
+  return texture;
+}
+
+export function geometryOf(shape) {
+  if (shape.kind === "sphere") return new SphereGeometry(shape.radius, 40, 24);
+  // Its axis is the object's z; three.js has it along y.
+  if (shape.kind === "cylinder") return new CylinderGeometry(shape.radius, shape.radius, shape.height, 48).rotateX(Math.PI / 2);
+  return new BoxGeometry(...shape.size);
+}
+
+export class Stage {
+  #things = new Map();
+  #feet = new Map();
+  #legs = new Map();
+
+  constructor(shadows) {
+    this.scene = new Scene();
+    this.background = new Color(BACKGROUND);
+    this.scene.background = this.background;
+    this.scene.fog = new Fog(BACKGROUND, 2.5, 7);
+    /** Everything of the rig, in stage axes; a headset's space moves it as a whole. */
+    this.root = new Group();
+    this.scene.add(this.root);
+    this.root.add(new HemisphereLight(0xdfeaf5, 0x57504a, 1.5));
+    this.sun = new DirectionalLight(0xfff2e0, 2.6);
+    this.root.add(this.sun, this.sun.target);
+    if (shadows) {
+      this.sun.castShadow = true;
+      this.sun.shadow.mapSize.set(2048, 2048);
+      Object.assign(this.sun.shadow.camera, { left: -0.5, right: 0.5, top: 0.5, bottom: -0.5, near: 0.2, far: 2.5 });
+      this.sun.shadow.bias = -0.0004;
+      this.sun.shadow.normalBias = 0.004;
+    }
+    const fill = new DirectionalLight(0x9fc3ff, 0.7);
+    fill.position.set(-1, 0.6, 0.8);
+    this.root.add(fill);
+    this.floor = new Mesh(new PlaneGeometry(14, 14).rotateX(-Math.PI / 2), new MeshStandardMaterial({ color: 0x39424b, roughness: 1 }));
+    this.floor.receiveShadow = true;
+    this.desk = new Mesh(new BoxGeometry(...DESK_SIZE), new MeshStandardMaterial({ color: 0x6a5a4c, roughness: 0.8 }));
+    const texture = matTexture();
+    texture.repeat.set(18, 10);
+    this.mat = new Mesh(new PlaneGeometry(0.9, 0.5).rotateX(-Math.PI / 2), new MeshStandardMaterial({ map: texture, roughness: 0.95 }));
+    this.mat.receiveShadow = this.desk.receiveShadow = true;
+    this.surroundings = new Group();
+    this.surroundings.add(this.floor, this.desk, this.mat);
+    this.root.add(this.surroundings);
+  }
+
+  /** Put the desk so that the middle of its top is there. */
+  placeDesk(middle, shown) {
+    this.desk.visible = this.mat.visible = shown;
+    this.desk.position.set(middle[0], middle[1] - DESK_SIZE[1] / 2 - 0.001, middle[2]);
+    this.mat.position.set(middle[0], middle[1] + 0.0005, middle[2]);
+    this.aimLight(middle);
+  }
+
+  aimLight(at) {
+    this.sun.target.position.set(...at);
+    this.sun.position.set(at[0] - 0.35, at[1] + 1.1, at[2] + 0.35);
+  }
+
+  /** Show a thing by its shape; null hides it. */
+  thing(name, shape, at, { virtual = false, predicted = false, lit = false } = {}) {
+    let mesh = this.#things.get(name);
+    if (!at) {
+      if (mesh) mesh.visible = false;
+      return;
+    }
+    const key = JSON.stringify(shape ?? UNKNOWN);
+    if (mesh?.userData.shape !== key) {
+      if (mesh) this.#drop(mesh);
+      mesh = new Mesh(geometryOf(shape ?? UNKNOWN), new MeshStandardMaterial({ roughness: 0.5, transparent: !shape && !virtual, opacity: !shape && !virtual ? 0.85 : 1 }));
+      mesh.castShadow = mesh.receiveShadow = true;
+      mesh.userData.shape = key;
+      this.#things.set(name, mesh);
+      this.root.add(mesh);
+    }
+    mesh.visible = true;
+    mesh.position.set(...at.p);
+    mesh.quaternion.set(...at.q);
+    mesh.material.color.set(virtual ? VIRTUAL : predicted ? PREDICTED : TWIN);
+    mesh.material.emissive.set(lit ? 0x4a3a10 : 0);
+  }
+
+  #drop(mesh) {
+    this.root.remove(mesh);
+    mesh.geometry.dispose();
+    mesh.material.dispose();
+  }
+
+  foot(side, at, predicted) {
+    let mesh = this.#feet.get(side);
+    if (!mesh && at) {
+      mesh = new Mesh(new BoxGeometry(...FOOT.size).translate(...FOOT.middle), new MeshStandardMaterial({ roughness: 0.7 }));
+      mesh.castShadow = true;
+      this.#feet.set(side, mesh);
+      this.root.add(mesh);
+    }
+    if (!mesh) return;
+    mesh.visible = Boolean(at);
+    if (!at) return;
+    mesh.position.set(...at.p);
+    mesh.quaternion.set(...at.q);
+    mesh.material.color.set(predicted ? PREDICTED : 0x5c80ac);
+  }
+
+  /** Show legs from joint positions by name; null hides them. */
+  legs(joints, predicted) {
+    for (const [from, to, side] of LEGS) {
+      const key = `${from} ${to}`;
+      let mesh = this.#legs.get(key);
+      const a = joints?.[from];
+      const b = joints?.[to];
+      if (!a || !b) {
+        if (mesh) mesh.visible = false;
+        continue;
+      }
+      if (!mesh) {
+        mesh = new Mesh(new CapsuleGeometry(LEG_RADIUS, 1, 6, 16), new MeshStandardMaterial({ roughness: 0.8 }));
+        mesh.castShadow = true;
+        this.#legs.set(key, mesh);
+        this.root.add(mesh);
+      }
+      const start = new Vector3(...a);
+      const along = new Vector3(...b).sub(start);
+      mesh.visible = true;
+      mesh.position.copy(start).addScaledVector(along, 0.5);
+      mesh.scale.set(1, along.length(), 1);
+      mesh.quaternion.copy(new Quaternion().setFromUnitVectors(UP, along.normalize()));
+      mesh.material.color.set(predicted.includes(side) ? PREDICTED : LIMB);
+    }
+  }
+}
