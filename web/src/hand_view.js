@@ -1,15 +1,18 @@
 // A hand in the scene: the skin that was made of its model, moved by 26 joints; predicted fingers are blue.
-import { Bone, BufferAttribute, BufferGeometry, Color, Group, Matrix4, MeshStandardMaterial, Quaternion, SRGBColorSpace, Skeleton, SkinnedMesh, Vector3 } from "three";
+import { Bone, BufferAttribute, BufferGeometry, Color, CylinderGeometry, Group, Matrix4, Mesh, MeshStandardMaterial, Quaternion, SRGBColorSpace, Skeleton, SkinnedMesh, Vector3 } from "three";
 import { makeSkin } from "./hand_skin.js";
-import { FINGERS } from "./skeleton.js";
+import { FINGERS, WRIST } from "./skeleton.js";
 
 const SKIN = { right: new Color(0xdca988), left: new Color(0xcfa49a) };
 const PREDICTED = new Color(0x4f93e0);
+/** A sleeve over the stub of the forearm, metres in the wrist's frame: half width, half height, length. */
+const SLEEVE = { across: 0.036, up: 0.028, from: 0.018, length: 0.09 };
 const ONE = new Vector3(1, 1, 1);
 
 export class HandView extends Group {
   #skin;
   #mesh;
+  #sleeve;
   #side;
   #paint;
   #shown = "";
@@ -35,6 +38,15 @@ export class HandView extends Group {
       new Matrix4().compose(new Vector3(...p), new Quaternion(...q), ONE).invert(),
     );
     this.add(this.#mesh, ...this.bones);
+    this.#sleeve = new Mesh(
+      new CylinderGeometry(1, 0.93, 1, 28, 1).rotateX(Math.PI / 2).translate(0, 0, 0.5),
+      new MeshStandardMaterial({ color: 0x2f4a66, roughness: 0.95 }),
+    );
+    const scale = model.radii[WRIST] / 0.022;
+    this.#sleeve.scale.set(scale * SLEEVE.across, scale * SLEEVE.up, SLEEVE.length);
+    this.#sleeve.position.z = SLEEVE.from;
+    this.#sleeve.castShadow = true;
+    this.bones[WRIST].add(this.#sleeve);
     this.#mesh.bind(new Skeleton(this.bones, back), new Matrix4());
   }
 
@@ -53,7 +65,7 @@ export class HandView extends Group {
   /** Show it in one colour, to be seen through. */
   ghost(color) {
     this.#mesh.material.setValues({ vertexColors: false, color, transparent: true, opacity: 0.45, depthWrite: false });
-    this.#mesh.castShadow = false;
+    this.#mesh.castShadow = this.#sleeve.visible = false;
   }
 
   #color(predicted, state) {
@@ -85,5 +97,7 @@ export class HandView extends Group {
     this.#mesh.geometry.dispose();
     this.#mesh.material.dispose();
     this.#mesh.skeleton.dispose();
+    this.#sleeve.geometry.dispose();
+    this.#sleeve.material.dispose();
   }
 }

@@ -15,10 +15,10 @@ import { Body, UNKNOWN, halfHeight } from "./shapes.js";
 import { BENDING, FINGERS, PALM } from "./skeleton.js";
 
 const BALL = { kind: "sphere", radius: 0.028 };
-/** Beside the middle of the desk, on the thumb's side of a right hand and a little nearer to the person. */
-const BALL_FROM_MIDDLE = [-0.14, 0, 0.1];
+/** Beside the middle of the desk, on the thumb's side of a right hand. */
+const BALL_FROM_MIDDLE = [-0.17, 0, -0.02];
 /** From the thumb's side, over the hand: thumb and fingers are both seen. */
-const VIEW_FROM = { hand: [-0.36, 0.3, 0.4], body: [1.6, 1.1, 2.6] };
+const VIEW_FROM = { hand: [-0.27, 0.27, 0.33], body: [1.6, 1.1, 2.6] };
 const FOLLOW_S = 0.7;
 const GREEN = 0x62c987;
 const $ = (id) => document.getElementById(id);
@@ -27,8 +27,12 @@ const rig = new Rig();
 const canvas = $("view");
 const renderer = makeRenderer();
 const pace = new Pace(isSoftware(rendererName(renderer)));
-if (pace.software) renderer.setPixelRatio(Math.min(1, 900 / innerWidth));
-else renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+if (pace.software) {
+  renderer.setPixelRatio(Math.min(1, 900 / innerWidth));
+  renderer.xr.setFramebufferScaleFactor(0.5);
+} else {
+  renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+}
 renderer.shadowMap.enabled = !pace.software;
 renderer.shadowMap.type = PCFSoftShadowMap;
 const stage = new Stage(!pace.software);
@@ -52,8 +56,10 @@ let lastMs = 0;
 
 /** For tests, and for whoever is curious at the console. */
 const seen = (window.rhot = {
-  frames: 0, drawn: {}, bones: {}, held: {}, waits: [], T_webxr_rig: null, rig, link, pace, headset,
+  frames: 0, drawn: {}, held: {}, waits: [], T_webxr_rig: null, rig, link, pace, headset,
   get ball() { return ball?.at; },
+  /** The 26 joints of a hand as they are drawn, in the space of desktop or headset. */
+  bones: (side) => views.get(side)?.bones.map((bone) => bone.getWorldPosition(new Vector3()).toArray()),
   software: pace.software,
 });
 
@@ -105,7 +111,7 @@ function begin() {
   if (!framed) {
     framed = true;
     const from = hello.desk.shown ? VIEW_FROM.hand : VIEW_FROM.body;
-    controls.target.set(middle[0], hello.desk.shown ? middle[1] + 0.12 : 0.9, middle[2]);
+    controls.target.set(middle[0], hello.desk.shown ? middle[1] + 0.1 : 0.9, middle[2]);
     camera.position.copy(controls.target).add(new Vector3(...from));
   }
 }
@@ -145,8 +151,10 @@ function placeInHeadset() {
 }
 
 function frame(nowMs, xrFrame) {
-  if (!xrFrame && (headset.on || !pace.due(nowMs))) return;
+  if (!xrFrame && headset.on) return;
   const begun = performance.now();
+  // A headset says when to draw; only one that is emulated without a graphics card is held back.
+  if ((!xrFrame || pace.software) && !pace.due(begun)) return;
   const displayMs = xrFrame ? Headset.displayMs(xrFrame) : begun + 8;
   if (xrFrame) headset.publish(xrFrame, displayMs);
   if (hello && link.clock.ready) update(link.clock.rig(displayMs), displayMs, (nowMs - lastMs) / 1000);
@@ -162,7 +170,7 @@ function frame(nowMs, xrFrame) {
     if (seen.waits.length > 600) seen.waits.shift();
     seen.arrived = undefined;
   }
-  pace.drawn(nowMs, done - begun);
+  pace.drawn(begun, done - begun);
   seen.frames++;
 }
 
@@ -194,18 +202,25 @@ function update(t, displayMs, elapsed) {
     view.visible = true;
     view.show(poses, hand.predicted, hand.state);
     seen.drawn[side] = { tracked: hand.poses, drawn: poses };
+    stage.shade(side, poses[PALM].p, 0.09, deskHeight);
     tags.set(side, [hand.state === "predicted" ? `${side} hand, predicted` : `tracked ${side} hand`, poses[PALM].p]);
     for (const finger of hand.predicted) {
       const row = BENDING[FINGERS.indexOf(finger)].at(-1);
       tags.set(`${side} ${finger}`, [`${finger}: not seen, predicted`, poses[row].p]);
     }
   }
+  for (const side of ["left", "right"]) if (!hands.has(side)) stage.shade(side, null);
   for (const [name, { shape, state, at }] of objects) {
+    stage.shade(name, at.p, 1.3 * bodies.get(name).reach, deskHeight);
     stage.thing(name, shape, at, { predicted: state === "predicted", lit: holds(name) });
     const note = shape ? "" : ", shape not known: a 6 cm box";
     tags.set(`thing ${name}`, [`${name}, twin of the tracked object${note}${holds(name) ? " · held" : ""}`, at.p]);
   }
-  for (const name of bodiesGone(bodies)) stage.thing(name, null, null);
+  for (const name of bodiesGone(bodies)) {
+    stage.thing(name, null, null);
+    stage.shade(name, null);
+  }
+  stage.shade(" ball", hello.desk.shown ? ball.at.p : null, 1.6 * BALL.radius, deskHeight);
   stage.thing(" ball", BALL, hello.desk.shown ? ball.at : null, { virtual: true, lit: holds("") });
   if (hello.desk.shown) tags.set("ball", [holds("") ? "virtual ball · held" : "a ball that exists only here", ball.at.p]);
   const feet = rig.thingsAt(rig.feet, t);

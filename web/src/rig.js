@@ -3,8 +3,10 @@ import { IDENTITY, compose, distance, invert, mix, pose, poseOfMatrix } from "./
 import { Track } from "./motion.js";
 import { BENDING, JOINTS } from "./skeleton.js";
 
-/** What has not come for so long is not shown, milliseconds. */
+/** What is so much older than the newest of all is not shown, milliseconds … */
 const GONE_MS = 600;
+/** … and nothing is when nothing has come for so long; longer, because a slow browser takes frames late. */
+const SILENT_MS = 2500;
 const TRUTHS = 16;
 
 export class Rig {
@@ -18,7 +20,8 @@ export class Rig {
     this.stage = null;
     this.guessed = true;
     this.webxr = null;
-    this.newestMs = -Infinity;
+    /** Rig time of the newest of all, milliseconds. */
+    this.latest = -Infinity;
     this.errors = [];
     this.waiting = new Map();
   }
@@ -37,6 +40,7 @@ export class Rig {
   frame(keys) {
     for (const [key, value] of Object.entries(keys)) {
       const [kind, name] = key.slice("rhot/".length).split("/");
+      if (value.t !== undefined && kind !== "truth") this.latest = Math.max(this.latest, value.t);
       if (kind === "hand") this.#hand(name, value);
       else if (kind === "object") this.#put(this.objects, name, value);
       else if (kind === "foot") this.#put(this.feet, name, value);
@@ -60,7 +64,6 @@ export class Rig {
     const hand = this.hands.get(side) ?? { track: new Track() };
     hand.track.put(value.t, JOINTS.map((_, row) => pose(value.joints, 7 * row)));
     this.hands.set(side, Object.assign(hand, { radii: value.radii, predicted: value.predicted, state: value.state }));
-    this.newestMs = value.t;
     this.#compare(side, value);
   }
 
@@ -116,8 +119,9 @@ export class Rig {
   #at(things, t, make) {
     const T = this.T_stage_rig;
     const found = new Map();
+    if (t - this.latest > SILENT_MS) return found;
     for (const [name, thing] of things) {
-      if (thing.track.age(t) > GONE_MS) continue;
+      if (thing.track.age(this.latest) > GONE_MS) continue;
       found.set(name, make(thing, thing.track.at(t).map((one) => compose(T, one))));
     }
     return found;
@@ -125,7 +129,7 @@ export class Rig {
 
   /** Joints of the legs, stage axes; null where none are known. */
   legsAt(t) {
-    if (!this.body || t - this.body.t > GONE_MS) return null;
+    if (!this.body || t - this.latest > SILENT_MS || this.latest - this.body.t > GONE_MS) return null;
     const T = this.T_stage_rig;
     return Object.fromEntries(
       Object.entries(this.body.joints).map(([name, p]) => [name, compose(T, { p, q: [0, 0, 0, 1] }).p]),
@@ -138,5 +142,6 @@ export class Rig {
     this.feet.clear();
     this.body = this.head = null;
     this.truths = [];
+    this.latest = -Infinity;
   }
 }

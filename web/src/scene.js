@@ -1,11 +1,11 @@
 // What is drawn around the hand: light, desk, floor, things by their shape, feet and legs. Stage axes: y up, metres.
 import {
   BoxGeometry, CanvasTexture, CapsuleGeometry, Color, CylinderGeometry, DirectionalLight, Fog, Group, HemisphereLight,
-  Mesh, MeshStandardMaterial, PlaneGeometry, Quaternion, RepeatWrapping, SRGBColorSpace, Scene, SphereGeometry, Vector3,
+  Mesh, MeshBasicMaterial, MeshStandardMaterial, PlaneGeometry, Quaternion, RepeatWrapping, SRGBColorSpace, Scene, SphereGeometry, Vector3,
 } from "three";
 import { UNKNOWN } from "./shapes.js";
 
-const BACKGROUND = 0x2b333c;
+const BACKGROUND = 0x46525e;
 const TWIN = 0xd6a03c;
 const PREDICTED = 0x4f93e0;
 const VIRTUAL = 0xb06bd6;
@@ -24,9 +24,9 @@ function matTexture() {
   const canvas = document.createElement("canvas");
   canvas.width = canvas.height = 256;
   const draw = canvas.getContext("2d");
-  draw.fillStyle = "#3d4b57";
+  draw.fillStyle = "#52626f";
   draw.fillRect(0, 0, 256, 256);
-  draw.strokeStyle = "#5b6d7c";
+  draw.strokeStyle = "#74899a";
   draw.lineWidth = 3;
   draw.strokeRect(0, 0, 256, 256);
   const texture = new CanvasTexture(canvas);
@@ -34,6 +34,19 @@ function matTexture() {
   texture.colorSpace = SRGBColorSpace;
   texture.anisotropy = 4;
   return texture;
+}
+
+function shadeTexture() {
+  const canvas = document.createElement("canvas");
+  canvas.width = canvas.height = 128;
+  const draw = canvas.getContext("2d");
+  const fade = draw.createRadialGradient(64, 64, 0, 64, 64, 64);
+  fade.addColorStop(0, "#000000ff");
+  fade.addColorStop(0.5, "#00000090");
+  fade.addColorStop(1, "#00000000");
+  draw.fillStyle = fade;
+  draw.fillRect(0, 0, 128, 128);
+  return new CanvasTexture(canvas);
 }
 
 export function geometryOf(shape) {
@@ -47,6 +60,8 @@ export class Stage {
   #things = new Map();
   #feet = new Map();
   #legs = new Map();
+  #shades = new Map();
+  #shadeMap = null;
 
   constructor(shadows) {
     this.scene = new Scene();
@@ -56,7 +71,7 @@ export class Stage {
     /** Everything of the rig, in stage axes; a headset's space moves it as a whole. */
     this.root = new Group();
     this.scene.add(this.root);
-    this.root.add(new HemisphereLight(0xdfeaf5, 0x57504a, 1.5));
+    this.root.add(new HemisphereLight(0xe8f1fa, 0x6b6259, 1.9));
     this.sun = new DirectionalLight(0xfff2e0, 2.6);
     this.root.add(this.sun, this.sun.target);
     if (shadows) {
@@ -69,9 +84,9 @@ export class Stage {
     const fill = new DirectionalLight(0x9fc3ff, 0.7);
     fill.position.set(-1, 0.6, 0.8);
     this.root.add(fill);
-    this.floor = new Mesh(new PlaneGeometry(14, 14).rotateX(-Math.PI / 2), new MeshStandardMaterial({ color: 0x39424b, roughness: 1 }));
+    this.floor = new Mesh(new PlaneGeometry(14, 14).rotateX(-Math.PI / 2), new MeshStandardMaterial({ color: 0x4a555f, roughness: 1 }));
     this.floor.receiveShadow = true;
-    this.desk = new Mesh(new BoxGeometry(...DESK_SIZE), new MeshStandardMaterial({ color: 0x6a5a4c, roughness: 0.8 }));
+    this.desk = new Mesh(new BoxGeometry(...DESK_SIZE), new MeshStandardMaterial({ color: 0x8a7561, roughness: 0.8 }));
     const texture = matTexture();
     texture.repeat.set(18, 10);
     this.mat = new Mesh(new PlaneGeometry(0.9, 0.5).rotateX(-Math.PI / 2), new MeshStandardMaterial({ map: texture, roughness: 0.95 }));
@@ -121,6 +136,26 @@ export class Stage {
     this.root.remove(mesh);
     mesh.geometry.dispose();
     mesh.material.dispose();
+  }
+
+  /** A soft shadow on the desk, straight below: it tells how high a thing is, at the cost of two triangles. */
+  shade(name, p, radius, desk) {
+    let mesh = this.#shades.get(name);
+    if (!p) {
+      if (mesh) mesh.visible = false;
+      return;
+    }
+    if (!mesh) {
+      this.#shadeMap ??= shadeTexture();
+      mesh = new Mesh(new PlaneGeometry(2, 2).rotateX(-Math.PI / 2), new MeshBasicMaterial({ map: this.#shadeMap, transparent: true, depthWrite: false }));
+      this.#shades.set(name, mesh);
+      this.surroundings.add(mesh);
+    }
+    const above = Math.max(0, p[1] - desk);
+    mesh.visible = above < 0.6;
+    mesh.position.set(p[0], desk + 0.001, p[2]);
+    mesh.scale.setScalar(radius * (1 + 1.5 * above));
+    mesh.material.opacity = 0.6 / (1 + 5 * above);
   }
 
   foot(side, at, predicted) {

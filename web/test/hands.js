@@ -3,7 +3,7 @@ import { readFileSync } from "node:fs";
 import { add, compose, fromAxis, pose, qmul, rotate, sub } from "../src/math.js";
 import { BENDING, JOINTS } from "../src/skeleton.js";
 
-/** Made by `tests/viewer/grasp`, which runs these tests; by hand: `python -m tests … > hands.json`. */
+/** Made by `tests/viewer/grasp/test_page_logic.py`, which runs these tests. */
 const path = process.env.RHOT_REST_HANDS;
 if (!path) throw new Error("RHOT_REST_HANDS names no file: run these tests by pytest (tests/viewer/grasp)");
 export const HANDS = JSON.parse(readFileSync(path));

@@ -1,0 +1,52 @@
+"""Newest wins, and no faster than a browser takes."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from rhot_viewer.grasp.newest import MOST_KEYS, Newest, Pace
+
+
+def test_only_the_newest_of_what_has_changed_is_sent() -> None:
+    newest = Newest()
+    for number in range(5):
+        newest.put("rhot/hand/right", str(number))
+    newest.put("rhot/object/cup", "7")
+    assert json.loads(newest.since(0))["keys"] == {"rhot/hand/right": 4, "rhot/object/cup": 7}
+    version = newest.version
+    assert newest.since(version) == ""
+    newest.put("rhot/object/cup", "8")
+    assert json.loads(newest.since(version))["keys"] == {"rhot/object/cup": 8}
+    assert newest.since(version, without=("rhot/object/cup",)) == ""
+
+
+def test_strangers_cannot_fill_the_table() -> None:
+    newest = Newest()
+    for number in range(2 * MOST_KEYS):
+        newest.put(f"rhot/object/{number}", "1")
+    assert len(json.loads(newest.since(0))["keys"]) == MOST_KEYS
+
+
+def test_a_browser_is_sent_no_more_than_it_wishes() -> None:
+    pace = Pace(rate_hz=30.0)
+    sent, now_s = 0, 0.0
+    while now_s < 10.0:
+        wait_s = pace.wait_s(now_s)
+        if wait_s == 0.0:
+            pace.sent(now_s, sent)
+            pace.taken()
+            sent += 1
+        now_s += 0.001
+    assert sent == pytest.approx(300, rel=0.02)
+
+
+def test_a_browser_that_takes_nothing_is_sent_two_frames_and_no_more() -> None:
+    pace = Pace()
+    for _ in range(2):
+        assert pace.wait_s(1e3) is not None
+        pace.sent(1e3, 1)
+    assert pace.wait_s(2e3) is None
+    pace.taken()
+    assert pace.wait_s(2e3) == 0.0

@@ -1,0 +1,114 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { makeSkin, skinned } from "../src/hand_skin.js";
+import { compose, distance, fromAxis, invert, poseOfMatrix, qmul, qunit, rotate, toVector } from "../src/math.js";
+import { MOST_AHEAD_MS, RigClock, Track } from "../src/motion.js";
+import { Pace, isSoftware } from "../src/pace.js";
+import { Body, halfHeight } from "../src/shapes.js";
+import { BONES, FINGERS, JOINTS } from "../src/skeleton.js";
+import { HANDS, bent, placed, radii, random, rest } from "./hands.js";
+
+const near = (a, b, by, what) => assert.ok(Math.abs(a - b) <= by, `${what ?? ""} ${a} is not ${b} ± ${by}`);
+
+test("poses compose, invert and come from matrices", () => {
+  const next = random(3);
+  for (let i = 0; i < 50; i++) {
+    const a = { p: [next(), next(), next()], q: qunit([next() - 0.5, next() - 0.5, next() - 0.5, next() - 0.5]) };
+    near(distance(compose(a, invert(a)).p, [0, 0, 0]), 0, 1e-12);
+    const columns = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((v) => rotate(a.q, v));
+    const m = [0, 1, 2].flatMap((row) => [...columns.map((c) => c[row]), a.p[row]]);
+    const back = poseOfMatrix(m);
+    near(Math.abs(back.q.reduce((sum, x, k) => sum + x * a.q[k], 0)), 1, 1e-9);
+    near(distance(back.p, a.p), 0, 1e-12);
+  }
+  near(toVector(fromAxis([0, 1, 0], 0.7))[1], 0.7, 1e-12);
+});
+
+test("distances to shapes are Euclidean outside and negative inside", () => {
+  const at = { p: [1, 2, 3], q: fromAxis([0, 0, 1], Math.PI / 2) };
+  const box = new Body({ kind: "box", size: [0.2, 0.4, 0.6] }, at);
+  near(box.distance([1, 2, 3]), -0.1, 1e-9);
+  near(box.distance([1.3, 2, 3]), 0.1, 1e-9, "y of the box lies along −x");
+  const cylinder = new Body({ kind: "cylinder", radius: 0.1, height: 1 }, { p: [0, 0, 0], q: [0, 0, 0, 1] });
+  near(cylinder.distance([0.4, 0, 0.9]), 0.5, 1e-9);
+  near(cylinder.distance([0, 0, 0.45]), -0.05, 1e-9);
+  near(cylinder.normal([0.3, 0, 0])[0], 1, 1e-6);
+  near(halfHeight({ kind: "cylinder", radius: 0.03, height: 0.1 }, fromAxis([1, 0, 0], Math.PI / 2)), 0.05, 1e-9);
+  near(halfHeight({ kind: "box", size: [0.1, 0.2, 0.3] }, [0, 0, 0, 1]), 0.1, 1e-9);
+});
+
+test("a steady motion is carried on to the display's time, and not further than trusted", () => {
+  const track = new Track();
+  const at = (t) => [{ p: [0.5e-3 * t, 0, 0], q: fromAxis([0, 1, 0], 1e-3 * t) }];
+  for (let t = 1000; t <= 1048; t += 16) track.put(t, at(t));
+  const ahead = track.at(1068)[0];
+  near(ahead.p[0], 0.534, 1e-9);
+  near(toVector(qmul(ahead.q, invert(at(1068)[0]).q)).reduce((s, x) => s + Math.abs(x), 0), 0, 1e-6);
+  near(track.at(5000)[0].p[0], 0.5e-3 * (1048 + MOST_AHEAD_MS), 1e-9);
+  track.put(10, at(10));
+  assert.equal(track.at(20)[0].p[0], 0.005, "another session begins anew");
+});
+
+test("the rig's clock is that of the quickest answer", () => {
+  const clock = new RigClock();
+  clock.put(0, 40, 5020 + 9);
+  clock.put(100, 102, 5101);
+  clock.put(200, 260, 5205);
+  near(clock.rig(300), 5300, 1e-9);
+  near(clock.uncertainty, 1, 1e-9);
+});
+
+test("without a graphics card the page draws less often, and with one as the screen does", () => {
+  assert.ok(isSoftware("ANGLE (Google, Vulkan 1.3.0 (SwiftShader Device (LLVM 10.0.0)))"));
+  assert.ok(!isSoftware("ANGLE (Intel, Mesa Intel(R) UHD Graphics 620)"));
+  const drawn = (software, cost) => {
+    const pace = new Pace(software);
+    let count = 0;
+    for (let ms = 0; ms < 10000; ms += 1000 / 60) if (pace.due(ms)) { pace.drawn(ms, cost); count++; }
+    return count / 10;
+  };
+  near(drawn(false, 3), 60, 1);
+  assert.ok(drawn(true, 5) <= 11);
+  assert.ok(drawn(true, 80) <= 6);
+});
+
+test("the skin is closed, as thick as the flesh, and every finger moves its own part", () => {
+  for (const side of ["right", "left"]) {
+    const skin = makeSkin(HANDS[side].joints, HANDS[side].radii);
+    const edges = new Map();
+    for (let i = 0; i < skin.triangles.length; i += 3) {
+      const corner = skin.triangles.subarray(i, i + 3);
+      for (let k = 0; k < 3; k++) {
+        const edge = `${corner[k]} ${corner[(k + 1) % 3]}`;
+        edges.set(edge, (edges.get(edge) ?? 0) + 1);
+      }
+    }
+    for (const edge of edges.keys()) {
+      const [a, b] = edge.split(" ");
+      assert.ok(edges.has(`${b} ${a}`), `${side}: an open edge`);
+    }
+    const points = skinned(skin, skin.poses);
+    // At the middle of each finger's bones the skin is as far away as the flesh is thick.
+    for (const [from, to, finger] of BONES.filter((bone) => bone[2] > 0)) {
+      const middle = skin.poses[from].p.map((x, k) => (x + skin.poses[to].p[k]) / 2);
+      const thick = (radii(side)[from] + radii(side)[to]) / 2;
+      const found = Math.min(...points.map((p) => distance(p, middle)));
+      near(found, thick, 0.0015, `${side} ${FINGERS[finger]} ${JOINTS[from]}`);
+    }
+  }
+});
+
+test("the skin goes where the joints go", () => {
+  const skin = makeSkin(HANDS.right.joints, HANDS.right.radii);
+  const at = { p: [0.3, 1, -0.2], q: fromAxis([0, 1, 0], 1) };
+  const still = skinned(skin, placed(rest(), at));
+  const moved = skinned(skin, placed(bent(rest(), [0.8, 1, 0.6], [0, 0, 0]), at));
+  const rows = { thumb: [], index: [] };
+  still.forEach((p, vertex) => {
+    for (const name of Object.keys(rows)) {
+      if (skin.fingers[FINGERS.length * vertex + FINGERS.indexOf(name)] > 0.98) rows[name].push(distance(p, moved[vertex]));
+    }
+  });
+  assert.ok(Math.max(...rows.thumb) < 0.002, "a bent index pulls no thumb");
+  assert.ok(Math.max(...rows.index) > 0.05);
+});
