@@ -10,8 +10,9 @@ from stub_rig import StubRig
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
-from rhot.messages import BoxShape, HandPose, ObjectPose, PointSet, Space, Truth
+from rhot.messages import BoxShape, HandPose, ObjectPose, PointSet, Side, Space, Truth
 from rhot.rig import Rig
+from rhot.rig.calibration import matrix4
 from rhot_viewer.grasp.hello import hello_text, rest_hand, stage_of
 from rhot_viewer.grasp.text import text_of
 
@@ -59,14 +60,15 @@ def test_truth_and_spaces_are_json_and_points_are_not_sent(stub: StubRig) -> Non
     assert len(sent["hands"]["right"]) == 26 * 7
     assert len(sent["objects"]["cube"]) == 7
     assert text_of(points) is None
-    space = Space(t_ns=T_NS, T_rig_space=tuple(tuple(row) for row in np.eye(4).tolist()), source='a "board"')
+    space = Space(t_ns=T_NS, T_rig_space=matrix4(np.eye(4)), source='a "board"')
     assert json.loads(text_of(space) or "")["source"] == 'a "board"'
 
 
 def test_the_skin_is_made_in_a_hand_with_spread_fingers(rig: Rig) -> None:
-    for side in ("left", "right"):
-        rest = rest_hand(rig, side)  # type: ignore[arg-type]  # one of both sides
-        model = HandModel.from_file(rig.hand, side)  # type: ignore[arg-type]
+    sides: tuple[Side, ...] = ("left", "right")
+    for side in sides:
+        rest = rest_hand(rig, side)
+        model = HandModel.from_file(rig.hand, side)
         positions = np.array(rest["joints"]).reshape(26, 7)[:, :3]
         tips = positions[[JOINTS.index(f"{finger}_tip") for finger in FINGERS]]
         radii = model.radii[[JOINTS.index(f"{finger}_tip") for finger in FINGERS]]

@@ -1,0 +1,265 @@
+"""The page Grasp in a real browser with an emulated headset, beside a rig whose services are stubbed."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from page.browser import CHROMIUM, Browser, open_browser, wait_until
+from stub_rig import StubRig, StubThread
+
+from rhot.anatomy.skeleton import JOINTS
+from rhot.bus import Bus
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
+from rhot.geometry.transforms import inverse, rigid
+from rhot.messages import HandPose, HeadPose, ObjectPose, Space, decode
+from rhot.rig import BusConfig, RegistrationFile, write_json_model
+from rhot.rig.calibration import RigidTransform, matrix4
+from rhot.rig.folder import REGISTRATION_FILE, RIG_FILE
+from rhot.service.clock_sync import serve_clock
+from rhot_calibration.objects.fit import Places, first_prior, fit_registration
+from rhot_sim.rig.folder import write_simulated_rig
+from rhot_sim.running.run import free_endpoint
+from rhot_viewer.grasp.files import is_built
+from rhot_viewer.grasp.hello import stage_of
+
+FloatArray = NDArray[np.float64]
+
+EMULATOR: Final = Path(__file__).parents[2] / "web" / "node_modules" / "iwer" / "build" / "iwer.min.js"
+pytestmark = [
+    pytest.mark.integration,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)"),
+    pytest.mark.skipif(not is_built(), reason="the page Grasp is not built: make web (needs node and npm)"),
+    pytest.mark.skipif(not EMULATOR.exists(), reason="no emulated headset: make web installs it"),
+]
+
+HEADSET: Final = (
+    "window.device = new IWER.XRDevice(IWER.metaQuest3); device.installRuntime({forceInstall: true}); "
+    "device.controllers.right.connected = true;"
+    # It calls its controllers' positions emulated, as a real headset does of one that it has lost out of sight.
+    "const grip = device.controllers.right.inputSource.gripSpace;"
+    "for (const key of Object.getOwnPropertySymbols(grip)) if ('emulated' in (grip[key] ?? {})) grip[key].emulated = false;"
+)
+T_RIG_WEBXR: Final = rigid(
+    rotation_from_vector(np.array([1.9, 0.4, -0.3])) @ rotation_from_vector(np.array([0.0, 0.7, 0.0])),
+    np.array([0.25, -0.4, 1.6]),
+)
+"""Where the emulated headset's floor really lies in the rig."""
+LEVER_M: Final = np.array([0.01, 0.03, -0.02])
+"""Where the painted marker sits on the controller."""
+MARKER_NOISE_M: Final = 0.0005
+"""Of a marker that is held still, each axis."""
+ALIKE_M: Final = 1e-4
+
+
+class Rig:
+    """A rig without cameras, and the page beside it.
+
+    Attributes:
+        heard: newest pose of headset and controller on the bus.
+    """
+
+    def __init__(self, folder: Path, port: int, bus: Bus) -> None:
+        self.folder = folder
+        self.url = f"http://127.0.0.1:{port}"
+        self._log = folder / "grasp.log"
+        self._command = [
+            "viewer",
+            "--xr",
+            "--rig",
+            str(folder),
+            "--port",
+            str(port),
+            "--other-page",
+            "http://localhost:1",
+        ]
+        self._process: subprocess.Popen[bytes] | None = None
+        self.bus = bus
+
+    def start(self) -> None:
+        with self._log.open("wb") as output:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "rhot", *self._command], stdout=output, stderr=output
+            )
+        process = self._process
+        wait_until(lambda: "connected and waits" in self._log.read_text() or process.poll() is not None, "the page")
+
+    def stop(self) -> None:
+        assert self._process is not None
+        self._process.send_signal(signal.SIGINT)
+        assert self._process.wait(timeout=30.0) == 130, self._log.read_text()
+        assert "Traceback" not in self._log.read_text()
+
+    def kill(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+
+@pytest.fixture
+def stubbed(tmp_path: Path) -> Iterator[tuple[StubRig, str]]:
+    """A hand that stands still, and where its router listens."""
+    endpoint = free_endpoint("tcp/127.0.0.1:0")
+    folder = tmp_path / "rig"
+    folder.mkdir()
+    write_simulated_rig(folder, endpoint=endpoint)
+    with (folder / RIG_FILE).open("a") as file:
+        file.writelines(f'\n[objects.{name}]\nsource = "webxr"\n' for name in ("head", "controller"))
+    (folder / REGISTRATION_FILE).unlink(missing_ok=True)
+    with StubThread(folder, endpoint) as stub:
+        stub.still = True
+        yield stub, endpoint
+
+
+@pytest.fixture
+async def rig(stubbed: tuple[StubRig, str], free_port: int) -> AsyncIterator[Rig]:
+    """The rig with its clock and its page."""
+    stub, endpoint = stubbed
+    async with await Bus.open(BusConfig(connect=(endpoint,)), timeout_s=30.0) as bus:
+        serve_clock(bus)
+        made = Rig(stub.rig.path, free_port, bus)
+        try:
+            made.start()
+            yield made
+        finally:
+            made.kill()
+
+
+@contextmanager
+def headset_browser(url: str) -> Iterator[Browser]:
+    with open_browser("about:blank", 480, 320) as browser:
+        browser.command("Page.addScriptToEvaluateOnNewDocument", source=EMULATOR.read_text() + HEADSET)
+        browser.command("Page.navigate", url=url)
+        yield browser
+
+
+def drawn(browser: Browser) -> FloatArray:
+    """The joints (26, 3) that are drawn, metres, in the space of desktop or headset."""
+    browser.wait_for("window.rhot?.bones('right') && rhot.drawn.right")
+    return np.array(browser.evaluate("rhot.bones('right')"))
+
+
+def place(browser: Browser, device: str, T: FloatArray) -> None:
+    x, y, z = T[:3, 3].tolist()
+    q = quaternion_from_rotation(T[:3, :3]).tolist()
+    browser.evaluate(f"{device}.position.set({x}, {y}, {z}); {device}.quaternion.set({', '.join(map(str, q))}); 1")
+
+
+async def newest(rig: Rig, key: str, model: Any) -> Any:
+    for reply in await rig.bus.get(key):
+        if not reply.error:
+            return decode(reply.payload, model)
+    return None
+
+
+async def published(rig: Rig, key: str, model: type[ObjectPose], after_ns: int) -> FloatArray:
+    """The pose (4, 4) on a key that was true after a moment, rig frame."""
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        pose = await newest(rig, key, model)
+        if pose is not None and pose.t_ns > after_ns:
+            return rigid(rotation_from_quaternion(np.array(pose.orientation)), np.array(pose.position))
+    raise AssertionError(f"nothing new on {key}")
+
+
+def ten_places() -> list[FloatArray]:
+    random = np.random.default_rng(4)
+    return [
+        rigid(
+            rotation_from_vector(random.uniform(-0.8, 0.8, 3)),
+            np.array([0.0, 1.0, -0.3]) + random.uniform(-0.2, 0.2, 3),
+        )
+        for _ in range(10)
+    ]
+
+
+async def register(rig: Rig, browser: Browser) -> FloatArray:
+    """Hold the controller at ten places, and return the T_rig_webxr that follows."""
+    random = np.random.default_rng(5)
+    devices = []
+    for T in ten_places():
+        place(browser, "device.controllers.right", T)
+        # One frame later the page has seen it.
+        frames = browser.evaluate("rhot.frames")
+        browser.wait_for(f"rhot.frames > {frames} + 1")
+        devices.append(await published(rig, "rhot/object/controller", ObjectPose, time.time_ns()))
+    R, p = np.array([T[:3, :3] for T in devices]), np.array([T[:3, 3] for T in devices])
+    markers = (T_RIG_WEBXR @ np.array([T @ np.append(LEVER_M, 1.0) for T in devices])[..., None])[:, :3, 0]
+    places = Places(
+        tuple(f"place {number}" for number in range(10)),
+        markers + random.normal(0.0, MARKER_NOISE_M, (10, 3)),
+        np.full(10, MARKER_NOISE_M),
+        R,
+        p,
+    )
+    estimate = fit_registration(places, first_prior(places, np.zeros(3), 0.05)).estimate
+    return rigid(estimate.R_rig_tracker, estimate.t_rig_tracker)
+
+
+async def test_the_hand_is_where_the_rig_says_on_desktop_and_in_a_headset(
+    rig: Rig, stubbed: tuple[StubRig, str]
+) -> None:
+    stub, _ = stubbed
+    with headset_browser(rig.url) as browser:
+        hand = await newest_hand(rig)
+        T_stage_rig = inverse(stage_of(stub.rig)[0])
+        assert apart_m(drawn(browser), T_stage_rig, hand) < ALIKE_M
+        assert browser.evaluate("document.getElementById('other').href") == "http://localhost:1/"
+        browser.evaluate("document.getElementById('truth').click()")
+        browser.wait_for("/fingertips 2\\.0 mm from the truth/.test(document.getElementById('state').textContent)")
+
+        browser.click_text("Enter with the headset")
+        browser.wait_for("rhot.headset.on")
+        head = rigid(rotation_from_vector(np.array([-0.4, 0.2, 0.0])), np.array([0.1, 1.3, 0.2]))
+        place(browser, "device", head)
+        wait_until(lambda: browser.evaluate("rhot.frames") > 5, "frames")
+        T_rig_webxr = await register(rig, browser)
+        off = inverse(T_RIG_WEBXR) @ T_rig_webxr
+        desk = np.array([0.0, 1.0, -0.3, 1.0])
+        assert np.linalg.norm((off @ desk - desk)[:3]) < 2e-3
+        assert np.degrees(np.arccos(min(1.0, (np.trace(off[:3, :3]) - 1.0) / 2.0))) < 0.3
+
+        # As `rhot calibrate objects` writes it; the page takes it while it runs.
+        q = quaternion_from_rotation(T_rig_webxr[:3, :3]).tolist()
+        x, y, z = T_rig_webxr[:3, 3].tolist()
+        write_json_model(
+            rig.folder / REGISTRATION_FILE,
+            RegistrationFile(T_rig_tracker=RigidTransform(position=(x, y, z), orientation=(q[0], q[1], q[2], q[3]))),
+        )
+        browser.wait_for("rhot.rig.webxr !== null")
+        frames = browser.evaluate("rhot.frames")
+        browser.wait_for(f"rhot.frames > {frames} + 1")
+        assert apart_m(drawn(browser), inverse(T_rig_webxr), hand) < ALIKE_M
+        space = await newest(rig, "rhot/space/webxr", Space)
+        assert np.array(space.T_rig_space) == pytest.approx(np.array(matrix4(T_rig_webxr)), abs=1e-6)
+        seen = await published(rig, "rhot/head", HeadPose, time.time_ns())
+        assert seen == pytest.approx(T_rig_webxr @ head, abs=1e-5)
+        assert browser.errors == []
+
+        rig.stop()
+        browser.wait_for("!rhot.link.connected")
+        rig.start()
+        browser.wait_for("rhot.link.connected && rhot.link.connections === 2")
+        assert apart_m(drawn(browser), inverse(T_rig_webxr), hand) < ALIKE_M
+        assert [error for error in browser.errors if "ERR_CONNECTION_REFUSED" not in error] == []
+    rig.stop()
+
+
+async def newest_hand(rig: Rig) -> FloatArray:
+    """The joints (26, 4) of the hand on the bus, homogeneous, metres, rig frame."""
+    hand = await newest(rig, "rhot/hand/right", HandPose)
+    return np.array([(*hand.joints[name].position, 1.0) for name in JOINTS])
+
+
+def apart_m(joints: FloatArray, T: FloatArray, hand: FloatArray) -> float:
+    """The largest distance between joints that are drawn and those on the bus."""
+    return float(np.linalg.norm(joints - (hand @ T.T)[:, :3], axis=1).max())
