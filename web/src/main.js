@@ -106,6 +106,7 @@ function begin() {
   stage.placeDesk(middle, hello.desk.shown);
   const at = add(middle, BALL_FROM_MIDDLE);
   ball = new VirtualThing({ p: [at[0], deskHeight + BALL.radius, at[2]], q: [0, 0, 0, 1] }, (q) => halfHeight(BALL, q));
+  $("simulated").hidden = !hello.simulated;
   $("other").hidden = !hello.other_page;
   if (hello.other_page) $("other").href = hello.other_page;
   if (!framed) {
