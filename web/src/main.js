@@ -6,19 +6,19 @@ import { HandView } from "./hand_view.js";
 import { Headset } from "./headset.js";
 import { Labels } from "./labels.js";
 import { Link } from "./link.js";
-import { IDENTITY, add, apply, compose, invert } from "./math.js";
+import { IDENTITY, add, apply, compose, invert, sub } from "./math.js";
 import { Pace, isSoftware } from "./pace.js";
 import { restrained } from "./proxy.js";
 import { Rig } from "./rig.js";
 import { Stage } from "./scene.js";
 import { Body, UNKNOWN, halfHeight } from "./shapes.js";
-import { BENDING, FINGERS, PALM } from "./skeleton.js";
+import { BENDING, FINGERS, PALM, WRIST } from "./skeleton.js";
 
 const BALL = { kind: "sphere", radius: 0.028 };
 /** Beside the middle of the desk, on the thumb's side of a right hand. */
-const BALL_FROM_MIDDLE = [-0.17, 0, -0.02];
+const BALL_FROM_MIDDLE = [-0.13, 0, -0.1];
 /** From the thumb's side, over the hand: thumb and fingers are both seen. */
-const VIEW_FROM = { hand: [-0.27, 0.27, 0.33], body: [1.6, 1.1, 2.6] };
+const VIEW_FROM = { hand: [-0.22, 0.21, 0.27], body: [1.6, 1.1, 2.6] };
 const FOLLOW_S = 0.7;
 const GREEN = 0x62c987;
 const $ = (id) => document.getElementById(id);
@@ -136,10 +136,14 @@ function ghostOf(side) {
   return ghosts.get(side);
 }
 
+/** The twin is where its tracker says, held or not: a hand that has closed on it lights it up. Cups and boxes are also
+ * held over an edge, so directions 60° apart count. */
+const TWIN_GRIP = { touch: 0.008, opposed: 0.5, closed: 0.003 };
+
 /** Whether a hand holds a body; what it was last time is kept by the pair's name. */
 function gripOf(side, name) {
   const key = `${side} ${name}`;
-  if (!grips.has(key)) grips.set(key, new Grip());
+  if (!grips.has(key)) grips.set(key, new Grip(name ? TWIN_GRIP : {}));
   return grips.get(key);
 }
 
@@ -204,10 +208,10 @@ function update(t, displayMs, elapsed) {
     view.show(poses, hand.predicted, hand.state);
     seen.drawn[side] = { tracked: hand.poses, drawn: poses };
     stage.shade(side, poses[PALM].p, 0.09, deskHeight);
-    tags.set(side, [hand.state === "predicted" ? `${side} hand, predicted` : `tracked ${side} hand`, poses[PALM].p]);
-    for (const finger of hand.predicted) {
-      const row = BENDING[FINGERS.indexOf(finger)].at(-1);
-      tags.set(`${side} ${finger}`, [`${finger}: not seen, predicted`, poses[row].p]);
+    tags.set(side, [hand.state === "predicted" ? `${side} hand, predicted` : `tracked ${side} hand`, poses[WRIST].p]);
+    if (hand.predicted.length && hand.state !== "predicted") {
+      const row = BENDING[FINGERS.indexOf(hand.predicted.at(-1))][1];
+      tags.set(`${side} predicted`, [`not seen, predicted: ${hand.predicted.join(", ")}`, add(poses[row].p, [0, 0.05, 0])]);
     }
   }
   for (const side of ["left", "right"]) if (!hands.has(side)) stage.shade(side, null);
@@ -215,7 +219,7 @@ function update(t, displayMs, elapsed) {
     stage.shade(name, at.p, 1.3 * bodies.get(name).reach, deskHeight);
     stage.thing(name, shape, at, { predicted: state === "predicted", lit: holds(name) });
     const note = shape ? "" : ", shape not known: a 6 cm box";
-    tags.set(`thing ${name}`, [`${name}, twin of the tracked object${note}${holds(name) ? " · held" : ""}`, at.p]);
+    tags.set(`thing ${name}`, [`${name}, twin of the tracked object${note}${holds(name) ? " · held" : ""}`, sub(at.p, [0, halfHeight(shape ?? UNKNOWN, at.q) + 0.01, 0])]);
   }
   for (const name of bodiesGone(bodies)) {
     stage.thing(name, null, null);

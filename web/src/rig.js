@@ -34,6 +34,7 @@ export class Rig {
   hello(message) {
     this.stage = poseOfMatrix(message.stage.T);
     this.guessed = message.stage.source.startsWith("a guess");
+    this.webxr = message.webxr ? poseOfMatrix(message.webxr) : null;
   }
 
   /** Take a frame. */

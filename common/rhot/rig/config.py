@@ -302,7 +302,9 @@ class RigConfig(FileModel):
 
     @model_validator(mode="after")
     def _headset_is_head_and_controller(self) -> RigConfig:
-        strange = [n for n, thing in self.objects.items() if thing.source == "webxr" and n not in ("head", "controller")]
+        strange = [
+            n for n, thing in self.objects.items() if thing.source == "webxr" and n not in ("head", "controller")
+        ]
         if strange:
             raise ValueError(f'objects.{strange[0]}: source = "webxr" tracks `head` and `controller`, nothing else')
         return self

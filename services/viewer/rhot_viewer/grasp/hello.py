@@ -15,6 +15,7 @@ from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot.rig import Rig
+from rhot.rig.folder import registration_path
 from rhot_viewer.grasp.text import space_text
 from rhot_viewer.scene.viewpoint import desk_middle, up_direction
 
@@ -49,6 +50,7 @@ def hello_text(rig: Rig, colors: Mapping[str, Rgb], other_page: str, may_publish
             "hands": {side: rest_hand(rig, side) for side in sides},
             "paint": {side: _paint(rig, colors, side) for side in sides},
             "stage": json.loads(space_text(T_rig_stage.tolist(), source)),
+            "webxr": webxr_of(rig),
             "desk": {
                 "middle": [round(float(number), 4) for number in desk_middle(rig)],
                 "height_m": round(floor_m, 4),
@@ -77,6 +79,16 @@ def stage_of(rig: Rig) -> tuple[FloatArray, str]:
     R = np.column_stack([np.cross(up, back), up, back])
     height_m = _UNKNOWN_HEIGHT_M if rig.config.feet is None else 0.0
     return rigid(R, desk_middle(rig) - height_m * up), "a guess: `rhot calibrate stage` finds the floor"
+
+
+def webxr_of(rig: Rig) -> list[float] | None:
+    """Return T_rig_webxr, 16 numbers row by row, metres; None while no headset is registered."""
+    if registration_path(rig.path, "webxr") is None or not any(
+        o.source == "webxr" for o in rig.config.objects.values()
+    ):
+        return None
+    matrix = rig.registration_of("webxr").T_rig_tracker.matrix
+    return [round(float(number), 7) for number in matrix.ravel()]
 
 
 def rest_hand(rig: Rig, side: Side) -> dict[str, Any]:

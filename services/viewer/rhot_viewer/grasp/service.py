@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-import numpy as np
 from pydantic import BaseModel, Field
 
 from rhot.bus import LatestSubscriber
@@ -24,9 +23,9 @@ from rhot.keys.folder import certificate_file, key_file
 from rhot.keys.roles import ROUTER
 from rhot.messages import BodyPose, Control, FootPose, HandPose, HeadPose, Message, ObjectPose, Space, Truth, decode
 from rhot.rig import BusConfig, Rig
-from rhot.rig.calibration import matrix4
+from rhot.rig.calibration import RigidTransform
 from rhot.rig.file_model import FileModel
-from rhot.rig.folder import HAND_FILE, REGISTRATION_FILE, RIG_FILE, STAGE_FILE, latest_rig
+from rhot.rig.folder import HAND_FILE, REGISTRATION_FILE, RIG_FILE, STAGE_FILE, latest_rig, registration_name
 from rhot.rig.kept_file import file_stamp
 from rhot.service import Node
 from rhot.service.runner import serve
@@ -38,7 +37,7 @@ from rhot_viewer.grasp.hello import hello_text
 from rhot_viewer.grasp.newest import Newest
 from rhot_viewer.grasp.server import Browser, GraspServer
 from rhot_viewer.grasp.text import text_of
-from rhot_viewer.grasp.uplink import CONTROLLER, HEAD, Devices, Left, Moved, controller_pose, head_pose
+from rhot_viewer.grasp.uplink import CONTROLLER, HEAD, WEBXR, Devices, Left, Moved, controller_pose, head_pose
 from rhot_viewer.manners import end_within, give_way
 from rhot_viewer.page_token import links
 
@@ -56,14 +55,13 @@ _KEYS: Final[Mapping[str, type[Message]]] = {
 _HAND: Final = "rhot/hand/"
 _TRUTH: Final = "rhot/truth"
 _SPACES: Final = "rhot/space/*"
-_WEBXR_KEY: Final = "rhot/space/webxr"
 _IDLE_S: Final = 0.1
 _LEAD_S: Final = 0.1
 """So long after a hand, only hands make a frame go: what else is new goes with them."""
 _LOOK_S: Final = 0.5
 """How often the rig folder is looked at."""
 _REPEAT_S: Final = 1.0
-_FILES: Final = (RIG_FILE, HAND_FILE, STAGE_FILE, REGISTRATION_FILE)
+_FILES: Final = (RIG_FILE, HAND_FILE, STAGE_FILE, REGISTRATION_FILE, registration_name(WEBXR))
 
 
 class GraspConfig(FileModel):
@@ -182,7 +180,7 @@ class GraspService:
 
     async def _follow_folder(self, node: Node) -> None:
         """Use the rig folder as it is now: a new hand, floor or registration shows at once."""
-        stamps, spoken_s = None, 0.0
+        stamps = None
         while True:
             now = tuple(file_stamp(self._rig.path / name) for name in _FILES)
             if now != stamps:
@@ -190,28 +188,11 @@ class GraspService:
                     self._rig, self._moved = latest_rig(self._rig), False
                     await self.server.tell_hello()
                 stamps = now
-            spoken_s += _LOOK_S
-            if self._wearer is not None and self._devices and self._registered and spoken_s >= _REPEAT_S:
-                spoken_s = 0.0
-                self._publish_space(node)
             await asyncio.sleep(_LOOK_S)
 
     @property
     def _devices(self) -> list[str]:
         return [name for name, thing in self._rig.config.objects.items() if thing.source == "webxr"]
-
-    @property
-    def _registered(self) -> bool:
-        return (self._rig.path / REGISTRATION_FILE).exists()
-
-    def _publish_space(self, node: Node) -> None:
-        if not node.clock.ready:
-            return
-        T = self._rig.registration.T_rig_tracker.matrix
-        node.publish(
-            _WEBXR_KEY,
-            Space(t_ns=node.clock.now_ns(), T_rig_space=matrix4(T), source="registration of the headset"),
-        )
 
     def _now_ms(self) -> float:
         node = self._node
@@ -226,8 +207,6 @@ class GraspService:
             if self._wearer is None:
                 self._wearer = browser
                 logger.info("a headset is here%s", "" if self._devices else "; rig.toml does not publish its poses")
-                if self._node is not None and self._devices and self._registered:
-                    self._publish_space(self._node)
             if self._wearer is browser:
                 self._publish(message)
         elif isinstance(message, Left):
@@ -245,13 +224,17 @@ class GraspService:
         node = self._node
         if node is None or not node.clock.ready:
             return
-        T = np.array(self._rig.registration.T_rig_tracker.matrix)
+        registration = self._rig.registration_of(WEBXR)
+        T_rig_webxr = registration.T_rig_tracker.matrix
         wanted = self._devices
         try:
             if devices.head is not None and HEAD in wanted:
-                node.publish("rhot/head", head_pose(devices.head, devices.t_ms, T))
+                node.publish("rhot/head", head_pose(devices.head, devices.t_ms, T_rig_webxr))
             if devices.controller is not None and CONTROLLER in wanted:
-                node.publish(f"rhot/object/{CONTROLLER}", controller_pose(devices.controller, devices.t_ms, T))
+                fixed = registration.T_tracker_object.get(CONTROLLER, RigidTransform()).matrix
+                pose = controller_pose(devices.controller, devices.t_ms, T_rig_webxr, fixed)
+                shape = self._rig.config.objects[CONTROLLER].shape
+                node.publish(f"rhot/object/{CONTROLLER}", pose.model_copy(update={"shape": shape}))
         except ValueError:
             node.status.count("invalid")
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 
 from rhot.errors import WireError
-from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
+from rhot.geometry.transforms import rigid
 from rhot.messages import HeadPose, ObjectPose, first_problem
 from rhot.messages.base import Position, Quaternion, unit_quaternion, wire_position, wire_quaternion
 
@@ -116,16 +117,20 @@ def head_pose(device: DevicePose, t_ms: float, T_rig_webxr: FloatArray) -> HeadP
     return HeadPose(t_ns=round(t_ms * 1e6), frame="rig", position=position, orientation=orientation, state="measured")
 
 
-def controller_pose(device: DevicePose, t_ms: float, T_rig_webxr: FloatArray) -> ObjectPose:
-    """Return the controller (its grip) in the rig frame."""
-    position, orientation = _to_rig(device, T_rig_webxr)
+def controller_pose(
+    device: DevicePose, t_ms: float, T_rig_webxr: FloatArray, T_device_object: FloatArray | None = None
+) -> ObjectPose:
+    """Return the controller (its grip, or the object that is fixed to it) in the rig frame."""
+    position, orientation = _to_rig(device, T_rig_webxr, T_device_object)
     return ObjectPose(t_ns=round(t_ms * 1e6), frame="rig", position=position, orientation=orientation, state="measured")
 
 
-def _to_rig(device: DevicePose, T_rig_webxr: FloatArray) -> tuple[Position, Quaternion]:
-    rotation = product_matrix(*quaternion_from_rotation(T_rig_webxr[:3, :3]).tolist())
-    orientation = rotation @ np.array(device.orientation)
-    return (
-        wire_position(T_rig_webxr[:3, :3] @ np.array(device.position) + T_rig_webxr[:3, 3]),
-        wire_quaternion(orientation / np.linalg.norm(orientation)),
-    )
+def _to_rig(
+    device: DevicePose, T_rig_webxr: FloatArray, T_device_object: FloatArray | None = None
+) -> tuple[Position, Quaternion]:
+    q = np.array(device.orientation)
+    T_webxr_device = rigid(rotation_from_quaternion(q / np.linalg.norm(q)), np.array(device.position))
+    T = T_rig_webxr @ T_webxr_device
+    if T_device_object is not None:
+        T = T @ T_device_object
+    return wire_position(T[:3, 3]), wire_quaternion(quaternion_from_rotation(T[:3, :3]))
