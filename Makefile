@@ -77,4 +77,4 @@ format: $(READY)
 	@$(BIN)/ruff check --fix
 
 clean:
-	rm -rf .foreign $(VENV) .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache
+	rm -rf web/node_modules services/viewer/rhot_viewer/static .foreign $(VENV) .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache
