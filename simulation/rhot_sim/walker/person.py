@@ -178,7 +178,7 @@ class Person:
         back = np.stack([np.sin(yaw), np.zeros(len(yaw)), np.cos(yaw)], axis=-1)
         hips = posture.shift_m[:, :1] * right + posture.shift_m[:, 1:] * back
         controls[:, HIPS_X], controls[:, HIPS_Z] = middle[:, 0] + hips[:, 0], middle[:, 1] + hips[:, 2]
-        controls[:, YAW], controls[:, LEAN] = yaw, posture.lean_rad
+        controls[:, YAW], controls[:, LEAN] = yaw + posture.turn_rad, posture.lean_rad
         self._controls = controls
         standing = self.sole.ankle_height_m + _STANDING * self.body.leg_m
         controls[:, HIPS_Y] = np.minimum(standing - posture.drop_m, self._highest_hips(dense))
@@ -256,4 +256,5 @@ def _steadied(posture: Posture, share: FloatArray) -> Posture:
         closed(posture.lean_rad),
         closed(posture.head_rad),
         closed(posture.look),
+        closed(posture.turn_rad),
     )

@@ -33,6 +33,7 @@ class Posture:
         lean_rad: (N,) of the trunk, forwards positive.
         head_rad: (N, 3) yaw, pitch (down positive) and roll of the head, added to where it looks.
         look: (N,) 1 looks at the feet, 0 straight ahead.
+        turn_rad: (N,) of hips and trunk over the feet, to the left positive.
     """
 
     drop_m: FloatArray
@@ -40,12 +41,13 @@ class Posture:
     lean_rad: FloatArray
     head_rad: FloatArray
     look: FloatArray
+    turn_rad: FloatArray
 
     @classmethod
     def upright(cls, count: int) -> Posture:
         """Return `count` moments of standing straight and looking at the feet."""
         zeros = np.zeros(count)
-        return cls(zeros, np.zeros((count, 2)), zeros, np.zeros((count, 3)), np.ones(count))
+        return cls(zeros, np.zeros((count, 2)), zeros, np.zeros((count, 3)), np.ones(count), zeros)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """The programs: what the simulated person can be asked to do.
 
-The first four repeat the stationary tests of the 2021 thesis, the next six its walking tasks (on the spot, forwards and
-back, sideways, along a curve, over obstacles with knee raises and kicks, squatting and kneeling), the last is a seated
-person. Every program ends where it began and is repeated.
+The first four repeat the stationary tests of the 2021 thesis, the six of `walking_tasks` its walking tasks; walking on
+the spot, forwards and backwards, along a narrow curve, over obstacles with knee raises and kicks, squatting and kneeling
+are ours; the last is a seated person. Every program ends where it began and is repeated.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from rhot.messages import Side
 from rhot_sim.walker.foot_path import Print, Sole
 from rhot_sim.walker.plan import OUTWARDS, SIDES, Choreographer, Plan, Posture
 from rhot_sim.walker.sway import draw_wave, swaying
+from rhot_sim.walker.walking_tasks import around, bend_knees, circle, line, near, side_steps, step, turn_body
 from rhot_sim.world.spline import bump
 
 FloatArray = NDArray[np.float64]
@@ -71,6 +72,7 @@ def _head_moving(body: BodyModel, steps: Choreographer) -> Plan:
             held.lean_rad + 0.05 * begin + 0.12 * move[:, 3],
             held.head_rad + move[:, 4:7] * np.radians([12.0, 8.0, 7.0]),
             held.look,
+            held.turn_rad,
         )
 
     return steps.plan(posture)
@@ -105,7 +107,7 @@ def _on_spot(body: BodyModel, steps: Choreographer) -> Plan:
     beat_s = rng.uniform(0.5, 0.62)
     for _ in range(4):
         targets: list[tuple[Side, Print]] = [
-            (side, _near(steps.start[side], rng, 0.02)) for _ in range(5) for side in SIDES
+            (side, near(steps.start[side], rng, 0.02)) for _ in range(5) for side in SIDES
         ]
         targets[-2:] = [(side, steps.start[side]) for side in SIDES]
         steps.walk(targets, beat_s, clearance_m=rng.uniform(0.06, 0.13), level=True)
@@ -132,45 +134,12 @@ def _walk(body: BodyModel, steps: Choreographer) -> Plan:
     return steps.plan(swaying(rng))
 
 
-def _side_steps(body: BodyModel, steps: Choreographer) -> Plan:
-    rng = steps.rng
-    steps.pause(1.0)
-    for _ in range(3):
-        beat_s = rng.uniform(0.5, 0.65)
-        length = rng.uniform(0.14, 0.2) * body.height_m
-        way: tuple[tuple[Side, Side], tuple[Side, Side]] = (("left", "right"), ("right", "left"))
-        for leading, order in enumerate(way):
-            for number in range(4):
-                x = length * (-(number + 1.0) if leading == 0 else number - 3.0)
-                targets = [(side, _near(steps.place(side, x, 0.0, 0.0), rng, 0.015)) for side in order]
-                steps.walk(targets, beat_s, clearance_m=0.05, level=True)
-            steps.pause(rng.uniform(0.3, 0.8))
-    steps.walk([(side, steps.start[side]) for side in SIDES], 0.6, level=True)
-    return steps.plan(swaying(rng))
-
-
 def _curve(body: BodyModel, steps: Choreographer) -> Plan:
     """Once around a circle to the left, then a turn on the spot to the right."""
     rng = steps.rng
     steps.pause(1.0)
-    radius, count = rng.uniform(0.6, 0.9), int(rng.integers(12, 15))
-    beat_s = rng.uniform(0.52, 0.66)
-    targets = []
-    for number in range(1, count + 1):
-        turn = 2.0 * np.pi * number / count
-        x, z = radius * (np.cos(turn) - 1.0), -radius * np.sin(turn)
-        side = SIDES[number % 2]
-        targets.append((side, _near(steps.place(side, x, z, turn), rng, 0.01)))
-    last = SIDES[(count + 1) % 2]
-    targets.append((last, steps.place(last, 0.0, 0.0, 2.0 * np.pi)))
-    steps.walk(targets, beat_s)
-    steps.pause(1.0)
-    turns = []
-    for number in range(1, 9):
-        side = SIDES[number % 2]
-        turns.append((side, steps.place(side, 0.0, 0.0, 2.0 * np.pi * (1.0 - number / 8.0))))
-    steps.walk([*turns, *((side, steps.start[side]) for side in ("right", "left"))], 0.6, level=True)
-    return steps.plan(swaying(rng))
+    radius_m, count = rng.uniform(0.6, 0.9), int(rng.integers(12, 15))
+    return around(steps, radius_m, count)
 
 
 def _step_over(body: BodyModel, steps: Choreographer) -> Plan:
@@ -269,13 +238,8 @@ def _line(steps: Choreographer, z: float, stride: float, count: int, heading: fl
         side = SIDES[(first + number) % 2]
         far = z + stride * min(number, count)
         place = steps.place(side, far * np.sin(heading), far * np.cos(heading), heading)
-        targets.append((side, _near(place, steps.rng, 0.012)))
+        targets.append((side, near(place, steps.rng, 0.012)))
     return targets
-
-
-def _near(place: Print, rng: np.random.Generator, spread_m: float) -> Print:
-    x, z = rng.normal(0.0, spread_m, 2).clip(-2.0 * spread_m, 2.0 * spread_m)
-    return Print(place.x + x, place.z + z, place.yaw + float(rng.normal(0.0, 0.03)))
 
 
 PROGRAMS: Final[dict[str, Callable[[BodyModel, Choreographer], Plan]]] = {
@@ -283,9 +247,14 @@ PROGRAMS: Final[dict[str, Callable[[BodyModel, Choreographer], Plan]]] = {
     "marker_moving": _marker_moving,
     "head_moving": _head_moving,
     "sudden": _sudden,
+    "step": step,
+    "side_steps": side_steps,
+    "line": line,
+    "circle": circle,
+    "bend_knees": bend_knees,
+    "turn_body": turn_body,
     "on_spot": _on_spot,
     "walk": _walk,
-    "side_steps": _side_steps,
     "curve": _curve,
     "step_over": _step_over,
     "squat": _squat,

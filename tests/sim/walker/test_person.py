@@ -149,3 +149,41 @@ def test_the_camera_mostly_looks_at_the_feet_and_sometimes_away(person: MakePers
     down = np.degrees(np.arcsin(np.clip(head[:, 1, 2], -1.0, 1.0)))
     assert np.median(down) > 50.0
     assert 0.05 < (down < 40.0).mean() < 0.5
+
+
+def heading(poses: FloatArray) -> FloatArray:
+    """Return which way poses (N, 4, 4) face, degrees, to the left positive."""
+    angles: FloatArray = np.degrees(np.unwrap(np.arctan2(poses[:, 0, 2], poses[:, 2, 2])))
+    return angles
+
+
+def test_the_straight_line_and_the_circle_are_two_metres_long(person: MakePerson) -> None:
+    line, circle = person("line", 3), person("circle", 3)
+    middle = np.mean([line.ankles(side, times(line))[:, :3, 3] for side in SIDES], axis=0)
+    assert -middle[:, 2].min() == pytest.approx(2.0, abs=0.08)
+    assert np.abs(middle[:, 0]).max() < 0.1
+    middle = np.mean([circle.ankles(side, times(circle))[:, :3, 3] for side in SIDES], axis=0)
+    assert np.ptp(middle[:, 0]) == pytest.approx(2.0, abs=0.1)
+    assert np.ptp(middle[:, 2]) == pytest.approx(2.0, abs=0.1)
+
+
+def test_one_step_brings_both_feet_forward_and_back(person: MakePerson) -> None:
+    walker = person("step", 1)
+    for side in SIDES:
+        ankle = walker.ankles(side, times(walker))[:, :3, 3]
+        assert 0.35 < np.ptp(ankle[:, 2]) < 0.8
+        assert np.ptp(ankle[:, 0]) < 0.08
+
+
+def test_knees_bend_and_the_body_turns_over_standing_feet(person: MakePerson) -> None:
+    for program in ("bend_knees", "turn_body"):
+        walker = person(program, 2)
+        t = times(walker)
+        for side in SIDES:
+            assert walker.flat(side, t).all()
+            assert np.ptp(walker.ankles(side, t)[:, :3, 3], axis=0).max() < 1e-9
+    bending, turning = (person(program, 2).sample(t) for program in ("bend_knees", "turn_body"))
+    assert np.degrees(flexion(bending, "left")).max() > 60.0
+    assert np.degrees(flexion(turning, "left")).max() < 40.0
+    assert np.ptp(heading(turning.hips)) > 30.0
+    assert np.ptp(heading(turning.head)) > 70.0
