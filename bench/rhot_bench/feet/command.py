@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -12,11 +12,14 @@ import click
 from rich.console import Console
 
 from rhot.errors import ConfigError
+from rhot.messages import Side
 from rhot.report.svg import line_plot
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import write_text_atomic
 from rhot_bench.feet.runs import SIDES, Played, Run, play
-from rhot_bench.feet.sections import MM, TASKS, feet_sections
+from rhot_bench.feet.sections import EXTRA_TASKS, MM, feet_sections
+from rhot_bench.feet.stages import CELLS, cell_plots
+from rhot_bench.feet.table_5_1 import TASKS, table_5_1
 from rhot_bench.measures.html import html_report
 from rhot_bench.measures.rows import check_output
 from rhot_bench.output import counted, json_option, page_option, show
@@ -31,14 +34,17 @@ RUNS: Final = {
         Run("marker_moving", "marker_moving", hems=False),
         Run("head_moving", "head_moving", hems=False),
         Run("sudden", "sudden", hems=False),
-        Run("depth", "marker_moving", covered=True),
+        *(cell.run for cell in CELLS if cell.stage != "marker"),
         Run("inertial", "walk", blackouts=True),
-        *(Run(f"task_{task}", task, false_markers=True) for task in TASKS),
+        *(Run(f"task_{task}", task, false_markers=True) for task in (*TASKS, *EXTRA_TASKS)),
         *(Run(f"height_{height_m:.2f}", "walk", height_m=height_m) for height_m in HEIGHTS_M),
     )
 }
-_LONGER: Final = {"inertial": 2.0}
-"""A sensor has to be aligned first, and only some steps are hidden."""
+_LONGER: Final = {"inertial": 2.0, "task_line": 1.5, "task_circle": 1.5} | {
+    cell.run.name: 2.0 for cell in CELLS if cell.stage == "inertial"
+}
+"""A sensor has to be aligned first, and only some steps are hidden; two metres take their time."""
+_WITHOUT: Final[dict[str, tuple[Side, ...]]] = {"left": ("left",), "right": ("right",), "both": SIDES, "none": ()}
 
 
 @click.command()
@@ -61,6 +67,14 @@ _LONGER: Final = {"inertial": 2.0}
     show_default="all processors",
     help="Runs at once. Processor times are most accurate with 1.",
 )
+@click.option(
+    "--without-imu",
+    "without_imu",
+    type=click.Choice(list(_WITHOUT)),
+    default="left",
+    show_default=True,
+    help="Foot that wears no sensor in the thesis's walking tasks; the thesis had one on the right foot alone.",
+)
 @json_option
 @page_option("--html")
 @click.option(
@@ -74,6 +88,7 @@ def feet(
     seeds: int,
     duration_s: float,
     jobs: int,
+    without_imu: str,
     json_path: Path | None,
     page_path: Path | None,
     rig_path: Path | None,
@@ -86,14 +101,15 @@ def feet(
 
     \b
     still, marker_moving, head_moving, sudden   the thesis's tests
-    depth      markers covered after four seconds
-    inertial   no pictures for a second, again and again, as a foot lifts off
-    task_*     its six walking tasks, with false markers
+    *_depth    the same with the markers covered after four seconds
+    *_inertial the same without pictures for a second, again and again
+    inertial   no pictures for a second, again and again, as a walker's foot lifts off
+    task_*     its six walking tasks, then five of ours, with false markers
     height_*   knees of persons from 1.50 to 2.00 m
     """
     check_output("--json", json_path)
     check_output("--html", page_path)
-    chosen = _chosen(runs)
+    chosen = [_bare(run, _WITHOUT[without_imu]) for run in _chosen(runs)]
     console = Console(stderr=True, soft_wrap=True)
     done: dict[str, list[Played]] = {}
     with counted(console) as progress, tempfile.TemporaryDirectory() as folder:
@@ -108,10 +124,16 @@ def feet(
             done.setdefault(task.run.name, []).append(played)
             progress.update(bar, advance=1, description=f"{task.run.name}, {task.seed} of {seeds}")
     sections = feet_sections(done)
+    layout = table_5_1(done)
+    if layout.rows:
+        Console().print(layout.table())
     show("evaluate feet", sections, json_path, seeds=seeds, seconds=duration_s, runs=[run.name for run in chosen])
     if page_path is not None:
         text = f"Simulated persons, seeds 1 to {seeds}, {duration_s:g} s each. Truth is the centre of each marker."
-        write_text_atomic(page_path, html_report("Feet against truth", text, sections, _plots(done)))
+        write_text_atomic(
+            page_path,
+            html_report("Feet against truth", text, sections, [layout.html(), *cell_plots(done), *_plots(done)]),
+        )
         console.print(f"report: {page_path}")
 
 
@@ -133,6 +155,10 @@ def _chosen(names: str | None) -> list[Run]:
     if unknown or not wanted:
         raise ConfigError(f"--runs {names}: {', '.join(unknown) or 'nothing'} is no run; there are {', '.join(RUNS)}")
     return [RUNS[name] for name in wanted]
+
+
+def _bare(run: Run, without_imu: tuple[Side, ...]) -> Run:
+    return replace(run, without_imu=without_imu) if run.name.removeprefix("task_") in TASKS else run
 
 
 def _rig(given: Path | None, temporary: Path) -> Rig:

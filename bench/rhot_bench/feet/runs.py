@@ -8,8 +8,9 @@ our service would publish them.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -19,7 +20,7 @@ from rhot.anatomy.body_proportions import BodyModel
 from rhot.messages import BodyPose, FootPose, Side
 from rhot.rig import Rig
 from rhot.rig.config import WalkProgram
-from rhot.rig.feet_config import FeetConfig
+from rhot.rig.feet_config import FeetConfig, FootConfig
 from rhot_bench.feet.heads import START_NS, Heads
 from rhot_bench.feet.knees import knee_errors
 from rhot_bench.feet.thesis import ThesisTracker
@@ -56,8 +57,10 @@ class Run:
         hems: trousers slide over the markers now and then.
         false_markers: markers turn up where no foot is.
         covered: the markers are covered after `LEARN_S`.
-        blackouts: now and then, when a foot lifts off, no picture comes for `BLACKOUT_S`.
+        blackouts: now and then, when a foot lifts off, no picture comes for `BLACKOUT_S`; where no foot ever does, at
+            regular times.
         height_m: of the person; None = of the rig.
+        without_imu: feet that wear no sensor.
     """
 
     name: str
@@ -67,25 +70,34 @@ class Run:
     covered: bool = False
     blackouts: bool = False
     height_m: float | None = None
+    without_imu: tuple[Side, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Track:
     """One foot through a run, by one tracker.
 
     Attributes:
-        error_m: (N,) distance from the truth; NaN = not known.
+        position: (N, 3) metres, rig frame; NaN = not known.
+        truth: (N, 3) the same of the true foot.
         measured: (N,) state is `measured`.
         stage: (N,) index into `STAGES`.
         stands: (N,) the foot truly stands.
         speed: (N,) true speed, m/s.
     """
 
-    error_m: FloatArray
+    position: FloatArray
+    truth: FloatArray
     measured: BoolArray
     stage: NDArray[np.int64]
     stands: BoolArray
     speed: FloatArray
+
+    @cached_property
+    def error_m(self) -> FloatArray:
+        """(N,) distance from the truth; NaN = not known."""
+        error: FloatArray = np.linalg.norm(self.position - self.truth, axis=1)
+        return error
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +156,8 @@ class _TrackerOutput:
         truth = world.feet(t_s)[side][:, :3, 3]
         ahead = world.feet(t_s + 1e-3)[side][:, :3, 3]
         return Track(
-            np.linalg.norm(np.array(self.position[side]) - truth, axis=1),
+            np.array(self.position[side]),
+            truth,
             np.array(self.measured[side]),
             np.array(self.stage[side], dtype=np.int64),
             world.flat(side, t_s),
@@ -172,14 +185,14 @@ class _Playing:
     """A run in progress."""
 
     def __init__(self, run: Run, rig: Rig, seed: int, seconds: float) -> None:
-        feet = rig.config.feet or FeetConfig()
+        feet = _without_imus(rig.config.feet or FeetConfig(), run.without_imu)
         self._run, self._seed = run, seed
         self._world = _world(run, rig, feet, seed, seconds)
         self._blackouts, self._blackout_sides = _blackouts(run, self._world, seconds)
         self._camera = pinhole(feet.camera.width, feet.camera.height, self._world.intrinsics, np.empty(0))
         self._stage, self._thesis, self._body = FootStage(feet), ThesisTracker(feet), BodyStage(rig)
         self._heads = Heads(self._world, seed)
-        self._sensors = {side: SimulatedSource(self._world, side) for side in feet.feet}
+        self._sensors = {side: SimulatedSource(self._world, side) for side in feet.feet if side not in run.without_imu}
         for sensor in self._sensors.values():
             sensor.open(START_NS)
         self._ours, self._theirs = _TrackerOutput(), _TrackerOutput()
@@ -256,6 +269,13 @@ def _of_height(rig: Rig, height_m: float) -> Rig:
     return replace(rig, config=rig.config.model_copy(update={"body": body}))
 
 
+def _without_imus(feet: FeetConfig, sides: Sequence[Side]) -> FeetConfig:
+    bare: dict[str, FootConfig] = {
+        side: feet.feet[side].model_copy(update={"imu": None}) for side in sides if side in feet.feet
+    }
+    return feet.model_copy(update=bare)
+
+
 def _world(run: Run, rig: Rig, feet: FeetConfig, seed: int, seconds: float) -> WalkerWorld:
     covers = tuple(Cover(side, LEARN_S, seconds) for side in SIDES) if run.covered else ()
     disturbances = Disturbances(hems=run.hems, false_markers=run.false_markers, covers=covers)
@@ -264,7 +284,10 @@ def _world(run: Run, rig: Rig, feet: FeetConfig, seed: int, seconds: float) -> W
 
 
 def _blackouts(run: Run, world: WalkerWorld, seconds: float) -> tuple[FloatArray, list[Side]]:
-    """Return times (M, 2) without pictures, which begin when a foot lifts off, and that foot."""
+    """Return times (M, 2) without pictures, which begin when a foot lifts off, and that foot.
+
+    Where no foot lifts off they come at regular times, for either foot in turn.
+    """
     spans: list[tuple[float, float]] = []
     sides: list[Side] = []
     if run.blackouts:
@@ -275,4 +298,8 @@ def _blackouts(run: Run, world: WalkerWorld, seconds: float) -> tuple[FloatArray
             if lifting and (not spans or t_s[k] >= spans[-1][0] + _BLACKOUT_EVERY_S):
                 spans.append((float(t_s[k]), float(t_s[k]) + BLACKOUT_S))
                 sides.append(lifting[0])
+        if not spans:
+            starts = np.arange(LEARN_S, seconds - BLACKOUT_S, _BLACKOUT_EVERY_S)
+            spans = [(float(start), float(start) + BLACKOUT_S) for start in starts]
+            sides = [SIDES[k % 2] for k in range(len(spans))]
     return np.array(spans).reshape(-1, 2), sides

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot_bench.feet.runs import COMPUTE_S, LEARN_S, SIDES, STAGES, Played, Track
+from rhot_bench.feet.stages import cell_rows
+from rhot_bench.feet.table_5_1 import TASKS, printed_m, table_5_1_rows
 from rhot_bench.measures.rows import Row, Section
 
 FloatArray = NDArray[np.float64]
@@ -24,7 +26,8 @@ _BACK_WITHIN_M: Final = 0.02
 _DEPTH: Final = STAGES.index("depth")
 _MARKER: Final = STAGES.index("marker")
 _AVERAGED: Final = f"measured feet from {SETTLE_S:g} s on, at the pose's own time; worst from the start"
-TASKS: Final = ("on_spot", "walk", "side_steps", "curve", "step_over", "squat")
+EXTRA_TASKS: Final = ("on_spot", "walk", "curve", "step_over", "squat")
+"""Ours, beside those of the thesis."""
 
 Chosen = Callable[[Played, Track], BoolArray]
 Done = Mapping[str, Sequence[Played]]
@@ -34,7 +37,9 @@ def feet_sections(done: Done) -> list[Section]:
     """Return the tables of what was played, run name to its seeds."""
     sections = [
         Section("The 2021 thesis's tests", tuple(_stationary_rows(done))),
+        Section("The thesis's 4 tests in its 3 stages", tuple(cell_rows(done))),
         Section("Walking, with false markers thrown into the picture", tuple(_task_rows(done))),
+        Section("The thesis's Table 5.1", tuple(table_5_1_rows(done))),
         Section("Knees", tuple(_knee_rows(done))),
         Section("Time", tuple(_time_rows(done))),
         Section("How much is tracked", tuple(_coverage_rows(done))),
@@ -54,8 +59,8 @@ def _stationary_rows(done: Done) -> list[Row]:
     if "sudden" in done:
         rows += _pair("sudden move, average", done["sudden"], np.mean, None, "", _moving)
         rows += _pair("sudden move, worst", done["sudden"], np.max, None, "", _moving)
-    if "depth" in done:
-        rows += _pair("depth stage, moving, average", done["depth"], np.mean, 15.0, "41.0 mm", _by_depth)
+    if "marker_moving_depth" in done:
+        rows += _pair("depth stage, moving, average", done["marker_moving_depth"], np.mean, 15.0, "41.0 mm", _by_depth)
     if "inertial" in done:
         ends, backs = _hidden(done["inertial"])
         note = "no picture for 1 s from the moment at which the foot lifts off; predicted poses count, too"
@@ -71,11 +76,12 @@ def _stationary_rows(done: Done) -> list[Row]:
 
 def _task_rows(done: Done) -> list[Row]:
     rows: list[Row] = []
-    for task in TASKS:
+    for task in (*TASKS, *EXTRA_TASKS):
         if f"task_{task}" in done:
             played = done[f"task_{task}"]
-            rows += _pair(f"{task}, median", played, np.median, 10.0, "27-37 mm", _always)
-            rows += _pair(f"{task}, worst", played, np.max, 150.0, "170-1960 mm", _tracked)
+            printed = [f"{MM * low:.0f}-{MM * high:.0f} mm" for low, high in printed_m(task)] or ["", ""]
+            rows += _pair(f"{task}, median", played, np.median, 10.0, printed[0], _always)
+            rows += _pair(f"{task}, worst", played, np.max, 150.0, printed[1], _tracked)
             guessed = [each.ours[side].error_m[~each.ours[side].measured] for each in played for side in SIDES]
             rows.append(Row("    worst while only predicted", _of(np.max, np.concatenate(guessed)), "mm"))
     return rows

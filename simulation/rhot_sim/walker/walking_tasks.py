@@ -1,8 +1,8 @@
 """The six walking tasks of the 2021 thesis: what its persons did for Table 5.1.
 
-One step forward and back, sideways steps, a straight line of 2 m, a circle of 2 m (its diameter, as we read it), bending
-the knees, turning the upper body over standing feet. How fast, and how often, the thesis does not say: beats and step
-lengths are those of the other programs.
+One step forward and back, sideways steps, a straight line of 2 m, a circle of 2 m (its diameter, as we read it),
+bending the knees, turning the upper body over standing feet. How fast, and how often, the thesis does not say: beats
+and step lengths are those of the other programs.
 """
 
 from __future__ import annotations

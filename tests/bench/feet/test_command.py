@@ -14,14 +14,17 @@ from rhot.errors import ConfigError
 from rhot_bench.feet.command import RUNS, feet
 from rhot_bench.feet.runs import SIDES, STAGES, Played, Run, Track, play
 from rhot_bench.feet.sections import feet_sections
+from rhot_bench.feet.stages import CELLS, cell_plots
+from rhot_bench.feet.table_5_1 import PRINTED_M, TASKS, table_5_1
 from rhot_sim.walker.folder import write_walker_rig
 
 
 def made_up(run: Run, error_m: NDArray[np.float64], *, measured: NDArray[np.bool_]) -> Played:
     count = len(error_m)
     stage = np.where(measured, STAGES.index("marker"), STAGES.index("lost"))
-    track = Track(error_m, measured, stage, np.zeros(count, np.bool_), np.ones(count))
-    thesis = Track(10.0 * error_m, measured, stage, np.zeros(count, np.bool_), np.ones(count))
+    truth, off = np.zeros((count, 3)), np.outer(error_m, [0.0, 0.6, 0.8])
+    track = Track(off, truth, measured, stage, np.zeros(count, np.bool_), np.ones(count))
+    thesis = Track(10.0 * off, truth, measured, stage, np.zeros(count, np.bool_), np.ones(count))
     t_s = np.linspace(0.0, 0.01 * (count - 1), count)
     return Played(
         run,
@@ -81,14 +84,14 @@ def test_seeds_are_told_apart() -> None:
 def test_a_foot_is_back_when_its_marker_is() -> None:
     """Pictures come back at 1.0 s, the marker at 1.3 s, and the position is right from 1.35 s on."""
     run, error_m, measured = RUNS["inertial"], np.full(400, 0.2), np.ones(400, np.bool_)
-    played = made_up(run, error_m, measured=measured)
-    track = played.ours["left"]
+    track = made_up(run, error_m, measured=measured).ours["left"]
     stage = track.stage.copy()
     stage[:130] = STAGES.index("inertial")
     error_m[135:] = 0.001
+    played = made_up(run, error_m, measured=measured)
     hidden = replace(
         played,
-        ours={"left": replace(track, stage=stage), "right": track},
+        ours={"left": replace(played.ours["left"], stage=stage), "right": played.ours["right"]},
         blackouts=np.array([[0.0, 1.0]]),
         blackout_sides=["left"],
     )
@@ -107,6 +110,67 @@ def test_the_worst_of_a_task_shows_both_measured_and_predicted() -> None:
     assert rows["walk, worst"].value == pytest.approx(200.0)
     assert rows["walk, worst"].verdict == "missed"
     assert rows["    worst while only predicted"].value == pytest.approx(400.0)
+
+
+def rows_of(played: Played) -> dict[str, float]:
+    return {row.name: row.value for section in feet_sections({played.run.name: [played]}) for row in section.rows}
+
+
+def test_all_twelve_cells_of_the_thesis_are_runs() -> None:
+    assert len(CELLS) == len({cell.run.name for cell in CELLS}) == 12
+    assert all(RUNS[cell.run.name] == cell.run for cell in CELLS)
+
+
+def test_a_cell_counts_what_its_stage_is_about() -> None:
+    """Markers are covered from 4 s on: only the errors from then on are those of the depth stage."""
+    error_m, measured = np.full(800, 0.001), np.ones(800, np.bool_)
+    error_m[401:] = 0.009
+    run = RUNS["still_depth"]
+    rows = rows_of(made_up(run, error_m, measured=measured))
+    assert rows["standing still, depth stage, average"] == pytest.approx(9.0)
+    error_m[:], error_m[500:600] = 0.001, 0.02
+    dark = replace(
+        made_up(RUNS["still_inertial"], error_m, measured=measured),
+        blackouts=np.array([[5.0, 6.0]]),
+        blackout_sides=["left"],
+    )
+    rows = rows_of(dark)
+    assert rows["standing still, inertial stage, average"] == pytest.approx(20.0)
+    assert rows["cells of 1 in which ours errs less than the thesis's tracker, average"] == 1.0
+    (plot,) = cell_plots({dark.run.name: [dark]})
+    assert "standing still, inertial stage" in plot
+    assert plot.count("<polyline") == 3
+
+
+def test_table_5_1_stands_beside_what_was_printed() -> None:
+    error_m, measured = np.full(400, 0.002), np.ones(400, np.bool_)
+    error_m[50], error_m[60:80] = 0.4, np.nan
+    run = replace(RUNS["task_line"], without_imu=("left",))
+    done = {run.name: [made_up(run, error_m, measured=measured)]}
+    left, right = table_5_1(done).rows
+    assert left == (
+        "straight line of 2 m",
+        "left, without sensor",
+        "3 / 2 / 400",
+        "30 / 20 / 4000",
+        "85 / 25 / 630",
+        "95 %",
+    )
+    assert right[1] == "right, with sensor"
+    assert right[4] == "62 / 25 / 390"
+    assert rows_of(done[run.name][0])["straight line of 2 m, left, without sensor, worst"] == pytest.approx(400.0)
+    assert set(PRINTED_M) == set(TASKS)
+    assert "<table>" in table_5_1(done).html()
+
+
+def test_a_foot_without_sensor_is_sent_no_samples(tmp_path: Path) -> None:
+    rig = write_walker_rig(tmp_path / "rig", endpoint="tcp/127.0.0.1:1")
+    played = play(replace(RUNS["marker_moving_inertial"], without_imu=("left",)), rig, 1, 5.6)
+    dark = (played.t_s > 4.5) & (played.t_s < 5.0)
+    inertial, lost = STAGES.index("inertial"), STAGES.index("lost")
+    assert (played.ours["right"].stage[dark] == inertial).all()
+    assert not (played.ours["left"].stage[dark] == inertial).any()
+    assert (played.thesis["left"].stage[dark] == lost).all()
 
 
 def test_an_unknown_run_is_named() -> None:

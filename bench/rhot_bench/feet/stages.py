@@ -1,0 +1,151 @@
+"""The 2021 thesis's 4 tests in each of its 3 stages, as a table and as plots like its figures 5.6 to 5.17.
+
+In the marker stage nothing is hidden; in the depth stage the markers are covered after a while; in the inertial stage
+no picture comes for a second, again and again. Every pose that is published counts, predicted ones too, and the
+thesis's tracker is judged at the same moments. Where a foot is moved about, only moments at which it moves count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.report.svg import line_plot
+from rhot.rig.config import WalkProgram
+from rhot_bench.feet.runs import LEARN_S, SIDES, Played, Run, Track
+from rhot_bench.measures.rows import Row
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+CellStage = Literal["marker", "depth", "inertial"]
+
+SETTLED_S: Final = 2.0
+"""What comes before counts in no cell."""
+MOVING_M_S: Final = 0.05
+_MM: Final = 1e3
+_TESTS: Final[dict[WalkProgram, str]] = {
+    "still": "standing still",
+    "marker_moving": "marker moving",
+    "head_moving": "head moving",
+    "sudden": "sudden move",
+}
+_PRINTED_MM: Final[dict[tuple[WalkProgram, CellStage], tuple[float, float | None]]] = {
+    ("still", "marker"): (3.0, None),
+    ("marker_moving", "marker"): (33.6, 124.0),
+    ("head_moving", "marker"): (35.4, None),
+    ("marker_moving", "depth"): (41.0, None),
+    ("marker_moving", "inertial"): (169.0, 481.0),
+}
+"""Average and worst in the thesis's room, as far as they are known to us (design.md)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One test in one stage.
+
+    Attributes:
+        test: name of the test.
+        stage: what the tracker is left with.
+        run: that is played.
+    """
+
+    test: WalkProgram
+    stage: CellStage
+    run: Run
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"{_TESTS[self.test]}, {self.stage} stage"
+
+    def counts(self, played: Played, track: Track) -> BoolArray:
+        """Return (N,) the moments of a run that count for a foot."""
+        t_s = played.t_s
+        if self.stage == "marker":
+            chosen = t_s >= SETTLED_S
+        elif self.stage == "depth":
+            chosen = t_s > LEARN_S
+        else:
+            dark = [(start <= t_s) & (t_s < end) for start, end in played.blackouts]
+            chosen = np.any(dark, axis=0) if dark else np.zeros(len(t_s), np.bool_)
+        if self.test in ("marker_moving", "sudden"):
+            chosen = chosen & (track.speed > MOVING_M_S)
+        return chosen
+
+
+def _cells() -> tuple[Cell, ...]:
+    cells = []
+    for test in _TESTS:
+        cells += [
+            Cell(test, "marker", Run(test, test, hems=False)),
+            Cell(test, "depth", Run(f"{test}_depth", test, hems=False, covered=True)),
+            Cell(test, "inertial", Run(f"{test}_inertial", test, hems=False, blackouts=True)),
+        ]
+    return tuple(cells)
+
+
+CELLS: Final = _cells()
+
+
+def cell_rows(done: Mapping[str, Sequence[Played]]) -> list[Row]:
+    """Return the table of the cells that were played: ours, and beside it the thesis's tracker on the same data."""
+    rows: list[Row] = []
+    better = []
+    for cell in CELLS:
+        if cell.run.name not in done:
+            continue
+        ours, theirs, share = _errors_mm(cell, done[cell.run.name])
+        note = f"{cell.title}: {share:.0f} % of the moments published"
+        mine, thesis = (_average_and_worst(errors) for errors in (ours, theirs))
+        for k, word in enumerate(("average", "worst")):
+            printed = _PRINTED_MM.get((cell.test, cell.stage), (None, None))[k]
+            peer = f"its tracker here {thesis[k]:.0f} mm" if np.isfinite(thesis[k]) else ""
+            peer += f"; in its room {printed:g} mm" if printed is not None else ""
+            rows.append(Row(f"{cell.title}, {word}", mine[k], "mm", peer=peer, note=note))
+        better.append(mine[0] < thesis[0])
+    if rows:
+        text = f"cells of {len(better)} in which ours errs less than the thesis's tracker, average"
+        rows.append(Row(text, float(sum(better)), "", least=float(len(better))))
+    return rows
+
+
+def cell_plots(done: Mapping[str, Sequence[Played]]) -> list[str]:
+    """Return, for each cell, where the foot that moves most is along its longest way: truth, ours and the thesis's."""
+    plots = []
+    for cell in CELLS:
+        if cell.run.name not in done:
+            continue
+        played = done[cell.run.name][0]
+        side = max(SIDES, key=lambda side: float(np.ptp(played.ours[side].truth, axis=0).max()))
+        ours, theirs = played.ours[side], played.thesis[side]
+        axis = int(np.argmax(np.ptp(ours.truth, axis=0)))
+        lines = {"truth": ours.truth[:, axis], "ours": ours.position[:, axis], "thesis": theirs.position[:, axis]}
+        lowest = min(float(np.nanmin(line)) for line in lines.values() if np.isfinite(line).any())
+        shown = {name: (played.t_s, _MM * (line - lowest)) for name, line in lines.items()}
+        title = f"{cell.title}: {side} foot along {'xyz'[axis]}, seed {played.seed}"
+        plots.append(line_plot(title, "time [s]", "position [mm]", shown))
+    return plots
+
+
+def _errors_mm(cell: Cell, played: Sequence[Played]) -> tuple[FloatArray, FloatArray, float]:
+    """Return the errors of ours and of the thesis's tracker at the same moments, and the share published, %."""
+    ours, theirs, wanted = [], [], 0
+    for each in played:
+        for side in SIDES:
+            track = each.ours[side]
+            counts = cell.counts(each, track)
+            wanted += int(counts.sum())
+            shown = counts & np.isfinite(track.error_m)
+            ours.append(track.error_m[shown])
+            theirs.append(each.thesis[side].error_m[shown])
+    count = sum(map(len, ours))
+    return _MM * np.concatenate(ours), _MM * np.concatenate(theirs), 100.0 * count / max(wanted, 1)
+
+
+def _average_and_worst(values: FloatArray) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
+    return (float(finite.mean()), float(finite.max())) if len(finite) else (float("nan"), float("nan"))

@@ -1,0 +1,6 @@
+#pragma once
+#include "Arduino.h"
+struct Spi {
+  void begin() {}
+};
+extern Spi SPI;
