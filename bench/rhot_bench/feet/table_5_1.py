@@ -94,7 +94,7 @@ def table_5_1_rows(done: Mapping[str, Sequence[Played]]) -> list[Row]:
 
 
 def printed_m(task: str) -> list[tuple[float, float]]:
-    """Return the printed median and worst of both feet, lower one first, metres; nothing for a task that is not there."""
+    """Return the printed median and worst of both feet, lower one first, metres; empty for other tasks."""
     feet = PRINTED_M.get(task, {}).values()
     return [(min(values), max(values)) for values in list(zip(*feet, strict=True))[1:]]
 

@@ -18,6 +18,7 @@ from rhot.stage import Output
 from rhot_ik.legs.body_solver import BodySolution, solve_body
 from rhot_ik.legs.foot_track import LEAD_S, FootTrack, HipMotion
 from rhot_ik.legs.hips import hip_joint, hips_under_head, stride, within_reach
+from rhot_ik.legs.jumps import FOOT, HEAD, JumpBridge
 from rhot_ik.legs.stature import Stature
 
 FloatArray = NDArray[np.float64]
@@ -51,27 +52,29 @@ class BodyStage:
             side: FootTrack(np.array(foot.ankle_m), hip_joint(side, model) - [0.0, model.leg_m, 0.0], self._up)
             for side, foot in ({} if feet is None else feet.feet).items()
         }
+        self._foot_bridges = {side: JumpBridge(FOOT) for side in self._tracks}
+        self._head_bridge = JumpBridge(HEAD)
         self._hip_motion: HipMotion | None = None
         self._solved_ns = 0
         self._head: HeadPose | None = None
         self._feet: dict[Side, FootPose] = {}
         self._solved: dict[Side, int] = {}
-        self._counts = {"bodies": 0, "no_head": 0}
+        self._counts = {"bodies": 0, "no_head": 0, "jumps": 0}
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """`bodies` solved; `no_head`: feet came without the head that the hips hang from."""
+        """`bodies` solved; `no_head`: feet came without the head that the hips hang from; `jumps` of head or feet."""
         return self._counts
 
     def feed(self, message: HeadPose | FootPose) -> list[Output]:
         """Return the `BodyPose` that follows from a message; most often nothing or one."""
         if isinstance(message, HeadPose):
-            self._head = message
+            self._head = self._without_jumps(message)
             return []
         if message.side not in self._tracks:
             return []
-        self._feet[message.side] = message
-        self._tracks[message.side].update(message)
+        self._feet[message.side] = foot = self._foot_without_jumps(message)
+        self._tracks[message.side].update(foot)
         newest_ns = max(foot.t_ns for foot in self._feet.values())
         known = {side: foot for side, foot in self._feet.items() if newest_ns - foot.t_ns < _STALE_NS}
         # A foot whose newest sample has been used is waited for, unless it stays away for longer than it is carried on.
@@ -104,6 +107,29 @@ class BodyStage:
         legs: dict[Side, State] = {side: state for side, state in states.items() if state is not None}
         solution = solve_body(hips, {side: ankles[side] for side in legs}, self._stature.body)
         return body_pose(solution, head, legs, t_ns)
+
+    def _without_jumps(self, head: HeadPose) -> HeadPose:
+        """Return the head's pose; while a jump of its tracker is bridged it is predicted."""
+        bridged = self._head_bridge.update(head.t_ns, np.array(head.position))
+        self._counts["jumps"] += bridged.jumped
+        if not bridged.bridging:
+            return head
+        return head.model_copy(update={"position": wire_position(bridged.position), "state": "predicted"})
+
+    def _foot_without_jumps(self, foot: FootPose) -> FootPose:
+        """Return the same of a foot, which does not stand while it is bridged."""
+        bridged = self._foot_bridges[foot.side].update(foot.t_ns, np.array(foot.position))
+        self._counts["jumps"] += bridged.jumped
+        if not bridged.bridging:
+            return foot
+        return foot.model_copy(
+            update={
+                "position": wire_position(bridged.position),
+                "velocity": wire_position(bridged.velocity),
+                "stationary": False,
+                "state": "predicted",
+            }
+        )
 
     def _update_hip_motion(self, hips: FloatArray, elapsed_s: float) -> None:
         """Note where the hips are and how they move, for feet that hang from them."""
