@@ -17,7 +17,7 @@ from rhot.errors import ConfigError
 from rhot_bench.measures.rows import Row, Section, check_output
 from rhot_bench.output import counted, json_option, show
 from rhot_bench.steps.dead_reckoning import horizontal_error_m, reckon
-from rhot_bench.steps.markers import follow_marker, marker_figures, read_marker_test
+from rhot_bench.steps.markers import follow_marker, marker_figures, read_marker_test, tilt_figures
 from rhot_bench.steps.standard_detectors import ared, shoe
 from rhot_bench.steps.toes import NEAR_PX, ToeWalk, follow_toes, thesis_toes
 from rhot_bench.steps.walks import hide_swings, read_places, read_step_trial
@@ -177,7 +177,8 @@ def _markers(files: Sequence[Path], most: int | None, advance: Advance) -> list[
     for file in files:
         test = read_marker_test(file)
         test = test if most is None else test.first(most)
-        figures = marker_figures(test, follow_marker(test))
+        followed = follow_marker(test)
+        figures = marker_figures(test, followed)
         first = f"{100 * figures.first_right:.1f} %"
         nearer = 100.0 * (1.0 - figures.mean_m / figures.first_mean_m)
         note = f"{int(test.known.sum())} detections; the detector's first solution {MM * figures.first_mean_m:.1f} mm"
@@ -186,6 +187,12 @@ def _markers(files: Sequence[Path], most: int | None, advance: Advance) -> list[
                 note=f"the detector's first solution {first}"),
             Row(f"{file.stem}: filtered position, mean", MM * figures.mean_m, "mm", note=note),
             Row("    nearer to the truth than that by", nearer, "%", least=30.0),
+        ]  # fmt: skip
+        rows += [
+            Row(f"    clear and wrong, seen {tilt.from_deg:g} to {tilt.to_deg:g}° from head-on", 100.0 * tilt.clear_wrong,
+                "%", most=2.0,
+                note=f"{tilt.count} detections, {100.0 * tilt.clear:.0f} % said to be clear, {100.0 * tilt.wrong:.0f} % wrong")
+            for tilt in tilt_figures(test, followed)
         ]  # fmt: skip
         advance()
     return rows

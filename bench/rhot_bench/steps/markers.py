@@ -32,6 +32,9 @@ INSET_PX: Final = 0.42
 """Measured on photographs of other markers, between whole-pixel corners and the edges that `refine_corners` finds."""
 CORNER_SIGMA_PX: Final = 0.42
 """Of whole-pixel corners, per axis."""
+TILTS_DEG: Final = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 90.0)
+LEAST_DETECTIONS: Final = 25
+"""Fewer in a band say nothing about shares of a few per cent."""
 CAMERA: Final = pinhole(
     848,
     480,
@@ -78,10 +81,12 @@ class FollowedMarker:
 
     Attributes:
         chosen: (N,) which of the two solutions is believed.
+        clear: (N,) whether it is said to be clear.
         t_m: (N, 3) filtered positions, metres, camera frame.
     """
 
     chosen: NDArray[np.intp]
+    clear: NDArray[np.bool_]
     t_m: FloatArray
 
 
@@ -158,7 +163,7 @@ def move_edges(corners: FloatArray, by_px: float) -> FloatArray:
 def follow_marker(test: MarkerTest) -> FollowedMarker:
     """Follow the marker as feet are followed that nothing else is known of: poses, orientation track, foot filter."""
     track, positions = OrientationTrack(), FootFilter()
-    chosen = np.zeros(len(test.t_s), dtype=np.intp)
+    chosen, clear = np.zeros(len(test.t_s), dtype=np.intp), np.zeros(len(test.t_s), dtype=np.bool_)
     t_m = np.full((len(test.t_s), 3), np.nan)
     for number, (t_s, corners) in enumerate(zip(test.t_s.tolist(), edge_corners(test), strict=True)):
         t_ns = round(1e9 * t_s)
@@ -167,11 +172,12 @@ def follow_marker(test: MarkerTest) -> FollowedMarker:
         if poses:
             pose = poses[track.update(t_s, poses)]
             chosen[number] = track.nearest(test.R[number])
+            clear[number] = track.is_clear(pose.t_camera_marker)
             positions.update_marker(t_ns, pose.t_camera_marker, pose.covariance[3:, 3:])
         state = positions.state(t_ns)
         if state is not None:
             t_m[number] = state.position
-    return FollowedMarker(chosen, t_m)
+    return FollowedMarker(chosen, clear, t_m)
 
 
 def marker_figures(test: MarkerTest, followed: FollowedMarker) -> MarkerFigures:
@@ -190,6 +196,44 @@ def marker_figures(test: MarkerTest, followed: FollowedMarker) -> MarkerFigures:
         float(np.sqrt(np.mean(off**2))),
         float(np.sqrt(np.mean(first_off**2))),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class TiltFigures:
+    """How well the orientation is known within a band of tilts against the line of sight.
+
+    Attributes:
+        from_deg, to_deg: the band of true tilts.
+        count: detections with a truth.
+        wrong: share whose believed solution is the farther one from the truth.
+        clear: share that is said to be clear.
+        clear_wrong: share that is said to be clear and wrong.
+    """
+
+    from_deg: float
+    to_deg: float
+    count: int
+    wrong: float
+    clear: float
+    clear_wrong: float
+
+
+def tilt_figures(test: MarkerTest, followed: FollowedMarker) -> list[TiltFigures]:
+    """Return the figures of every band with enough detections."""
+    known = test.known
+    R_true, t_true = test.R_true[known], test.t_true_m[known]
+    turns = np.stack([_turns(test.R[known, which], R_true) for which in (0, 1)])
+    believed = np.take_along_axis(turns, followed.chosen[None, known], axis=0)[0]
+    wrong, clear = believed > turns.min(axis=0), followed.clear[known]
+    cosine = -(R_true[:, :, 2] * t_true).sum(axis=1) / np.linalg.norm(t_true, axis=1)
+    tilt_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    figures = []
+    for low, high in zip(TILTS_DEG, TILTS_DEG[1:], strict=False):
+        band = (tilt_deg >= low) & (tilt_deg < high)
+        if (count := int(band.sum())) >= LEAST_DETECTIONS:
+            shares = [float(which[band].mean()) for which in (wrong, clear, wrong & clear)]
+            figures.append(TiltFigures(low, high, count, *shares))
+    return figures
 
 
 def _turns(first: FloatArray, second: FloatArray) -> FloatArray:

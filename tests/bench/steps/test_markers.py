@@ -20,6 +20,7 @@ from rhot_bench.steps.markers import (
     marker_figures,
     move_edges,
     read_marker_test,
+    tilt_figures,
 )
 from rhot_feet.marker.detection import MarkerFinder
 from rhot_feet.marker.pose import square_corners, view_square
@@ -66,6 +67,17 @@ def test_recorded_detections_against_motion_capture(shared_data: Path, name: str
     assert figures.first_right < 0.8
     assert figures.mean_m < 0.7 * figures.first_mean_m
     assert figures.rms_m < 0.7 * figures.first_rms_m
+
+
+@pytest.mark.parametrize("name", ["test0.csv", "test4.csv"])
+def test_what_is_said_to_be_clear_is_right_at_every_tilt(shared_data: Path, name: str) -> None:
+    """A square that is seen head-on has two poses that nobody tells apart: it must say so, and only then."""
+    test = read_marker_test(shared_data / "aruco" / "d435_qualisys" / name).first(2500)
+    figures = tilt_figures(test, follow_marker(test))
+    assert len(figures) >= 5
+    assert max(figure.clear_wrong for figure in figures) <= 0.02
+    assert max(figure.wrong for figure in figures) > 0.1, "the recording is hard enough to tell"
+    assert figures[-1].clear > 0.9
 
 
 def test_what_is_no_table_of_detections_is_refused(tmp_path: Path) -> None:

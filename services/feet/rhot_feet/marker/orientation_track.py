@@ -41,6 +41,9 @@ class OrientationTrackSettings:
             which one is dropped.
         longest_gap_s: a longer pause counts as one of this length.
         first_rate_rad_s: standard deviation of the angular rate of a new marker.
+        steep_rad, steep_margin: tilt against the line of sight from which the corners tell the two poses apart, and the
+            margin from which the likelier one is then believed. Below, only one hypothesis may be left: the errors
+            of corners are the same in picture after picture, so that what they add up to overstates what is known.
     """
 
     acceleration: float = 8.0
@@ -55,6 +58,8 @@ class OrientationTrackSettings:
     drop: float = 15.0
     longest_gap_s: float = 0.5
     first_rate_rad_s: float = 2.0
+    steep_rad: float = float(np.radians(25.0))
+    steep_margin: float = 10.0
 
 
 SETTINGS: Final = OrientationTrackSettings()
@@ -102,6 +107,17 @@ class OrientationTrack:
         if self._state is None:
             return 0.0
         return float("inf") if len(self._state.weight) == 1 else float(-2.0 * self._state.weight[1])
+
+    def is_clear(self, t_camera_marker: FloatArray) -> bool:
+        """Return whether the orientation may be believed of a marker at a position (3,), metres, camera frame.
+
+        Seen nearly head-on, a square and its mirrored pose look alike, and no number of pictures tells them apart.
+        """
+        if self._state is None or self.margin == float("inf"):
+            return self._state is not None
+        towards = -t_camera_marker / max(float(np.linalg.norm(t_camera_marker)), 1e-9)
+        steep = float(self._state.R[0, :, 2] @ towards) <= np.cos(SETTINGS.steep_rad)
+        return steep and self.margin >= SETTINGS.steep_margin
 
     def update(self, t_s: float, poses: Sequence[MarkerPose]) -> int:
         """Update with the poses of one picture and return the index of the one to believe, see `nearest`.

@@ -19,7 +19,7 @@ from rhot_feet.marker.detection import MarkerDetection, MarkerFinder
 from rhot_feet.marker.gates import Refusal, refuse_detection, refuse_pose
 from rhot_feet.marker.orientation_track import OrientationTrack
 from rhot_feet.marker.pose import MarkerPose, marker_poses, view_square
-from rhot_feet.marker.pose_choice import CLEAR_MARGIN, OrientationPrior, PoseChoice, choose_pose
+from rhot_feet.marker.pose_choice import OrientationPrior, PoseChoice, choose_pose
 from rhot_feet.prediction import OTHER_FOOT, FootPrediction, Region, predicted_region
 
 FloatArray = NDArray[np.float64]
@@ -236,7 +236,7 @@ class MarkerTracker:
         if _prior(expected) is None:
             # The filter does not know the orientation: the marker's own past decides.
             pose = candidate.poses[memory.track.update(1e-9 * t_ns, candidate.poses)]
-            clear = memory.track.margin >= CLEAR_MARGIN
+            clear = memory.track.is_clear(pose.t_camera_marker)
         return FootMarker(
             t_ns,
             pose.t_camera_marker,
