@@ -188,12 +188,10 @@ def _markers(files: Sequence[Path], most: int | None, advance: Advance) -> list[
             Row(f"{file.stem}: filtered position, mean", MM * figures.mean_m, "mm", note=note),
             Row("    nearer to the truth than that by", nearer, "%", least=30.0),
         ]  # fmt: skip
-        rows += [
-            Row(f"    clear and wrong, seen {tilt.from_deg:g} to {tilt.to_deg:g}° from head-on", 100.0 * tilt.clear_wrong,
-                "%", most=2.0,
-                note=f"{tilt.count} detections, {100.0 * tilt.clear:.0f} % said to be clear, {100.0 * tilt.wrong:.0f} % wrong")
-            for tilt in tilt_figures(test, followed)
-        ]  # fmt: skip
+        for tilt in tilt_figures(test, followed):
+            said = f"{tilt.count} detections, {100 * tilt.clear:.0f} % said to be clear, {100 * tilt.wrong:.0f} % wrong"
+            name = f"    clear and wrong, {tilt.from_deg:g} to {tilt.to_deg:g}° from head-on"
+            rows.append(Row(name, 100 * tilt.clear_wrong, "%", most=2.0, note=said))
         advance()
     return rows
 

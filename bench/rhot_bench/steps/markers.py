@@ -12,6 +12,7 @@ detector refines its corners and has no such inset.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -228,7 +229,7 @@ def tilt_figures(test: MarkerTest, followed: FollowedMarker) -> list[TiltFigures
     cosine = -(R_true[:, :, 2] * t_true).sum(axis=1) / np.linalg.norm(t_true, axis=1)
     tilt_deg = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     figures = []
-    for low, high in zip(TILTS_DEG, TILTS_DEG[1:], strict=False):
+    for low, high in pairwise(TILTS_DEG):
         band = (tilt_deg >= low) & (tilt_deg < high)
         if (count := int(band.sum())) >= LEAST_DETECTIONS:
             shares = [float(which[band].mean()) for which in (wrong, clear, wrong & clear)]
