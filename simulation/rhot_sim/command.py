@@ -18,7 +18,7 @@ from rhot.cli.options import rig_option
 from rhot.cli.page import Pages, free_pages, page_options
 from rhot.errors import ConfigError
 from rhot.rig import Rig, load_rig
-from rhot.rig.config import WalkProgram
+from rhot.rig.feet_config import WalkProgram
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.service.stop import install_stop
 from rhot_sim.comparison.feet_table import feet_summary

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.messages import BodyPose, FootPose, Side
 from rhot.rig import Rig
-from rhot.rig.config import WalkProgram
-from rhot.rig.feet_config import FeetConfig, FootConfig
+from rhot.rig.feet_config import FeetConfig, FootConfig, WalkProgram
 from rhot_bench.feet.heads import START_NS, Heads
 from rhot_bench.feet.knees import knee_errors
 from rhot_bench.feet.thesis import ThesisTracker

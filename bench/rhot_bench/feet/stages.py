@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.report.svg import line_plot
-from rhot.rig.config import WalkProgram
+from rhot.rig.feet_config import WalkProgram
 from rhot_bench.feet.runs import LEARN_S, SIDES, Played, Run, Track
 from rhot_bench.measures.rows import Row
 

@@ -11,29 +11,10 @@ from rhot.messages import Name, Side
 from rhot.rig.bridge_config import BridgeConfig
 from rhot.rig.bus_config import BusConfig
 from rhot.rig.calibration import DeskHeight
-from rhot.rig.feet_config import BodyConfig, FeetConfig
+from rhot.rig.feet_config import BodyConfig, FeetConfig, WalkProgram
 from rhot.rig.file_model import FileModel, HoldS, NotNegative, Positive, Vector3
 from rhot.rig.shape_config import ShapeConfig
 from rhot.rig.v4l2_control import V4l2Control
-
-WalkProgram = Literal[
-    "still",
-    "marker_moving",
-    "head_moving",
-    "sudden",
-    "step",
-    "side_steps",
-    "line",
-    "circle",
-    "bend_knees",
-    "turn_body",
-    "on_spot",
-    "walk",
-    "curve",
-    "step_over",
-    "squat",
-    "sitting",
-]
 
 
 class CameraConfig(FileModel):

@@ -13,6 +13,26 @@ from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot.rig.file_model import FileModel, HoldS, Positive, Vector3
 
+WalkProgram = Literal[
+    "still",
+    "marker_moving",
+    "head_moving",
+    "sudden",
+    "step",
+    "side_steps",
+    "line",
+    "circle",
+    "bend_knees",
+    "turn_body",
+    "on_spot",
+    "walk",
+    "curve",
+    "step_over",
+    "squat",
+    "sitting",
+]
+"""What the simulated person does: the 2021 thesis's four tests and six walking tasks, then ours."""
+
 
 class DepthCameraConfig(FileModel):
     """The head-worn depth camera that looks at the feet.

@@ -7,7 +7,7 @@ from typing import Final
 
 from rhot.rig import Rig, RigidTransform, StageFile, load_rig, write_json_model
 from rhot.rig.calibration import today
-from rhot.rig.config import WalkProgram
+from rhot.rig.feet_config import WalkProgram
 from rhot.rig.folder import RIG_FILE, STAGE_FILE, write_text_atomic
 
 _TEMPLATE: Final = """\

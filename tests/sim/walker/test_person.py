@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhot.rig.config import WalkProgram
+from rhot.rig.feet_config import WalkProgram
 from rhot_sim.walker.person import Person, PersonSample
 from rhot_sim.walker.plan import SIDES
 from rhot_sim.walker.programs import PROGRAMS
