@@ -13,6 +13,8 @@ export class Headset {
     renderer.xr.enabled = true;
     renderer.xr.setReferenceSpaceType("local-floor");
     this.on = false;
+    /** Whether the rig wants to know where it is; the first message says so. */
+    this.published = false;
     this.started = () => {};
     this.ended = () => {};
   }
@@ -31,12 +33,12 @@ export class Headset {
     session.addEventListener("end", () => {
       this.on = false;
       this.#space = null;
-      this.#link.send({ type: "left" });
+      this.#tell({ type: "left" });
       this.ended();
     });
     await this.#renderer.xr.setSession(session);
     this.#space = this.#renderer.xr.getReferenceSpace();
-    this.#space.addEventListener?.("reset", () => this.#link.send({ type: "moved" }));
+    this.#space.addEventListener?.("reset", () => this.#tell({ type: "moved" }));
     this.on = true;
     this.started(mode);
   }
@@ -48,7 +50,7 @@ export class Headset {
 
   /** Tell the rig where headset and controller are. */
   publish(frame, displayMs) {
-    if (!this.on || !this.#space || !this.#link.clock.ready) return;
+    if (!this.on || !this.#space || !this.published || !this.#link.clock.ready) return;
     const told = { type: "devices", t_ms: this.#link.clock.rig(displayMs) };
     const head = frame.getViewerPose(this.#space);
     // An emulated position is a guess of the headset's: it tracks rotation alone at this moment.
@@ -57,6 +59,10 @@ export class Headset {
     const source = sources.find(({ handedness }) => handedness === "right") ?? sources[0];
     const grip = source && frame.getPose(source.gripSpace, this.#space);
     if (grip && !grip.emulatedPosition) told.controller = seven(grip.transform);
-    if (told.head || told.controller) this.#link.send(told);
+    if (told.head || told.controller) this.#tell(told);
+  }
+
+  #tell(message) {
+    if (this.published) this.#link.send(message);
   }
 }

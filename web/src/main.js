@@ -106,6 +106,7 @@ function begin() {
   stage.placeDesk(middle, hello.desk.shown);
   const at = add(middle, BALL_FROM_MIDDLE);
   ball = new VirtualThing({ p: [at[0], deskHeight + BALL.radius, at[2]], q: [0, 0, 0, 1] }, (q) => halfHeight(BALL, q));
+  headset.published = hello.may_publish && hello.devices.length > 0;
   $("simulated").hidden = !hello.simulated;
   $("other").hidden = !hello.other_page;
   if (hello.other_page) $("other").href = hello.other_page;
@@ -331,7 +332,8 @@ headset.started = (entered) => {
   stage.surroundings.visible = entered === "immersive-vr";
   stage.scene.background = entered === "immersive-vr" ? stage.background : null;
   $("tags").hidden = true;
-  if (!hello?.devices.length) note("To align headset and rig, rig.toml needs [objects.head] and [objects.controller] with source = \"webxr\"; see docs/grasp.md.");
+  if (!hello?.may_publish) note("Looking only: this link does not let the headset tell the rig where it is.");
+  else if (!hello.devices.length) note("To align headset and rig, rig.toml needs [objects.head] and [objects.controller] with source = \"webxr\"; see docs/grasp.md.");
   else if (!rig.webxr) note("Not aligned with the rig yet: `rhot calibrate objects --live --object controller` takes ten places.");
 };
 headset.ended = () => {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -11,9 +12,11 @@ from stub_rig import StubRig
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.messages import BoxShape, HandPose, ObjectPose, PointSet, Side, Space, Truth
-from rhot.rig import Rig
-from rhot.rig.calibration import matrix4
-from rhot_viewer.grasp.hello import hello_text, rest_hand, stage_of
+from rhot.rig import RegistrationFile, Rig, load_rig, write_json_model
+from rhot.rig.calibration import RigidTransform, matrix4
+from rhot.rig.config import ObjectConfig
+from rhot.rig.folder import REGISTRATION_FILE
+from rhot_viewer.grasp.hello import hello_text, rest_hand, stage_of, webxr_of
 from rhot_viewer.grasp.text import text_of
 
 T_NS = 1_700_000_000_123_456_789
@@ -86,3 +89,17 @@ def test_the_page_is_told_where_floor_and_desk_are(rig: Rig) -> None:
     assert hello["paint"]["right"]["index"] == [1, 2, 3]
     assert hello["desk"]["height_m"] == pytest.approx(0.74)
     assert hello["devices"] == ["head"]
+
+
+def test_a_headset_is_aligned_by_its_own_registration(rig: Rig) -> None:
+    moved = RegistrationFile(T_rig_tracker=RigidTransform(position=(0.5, 0.0, 0.0)))
+    headset = {"head": ObjectConfig(source="webxr")}
+    alone = dataclasses.replace(rig, config=rig.config.model_copy(update={"objects": headset}))
+    assert webxr_of(rig) is None
+    assert webxr_of(alone) is None
+    own = webxr_of(dataclasses.replace(rig, registrations={"webxr": moved}))
+    assert own is not None
+    assert own[3] == 0.5
+    write_json_model(rig.path / REGISTRATION_FILE, moved)
+    assert webxr_of(load_rig(rig.path)) is None, "that of the other tracking system"
+    assert webxr_of(dataclasses.replace(alone, registration=moved)) is not None

@@ -82,10 +82,13 @@ def stage_of(rig: Rig) -> tuple[FloatArray, str]:
 
 
 def webxr_of(rig: Rig) -> list[float] | None:
-    """Return T_rig_webxr, 16 numbers row by row, metres; None while no headset is registered."""
-    if registration_path(rig.path, "webxr") is None or not any(
-        o.source == "webxr" for o in rig.config.objects.values()
-    ):
+    """Return T_rig_webxr, 16 numbers row by row, metres; None while no headset is registered.
+
+    `registration.json` tells where another system's space lies, unless the headset is the only one.
+    """
+    sources = {thing.source for thing in rig.config.objects.values()}
+    own = "webxr" in rig.registrations
+    if not own and (sources != {"webxr"} or registration_path(rig.path, "webxr") is None):
         return None
     matrix = rig.registration_of("webxr").T_rig_tracker.matrix
     return [round(float(number), 7) for number in matrix.ravel()]

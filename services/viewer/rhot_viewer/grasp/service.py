@@ -206,7 +206,7 @@ class GraspService:
         if isinstance(message, Devices):
             if self._wearer is None:
                 self._wearer = browser
-                logger.info("a headset is here%s", "" if self._devices else "; rig.toml does not publish its poses")
+                logger.info("a headset is here")
             if self._wearer is browser:
                 self._publish(message)
         elif isinstance(message, Left):
