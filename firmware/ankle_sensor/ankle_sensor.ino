@@ -1,6 +1,7 @@
 // A sensor for the ankle: ESP32 and BNO080, BNO085 or BNO086 over SPI, for `rhot feet`; docs/feet.md says how to build it.
 //
-// Arduino IDE: board package "esp32" by Espressif, library "SparkFun BNO08x Cortex Based IMU" (1.0.6 or newer).
+// Arduino IDE: board package "esp32" by Espressif, library "SparkFun BNO08x Cortex Based IMU", newer than
+// 1.0.2 (with `setCalibrationConfig`).
 // This sketch is compiled and played through on a computer by tests/feet/sources/test_firmware.py; it has not run on a
 // board of ours.
 
@@ -58,6 +59,12 @@ void enableReports() {
 #endif
 }
 
+// The gyroscope's zero is followed at all times, whenever the foot stands; the accelerometer's only while calibrating.
+void setCalibrating(bool on) {
+  calibrating = on;
+  sensor.setCalibrationConfig(on ? SH2_CAL_ACCEL | SH2_CAL_GYRO : SH2_CAL_GYRO);
+}
+
 void setup() {
   pinMode(kPinButton, INPUT_PULLUP);
   pinMode(kPinLight, OUTPUT);
@@ -73,7 +80,7 @@ void setup() {
     delay(100);
   }
   attachInterrupt(digitalPinToInterrupt(kPinReady), onReady, FALLING);
-  sensor.setCalibrationConfig(SH2_CAL_ACCEL | SH2_CAL_GYRO);
+  setCalibrating(false);
   enableReports();
 }
 
@@ -81,11 +88,8 @@ void setup() {
 void handleButton() {
   const uint32_t now_ms = millis();
   if (button.pressed(digitalRead(kPinButton) == LOW, now_ms)) {
-    if (calibrating) {
-      sensor.saveCalibration();
-    }
-    sensor.setCalibrationConfig(SH2_CAL_ACCEL | SH2_CAL_GYRO);
-    calibrating = !calibrating;
+    if (calibrating) sensor.saveCalibration();
+    setCalibrating(!calibrating);
   }
   digitalWrite(kPinLight, !calibrating || (now_ms / 250) % 2 == 0 ? HIGH : LOW);
 }

@@ -31,6 +31,6 @@ class BNO08x {
   bool wasReset() { return false; }
   bool enableReport(sh2_SensorId_t sensor, uint32_t interval_us = 10000, uint32_t = 0);
   bool getSensorEvent();
-  bool setCalibrationConfig(uint8_t) { return true; }
+  bool setCalibrationConfig(uint8_t sensors);
   bool saveCalibration();
 };

@@ -16,6 +16,7 @@ Spi SPI;
 static uint32_t interval_us[256];
 static uint32_t next_us[256];
 static int saved = 0;
+static uint8_t calibrated = 0;  // what is being calibrated
 
 bool BNO08x::enableReport(sh2_SensorId_t sensor, uint32_t interval, uint32_t) {
   interval_us[sensor] = interval;
@@ -23,8 +24,14 @@ bool BNO08x::enableReport(sh2_SensorId_t sensor, uint32_t interval, uint32_t) {
   return true;
 }
 
+bool BNO08x::setCalibrationConfig(uint8_t sensors) {
+  calibrated = sensors;
+  return true;
+}
+
 bool BNO08x::saveCalibration() {
-  ++saved;
+  // What was not calibrated is not worth keeping.
+  saved += calibrated == (SH2_CAL_ACCEL | SH2_CAL_GYRO);
   return true;
 }
 
