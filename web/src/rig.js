@@ -6,7 +6,7 @@ import { BENDING, JOINTS } from "./skeleton.js";
 /** What is so much older than the newest of all is not shown, milliseconds … */
 const GONE_MS = 600;
 /** … and nothing is when nothing has come for so long; longer, because a slow browser takes frames late. */
-const SILENT_MS = 2500;
+const SILENT_MS = 5000;
 const TRUTHS = 16;
 
 export class Rig {

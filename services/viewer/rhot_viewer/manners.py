@@ -13,10 +13,10 @@ _NICE: Final = 10
 """Where processors are short, tracking goes first and the page shows fewer frames."""
 
 
-def give_way() -> None:
-    """Let everything that tracks go first."""
+def give_way(levels: int = _NICE) -> None:
+    """Let everything that tracks go first, by so many levels of niceness."""
     with contextlib.suppress(AttributeError, OSError):  # not on every system
-        os.nice(_NICE)
+        os.nice(levels)
 
 
 def end_within(exit_code: int, limit_s: float = _END_LIMIT_S) -> None:

@@ -61,6 +61,9 @@ _LEAD_S: Final = 0.1
 _LOOK_S: Final = 0.5
 """How often the rig folder is looked at."""
 _REPEAT_S: Final = 1.0
+_NICE: Final = 3
+"""Passing a pose on takes half a millisecond: half of a tracker's share of a busy processor is plenty. With the working
+page's 10 levels it would wait behind everything else where two cores are kept busy."""
 _FILES: Final = (RIG_FILE, HAND_FILE, STAGE_FILE, REGISTRATION_FILE, registration_name(WEBXR))
 
 
@@ -279,7 +282,7 @@ async def serve_grasp(
     Raises:
         DeviceError: the port is taken.
     """
-    give_way()
+    give_way(_NICE)
     service = GraspService(rig, access, other_page)
     found = await service.server.open(host, port, tls)
     scheme = "http" if tls is None else "https"
