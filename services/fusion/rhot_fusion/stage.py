@@ -225,6 +225,10 @@ class FusionStage:
 
     def _points(self, outcome: Outcome, live: PointSet | None = None) -> dict[str, Point]:
         points: dict[str, Point] = {}
+        # xx, xy, xz, yy, yz, zz of each.
+        upper = None
+        if outcome.covariance is not None:
+            upper = outcome.covariance.reshape(-1, 9)[:, (0, 1, 2, 4, 5, 8)].tolist()
         for index, (name, (x, y, z), sigma, views, measured) in enumerate(
             zip(self._markers, outcome.position, outcome.sigma_m, outcome.views, outcome.measured, strict=True)
         ):
@@ -240,8 +244,8 @@ class FusionStage:
             if outcome.state is not None:
                 state = outcome.state[index]
             covariance = None
-            if outcome.covariance is not None:
-                xx, xy, xz, _, yy, yz, _, _, zz = outcome.covariance[index].ravel().tolist()
+            if upper is not None:
+                xx, xy, xz, yy, yz, zz = upper[index]
                 covariance = (xx, xy, xz, yy, yz, zz)
             points[name] = Point(
                 position=(x, y, z), sigma=sigma, views=views, state=state, covariance=covariance, corners=corners

@@ -30,6 +30,8 @@ class Hand:
 
     Attributes:
         index: (H,) of them among all markers.
+        markers: the same as plain numbers.
+        place_of: (M,) where each marker of the rig is among those H; only those of this hand have one.
         base: which of those H is the patch on its back; −1 = none.
         across: which of those H are the tips of the little and of the index finger; none without either.
         beside_m: (H,) how far the knuckle of each fingertip is beside the patch, towards the index finger, metres.
@@ -38,6 +40,8 @@ class Hand:
     """
 
     index: IndexArray
+    markers: list[int]
+    place_of: IndexArray
     base: int
     across: tuple[int, int] | None
     beside_m: FloatArray
@@ -50,9 +54,12 @@ class Hand:
         Fingers run side by side from their knuckles, so from there they point the same way however far they bend.
         """
         base = place[self.base]
-        if self.across is None or not self.filter.state.alive[list(self.across)].all():
+        if self.across is None:
             return np.broadcast_to(base, place.shape)
         little, first = self.across
+        alive = self.filter.state.alive
+        if not (alive[little] and alive[first]):
+            return np.broadcast_to(base, place.shape)
         along = place[first] - place[little]
         roots: FloatArray = base + self.beside_m[:, None] * (along / max(float(np.sqrt(along @ along)), 1e-6))
         return roots
@@ -102,7 +109,7 @@ class Acquisition:
         track = self.tracks[marker]
         if not hand.filter.state.alive[k]:
             return True
-        if self._variance(hand, k) <= self._settings.loose_m**2 or self._is_recent(track.accepted_s[camera], t_s):
+        if hand.filter.spread_m2[k] <= self._settings.loose_m**2 or self._is_recent(track.accepted_s[camera], t_s):
             return False
         # A camera that has just come back sees farther than a linear filter can follow.
         near = self._candidates.near(marker, t_s)
@@ -153,13 +160,17 @@ class Acquisition:
     def forget(self, t_s: float) -> None:
         """End markers that nothing has shown for a while, that may be anywhere by now, or that left the volume."""
         low, high = np.array(self.config.volume_m)
-        known, alive = self._places()
-        outside = ((known < low) | (known > high)).any(axis=1)
-        for marker in np.flatnonzero(alive).tolist():
-            hand, k = self.hand_of[marker]
-            lost = self._variance(hand, k) > self._settings.lost_m**2
-            if lost or outside[marker] or t_s - self.tracks[marker].seen_s > self.config.hold_s:
-                self.end(marker)
+        hold_s, lost_m2 = self.config.hold_s, self._settings.lost_m**2
+        for hand in self._hands:
+            place, alive = hand.filter.place, hand.filter.state.alive.tolist()
+            outside = ((place < low) | (place > high)).any(axis=1).tolist()
+            spread_m2 = hand.filter.spread_m2
+            for k, marker in enumerate(hand.markers):
+                if not alive[k]:
+                    continue
+                lost = spread_m2[k] > lost_m2
+                if lost or outside[k] or t_s - self.tracks[marker].seen_s > hold_s:
+                    self.end(marker)
 
     def _begin(self, marker: int, birth: Birth, t_s: float, views: dict[int, View]) -> None:
         hand, k = self.hand_of[marker]
@@ -176,12 +187,6 @@ class Acquisition:
     def _together(self, marker: int, near: dict[int, View], t_s: float, velocity: FloatArray) -> Birth | None:
         volume_m = self.config.volume_m
         return self._candidates.together(marker, list(near.values()), t_s, velocity, *self._places(), volume_m)
-
-    @staticmethod
-    def _variance(hand: Hand, k: int) -> float:
-        """Return the trace of the covariance of a marker's place, square metres."""
-        P, row = hand.filter.state.covariance, 3 * k
-        return P.item(row, row) + P.item(row + 1, row + 1) + P.item(row + 2, row + 2)
 
     def _is_recent(self, then_s: float, t_s: float) -> bool:
         return t_s - then_s <= self._settings.lost_periods * self._schedule.longest_period_s
@@ -221,7 +226,10 @@ def hands_of(rig: Rig, cameras: Sequence[CameraModel], settings: FilterSettings,
             for k, name in enumerate(joints):
                 if name in fingers:
                     beside_m[k] = sense * (model.knuckles[fingers[name], 0] - patch[0])
-        hands.append(Hand(index, base, across, beside_m, joint, HandRecord(index, cameras) if record else None))
+        place_of = np.zeros(len(sides), dtype=np.intp)
+        place_of[index] = np.arange(len(index))
+        kept = HandRecord(index, cameras) if record else None
+        hands.append(Hand(index, index.tolist(), place_of, base, across, beside_m, joint, kept))
     return hands
 
 

@@ -40,6 +40,11 @@ class JointFilter:
         self._shares: FloatArray = np.array(settings.shares)
         self._motion: Motion | None = None
         self._identity: FloatArray = np.eye(6 * count + SHARED)
+        size, three = 6 * count + SHARED, np.arange(3)
+        # Where a covariance holds those of the markers' places, (M, 3, 3).
+        rows = 3 * np.arange(count)[:, None] + three
+        self._own: IndexArray = rows[:, :, None] * size + rows[:, None, :]
+        self._spread: tuple[State | None, list[float]] = None, []
         self.clear()
 
     def clear(self) -> None:
@@ -59,6 +64,21 @@ class JointFilter:
         """(M, 3) metres per second."""
         velocity: FloatArray = self.state.mean[1].reshape(-1, 3)
         return velocity
+
+    @property
+    def spread_m2(self) -> list[float]:
+        """(M,) traces of the covariances of their places, square metres; made once for a state."""
+        known, spread = self._spread
+        if known is not self.state:
+            xyz = self.state.P.diagonal()[: 3 * self._count].reshape(-1, 3)
+            spread = (xyz[:, 0] + xyz[:, 1] + xyz[:, 2]).tolist()
+            self._spread = self.state, spread
+        return spread
+
+    def own(self, state: State) -> FloatArray:
+        """Return the covariances (M, 3, 3) of the markers' places in a state."""
+        own: FloatArray = state.P.take(self._own)
+        return own
 
     def begin(self, marker: int, mean: FloatArray, covariance: FloatArray, t_s: float) -> None:
         """Put a marker in with a state (6,) of covariance (6, 6) at a moment, the filter's own or its first."""
@@ -112,10 +132,11 @@ class JointFilter:
         H, J, y = self._observation(state, views)
         HP, HQ = H @ state.P, H @ Q
         S, S_more = HP @ H.T, HQ @ H.T
-        weight, evidence = self._weigh(state.weight, views, y, J, S, S_more)
+        between = self._between(views, J)
+        weight, evidence = self._weigh(state.weight, views, y, S, S_more, between)
         scale2 = self._scale2(weight) if scale2 is None else scale2
         S += scale2 * S_more
-        between = self._between(views, J, scale2)
+        between = scale2 * between
         own = views.variance + between
         innovation = self._gated(views, y, S, own, evidence)
         before = State(state.t_s, state.x, state.P + scale2 * Q, weight, state.alive)
@@ -187,7 +208,7 @@ class JointFilter:
         local = (places[0, index] + delta * places[1, index]) @ R.T + views.camera.t_camera_rig
         inverse = 1.0 / np.maximum(local[:, 2:], _NEAREST_M)
         xy = local[:, :2] * inverse
-        J = (R[:2] - xy[:, :, None] * R[2]) * inverse[:, :, None]
+        J: FloatArray = (R[:2] - xy[:, :, None] * R[2]) * inverse[:, :, None]
         H = np.zeros((2 * number, len(state.x)))
         blocks = H[:, :-SHARED].reshape(number, 2, 2, count, 3)
         every = np.arange(number)
@@ -200,16 +221,16 @@ class JointFilter:
         weight: FloatArray,
         views: Views,
         y: FloatArray,
-        J: FloatArray,
         S: FloatArray,
         S_more: FloatArray,
+        between: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
         """Return the scales' weights after a frame's views, each marker by itself, and their evidence."""
         own = _blocks(S) + views.variance
-        more = _blocks(S_more) + self._between(views, J, 1.0)
+        more = _blocks(S_more) + between
         nis, det = _distance2(own + self._scales2[:, None, None, None] * more, y)
         # What no gate would pass tells of an outlier, not of a scale.
-        evidence = -0.5 * (np.minimum(nis, self._gate) + np.log(det)).sum(axis=1)
+        evidence: FloatArray = -0.5 * (np.minimum(nis, self._gate) + np.log(det)).sum(axis=1)
         weight = weight * np.exp(evidence - evidence.max())
         return weight / weight.sum(), evidence
 
@@ -222,9 +243,13 @@ class JointFilter:
         loose2, _ = _distance2(own + (views.slack * views.slack)[:, None, None] * _EYE, y)
         return Innovation(y, own, nis, loose2 <= self._gate, evidence)
 
-    def _between(self, views: Views, J: FloatArray, scale2: float) -> FloatArray:
-        """Return the noise (N, 2, 2) between the frame's moment and the row's, as if independent of the way before."""
-        power = (scale2 * self._settings.own**2 / 3.0) * np.abs(views.delta_s) ** 3
+    def _between(self, views: Views, J: FloatArray) -> FloatArray:
+        """Return the noise (N, 2, 2) between the frame's moment and the row's, as if independent of the way before.
+
+        It is that of the scale 1.
+        """
+        away = np.abs(views.delta_s)
+        power = (self._settings.own**2 / 3.0) * (away * away * away)
         between: FloatArray = power[:, None, None] * (J @ J.swapaxes(1, 2))
         return between
 
@@ -232,9 +257,7 @@ class JointFilter:
 def _blocks(S: FloatArray) -> FloatArray:
     """Return the (N, 2, 2) along the diagonal of (2 N, 2 N)."""
     number = len(S) // 2
-    every = np.arange(number)
-    blocks: FloatArray = S.reshape(number, 2, number, 2)[every, :, every]
-    return blocks
+    return S.reshape(number, 2, number, 2).diagonal(axis1=0, axis2=2).transpose(2, 0, 1)
 
 
 def _distance2(S: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -247,9 +270,11 @@ def _distance2(S: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _add_blocks(S: FloatArray, blocks: FloatArray) -> None:
     """Add (N, 2, 2) along the diagonal of (2 N, 2 N)."""
-    number = len(blocks)
-    every = np.arange(number)
-    S.reshape(number, 2, number, 2)[every, :, every] += blocks
+    # A step of two rows and two columns leads from one block to the next.
+    entries, row = S.reshape(-1), len(S)
+    for i in (0, 1):
+        for j in (0, 1):
+            entries[i * row + j :: 2 * row + 2] += blocks[:, i, j]
 
 
 def _updated(state: State, HP: FloatArray, S: FloatArray, y: FloatArray, chosen: BoolArray) -> State:

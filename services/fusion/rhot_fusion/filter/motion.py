@@ -55,7 +55,7 @@ class Motion:
         tau = settings.persists_s
         share, fade = -math.expm1(-dt / settings.joining_s), math.exp(-dt / tau)
         gained = -tau * math.expm1(-dt / tau)
-        coefficients = np.array([1.0, dt, share, tau * (dt - gained), gained, fade])
+        coefficients = np.array((1.0, dt, share, tau * (dt - gained), gained, fade))
         return _combined(coefficients, self.transitions)
 
     def noise(self, dt: float, settings: MotionSettings) -> FloatArray:

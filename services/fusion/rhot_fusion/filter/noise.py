@@ -7,6 +7,7 @@ r² + derivative / curvature, with the curvature for its weight: where motion ex
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
@@ -38,40 +39,48 @@ class CameraNoise:
         self._settings = settings
         self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
         self.calibration_px = calibration_px
-        self._calibrated = calibrated
         first = settings.first_px if calibrated else settings.uncalibrated_px
+        least = settings.least_px if calibrated else settings.uncalibrated_least_px
+        self._bounds_px2 = least**2, settings.most_px**2 if calibrated else math.inf
         # By camera: sums of weights and of weights times r², in px.
-        self._weight: FloatArray = np.full(len(cameras), 0.5 * settings.first_weight / first**4)
-        self._asked: FloatArray = self._weight * first**2
+        self._weight = [0.5 * settings.first_weight / first**4] * len(cameras)
+        self._asked = [weight * first**2 for weight in self._weight]
 
     @property
     def sigma_px(self) -> FloatArray:
         """(C,) standard deviation of a coordinate, pixels, as learnt."""
-        settings = self._settings
-        least = settings.least_px if self._calibrated else settings.uncalibrated_least_px
-        most = settings.most_px if self._calibrated else np.inf
-        return np.sqrt(np.clip(self._asked / self._weight, least**2, most**2))
+        return np.sqrt([self._variance_px2(camera) for camera in range(len(self._focal_px))])
 
     def variance(self, camera: int) -> float:
         """Return the variance of a coordinate, normalised units."""
-        sigma, systematic = float(self.sigma_px[camera]), float(self.calibration_px[camera])
-        return (sigma * sigma + systematic * systematic) / self._focal_px[camera] ** 2
+        systematic = float(self.calibration_px[camera])
+        return (self._variance_px2(camera) + systematic * systematic) / self._focal_px[camera] ** 2
+
+    def _variance_px2(self, camera: int) -> float:
+        """Return the variance of a coordinate, square pixels, as learnt."""
+        low, high = self._bounds_px2
+        return min(max(self._asked[camera] / self._weight[camera], low), high)
 
     def learn(self, camera: int, innovation: Innovation) -> None:
         """Take a frame's innovations; those that were refused teach nothing."""
-        chosen = innovation.accepted
-        count = int(np.count_nonzero(chosen))
+        pixels2 = self._focal_px[camera] ** 2
+        count, derivative, curvature = 0, 0.0, 0.0
+        columns = (innovation.accepted, innovation.y, innovation.S, innovation.nis)
+        for taken, (y0, y1), ((a, b), (_, c)), nis in zip(*(column.tolist() for column in columns), strict=True):
+            if not taken:
+                continue
+            count += 1
+            # The inverse of S, and what it makes of y.
+            det = (a * c - b * b) * pixels2
+            d, e, f = c / det, -b / det, a / det
+            u0, u1 = d * y0 + e * y1, e * y0 + f * y1
+            shrink = pixels2 * min(1.0, _CLEAR / max(nis, 1e-9))
+            derivative += 0.5 * (shrink * (u0 * u0 + u1 * u1) - (d + f))
+            curvature += 0.5 * (d * d + 2.0 * e * e + f * f)
         if not count:
             return
-        pixels2 = self._focal_px[camera] ** 2
-        y, S = innovation.y[chosen], innovation.S[chosen] * pixels2
-        y = y * np.sqrt(pixels2 * np.minimum(1.0, _CLEAR / np.maximum(innovation.nis[chosen], 1e-9)))[:, None]
-        inverse = np.linalg.inv(S)
-        u = (inverse @ y[:, :, None])[:, :, 0]
-        derivative = 0.5 * float((u * u).sum() - np.trace(inverse, axis1=1, axis2=2).sum())
-        curvature = 0.5 * float((inverse * inverse).sum())
-        keep = np.exp(-count / self._settings.memory)
-        known = float(self._asked[camera] / self._weight[camera])
+        keep = math.exp(-count / self._settings.memory)
+        known = self._asked[camera] / self._weight[camera]
         self._weight[camera] = keep * self._weight[camera] + curvature
         self._asked[camera] = keep * self._asked[camera] + curvature * known + derivative
 

@@ -50,6 +50,8 @@ class Paint:
         shaft = 2.0 * settings.shaft
         end = 0.5 * np.pi
         self._share: FloatArray = (shaft * np.sqrt(1.0 - self._cosine**2) + end * (1.0 + self._cosine)) / (shaft + end)
+        # What a finger bent as usual shows of its width when seen from the side.
+        self._usual = float(np.sqrt(np.interp(settings.first_bend, self._cosine, self._share)))
         self._largest: FloatArray = np.zeros(markers)
         # Root of the area of a tip seen from the side, painted over `CAP_LENGTH_M`; the rim of it is mixed with what is
         # behind.
@@ -86,9 +88,9 @@ class Paint:
         c = np.maximum(self.bend[index], self._settings.most_bend)[:, None]
         sight = _unit(self._middle - tip)
         finger = tip - base
-        d = c * sight + np.sqrt(1.0 - c * c) * _unit(finger - (finger * sight).sum(axis=1, keepdims=True) * sight)
+        d = c * sight + np.sqrt(1.0 - c * c) * _unit(finger - np.vecdot(finger, sight)[:, None] * sight)
         own = _unit(camera.center - tip)
-        c = (d * own).sum(axis=1, keepdims=True)
+        c = np.vecdot(d, own)[:, None]
         offset = self._settings.side * self._radius_m[index][:, None] * c * _unit(d - c * own)
         local, offset = tip @ camera.R_camera_rig.T + camera.t_camera_rig, offset @ camera.R_camera_rig.T
         depth = np.maximum(local[:, 2:], 0.05)
@@ -111,44 +113,51 @@ class Paint:
             (N, 2) what to add to the views and (N,) its standard deviation, normalised units.
         """
         settings = self._settings
-        width = np.sqrt(area_px) / self._focal_px[camera]
-        # Both cameras' widths lag by the same time: a marker that turns away shrinks in both.
-        elapsed = np.maximum(t_s - self._seen_s[camera, index], 0.0)
-        gain = np.where(elapsed > settings.compare_s, 1.0, -np.expm1(-elapsed / settings.settle_s))
-        old = self._width[camera, index]
+        # Where all markers are seen, rows in place cost less than rows by their numbers.
+        rows = slice(None) if len(index) == len(self._radius_m) else index
+        side_px = np.sqrt(area_px)
+        width = side_px / self._focal_px[camera]
         # Widths in metres: how far the cameras are from the marker makes no difference.
-        self._width[camera, index] = old + gain * (width * depth_m - old)
-        self.changing[camera, index] = self._changing(camera, index, elapsed, width * depth_m)
-        self._seen_s[camera, index] = t_s
-        recent = self._seen_s[:, index] >= t_s - settings.compare_s
-        full = np.where(recent, self._width[:, index], 0.0).max(axis=0)
-        # The largest area is not known at first: half way between that of a finger bent as usual and that of paint as
-        # long as it should be.
-        usual = full / np.sqrt(np.interp(settings.first_bend, self._cosine, self._share))
-        first = usual**settings.seen_first * self._flat_m[index] ** (1.0 - settings.seen_first)
-        known = self._largest[index]
-        self._largest[index] = np.maximum(full, np.where(known > 0.0, known, first))
-        share = np.square(full / np.maximum(self._largest[index], 1e-9))
+        width_m = width * depth_m
+        # Both cameras' widths lag by the same time: a marker that turns away shrinks in both.
+        elapsed = np.maximum(t_s - self._seen_s[camera, rows], 0.0)
+        gain = np.where(elapsed > settings.compare_s, 1.0, -np.expm1(-elapsed / settings.settle_s))
+        old = self._width[camera, rows]
+        lagging = old + gain * (width_m - old)
+        self._width[camera, rows] = lagging
+        self.changing[camera, rows] = self._changing(camera, rows, elapsed, width_m)
+        self._seen_s[camera, rows] = t_s
+        recent = self._seen_s[:, rows] >= t_s - settings.compare_s
+        full = np.where(recent, self._width[:, rows], 0.0).max(axis=0)
+        known = self._largest[rows]
+        if not known.all():
+            # The largest area is not known at first: half way between that of a finger bent as usual and that of paint
+            # as long as it should be.
+            first = (full / self._usual) ** settings.seen_first * self._flat_m[rows] ** (1.0 - settings.seen_first)
+            known = np.where(known > 0.0, known, first)
+        largest = np.maximum(full, known)
+        self._largest[rows] = largest
+        share = np.square(full / np.maximum(largest, 1e-9))
         told = area_px > 0.0
-        self.bend[index[told]] = np.interp(share, self._share, self._cosine)[told]
-        share = np.square(self._width[camera, index] / np.maximum(full, 1e-9))
-        uneven = settings.uneven + settings.rim_px / np.sqrt(np.maximum(area_px, 1.0))
-        hidden = np.where(area_px > 0.0, np.clip(1.0 - share - uneven, 0.0, 1.0), 0.0)
+        self.bend[rows] = np.where(told, np.interp(share, self._share, self._cosine), self.bend[rows])
+        share = np.square(lagging / np.maximum(full, 1e-9))
+        uneven = settings.uneven + settings.rim_px / np.maximum(side_px, 1.0)
+        hidden = np.where(told, np.minimum(np.maximum(1.0 - share - uneven, 0.0), 1.0), 0.0)
         size = hidden * full / depth_m
         doubt = np.hypot(settings.doubt * size, settings.wander * width)
         return settings.shift * size[:, None] * self._away[camera], doubt
 
-    def _changing(self, camera: int, index: IndexArray, elapsed: FloatArray, width: FloatArray) -> FloatArray:
+    def _changing(self, camera: int, rows: IndexArray | slice, elapsed: FloatArray, width: FloatArray) -> FloatArray:
         """Return by what share (N,) of it the visible paint has grown or shrunk of late, 0 to 1."""
         settings = self._settings
         lost = elapsed > settings.compare_s
         # What comes back is as it was, or comes out from behind something.
-        old = np.where(np.isinf(elapsed), width, self._slow[camera, index])
+        old = np.where(np.isinf(elapsed), width, self._slow[camera, rows])
         slow = old - np.expm1(-np.where(lost, 0.0, elapsed) / settings.appears_s) * (width - old)
-        self._slow[camera, index] = slow
+        self._slow[camera, rows] = slow
         low, high = np.minimum(slow, width), np.maximum(slow, width)
-        change: FloatArray = np.clip(1.0 - np.square(low / np.maximum(high, 1e-9)) - settings.uneven, 0.0, 1.0)
-        return np.where(width > 0.0, change, 0.0)
+        change: FloatArray = 1.0 - np.square(low / np.maximum(high, 1e-9)) - settings.uneven
+        return np.where(width > 0.0, np.minimum(np.maximum(change, 0.0), 1.0), 0.0)
 
     def doubt_back(self, index: IndexArray, depth_m: FloatArray) -> FloatArray:
         """Return how far what is seen of markers (N,) may be off their middles when they come back: normalised units.
@@ -167,5 +176,5 @@ class Paint:
 
 def _unit(vectors: FloatArray) -> FloatArray:
     """Return vectors (N, 3) of length 1."""
-    unit: FloatArray = vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1, keepdims=True)), 1e-6)
+    unit: FloatArray = vectors / np.maximum(np.sqrt(np.vecdot(vectors, vectors)), 1e-6)[:, None]
     return unit

@@ -17,6 +17,8 @@ from rhot_fusion.filter.settings import SystematicSettings
 
 FloatArray = NDArray[np.float64]
 
+_EYE: FloatArray = np.eye(3)
+
 
 class Systematic:
     """The systematic errors of markers before cameras."""
@@ -38,7 +40,6 @@ class Systematic:
             radius_m: (M,) of painted fingertips; 0 for other markers.
             settings: the shares.
         """
-        self._settings = settings
         centers = np.stack([camera.center for camera in cameras])
         self._middle: FloatArray = centers.mean(axis=0)
         stated = quality.get("expected_error_mm") if isinstance(quality, dict) else None
@@ -49,18 +50,19 @@ class Systematic:
             distances = np.linspace(0.2, 2.0, 10)
             known = [(z, 2.0**0.5 * calibration_px * z * z / (baseline * focal_px)) for z in distances.tolist()]
         self._distance_m, self._error_m = np.array(known).T
+        # Of which a share acts along the ray beyond what acts in every direction.
+        self._along = settings.doubt**2 * (1.0 - 3.0 * settings.across)
+        self._around = settings.doubt**2 * settings.across
         self._shape2: FloatArray = np.square(settings.shape * radius_m)
 
     def covariance(self, position: FloatArray) -> FloatArray:
         """Return the covariances (M, 3, 3) of the errors of markers at positions (M, 3), metres; NaN passes."""
         ray = position - self._middle
         distance = np.sqrt((ray * ray).sum(axis=1))
-        unit = ray / np.maximum(distance, 1e-6)[:, None]
-        error2 = np.square(self._settings.doubt * np.interp(distance, self._distance_m, self._error_m))
-        across = self._settings.across
-        depth = (1.0 - 3.0 * across) * error2
-        covariance: FloatArray = depth[:, None, None] * unit[:, :, None] * unit[:, None]
-        covariance += (across * error2 + self._shape2)[:, None, None] * np.eye(3)
+        error2 = np.square(np.interp(distance, self._distance_m, self._error_m))
+        depth = self._along * error2 / np.maximum(distance, 1e-6) ** 2
+        covariance: FloatArray = depth[:, None, None] * ray[:, :, None] * ray[:, None]
+        covariance += (self._around * error2 + self._shape2)[:, None, None] * _EYE
         return covariance
 
 

@@ -128,7 +128,8 @@ class FilterTracker:
         self._schedule.arrived(sightings.camera, sightings.t_s)
         self.agreement.watch(sightings, self._schedule)
         sightings = self._without_held(sightings)
-        self._in_order(replace(sightings, xy=self.agreement.correct(sightings.camera, sightings.xy)))
+        corrected = self.agreement.correct(sightings.camera, sightings.xy)
+        self._in_order(sightings if corrected is sightings.xy else replace(sightings, xy=corrected))
         moment_s = self._schedule.newest_moment()
         return None if moment_s is None else self.outcome(moment_s)
 
@@ -136,21 +137,19 @@ class FilterTracker:
         """Return the markers at a moment that is not before the filter's, or as much later as they are predicted."""
         self._acquisition.forget(t_s)
         then_s = t_s + self._config.predict_s
-        newest_s = self._schedule.newest_s
+        newest_s, cameras = self._schedule.newest_s, len(self._cameras)
         fresh = [t_s - seen_s <= lasts for seen_s, lasts in zip(newest_s, self._fresh_s(), strict=True)]
         position = np.full((self._count, 3), np.nan)
         covariance = np.zeros((self._count, 3, 3))
-        seen = np.zeros((len(self._cameras), self._count), dtype=bool)
+        nobody = [False] * cameras
         for hand in self._hands:
             state = hand.filter.predicted(then_s)
-            count = len(hand.index)
-            place = state.mean[0].reshape(count, 3)
-            own = state.covariance.reshape(2, count, 3, 2, count, 3)[0][:, :, 0]
-            for k, marker in enumerate(hand.index.tolist()):
-                track = self.tracks[marker]
-                if track.belief is Belief.BELIEVED:
-                    position[marker], covariance[marker] = place[k], own[k, :, k]
-                    seen[:, marker] = track.views(newest_s, fresh)
+            places = [k for k, m in enumerate(hand.markers) if self.tracks[m].belief is Belief.BELIEVED]
+            markers = hand.index[places]
+            position[markers] = state.mean[0].reshape(-1, 3)[places]
+            covariance[markers] = hand.filter.own(state)[places]
+        shown = [track.views(newest_s, fresh) if track.belief is Belief.BELIEVED else nobody for track in self.tracks]
+        seen = np.array(shown, dtype=bool).reshape(-1, cameras).T
         settled = np.where(seen, self._paint.changing, 0.0).max(axis=0) <= self._settings.paint.settled
         outcome = outcome_of(then_s, position, covariance, seen, self._systematic, settled, self._settings.track)
         self._counts["measured"] += sum(outcome.measured)
@@ -229,19 +228,20 @@ class FilterTracker:
             here = rows_of(hand, sightings, alone=len(self._hands) == 1)
             index = sightings.index[here]
             if again:
-                self._update(hand, sightings, here[hand.filter.state.alive[np.searchsorted(hand.index, index)]], None)
+                self._update(hand, sightings, here[hand.filter.state.alive[hand.place_of[index]]], None)
                 continue
             if hand.record is not None:
                 hand.record.add(sightings, here)
-            free = []
+            taken, markers = [], index.tolist()
             doubt = self._paint.doubt_back(index, self._depth(hand, camera, index))
-            for row, marker, more in zip(here.tolist(), index.tolist(), doubt.tolist(), strict=True):
-                time_s, xy = float(sightings.times_s[row]), sightings.xy[row]
-                view = View(self._cameras[camera], time_s, xy, variance + more * more)
+            times_s = sightings.times_s[here].tolist()
+            for row, marker, time_s, more in zip(here.tolist(), markers, times_s, doubt.tolist(), strict=True):
+                view = View(self._cameras[camera], time_s, sightings.xy[row], variance + more * more)
                 self._acquisition.add(marker, camera, view)
-                free.append(self._acquisition.is_free(marker, camera, t_s))
-            self._update(hand, sightings, here[~np.array(free, dtype=bool)], variance)
-            for marker in index.tolist():
+                if not self._acquisition.is_free(marker, camera, t_s):
+                    taken.append(row)
+            self._update(hand, sightings, np.array(taken, dtype=np.intp), variance)
+            for marker in markers:
                 if self.tracks[marker].accepted_s[camera] != t_s:
                     self._acquisition.seek(marker, camera, t_s)
         if self._acquisition.begun > begun:
@@ -250,10 +250,10 @@ class FilterTracker:
     def _depth(self, hand: Hand, camera: int, index: IndexArray) -> FloatArray:
         """Return how far markers (N,) are from a camera; those that are not known are where their hand is."""
         model, alive = self._cameras[camera], hand.filter.state.alive
-        depth = np.maximum(hand.filter.place @ model.R_camera_rig[2] + model.t_camera_rig[2], 0.1)
-        unknown = float(depth[alive].mean()) if alive.any() else np.inf
-        known: FloatArray = np.where(alive, depth, unknown)[np.searchsorted(hand.index, index)]
-        return known
+        depth: FloatArray = np.maximum(hand.filter.place @ model.R_camera_rig[2] + model.t_camera_rig[2], 0.1)
+        if not alive.all():
+            depth[~alive] = float(depth[alive].mean()) if alive.any() else np.inf
+        return depth[hand.place_of[index]]
 
     def _update(
         self,
@@ -267,7 +267,7 @@ class FilterTracker:
             return
         again = variance is None
         camera, index = self._cameras[sightings.camera], sightings.index[here]
-        local = np.searchsorted(hand.index, index)
+        local = hand.place_of[index]
         place, t_s = hand.filter.place, max(sightings.t_s, hand.filter.state.t_s)
         area_px = sightings.area_px[here]
         depth = self._depth(hand, sightings.camera, index)
@@ -275,7 +275,7 @@ class FilterTracker:
         if hand.base >= 0 and hand.filter.state.alive[hand.base]:
             along = self._paint.along(camera, index, place[local], hand.roots(place)[local])
             # Without areas it is not paint that is seen, or nobody knows how a finger bends.
-            shift[area_px > 0.0] += along[area_px > 0.0]
+            shift += np.where(area_px[:, None] > 0.0, along, 0.0)
         variances = np.zeros((len(here), 2, 2))
         own = self.noise.variance(sightings.camera) if variance is None else variance
         variances[:, 0, 0] = variances[:, 1, 1] = own + doubt * doubt
@@ -286,9 +286,9 @@ class FilterTracker:
         delta_s = sightings.times_s[here] - t_s
         xy = sightings.xy[here] + shift
         lost_s = sightings.t_s - self._settings.track.lost_periods * self._schedule.longest_period_s
-        back = np.array([self.tracks[m].accepted_s[sightings.camera] < lost_s for m in index.tolist()]) & (
-            self._calibrated and not again
-        )
+        back = None
+        if self._calibrated and not again:
+            back = np.array([self.tracks[m].accepted_s[sightings.camera] < lost_s for m in index.tolist()])
         views = Views(camera, local, delta_s, xy, variances, slack, back)
         innovation, _ = hand.filter.step(t_s, views)
         if again:

@@ -108,14 +108,13 @@ def outcome_of(
 
     Two cameras that see a marker measure it if its place has become certain by that.
     """
-    sharp = np.trace(covariance, axis1=1, axis2=2) <= settings.measured_m**2
+    sharp = _trace(covariance) <= settings.measured_m**2
     if settled is not None:
         sharp &= settled
     covariance = covariance + systematic.covariance(position)
     views = seen.sum(axis=0)
     measured = (views >= 2) & sharp & np.isfinite(position[:, 0])
-    variance = covariance.reshape(-1, 9)[:, ::4].sum(axis=1)
-    sigma = np.sqrt(np.maximum(variance, 0.0))
+    sigma = np.sqrt(np.maximum(_trace(covariance), 0.0))
     counts = views.tolist()
     return Outcome(
         t_s,
@@ -127,3 +126,9 @@ def outcome_of(
         covariance,
         [state_of(count, certain) for count, certain in zip(counts, sharp.tolist(), strict=True)],
     )
+
+
+def _trace(covariance: FloatArray) -> FloatArray:
+    """Return the traces (M,) of (M, 3, 3)."""
+    trace: FloatArray = covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]
+    return trace
