@@ -64,11 +64,11 @@ from rhot_sim.walker.run import WalkerRun
 )
 @click.option(
     "--motion",
-    type=click.Choice(["script", "still", "board", "desk_board"]),
+    type=click.Choice(["script", "still", "board", "desk_board", "touch"]),
     default="script",
     show_default=True,
     help="What the cameras see: gestures and grasps, open hands that never move, a chessboard to calibrate the cameras "
-    "with, or one that lies on the desk.",
+    "with, one that lies on the desk, or a finger that touches the faces of a box.",
 )
 @click.option(
     "--feet",
@@ -115,7 +115,7 @@ def sim(
     rate_hz: float,
     cameras: int,
     hands: str,
-    motion: Literal["script", "still", "board", "desk_board"],
+    motion: Literal["script", "still", "board", "desk_board", "touch"],
     feet: bool,
     walk: WalkProgram,
     height_m: float,
@@ -143,7 +143,8 @@ def sim(
 
     With --motion board, the cameras see a calibration chessboard in one position after the other, and the rig runs
     until Ctrl-C: try `rhot calibrate cameras --live` on it. With --motion desk_board it lies on the desk, for `rhot
-    calibrate stage --live`.
+    calibrate stage --live`. With --motion touch a finger touches the faces of a box, for `rhot calibrate objects
+    --touch cube`.
 
     A rig made by `rhot init RIG --sim --uncalibrated` also runs until Ctrl-C: the page's tab Calibrate leads you
     through the calibration.
@@ -186,7 +187,9 @@ def sim(
                 )
         if chosen != DEFAULT_ENDPOINT:
             console.print(f"The router listens on {chosen}: give the other commands --connect {chosen}", soft_wrap=True)
-        calibrating = not feet and (rig.config.sim.motion in ("board", "desk_board") or bool(missing_calibration(rig)))
+        calibrating = not feet and (
+            rig.config.sim.motion in ("board", "desk_board", "touch") or bool(missing_calibration(rig))
+        )
         pages = free_pages(page_port, grasp=not calibrating) if viewer and not headless else Pages()
         for line in pages.lines():
             console.print(line, soft_wrap=True)

@@ -21,7 +21,7 @@ def test_it_holds_no_calibration_and_shows_what_it_is_told_to(tmp_path: Path) ->
     rig = load_rig(tmp_path / "rig")
     assert [file.name for file in rig.path.iterdir()] == ["rig.toml"]
     assert missing_calibration(rig) == "colors.json, cameras.json"
-    for motion in ("board", "desk_board", "script", "still"):
+    for motion in ("board", "desk_board", "script", "still", "touch"):
         rig = with_motion(rig, motion)
         assert (World.from_rig(rig).board is not None) == (motion in ("board", "desk_board"))
     rig.colors_path.write_text("{}")

@@ -9,9 +9,7 @@ from typing import Final
 
 import click
 import numpy as np
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
@@ -21,17 +19,20 @@ from rhot.rig.config import ObjectSource
 from rhot.rig.folder import registration_name, registration_path
 from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
 from rhot_calibration.objects.collector import Place, PlaceCollector
-from rhot_calibration.objects.fit import Estimate, Places, RegistrationFit, first_prior, fit_registration
+from rhot_calibration.objects.fit import Estimate, Places, first_prior, fit_registration
 from rhot_calibration.objects.live import collect_places
 from rhot_calibration.objects.record import (
     RegistrationQuality,
-    change,
     check_change,
     prior_of,
     read_quality,
     registration_file,
 )
+from rhot_calibration.objects.report import places_table, report
 from rhot_calibration.objects.table import read_places
+from rhot_calibration.objects.touch.command import calibrate_by_touch
+from rhot_calibration.objects.touch.options import source_of, touch_options
+from rhot_calibration.objects.touch.streams import touch_task
 
 _UNKNOWN_LEVER_SD_M: Final = 0.05
 """A marker sits on a tracker of 10 cm, somewhere."""
@@ -103,6 +104,7 @@ class _Earlier:
     show_default=True,
     help="With --realign: by how much it has probably turned since.",
 )
+@touch_options
 @click.option("--dry-run", is_flag=True, help="Print the result and write nothing.")
 @rig_option
 @bus_options
@@ -117,6 +119,11 @@ def objects(
     realign: bool,
     drift_mm: float,
     drift_deg: float,
+    touched: str | None,
+    finger: str,
+    side: str | None,
+    faces: str,
+    per_face: int,
     dry_run: bool,
     rig_path: Path,
     connect: tuple[str, ...],
@@ -137,10 +144,23 @@ def objects(
     tracker_x_m, tracker_y_m, tracker_z_m, tracker_qx, tracker_qy, tracker_qz, tracker_qw (the device in the tracking
     system's space) and, where known, sigma_m (noise of each coordinate).
 
+    Once that is done, --touch finds where an object with a `shape` in rig.toml sits on its tracker. Touch the faces
+    that are named with a tracked fingertip and hold still; a touch is taken by itself. Faces of a box: top (+y),
+    bottom, front (+z), back, right (+x), left; of a cylinder: top (+z), bottom, side; a sphere: anywhere.
+
+    \b
+    rhot calibrate objects --touch cup --rig RIG
+    rhot calibrate objects --touch cup TOUCHES.mcap --rig RIG
+
     Writes registration.SOURCE.json, such as registration.steamvr.json; the one before becomes
     registration.SOURCE.previous.json.
     """
     rig = load_rig(rig_path)
+    if touched:
+        origin = source_of(table, live, tool_bus(rig_path, connect, namespace))
+        task = touch_task(rig, touched, side=side or "", finger=finger, faces=faces, per_face=per_face)
+        calibrate_by_touch(rig, task, origin, dry_run=dry_run)
+        return
     shown = _Shown(object_id or "", marker or "")
     source = _source_of(rig, shown)
     file = rig_path / registration_name(source)
@@ -168,12 +188,12 @@ def objects(
         prior = None
         fit = fit_registration(places, first_prior(places, np.zeros(3) if lever is None else lever, lever_sd_m))
     console = Console(soft_wrap=True, markup=False, highlight=False)
-    console.print(_places_table(places, fit))
+    console.print(places_table(places, fit))
     notes = [scale_note(places, fit), lever_note(fit)]
     check_fit(fit)
     if prior is not None and np.count_nonzero(fit.kept) == 1:
         notes.append("one place cannot tell how the space has turned: only its position was corrected")
-    _report(console, fit, prior)
+    report(console, fit, prior)
     for note in filter(None, notes):
         console.print(f"note: {note}", style="yellow")
     if dry_run:
@@ -274,31 +294,3 @@ def _live_places(rig: Rig, bus: BusConfig, shown: _Shown, wanted: int) -> Places
             raise
         console.print(f"ended with {len(collector.places)} places")
     return collector.to_places()
-
-
-def _places_table(places: Places, fit: RegistrationFit) -> Table:
-    table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("place")
-    for column in ("x mm", "y mm", "z mm", "off mm"):
-        table.add_column(column, justify="right")
-    table.add_column("")
-    for name, x, off, kept in zip(places.names, places.x_rig, fit.residual_m, fit.kept, strict=True):
-        cells = [f"{1e3 * value:.1f}" for value in (*x, off)]
-        table.add_row(name, *cells, "" if kept else "left out: contradicts the others")
-    return table
-
-
-def _report(console: Console, fit: RegistrationFit, prior: Estimate | None) -> None:
-    estimate = fit.estimate
-    if prior is not None:
-        moved_m, turned_rad = change(prior, estimate)
-        console.print(f"changed by {1e3 * moved_m:.2f} mm amid the places and by {np.degrees(turned_rad):.3f}°")
-    sd = 1e3 * float(np.linalg.norm(estimate.position_sd_m))
-    x, y, z = 1e3 * estimate.lever_m
-    sd_x, sd_y, sd_z = 1e3 * estimate.lever_sd_m
-    console.print(f"residual       {1e3 * fit.rms_m:.2f} mm RMS over {np.count_nonzero(fit.kept)} places")
-    console.print(f"position       ± {sd:.2f} mm amid the places (one standard deviation)")
-    console.print(f"rotation       ± {np.degrees(estimate.rotation_sd_rad):.3f}° about its least certain axis")
-    console.print(
-        f"marker on the device at {x:.1f} ± {sd_x:.1f}, {y:.1f} ± {sd_y:.1f}, {z:.1f} ± {sd_z:.1f} mm, device axes"
-    )

@@ -94,7 +94,7 @@ async def collect_places(
                 keep(collector.add_pose(message.t_ns, registration.to_tracker(object_id, pose)))
 
     async with await Bus.open(bus_config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
-        _check_session(
+        check_session(
             await newest_control(bus), registration_path(rig.path, source) or rig.path / registration_name(source)
         )
         tasks = [asyncio.create_task(follow(bus)) for follow in (follow_points, follow_device)]
@@ -140,7 +140,7 @@ async def _wait(
             continue
 
 
-def _check_session(start: Control | None, file: Path) -> None:
+def check_session(start: Control | None, file: Path) -> None:
     """Refuse a session that began before the registration that would be undone was written."""
     if start is None or start.action != "start" or not file.exists():
         return

@@ -18,6 +18,12 @@ from rhot_calibration.objects.collector import Place, PlaceCollector
 from rhot_calibration.objects.fit import Places, RegistrationFit, first_prior, fit_registration
 from rhot_calibration.objects.live import collect_places
 from rhot_calibration.objects.record import registration_file
+from rhot_calibration.objects.touch.checks import judged
+from rhot_calibration.objects.touch.collector import TouchCollector
+from rhot_calibration.objects.touch.command import notes, report_lines, touch_rows
+from rhot_calibration.objects.touch.live import collect_touches
+from rhot_calibration.objects.touch.record import R_before, touched_registration
+from rhot_calibration.objects.touch.streams import touch_task
 from rhot_calibration.page_step import PageStep, trial_buttons
 
 _WANTED: Final = 10
@@ -31,11 +37,15 @@ class ObjectStep(PageStep[RegistrationFile]):
     about = (
         "Fix a painted marker to a tracked device, or touch the device with it, and hold both still before the cameras "
         "at ten places: the corners of the space where you work and its middle, near and far, turned by about 60° to "
-        "all sides. A place is taken when both stand still. Try the result, then save."
+        "all sides. A place is taken when both stand still. Try the result, then save. After that, touch the faces "
+        "of an object with a shape with your index finger, as named: so the rig learns where it sits on its tracker."
     )
     buttons = (
         Button("start", "start taking places", "Press again to start over."),
-        Button("solve", "finish and fit", "Use the places taken so far."),
+        Button("touch", "touch its faces", "Finds where an object with a shape sits on its tracker."),
+        Button("take", "take this touch", "The one that is held now, where it is not noticed by itself."),
+        Button("back", "take back the last touch"),
+        Button("solve", "finish and fit", "Use what was taken so far."),
         *trial_buttons("registration.SOURCE.json", "registration"),
     )
 
@@ -51,19 +61,29 @@ class ObjectStep(PageStep[RegistrationFile]):
             Field("marker", "marker", markers[0], markers, "The one that is fixed to it."),
         )
         self._collector = PlaceCollector()
+        self._touches: TouchCollector | None = None
         self._hint = ""
         self._fitted: tuple[tuple[Figures, ...], tuple[Remark, ...]] = ((), ())
 
     def view(self) -> StepView:
         """Return how many positions there are, and what came of them."""
         tables, remarks = self._fitted
+        touches = self._touches
+        share = len(self._collector.places) / _WANTED
+        if touches is not None:
+            share = len(touches.touches) / len(touches.plan)
         return self._view(
             self._stored(),
-            actions={"solve"} if self._can_stop else set() if self._doing or not self._objects else {"start"},
-            share=len(self._collector.places) / _WANTED,
+            actions=self._actions(),
+            share=share,
             remarks=(*self._todo(), *remarks),
             tables=tables,
         )
+
+    def _actions(self) -> set[str]:
+        if self._can_stop:
+            return {"solve"} if self._touches is None else {"solve", "take", "back"}
+        return set() if self._doing or not self._objects else {"start", "touch"}
 
     def _stored(self) -> tuple[str, bool]:
         if not self._objects:
@@ -77,7 +97,11 @@ class ObjectStep(PageStep[RegistrationFile]):
 
     def _todo(self) -> tuple[Remark, ...]:
         if self._can_stop:
-            taken = Remark(f"{len(self._collector.places)} of {_WANTED} places taken.", "good")
+            touches = self._touches
+            done = f"{len(self._collector.places)} of {_WANTED} places taken."
+            if touches is not None:
+                done = f"{len(touches.touches)} of {len(touches.plan)} touches taken."
+            taken = Remark(done, "good")
             return (taken, Remark(self._hint, "warning")) if self._hint else (taken,)
         if self._kept.on_trial:
             text = "Objects stand where the new registration has them: move one, look at the tab Live. Save or undo."
@@ -92,6 +116,13 @@ class ObjectStep(PageStep[RegistrationFile]):
         """
         if button == "start" and not self._doing:
             await self._register(values)
+        elif button == "touch" and not self._doing:
+            await self._touch(values.get("object", ""))
+        elif button == "take" and self._touches is not None:
+            if self._touches.take_now() is None:
+                self._hint = f"not taken: {self._touches.hint}"
+        elif button == "back" and self._touches is not None:
+            self._touches.take_back()
         elif button == "solve":
             self._stop()  # whoever pressed start goes on from here
         else:
@@ -101,11 +132,10 @@ class ObjectStep(PageStep[RegistrationFile]):
         device, marker = values.get("object", ""), values["marker"]
         if not device:
             raise ConfigError("rig.toml names no objects; add [objects.NAME] with source and serial")
-        self._collector, self._hint, self._found, self._fitted = PlaceCollector(), "", None, ((), ())
+        self._begin_anew()
         rig = load_rig(self._context.rig_path)
         source = rig.config.objects[device].source
-        if self._kept.path.name != registration_name(source):
-            self._kept = KeptFile(self._context.rig_path / registration_name(source), RegistrationFile)
+        self._keep_in(registration_name(source))
         with self._busy("taking places"):
             await self._stoppable(
                 collect_places(
@@ -129,6 +159,43 @@ class ObjectStep(PageStep[RegistrationFile]):
             self._fitted = _shown(places, fit)
             check_fit(fit)
         self._found = found
+
+    async def _touch(self, device: str) -> None:
+        rig = load_rig(self._context.rig_path)
+        task = touch_task(rig, device)
+        self._begin_anew()
+        self._keep_in(registration_name(task.source))
+        self._touches = touches = task.new_collector()
+        with self._busy("taking touches"):
+            await self._stoppable(
+                collect_touches(
+                    self._context.bus,
+                    rig,
+                    task,
+                    touches,
+                    patience_s=_PATIENCE_S,
+                    taken=lambda _: None,
+                    hint=self._hinted,
+                )
+            )
+            self._doing = "fitting"
+            taken = list(touches.touches)
+            found = await asyncio.to_thread(judged, task.shape, taken, R_before(task))
+        table = Figures("Touches", ("touch", "face", "off mm", ""), tuple(touch_rows(taken, found)))
+        remarks = (
+            *(Remark(line) for line in report_lines(task, found)),
+            *(Remark(note, "warning") for note in notes(task, taken, found)),
+        )
+        self._fitted = (table,), remarks
+        self._found = touched_registration(rig.registration_of(task.source), task, found, len(taken))
+
+    def _keep_in(self, name: str) -> None:
+        if self._kept.path.name != name:
+            self._kept = KeptFile(self._context.rig_path / name, RegistrationFile)
+
+    def _begin_anew(self) -> None:
+        self._collector, self._touches = PlaceCollector(), None
+        self._hint, self._found, self._fitted = "", None, ((), ())
 
     def _taken(self, _: Place) -> None:
         self._hint = "go to another place, and turn it"

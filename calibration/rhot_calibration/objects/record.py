@@ -22,6 +22,28 @@ _LARGEST_SURPRISE = 5.0
 """A correction of more than this many standard deviations of what was expected is none."""
 
 
+class TouchQuality(FileModel):
+    """How the frame of one object on its device was found by touching it.
+
+    Attributes:
+        date: of the touches, ISO 8601.
+        finger: side and finger, such as `right index`.
+        touches, left_out: how many were used and how many contradicted the others.
+        residual_rms_mm: distance of the finger's skin from the faces.
+        position_sd_mm, rotation_sd_deg: along the least certain direction, about the least certain axis.
+        flesh_mm: what the finger kept from the faces beyond its radius.
+    """
+
+    date: str
+    finger: str
+    touches: int
+    left_out: int
+    residual_rms_mm: float
+    position_sd_mm: float
+    rotation_sd_deg: float
+    flesh_mm: float
+
+
 class RegistrationQuality(FileModel):
     """`quality` of `registration.json` as `rhot calibrate objects` writes it.
 
@@ -36,6 +58,7 @@ class RegistrationQuality(FileModel):
         lever_m: the marker in the device's frame, metres; not the object's own frame, which is `T_tracker_object`.
         covariance: (9, 9) of rotation vector (rad, rig frame), centre in the rig (m) and lever arm (m).
         moved_mm, turned_deg: what a re-alignment changed at the centre.
+        touched: objects whose frames on their devices were found by touching them.
     """
 
     method: Literal["places", "realigned"]
@@ -51,6 +74,7 @@ class RegistrationQuality(FileModel):
     covariance: Annotated[tuple[_Row, ...], Field(min_length=PARAMETERS, max_length=PARAMETERS)]
     moved_mm: float | None = None
     turned_deg: float | None = None
+    touched: dict[str, TouchQuality] | None = None
 
 
 def read_quality(path: Path, file: RegistrationFile) -> RegistrationQuality | None:
@@ -168,11 +192,13 @@ def registration_file(
         covariance=tuple(tuple(row) for row in estimate.covariance.tolist()),
         moved_mm=None if moved is None else round(1e3 * moved[0], 4),
         turned_deg=None if moved is None else round(float(np.degrees(moved[1])), 5),
-    )
+    ).model_dump(mode="json", exclude_none=True)
+    if isinstance(earlier.quality, dict) and "touched" in earlier.quality:
+        quality["touched"] = earlier.quality["touched"]
     orientation = wire_quaternion(quaternion_from_rotation(estimate.R_rig_tracker))
     return RegistrationFile(
         date=today(),
-        quality=quality.model_dump(mode="json", exclude_none=True),
+        quality=quality,
         T_rig_tracker=RigidTransform(position=wire_position(estimate.t_rig_tracker), orientation=orientation),
         T_tracker_object=earlier.T_tracker_object,
     )

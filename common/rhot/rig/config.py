@@ -208,7 +208,7 @@ class SimConfig(FileModel):
         phase_s: cameras are this much out of step with one another.
         motion: `script` (gestures and grasps), `still` (open hands that never move) or `board` (no hands: a chessboard
             is held at one place after the other, for calibrating the cameras) or `desk_board` (it lies on the desk, for
-            finding the floor).
+            finding the floor) or `touch` (a finger touches the faces of a box, for finding where its tracker sits).
         walk: what the person does whose feet are tracked, where the rig has [feet].
         board_columns, board_rows: inner corners of that chessboard.
         board_square_m: side of its squares.
@@ -224,7 +224,7 @@ class SimConfig(FileModel):
     clock_drift_ppm: Annotated[float, Field(ge=0.0, le=1e4)] = 40.0
     jitter_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0005
     phase_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.007
-    motion: Literal["script", "still", "board", "desk_board"] = "script"
+    motion: Literal["script", "still", "board", "desk_board", "touch"] = "script"
     walk: WalkProgram = "walk"
     board_columns: Annotated[int, Field(ge=3, le=60)] = 9
     board_rows: Annotated[int, Field(ge=3, le=60)] = 6

@@ -22,7 +22,6 @@ from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread
 from rhot_objects.assemble import SourcePlan, plan_sources, source_kind
 from rhot_objects.registration import Registration
 from rhot_objects.sources import SpaceMovedError
-from rhot_objects.stage import ObjectStage
 
 logger = logging.getLogger(__name__)
 
@@ -144,7 +143,8 @@ class ObjectsService:
                 break
             await asyncio.sleep(_RETRY_S)
         self._outdated.pop(name, None)
-        self._plans[name] = dataclasses.replace(self._plans[name], stage=ObjectStage(Registration.from_file(new)))
+        plan = self._plans[name]
+        self._plans[name] = dataclasses.replace(plan, stage=plan.stage.registered(Registration.from_file(new)))
         return new
 
     async def _poll(self, node: Node, name: str, device: DeviceThread) -> None:

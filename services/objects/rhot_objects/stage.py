@@ -48,6 +48,10 @@ class ObjectStage:
         self.unusable = 0
         """Samples since the start that lay outside of what a message can carry."""
 
+    def registered(self, registration: Registration) -> ObjectStage:
+        """Return a stage with nothing tracked for the same objects by another registration."""
+        return ObjectStage(registration, self._hold_ns / 1e9, self._shapes)
+
     def feed(self, samples: Mapping[str, PoseSample], now_ns: int) -> list[Output]:
         """Take one reading and return what to publish.
 

@@ -15,6 +15,7 @@ from rhot.operation.control import broadcast
 from rhot.rig import Rig
 from rhot.rig.folder import CAMERAS_FILE
 from rhot_sim.running.processes import service_commands, with_processes
+from rhot_sim.world.touching import WAIT_S
 
 _START_DELAY_S: Final = 0.5
 _BOARD_TEXT: Final = (
@@ -28,6 +29,12 @@ _DESK_TEXT: Final = (
     "Now, in another terminal:\n\n"
     "  rhot calibrate stage --live --rig {path} --board {columns}x{rows} --square-mm {square_mm:g} "
     "--desk-mm {desk_mm:g} --connect {endpoint}\n"
+)
+_TOUCH_TEXT: Final = (
+    "A finger touches the faces of {object}, a box whose tracker sits askew. It waits {wait_s:.0f} s after each start "
+    "signal, then touches them in the order in which the command asks.\nrig folder: {path}\n"
+    "Now, in another terminal:\n\n"
+    "  rhot start --connect {endpoint} && rhot calibrate objects --touch {object} --rig {path} --connect {endpoint}\n"
 )
 _PATH_TEXT: Final = (
     "This rig is not calibrated yet (no {missing}). In the page, the tab Calibrate leads through it; what stands "
@@ -78,6 +85,9 @@ async def _stay(rig: Rig, endpoint: str, duration_s: float | None, console: Cons
             path=rig.path,
             endpoint=endpoint,
         )
+    elif sim.motion == "touch":
+        touched = next(name for name, item in rig.config.objects.items() if item.source == "simulated")
+        text = _TOUCH_TEXT.format(object=touched, wait_s=WAIT_S, path=rig.path, endpoint=endpoint)
     else:
         text = _PATH_TEXT.format(missing=missing_calibration(rig))
     ending = "Ctrl-C ends it." if duration_s is None else f"Ends after {duration_s:g} s."

@@ -14,6 +14,7 @@ from rhot.rig import Rig
 from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
 from rhot_objects.sources import HEAD, PoseSample
+from rhot_sim.world.touching import T_DEVICE_OBJECT
 from rhot_sim.world.world import World
 
 POSITION_NOISE_M: Final = 0.3e-3
@@ -79,7 +80,14 @@ class SimulatedSource:
 
 
 def simulated_objects(rig: Rig, registration: Registration, object_ids: frozenset[str]) -> SimulatedSource:
-    """Return the source of a rig's simulated objects, not yet open."""
+    """Return the source of a rig's simulated objects, not yet open.
+
+    Objects coincide with their trackers as `registration` says, so that whatever it says is true; an object that is
+    touched sits where it truly does.
+    """
+    if rig.config.sim.motion == "touch":
+        offset = Pose.from_matrix(T_DEVICE_OBJECT)
+        registration = Registration(registration.T_rig_tracker, dict.fromkeys(object_ids, offset))
     return SimulatedSource(partial(_object_poses, World.from_rig(rig)), registration, object_ids, rig.config.sim.seed)
 
 

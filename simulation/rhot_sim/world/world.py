@@ -23,6 +23,7 @@ from rhot_sim.walker.world import WalkerWorld
 from rhot_sim.world.board import BoardMotion, ChessBoard, LyingBoard
 from rhot_sim.world.motion import OBJECT_SIZE_M, Motion, StillMotion, true_pose
 from rhot_sim.world.script import ScriptedMotion
+from rhot_sim.world.touching import TouchMotion
 
 FloatArray = NDArray[np.float64]
 
@@ -108,6 +109,11 @@ class World:
                     f"{rig.path / 'rig.toml'}: objects.{name}: the simulated world has boxes of {edges} mm only; "
                     "correct `shape` or leave it out"
                 )
+        if config.sim.motion == "touch" and not (hands and objects):
+            raise ConfigError(
+                f'{rig.path / "rig.toml"}: [sim] motion = "touch" needs a hand and an object; add [objects.NAME] with '
+                'source = "simulated"'
+            )
         motion = _motion(config.sim, hands, objects)
         return cls(
             config.sim.seed,
@@ -151,6 +157,8 @@ class World:
 def _motion(config: SimConfig, hands: Mapping[Side, HandModel], objects: Sequence[str]) -> Motion:
     if config.motion == "still":
         return StillMotion(tuple(hands), objects, config.desk_z_m)
+    if config.motion == "touch":
+        return TouchMotion(hands, objects, config.desk_z_m)
     return ScriptedMotion(config.seed, hands, objects, config.desk_z_m)
 
 

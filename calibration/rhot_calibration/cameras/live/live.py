@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
-import sys
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -27,6 +25,7 @@ from rhot_calibration.cameras.board.detect import detect_board
 from rhot_calibration.cameras.live.display import session_display, state_line
 from rhot_calibration.cameras.live.session import Session, label
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
+from rhot_calibration.keyboard import keyboard
 
 CONNECT_S: Final = 2.0
 _ROUND_S: Final = 0.2
@@ -86,7 +85,7 @@ async def _follow(collector: Collector, session: Session, console: Console, ende
             ended.set()
 
     shown = Live(console=console, auto_refresh=False) if console.is_terminal else contextlib.nullcontext()
-    with shown as display, _keyboard(pressed) as keys:
+    with shown as display, keyboard(pressed) as keys:
         async for taken in rounds(collector, session, ended):
             if isinstance(display, Live):
                 display.update(session_display(session.progress, collector.silent, keys=keys), refresh=True)
@@ -224,23 +223,3 @@ def prepare_folder(out: Path, cameras: Sequence[str]) -> None:
             raise ConfigError(f"{folder}: cannot be made: {error}") from error
         if held is not None:
             raise ConfigError(f"{held}: pictures are here already; name another folder, or remove them")
-
-
-@contextlib.contextmanager
-def _keyboard(pressed: Callable[[str], None]) -> Iterator[bool]:
-    """Call back with each key while a terminal is there; yields whether it is."""
-    if not sys.stdin.isatty() or not sys.stdout.isatty():
-        yield False
-        return
-    import termios  # noqa: PLC0415  # not on every system
-    import tty  # noqa: PLC0415
-
-    loop, descriptor = asyncio.get_running_loop(), sys.stdin.fileno()
-    before = termios.tcgetattr(descriptor)
-    tty.setcbreak(descriptor)
-    loop.add_reader(descriptor, lambda: pressed(os.read(descriptor, 1).decode(errors="replace")))
-    try:
-        yield True
-    finally:
-        loop.remove_reader(descriptor)
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

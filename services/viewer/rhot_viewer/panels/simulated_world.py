@@ -17,6 +17,7 @@ _CHOICES: Final = {
     "a hand held still": "still",
     "a chessboard": "board",
     "a chessboard that lies on the desk": "desk_board",
+    "a finger that touches the faces of a box": "touch",
 }
 """Label to `[sim] motion`."""
 

@@ -1,0 +1,210 @@
+"""Taking touches from two live streams: the fingertip and the device, when both are held still to each other."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rhot.geometry.rotations import FloatArray, nearest_rotation, rotation_cosine, rotation_from_quaternion
+from rhot.messages import ObjectShape
+from rhot_calibration.objects.touch.checks import LARGEST_OFF_M, face_at
+from rhot_calibration.objects.touch.faces import gaps, reach_m
+from rhot_calibration.objects.touch.fit import OffsetFit, Touch
+from rhot_objects.pose import Pose
+
+STILL_S = 0.5
+"""How long a touch is held."""
+_WINDOW_NS = round(STILL_S * 1e9)
+_LEAST_COVERED = 0.8
+"""Share of that time, and of the samples in it, that must be measured."""
+_LEAST_SAMPLES = 6
+_DEVICE_STILL_M = 0.003
+_DEVICE_STILL_RAD = np.radians(1.0)
+_TIP_STILL_M = 0.0015
+"""Distance between the tip's mean places in the first, middle and last third. A finger that rests on something moves by
+tenths of a millimetre, one that hovers drifts by centimetres a second. Of halves, two are alike where it turns back."""
+_ELSEWHERE_M = 0.010
+"""A touch nearer to an earlier one of its face is the same finger that has not left yet."""
+_ARM_M = 0.15
+"""A tracker sits on its object or beside it, not further away than this."""
+_NEAR_M = 2.0 * LARGEST_OFF_M
+"""Once the offset is known roughly, a finger that is held still further than this from the face does not touch it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Tip:
+    t_ns: int
+    position: FloatArray | None
+    radius_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Device:
+    t_ns: int
+    pose: Pose
+    R: FloatArray
+
+
+class TouchCollector:
+    """Watches fingertip and device and takes a touch whenever both are still to each other at another place.
+
+    Args:
+        shape: of the object.
+        plan: the faces to touch, in this order, each as often as it is named.
+        eye_rig: (3,) amid the cameras, metres, rig frame; their depth is less sure than the rest. None = not known.
+
+    Attributes:
+        touches: taken so far.
+        rough: the offset by these touches, where somebody has worked it out; see `checks.judged`.
+    """
+
+    def __init__(self, shape: ObjectShape, plan: Sequence[str], eye_rig: FloatArray | None = None) -> None:
+        self.shape = shape
+        self.plan = tuple(plan)
+        self.touches: list[Touch] = []
+        self.rough: OffsetFit | None = None
+        self._eye = eye_rig
+        self._tips: deque[_Tip] = deque()
+        self._devices: deque[_Device] = deque()
+        self._why_no_tip = "the finger is not tracked"
+
+    @property
+    def done(self) -> bool:
+        """Whether every touch of the plan is there."""
+        return len(self.touches) >= len(self.plan)
+
+    @property
+    def asked(self) -> str:
+        """What to touch now, in words."""
+        if self.done:
+            return "that is all"
+        face = self.plan[len(self.touches)]
+        number = 1 + sum(touch.face == face for touch in self.touches)
+        return f"touch {face}, {number} of {self.plan.count(face)}"
+
+    def add_tip(self, t_ns: int, tip_rig: FloatArray, radius_m: float) -> Touch | None:
+        """Take a measured tip joint (3,), metres, rig frame, with the radius of its flesh."""
+        self._tips.append(_Tip(t_ns, tip_rig, radius_m))
+        return self._try()
+
+    def add_no_tip(self, t_ns: int, why: str) -> None:
+        """Note that the fingertip was not measured, and why."""
+        self._tips.append(_Tip(t_ns, None, 0.0))
+        self._why_no_tip = why
+        self._forget_old()
+
+    def add_device(self, t_ns: int, T_rig_device: Pose) -> Touch | None:
+        """Take a measured pose of the device, rig frame."""
+        self._devices.append(_Device(t_ns, T_rig_device, rotation_from_quaternion(T_rig_device.orientation_xyzw)))
+        return self._try()
+
+    def take_now(self) -> Touch | None:
+        """Take the touch that is held now, wherever it is; None (and `hint` says why) where nothing is held still."""
+        if self.done or self._trouble() or (touch := self._candidate()) is None:
+            return None
+        return self._taken(touch)
+
+    def take_back(self) -> None:
+        """Forget the last touch."""
+        if self.touches:
+            self.touches.pop()
+            self.rough = None
+
+    def begin_anew(self) -> None:
+        """Forget everything: another session began."""
+        self.touches.clear()
+        self._tips.clear()
+        self._devices.clear()
+        self.rough = None
+
+    @property
+    def hint(self) -> str:
+        """What the person should do now."""
+        if self.done:
+            return ""
+        trouble = self._trouble()
+        if trouble:
+            return trouble
+        touch = self._candidate()
+        if touch is None:
+            return f"{self.asked}: hold finger and object still"
+        if not self._is_new(touch):
+            return f"{self.asked}: another place, near a corner"
+        return self._not_there(touch) or self.asked
+
+    def _try(self) -> Touch | None:
+        self._forget_old()
+        if self.done or self._trouble():
+            return None
+        touch = self._candidate()
+        if touch is None or not self._is_new(touch) or self._not_there(touch):
+            return None
+        return self._taken(touch)
+
+    def _taken(self, touch: Touch) -> Touch:
+        self.touches.append(touch)
+        self._tips.clear()
+        self._devices.clear()
+        return touch
+
+    def _forget_old(self) -> None:
+        newest = max(stream[-1].t_ns for stream in (self._tips, self._devices) if stream)
+        for stream in (self._tips, self._devices):
+            while stream and stream[0].t_ns < newest - _WINDOW_NS:
+                stream.popleft()
+
+    def _trouble(self) -> str:
+        """Return why no touch can be taken now; empty when one can."""
+        measured = [tip for tip in self._tips if tip.position is not None]
+        if len(measured) < _LEAST_COVERED * len(self._tips):
+            return self._why_no_tip
+        if not _covered([tip.t_ns for tip in measured]):
+            return self.asked if measured else self._why_no_tip
+        if not _covered([device.t_ns for device in self._devices]):
+            return "the tracking system does not see the object's tracker"
+        p = np.array([device.pose.position for device in self._devices])
+        R = nearest_rotation(np.mean([device.R for device in self._devices], axis=0))
+        steady = min(rotation_cosine(R, device.R) for device in self._devices)
+        if np.linalg.norm(p - p.mean(axis=0), axis=1).max() > _DEVICE_STILL_M or steady < np.cos(_DEVICE_STILL_RAD):
+            return "the object moves: hold it still while you touch it"
+        return ""
+
+    def _candidate(self) -> Touch | None:
+        """Return the touch that is held now; None where the finger moves."""
+        tips = np.array([tip.position for tip in self._tips if tip.position is not None])
+        thirds = np.array([part.mean(axis=0) for part in np.array_split(tips, 3)])
+        if np.linalg.norm(thirds - np.roll(thirds, 1, axis=0), axis=1).max() > _TIP_STILL_M:
+            return None
+        R = nearest_rotation(np.mean([device.R for device in self._devices], axis=0))
+        p = np.mean([device.pose.position for device in self._devices], axis=0)
+        radius_m = float(np.mean([tip.radius_m for tip in self._tips if tip.position is not None]))
+        tip = np.median(tips, axis=0)
+        view = (
+            np.zeros(3) if self._eye is None else (tip - self._eye) / max(float(np.linalg.norm(tip - self._eye)), 1e-6)
+        )
+        return Touch(self.plan[len(self.touches)], (tip - p) @ R, radius_m, view @ R)
+
+    def _is_new(self, touch: Touch) -> bool:
+        return all(np.linalg.norm(touch.tip_device - other.tip_device) > _ELSEWHERE_M for other in self.touches)
+
+    def _not_there(self, touch: Touch) -> str:
+        """Return how a touch misses its face by what is known of the offset; empty where it does not."""
+        fit = self.rough
+        if np.linalg.norm(touch.tip_device) > reach_m(self.shape) + _ARM_M:
+            return f"{self.asked}: the finger is far from the object"
+        if fit is None:
+            return ""
+        found = gaps(self.shape, touch.face, fit.in_object(touch.tip_device)[None])
+        off_m = float(found.distance_m[0]) - touch.radius_m - fit.flesh_m
+        if max(abs(off_m), float(found.beside_m.max())) < _NEAR_M:
+            return ""
+        other = face_at(self.shape, fit, touch)
+        seems = f"that is {other}" if other else "the finger does not touch it"
+        return f"{self.asked}: {seems} by the touches so far"
+
+
+def _covered(times_ns: list[int]) -> bool:
+    return len(times_ns) >= _LEAST_SAMPLES and times_ns[-1] - times_ns[0] >= _LEAST_COVERED * _WINDOW_NS

@@ -1,0 +1,146 @@
+"""What `rhot calibrate objects --touch` does."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_between
+from rhot.rig import BusConfig, Rig, write_json_model
+from rhot.rig.folder import registration_name, registration_path
+from rhot_calibration.objects.touch.checks import Judged, flesh_note, judged
+from rhot_calibration.objects.touch.collector import TouchCollector
+from rhot_calibration.objects.touch.faces import free_rotations
+from rhot_calibration.objects.touch.fit import Touch
+from rhot_calibration.objects.touch.live import collect_touches
+from rhot_calibration.objects.touch.record import R_before, touched_registration
+from rhot_calibration.objects.touch.recording import touches_recorded
+from rhot_calibration.objects.touch.streams import TouchTask
+
+_PATIENCE_S: Final = 15.0
+
+
+def calibrate_by_touch(rig: Rig, task: TouchTask, source: BusConfig | Path, *, dry_run: bool) -> None:
+    """Collect touches, work out the offset, show it and write it into the registration of its source.
+
+    Args:
+        rig: whose registration is changed.
+        task: who touches what.
+        source: a running rig, or a recording.
+        dry_run: write nothing.
+
+    Raises:
+        RhotError: see `collect_touches`, `touches_recorded` and `judged`.
+    """
+    console = Console(soft_wrap=True, markup=False, highlight=False)
+    collector = task.new_collector()
+    if isinstance(source, Path):
+        touches_recorded(source, task, collector)
+    else:
+        _collect_live(rig, task, source, collector)
+    found = judged(task.shape, collector.touches, R_before(task))
+    console.print(_touch_table(collector.touches, found))
+    for line in report_lines(task, found):
+        console.print(line)
+    for note in notes(task, collector.touches, found):
+        console.print(f"note: {note}", style="yellow")
+    file = rig.path / registration_name(task.source)
+    held, before = registration_path(rig.path, task.source), rig.registration_of(task.source)
+    if dry_run:
+        console.print(f"nothing was written (--dry-run); {file} is as before")
+        return
+    if held is not None:
+        write_json_model(file.with_suffix(".previous.json"), before)
+    write_json_model(file, touched_registration(before, task, found, len(collector.touches)))
+    console.print(f"written: {file}; `rhot objects` takes it at the next start (`rhot start`)")
+
+
+def report_lines(task: TouchTask, found: Judged) -> tuple[str, ...]:
+    """Return what was found, in lines for people."""
+    fit = found.fit
+    x, y, z = 1e3 * fit.p_device_object
+    quaternion = ", ".join(f"{value:.4f}" for value in quaternion_from_rotation(fit.R_device_object))
+    free = free_rotations(task.shape)
+    rotation = f"rotation  ± {np.degrees(fit.rotation_sd_rad):.2f}° about its least certain axis"
+    return (
+        f"residual  {1e3 * fit.rms_m:.2f} mm RMS over {len(found.kept)} touches",
+        f"position  {x:.1f}, {y:.1f}, {z:.1f} mm from the tracker, in its axes, ± {1e3 * fit.position_sd_m:.2f} mm",
+        f"rotation  as it was: a {task.shape.kind} looks alike from everywhere" if len(free) == 3 else rotation,
+        f"          quaternion x, y, z, w: {quaternion}",
+    )
+
+
+def notes(task: TouchTask, touches: list[Touch], found: Judged) -> list[str]:
+    """Return what a person should know about a result."""
+    notes = [
+        f"touch {place + 1} ({touch.face}) contradicts the others and was left out"
+        for place, touch in enumerate(touches)
+        if place not in found.kept
+    ]
+    if len(free_rotations(task.shape)) == 1:
+        notes.append("how the cylinder is turned about its own axis cannot be felt: that stayed as it was")
+    notes += filter(None, [flesh_note(found.fit)])
+    fixed = task.registration.T_device_object.get(task.object_id)
+    if fixed is not None:
+        moved_mm = 1e3 * float(np.linalg.norm(found.fit.p_device_object - fixed.position))
+        turned = np.degrees(np.linalg.norm(rotation_between(R_before(task), found.fit.R_device_object)))
+        notes.append(f"the offset before was {moved_mm:.1f} mm and {turned:.1f}° from this one")
+    return notes
+
+
+def _collect_live(rig: Rig, task: TouchTask, bus: BusConfig, collector: TouchCollector) -> None:
+    console = Console(stderr=True, soft_wrap=True, markup=False, highlight=False)
+    console.print(
+        f"Touch {task.object_id} with the tip of the {task.side} {task.finger} finger, {len(task.plan)} times: "
+        f"{', '.join(dict.fromkeys(task.plan))}. Press gently near a corner and hold still for a second; turn the "
+        "object between faces so that the cameras see the fingertip. Enter takes a touch at once, b takes the last one "
+        "back, Ctrl-C ends with those there are."
+    )
+
+    def taken(touch: Touch) -> None:
+        console.bell()
+        number, count = len(collector.touches), len(task.plan)
+        console.print(f"touch {number} of {count} taken: {touch.face}; {collector.asked}", style="green")
+
+    def hint(text: str) -> None:
+        console.print(f"  … {text}")
+
+    try:
+        asyncio.run(
+            collect_touches(bus, rig, task, collector, patience_s=_PATIENCE_S, taken=taken, hint=hint, keys=True)
+        )
+    except KeyboardInterrupt:
+        if not collector.touches:
+            raise
+        console.print(f"ended with {len(collector.touches)} touches")
+
+
+def _touch_table(touches: list[Touch], found: Judged) -> Table:
+    table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+    for column in ("touch", "face"):
+        table.add_column(column)
+    table.add_column("off mm", justify="right")
+    table.add_column("")
+    for row in touch_rows(touches, found):
+        table.add_row(*row)
+    return table
+
+
+def touch_rows(touches: list[Touch], found: Judged) -> list[tuple[str, str, str, str]]:
+    """Return number, face, distance from it in mm and a remark of each touch."""
+    off = dict(zip(found.kept, found.fit.residual_m, strict=True))
+    return [
+        (
+            f"{place + 1}",
+            touch.face,
+            f"{1e3 * off[place]:.1f}" if place in off else "",
+            "" if place in off else "left out: contradicts the others",
+        )
+        for place, touch in enumerate(touches)
+    ]

@@ -1,0 +1,151 @@
+"""Touches on a running rig: the fingertip from `rhot/hand/<side>`, the device from `rhot/object/<id>`."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable
+from typing import Final
+
+from rhot.bus import Bus
+from rhot.errors import BusError, CalibrationError, WireError
+from rhot.messages import HandPose, ObjectPose, decode
+from rhot.operation.control import newest_control
+from rhot.rig import BusConfig, Rig
+from rhot.rig.folder import registration_name, registration_path
+from rhot_calibration.keyboard import keyboard
+from rhot_calibration.objects.live import check_session
+from rhot_calibration.objects.touch.checks import judged, least_touches, missing_faces
+from rhot_calibration.objects.touch.collector import TouchCollector
+from rhot_calibration.objects.touch.fit import Touch
+from rhot_calibration.objects.touch.record import R_before
+from rhot_calibration.objects.touch.streams import TouchTask, feed
+
+_CONNECT_TIMEOUT_S: Final = 5.0
+_HINT_S: Final = 0.5
+
+Taken = Callable[[Touch], None]
+Hint = Callable[[str], None]
+
+
+async def collect_touches(
+    bus_config: BusConfig,
+    rig: Rig,
+    task: TouchTask,
+    collector: TouchCollector,
+    *,
+    patience_s: float,
+    taken: Taken,
+    hint: Hint,
+    keys: bool = False,
+) -> None:
+    """Fill a collector from a running rig until its plan is done.
+
+    Args:
+        bus_config: how to reach the rig.
+        rig: for the time of its registration.
+        task: what is touched, and by whom.
+        collector: filled as it goes, so that an interrupted session keeps what there is.
+        patience_s: how long both keys may stay silent at the beginning.
+        taken: called with each new touch.
+        hint: called with what the person should do, whenever that changes.
+        keys: Enter takes the touch that is held now, `b` takes the last one back.
+
+    Raises:
+        BusError: no router, or a key stays silent.
+        ConfigError: the session began with another registration than the rig folder holds.
+    """
+    heard: set[str] = set()
+    from_ns = 0
+    changed = asyncio.Event()
+
+    def keep(touch: Touch | None) -> None:
+        if touch is not None:
+            taken(touch)
+            changed.set()
+
+    async def follow(bus: Bus, key: str, model: type[HandPose | ObjectPose]) -> None:
+        async for sample in bus.events(key):
+            try:
+                message = decode(sample.payload, model)
+            except WireError:
+                continue
+            if message.t_ns < from_ns:
+                continue
+            heard.add(key)
+            keep(feed(task, collector, key, message))
+
+    def pressed(key: str) -> None:
+        if key in "\r\n":
+            touch = collector.take_now()
+            keep(touch)
+            if touch is None:
+                hint(f"not taken: {collector.hint}")
+        elif key == "b":
+            collector.take_back()
+            hint(f"taken back; {collector.asked}")
+
+    async with await Bus.open(bus_config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
+        start = await newest_control(bus)
+        check_session(start, registration_path(rig.path, task.source) or rig.path / registration_name(task.source))
+        # A session that is about to start: what still comes from the one before is another world.
+        from_ns = start.start_t_ns if start is not None and start.action == "start" else 0
+        models: dict[str, type[HandPose | ObjectPose]] = {task.hand_key: HandPose, task.object_key: ObjectPose}
+        tasks = [asyncio.create_task(follow(bus, key, model)) for key, model in models.items()]
+        tasks.append(asyncio.create_task(_work_out(collector, task, changed)))
+        try:
+            with keyboard(pressed) if keys else contextlib.nullcontext():
+                await _wait(tasks, heard, task, collector, patience_s, hint)
+        finally:
+            for each in tasks:
+                each.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _work_out(collector: TouchCollector, task: TouchTask, changed: asyncio.Event) -> None:
+    """Keep the rough offset of a collector up to date, as soon as its touches tell one."""
+    before = R_before(task)
+    while True:
+        await changed.wait()
+        changed.clear()
+        touches = list(collector.touches)
+        if len(touches) < least_touches(task.shape) or missing_faces(task.shape, [touch.face for touch in touches]):
+            continue
+        try:
+            found = await asyncio.to_thread(judged, task.shape, touches, before)
+        except CalibrationError:
+            # Said in the end; until then every touch is taken as it comes.
+            collector.rough = None
+            continue
+        if len(collector.touches) >= len(touches):
+            collector.rough = found.fit
+
+
+async def _wait(
+    tasks: list[asyncio.Task[None]],
+    heard: set[str],
+    task: TouchTask,
+    collector: TouchCollector,
+    patience_s: float,
+    hint: Hint,
+) -> None:
+    """Wait until the plan is done, saying what is missing."""
+    begun, hinted = time.monotonic(), ""
+    while not collector.done:
+        silent = [key for key in (task.hand_key, task.object_key) if key not in heard]
+        if silent and time.monotonic() - begun > patience_s:
+            service = "ik" if silent[0] == task.hand_key else "objects"
+            raise BusError(
+                f"nothing was published on {silent[0]} for {patience_s:.0f} s; is `rhot {service}` running, the rig "
+                "started (`rhot status`, `rhot start`), and in sight what it tracks?"
+            )
+        for each in tasks:
+            if each.done():
+                each.result()
+                raise BusError("the connection to the router was closed")
+        now = f"nothing on {silent[0]} yet" if silent else collector.hint
+        if now and now != hinted:
+            hint(now)
+        hinted = now
+        await asyncio.sleep(_HINT_S)
