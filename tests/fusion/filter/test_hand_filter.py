@@ -154,6 +154,16 @@ def test_an_outlier_is_refused_and_leaves_no_trace() -> None:
     assert np.linalg.norm(hand.place - truth(0.0), axis=1).max() < 1e-3
 
 
+def test_a_covariance_that_rounding_has_eaten_ends_nothing() -> None:
+    hand = JointFilter(COUNT, DEFAULT.motion, np.inf)
+    hand.begin(0, np.array([0.0, 0.0, 0.8, 0.0, 0.0, 0.0]), 1e-6 * np.eye(6), 0.0)
+    hand.state = replace(hand.state, P=hand.state.P - 1e-3 * np.eye(len(hand.state.x)))
+    before = hand.state.x.copy()
+    variance = np.full((1, 2, 2), 0.0) + 1e-9 * np.eye(2)
+    hand.step(0.0, Views(CAMERAS[0], np.array([0]), np.zeros(1), np.array([[0.01, 0.0]]), variance, np.zeros(1)))
+    np.testing.assert_allclose(hand.state.x, before)
+
+
 def test_two_views_begin_a_marker_where_it_is() -> None:
     point, velocity = np.array([0.02, -0.03, 0.75]), np.array([0.3, 0.1, 0.0])
     views = []

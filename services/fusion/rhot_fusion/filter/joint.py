@@ -285,7 +285,11 @@ def _updated(state: State, HP: FloatArray, S: FloatArray, y: FloatArray, chosen:
             return state
         rows = np.repeat(chosen, 2)
         HP, S, y = HP[rows], S[np.ix_(rows, rows)], y[rows]
-    L = np.linalg.cholesky(S)
+    try:
+        L = np.linalg.cholesky(S)
+    except np.linalg.LinAlgError:
+        # Rounding has eaten what was known, as behind a camera or after a divergence: these views cannot be weighed.
+        return state
     whitened = np.linalg.solve(L, np.concatenate([HP, y[:, None]], axis=1))
     W = whitened[:, :-1]
     return State(state.t_s, state.x + whitened[:, -1] @ W, state.P - W.T @ W, state.weight, state.alive)
