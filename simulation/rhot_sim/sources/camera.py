@@ -167,22 +167,23 @@ class SimulatedSource:
             # Where rendering does not keep up, frames fall out as they would from a camera that nobody empties.
             late = self._is_late(moment, len(self._begun) * self._drawing_s)
             if self._stride.count(late):
-                logger.warning("%s", self.problem or f"camera {self._name}: all frames are drawn again")
+                self._tell_rate()
             if late:
                 continue
             self._renderer.begin(moment.t_first_row_s)
             self._begun.append((number, moment))
 
-    @property
-    def problem(self) -> str:
-        """That the machine is too busy to draw every frame, while it is."""
-        stride = self._stride.value
-        if stride == 1:
-            return ""
-        return (
-            f"camera {self._name}: this machine is too busy to draw {self._camera.rate_hz:g} pictures a second; the "
-            f"simulated camera runs at {self._camera.rate_hz / stride:g} Hz"
-        )
+    def _tell_rate(self) -> None:
+        rate_hz = self._camera.rate_hz
+        if self._stride.value == 1:
+            logger.info("camera %s: all %g pictures a second are drawn again", self._name, rate_hz)
+        else:
+            logger.warning(
+                "camera %s: this machine is too busy to draw %g pictures a second; the simulated camera runs at %g Hz",
+                self._name,
+                rate_hz,
+                rate_hz / self._stride.value,
+            )
 
     def _finish(self) -> ImageArray | None:
         since_s = time.monotonic()

@@ -13,6 +13,8 @@ _WINDOW: Final = 60
 _TOO_MANY: Final = 0.2
 """Share of them that came too late to be drawn; a camera then loses 36 % of all moments."""
 _MOST: Final = 4
+_START: Final = 180
+"""Frames after the start that tell nothing: three seconds in which every service loads its modules."""
 _FIRST_PATIENCE: Final = 180
 _MOST_PATIENCE: Final = 1440
 """Frames drawn in time before more are tried again, doubled each time that was too soon."""
@@ -27,6 +29,7 @@ class Stride:
 
     def __init__(self) -> None:
         self.value = 1
+        self._waiting = _START
         self._looked = 0
         self._late = 0
         self._in_time = 0
@@ -38,6 +41,9 @@ class Stride:
 
     def count(self, late: bool) -> bool:
         """Take whether a frame was too late to be drawn; return whether the stride has changed."""
+        if self._waiting:
+            self._waiting -= 1
+            return False
         self._looked += 1
         self._late += late
         self._in_time = 0 if late else self._in_time + 1
