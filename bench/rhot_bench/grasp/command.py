@@ -22,8 +22,7 @@ from rhot.messages import BoxShape, CylinderShape, Message, SphereShape
 from rhot.messages.objects import ObjectShape
 from rhot.report.svg import line_plot
 from rhot.rig.folder import write_text_atomic
-from rhot_bench.grasp.figures import grasp_sections
-from rhot_bench.grasp.pickups import find_pickups, gaps_m
+from rhot_bench.grasp.figures import GraspFigures, grasp_figures, grasp_sections
 from rhot_bench.grasp.session import TIPS, GraspSession, grasp_session
 from rhot_bench.grasp.sources import listened, rendered, simulated
 from rhot_bench.measures.html import html_report
@@ -138,19 +137,20 @@ def grasp(
             messages = list(RecordedMessages(data_path))
             source = data_path.name
     session = grasp_session(messages, hand, item, shape)
-    sections = grasp_sections(session, None if truth is None else truth(session))
+    found = grasp_figures(session)
+    sections = grasp_sections(session, found, None if truth is None else truth(session))
     show("evaluate grasp", sections, json_path, source=source)
     if page_path is not None:
         text = f"From {source}. Gaps are those of the flesh of a fingertip from the object's surface."
-        write_text_atomic(page_path, html_report("Grasping", text, sections, _plots(session)))
+        write_text_atomic(page_path, html_report("Grasping", text, sections, _plots(session, found)))
         console.print(f"report: {page_path}")
 
 
-def _plots(session: GraspSession) -> list[str]:
-    gaps, t_s = gaps_m(session), session.t_s
-    tips = {finger: (t_s, 1e3 * gaps[:, tip].clip(max=0.15)) for finger, tip in zip(FINGERS, TIPS, strict=True)}
+def _plots(session: GraspSession, found: GraspFigures) -> list[str]:
+    t_s = session.t_s
+    tips = {finger: (t_s, 1e3 * found.gaps[:, tip].clip(max=0.15)) for finger, tip in zip(FINGERS, TIPS, strict=True)}
     plots = [line_plot("Gap between fingertips and surface", "time [s]", "gap [mm]", tips)]
-    for number, each in enumerate(find_pickups(session, gaps), start=1):
+    for number, each in enumerate(found.pickups, start=1):
         rows = slice(each.reach.start, each.release.stop)
         one = {name: (t[rows], gap[rows]) for name, (t, gap) in tips.items()}
         plots.append(line_plot(f"Pick-up {number}", "time [s]", "gap [mm]", one))

@@ -55,14 +55,14 @@ def grasp_figures(session: GraspSession, settings: GraspSettings | None = None) 
     )
 
 
-def grasp_sections(session: GraspSession, true: GraspSession | None = None) -> list[Section]:
+def grasp_sections(session: GraspSession, found: GraspFigures, true: GraspSession | None = None) -> list[Section]:
     """Return the tables.
 
     Args:
         session: as tracked.
+        found: its figures.
         true: the true hand and object at the same moments, where they are known.
     """
-    found = grasp_figures(session)
     beside = None if true is None else grasp_figures(true)
     sections = [_whole(session, found, true, beside)]
     sections += [_phase(phase, session, found, beside) for phase in ("reach", "close", "carry", "release")]

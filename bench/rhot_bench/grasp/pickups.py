@@ -12,11 +12,8 @@ import numpy as np
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import BoolArray, FloatArray
-from rhot.geometry.rotations import quaternion_from_rotation
-from rhot.messages import ObjectPose
-from rhot.messages.base import wire_position, wire_quaternion
 from rhot_bench.grasp.session import TIPS, GraspSession
-from rhot_ik.hand.contact import shape_of
+from rhot_ik.hand.contact import body_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,18 +68,7 @@ def gaps_m(session: GraspSession) -> FloatArray:
     """Return how far the flesh of each joint lies from the object's surface, (N, 26) metres, negative inside."""
     gaps = np.empty(session.joints.shape[:2])
     for row, (joints, T) in enumerate(zip(session.joints, session.objects, strict=True)):
-        pose = ObjectPose(
-            t_ns=0,
-            frame="rig",
-            position=wire_position(T[:3, 3]),
-            orientation=wire_quaternion(quaternion_from_rotation(T[:3, :3])),
-            state="measured",
-            shape=session.shape,
-        )
-        body = shape_of(pose)
-        if body is None:
-            raise ValueError("a session's object has a shape")
-        gaps[row] = body.distance(joints)[0] - session.radii_m
+        gaps[row] = body_of(session.shape, T).distance(joints)[0] - session.radii_m
     return gaps
 
 

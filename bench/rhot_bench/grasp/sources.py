@@ -26,30 +26,11 @@ from rhot_bench.pictures.rendered import at_rate_of, found_markers, prepare_rig
 from rhot_bench.speed.simulated import world_of
 from rhot_bench.tracking.tracking import scene_frames
 from rhot_objects.assemble import plan_sources
+from rhot_objects.offline import PlayedObjects
 from rhot_sim.world.world import World
 
 SEQUENCE = "G2"
 _CONNECT_S = 5.0
-
-
-class _Objects:
-    """Simulated objects as their service publishes them, up to any moment; what `track_with` plays."""
-
-    def __init__(self, rig: Rig) -> None:
-        self._plans = plan_sources(rig)
-        self._next_ns = [START_NS] * len(self._plans)
-        for plan in self._plans:
-            plan.source.open(START_NS)
-
-    def until(self, t_ns: int) -> list[tuple[str, Message]]:
-        """Return what was published up to a time."""
-        outputs: list[tuple[str, Message]] = []
-        for place, plan in enumerate(self._plans):
-            while self._next_ns[place] <= t_ns:
-                now_ns = self._next_ns[place]
-                outputs += plan.stage.feed(plan.source.read(now_ns), now_ns)
-                self._next_ns[place] += round(1e9 / plan.rate_hz)
-        return outputs
 
 
 class _Posed:
@@ -73,7 +54,8 @@ def simulated(
     """Track the simulated rig's pictures; return what it publishes and what gives the truth beside a session."""
     world = world_of(rig, 1.0)
     frames = scene_frames(rig, world, seconds, advance)
-    messages = list(track_with(core("fusion")(rig), core("ik")(rig), frames, _Objects(rig)))
+    objects = PlayedObjects(plan_sources(rig), START_NS)
+    messages = list(track_with(core("fusion")(rig), core("ik")(rig), frames, objects))
     return messages, lambda session: _truth(session, world)
 
 

@@ -39,26 +39,37 @@ def plan_sources(rig: Rig) -> list[SourcePlan]:
         ConfigError: two objects share a serial number.
     """
     objects = rig.config.objects
-    shapes = {name: config.shape for name, config in objects.items() if config.shape is not None}
     plans = []
-
-    def add(name: str, source: PoseSource, configs: Mapping[str, ObjectConfig]) -> None:
-        rate_hz = max(config.rate_hz for config in configs.values())
-        registration = Registration.from_file(rig.registration_of(source_kind(name)))
-        plans.append(SourcePlan(name, rate_hz, source, ObjectStage(registration, shapes=shapes)))
-
     steamvr = {name: config for name, config in objects.items() if config.source == "steamvr"}
     if steamvr:
-        add("steamvr", SteamVrSource(_ids_by_serial(rig, steamvr)), steamvr)
+        plans.append(_plan(rig, "steamvr", SteamVrSource(_ids_by_serial(rig, steamvr)), steamvr))
     simulated = {name: config for name, config in objects.items() if config.source == "simulated"}
     if simulated:
         registration = Registration.from_file(rig.registration_of("simulated"))
         source = load_simulated("objects")(rig, registration, frozenset(simulated))
-        add("simulated", source, simulated)
-    for name, config in objects.items():
-        if config.source == "recorded" and config.path is not None:
-            add(f"recorded.{name}", RecordedSource(name, rig.resolve(config.path), loop=config.loop), {name: config})
-    return plans
+        plans.append(_plan(rig, "simulated", source, simulated))
+    return plans + recorded_sources(rig)
+
+
+def recorded_sources(rig: Rig) -> list[SourcePlan]:
+    """Return one source per recorded object of a rig."""
+    return [
+        _plan(
+            rig,
+            f"recorded.{name}",
+            RecordedSource(name, rig.resolve(config.path), loop=config.loop),
+            {name: config},
+        )
+        for name, config in rig.config.objects.items()
+        if config.source == "recorded" and config.path is not None
+    ]
+
+
+def _plan(rig: Rig, name: str, source: PoseSource, configs: Mapping[str, ObjectConfig]) -> SourcePlan:
+    shapes = {name: config.shape for name, config in rig.config.objects.items() if config.shape is not None}
+    registration = Registration.from_file(rig.registration_of(source_kind(name)))
+    rate_hz = max(config.rate_hz for config in configs.values())
+    return SourcePlan(name, rate_hz, source, ObjectStage(registration, shapes=shapes))
 
 
 def source_kind(name: str) -> str:

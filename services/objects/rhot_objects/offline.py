@@ -1,33 +1,25 @@
-"""Recorded objects beside a recording of cameras, with the core that runs live."""
+"""Objects beside a recording of cameras, with the core that runs live."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rhot.rig import Rig
 from rhot.stage import Output
-from rhot_objects.registration import Registration
-from rhot_objects.sources.recorded import RecordedSource
-from rhot_objects.stage import ObjectStage
+from rhot_objects.assemble import SourcePlan, recorded_sources
 
 
-class RecordedObjects:
-    """Plays the objects of a rig whose `source` is `recorded`; as in a live session, they start with its first moment.
+class PlayedObjects:
+    """Plays sources as their service does, each at its rate.
 
     Args:
-        rig: whose objects.
+        plans: the sources, not yet open.
+        start_ns: when they start; as in a live session with the first moment that is asked for when not given.
     """
 
-    def __init__(self, rig: Rig) -> None:
-        registration = Registration.from_file(rig.registration_of("recorded"))
-        configs = {name: config for name, config in rig.config.objects.items() if config.source == "recorded"}
-        shapes = {name: config.shape for name, config in configs.items() if config.shape is not None}
-        self._players = [
-            (
-                RecordedSource(name, rig.resolve(config.path or ""), loop=config.loop),
-                ObjectStage(registration, shapes=shapes),
-                round(1e9 / config.rate_hz),
-            )
-            for name, config in configs.items()
-        ]
+    def __init__(self, plans: Sequence[SourcePlan], start_ns: int | None = None) -> None:
+        self._plans = plans
+        self._start_ns = start_ns
         self._next_ns: list[int] = []
 
     def until(self, t_ns: int) -> list[Output]:
@@ -37,13 +29,25 @@ class RecordedObjects:
             ConfigError: a file cannot be read.
         """
         if not self._next_ns:
-            for source, _, _ in self._players:
-                source.open(t_ns)
-            self._next_ns = [t_ns] * len(self._players)
+            start_ns = t_ns if self._start_ns is None else self._start_ns
+            for plan in self._plans:
+                plan.source.open(start_ns)
+            self._next_ns = [start_ns] * len(self._plans)
         outputs: list[Output] = []
-        for place, (source, stage, period_ns) in enumerate(self._players):
+        for place, plan in enumerate(self._plans):
             while self._next_ns[place] <= t_ns:
                 now_ns = self._next_ns[place]
-                outputs += stage.feed(source.read(now_ns), now_ns)
-                self._next_ns[place] += period_ns
+                outputs += plan.stage.feed(plan.source.read(now_ns), now_ns)
+                self._next_ns[place] += round(1e9 / plan.rate_hz)
         return outputs
+
+
+class RecordedObjects(PlayedObjects):
+    """Plays the objects of a rig whose `source` is `recorded`.
+
+    Args:
+        rig: whose objects.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        super().__init__(recorded_sources(rig))

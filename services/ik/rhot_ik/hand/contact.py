@@ -10,7 +10,7 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.geometry.transforms import rigid
-from rhot.messages import BoxShape, CylinderShape, ObjectPose
+from rhot.messages import BoxShape, CylinderShape, ObjectPose, ObjectShape
 
 
 class Shape(Protocol):
@@ -91,11 +91,16 @@ def shape_of(pose: ObjectPose) -> Shape | None:
     if pose.shape is None:
         return None
     T = rigid(rotation_from_quaternion(np.array(pose.orientation)), np.array(pose.position))
-    if isinstance(pose.shape, BoxShape):
-        return Box(T, np.array(pose.shape.size))
-    if isinstance(pose.shape, CylinderShape):
-        return Cylinder(T, pose.shape.radius, pose.shape.height)
-    return Sphere(T[:3, 3], pose.shape.radius)
+    return body_of(pose.shape, T)
+
+
+def body_of(shape: ObjectShape, T_rig_object: FloatArray) -> Shape:
+    """Return the body of a shape whose middle stands at a pose (4, 4)."""
+    if isinstance(shape, BoxShape):
+        return Box(T_rig_object, np.array(shape.size))
+    if isinstance(shape, CylinderShape):
+        return Cylinder(T_rig_object, shape.radius, shape.height)
+    return Sphere(T_rig_object[:3, 3], shape.radius)
 
 
 def _of_slabs(beyond: FloatArray) -> tuple[FloatArray, FloatArray]:
