@@ -7,18 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhot.geometry.rotations import FloatArray, nearest_rotation, rotation_from_quaternion
+from rhot.geometry.rotations import FloatArray, rotation_from_quaternion
 from rhot_calibration.objects.fit import Places
+from rhot_calibration.objects.stillness import angle_between, covers, forget_old, held_pose
 from rhot_objects.pose import Pose
 
-STILL_S = 0.5
-"""How long marker and device are held still."""
-_WINDOW_NS = round(STILL_S * 1e9)
-_LEAST_COVERED = 0.8
-"""Share of that time that both streams must cover."""
-_LEAST_SAMPLES = 6
-_DEVICE_STILL_M = 0.003
-_DEVICE_STILL_RAD = np.radians(1.0)
 _MARKER_STILL_M = 0.004
 """Distance between the marker's mean places in the first and second half: cameras see it shake by millimetres."""
 _ELSEWHERE_M = 0.05
@@ -76,9 +69,9 @@ class PlaceCollector:
     @property
     def hint(self) -> str:
         """What the person should do now."""
-        if not self._covers(self._points):
+        if not covers(self._points):
             return "the cameras do not see the marker"
-        if not self._covers(self._poses):
+        if not covers(self._poses):
             return "the tracking system does not see the device"
         place = self._candidate()
         if place is None:
@@ -96,8 +89,8 @@ class PlaceCollector:
         )
 
     def _try(self) -> Place | None:
-        self._forget_old()
-        if not (self._covers(self._points) and self._covers(self._poses)):
+        forget_old(self._points, self._poses)
+        if not (covers(self._points) and covers(self._poses)):
             return None
         place = self._candidate()
         if place is None or not self._is_new(place):
@@ -107,24 +100,14 @@ class PlaceCollector:
         self._poses.clear()
         return place
 
-    def _forget_old(self) -> None:
-        newest = max(stream[-1].t_ns for stream in (self._points, self._poses) if stream)
-        for stream in (self._points, self._poses):
-            while stream and stream[0].t_ns < newest - _WINDOW_NS:
-                stream.popleft()
-
-    @staticmethod
-    def _covers(stream: deque[_PointSample] | deque[_PoseSample]) -> bool:
-        return len(stream) >= _LEAST_SAMPLES and stream[-1].t_ns - stream[0].t_ns >= _LEAST_COVERED * _WINDOW_NS
-
     def _candidate(self) -> Place | None:
         """Return the place that is held now, None when something moves."""
         p = np.array([sample.position for sample in self._poses])
         R = np.array([sample.R for sample in self._poses])
-        p_mean, R_mean = p.mean(axis=0), nearest_rotation(R.mean(axis=0))
-        turned = max(_angle(R_mean, one) for one in R)
-        if np.linalg.norm(p - p_mean, axis=1).max() > _DEVICE_STILL_M or turned > _DEVICE_STILL_RAD:
+        held = held_pose(p, R)
+        if held is None:
             return None
+        p_mean, R_mean = held
         x = np.array([sample.position for sample in self._points])
         half = len(x) // 2
         if np.linalg.norm(x[:half].mean(axis=0) - x[half:].mean(axis=0)) > _MARKER_STILL_M:
@@ -136,12 +119,6 @@ class PlaceCollector:
     def _is_new(self, place: Place) -> bool:
         return all(
             np.linalg.norm(place.p_space_device - other.p_space_device) > _ELSEWHERE_M
-            or _angle(place.R_space_device, other.R_space_device) > _TURNED_RAD
+            or angle_between(place.R_space_device, other.R_space_device) > _TURNED_RAD
             for other in self.places
         )
-
-
-def _angle(first: FloatArray, second: FloatArray) -> float:
-    """Return the angle between two rotations (3, 3), radians."""
-    chord = float(np.linalg.norm(first - second)) / np.sqrt(8.0)
-    return float(2.0 * np.arcsin(min(chord, 1.0)))

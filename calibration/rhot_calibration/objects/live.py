@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -21,8 +21,9 @@ from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
 from rhot_objects.stage import key_of
 
-_CONNECT_TIMEOUT_S: Final = 5.0
-_HINT_S: Final = 0.5
+CONNECT_TIMEOUT_S: Final = 5.0
+HINT_S: Final = 0.5
+"""Between two looks at what is missing."""
 _CLOCKS_S: Final = 2.0
 """A file's time and the start of a session, by another machine's clock, compare no better than this."""
 
@@ -93,51 +94,80 @@ async def collect_places(
                 pose = Pose.from_arrays(message.position, message.orientation)
                 keep(collector.add_pose(message.t_ns, registration.to_tracker(object_id, pose)))
 
-    async with await Bus.open(bus_config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_TIMEOUT_S) as bus:
         check_session(
             await newest_control(bus), registration_path(rig.path, source) or rig.path / registration_name(source)
         )
         tasks = [asyncio.create_task(follow(bus)) for follow in (follow_points, follow_device)]
         try:
-            await _wait(done, tasks, heard, ("rhot/points", object_key), collector, patience_s, hint)
+            services = {"rhot/points": "fusion", object_key: "objects"}
+            remedy = " and the rig started (`rhot status`, `rhot start`)"
+            await _wait(done, StreamWatch(tasks, heard, services, patience_s, remedy, hint), collector)
         finally:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _wait(
-    done: asyncio.Event,
-    tasks: list[asyncio.Task[None]],
-    heard: set[str],
-    keys: tuple[str, str],
-    collector: PlaceCollector,
-    patience_s: float,
-    hint: Hint,
-) -> None:
+async def _wait(done: asyncio.Event, watch: StreamWatch, collector: PlaceCollector) -> None:
     """Wait until done, saying what is missing."""
-    begun, hinted = time.monotonic(), ""
     while not done.is_set():
-        silent = [key for key in keys if key not in heard]
-        if silent and time.monotonic() - begun > patience_s:
-            service = "fusion" if silent[0] == "rhot/points" else "objects"
-            raise BusError(
-                f"nothing was published on {silent[0]} for {patience_s:.0f} s; is `rhot {service}` running and the rig "
-                "started (`rhot status`, `rhot start`)?"
-            )
-        for task in tasks:
-            if task.done():
-                task.result()
-                raise BusError("the connection to the router was closed")
-        now = f"nothing on {silent[0]} yet" if silent else collector.hint
-        if now and now != hinted:
-            hint(now)
-        hinted = now
+        watch.look(lambda: collector.hint)
         try:
-            async with asyncio.timeout(_HINT_S):
+            async with asyncio.timeout(HINT_S):
                 await done.wait()
         except TimeoutError:
             continue
+
+
+class StreamWatch:
+    """Says what the person should do while streams are listened to, and ends the wait for one that stays silent.
+
+    Args:
+        tasks: that listen.
+        heard: keys that something came on; filled by them.
+        services: key to the service that publishes it.
+        patience_s: how long a key may stay silent at the beginning.
+        remedy: what to look after when one does, behind the question whether its service is running.
+        hint: called with what the person should do, whenever that changes.
+    """
+
+    def __init__(
+        self,
+        tasks: Sequence[asyncio.Task[None]],
+        heard: set[str],
+        services: Mapping[str, str],
+        patience_s: float,
+        remedy: str,
+        hint: Hint,
+    ) -> None:
+        self._tasks, self._heard, self._services = tasks, heard, services
+        self._patience_s, self._remedy, self._hint = patience_s, remedy, hint
+        self._begun, self._hinted = time.monotonic(), ""
+
+    def look(self, advice: Callable[[], str]) -> None:
+        """Look once, every `HINT_S` or so.
+
+        Args:
+            advice: what the person should do when every key is heard; empty = nothing.
+
+        Raises:
+            BusError: a key has stayed silent for too long, or the connection was closed.
+        """
+        silent = [key for key in self._services if key not in self._heard]
+        if silent and time.monotonic() - self._begun > self._patience_s:
+            raise BusError(
+                f"nothing was published on {silent[0]} for {self._patience_s:.0f} s; is "
+                f"`rhot {self._services[silent[0]]}` running{self._remedy}?"
+            )
+        for task in self._tasks:
+            if task.done():
+                task.result()
+                raise BusError("the connection to the router was closed")
+        now = f"nothing on {silent[0]} yet" if silent else advice()
+        if now and now != self._hinted:
+            self._hint(now)
+        self._hinted = now
 
 
 def check_session(start: Control | None, file: Path) -> None:

@@ -8,21 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhot.geometry.rotations import FloatArray, nearest_rotation, rotation_cosine, rotation_from_quaternion
+from rhot.geometry.rotations import FloatArray, rotation_from_quaternion
 from rhot.messages import ObjectShape
+from rhot_calibration.objects.stillness import LEAST_COVERED, covers, forget_old, held_pose
 from rhot_calibration.objects.touch.checks import LARGEST_OFF_M, face_at
 from rhot_calibration.objects.touch.faces import gaps, reach_m
 from rhot_calibration.objects.touch.fit import OffsetFit, Touch
 from rhot_objects.pose import Pose
 
-STILL_S = 0.5
-"""How long a touch is held."""
-_WINDOW_NS = round(STILL_S * 1e9)
-_LEAST_COVERED = 0.8
-"""Share of that time, and of the samples in it, that must be measured."""
-_LEAST_SAMPLES = 6
-_DEVICE_STILL_M = 0.003
-_DEVICE_STILL_RAD = np.radians(1.0)
 _TIP_STILL_M = 0.0015
 """Distance between the tip's mean places in the first, middle and last third. A finger that rests on something moves by
 tenths of a millimetre, one that hovers drifts by centimetres a second. Of halves, two are alike where it turns back."""
@@ -94,7 +87,7 @@ class TouchCollector:
         """Note that the fingertip was not measured, and why."""
         self._tips.append(_Tip(t_ns, None, 0.0))
         self._why_no_tip = why
-        self._forget_old()
+        forget_old(self._tips, self._devices)
 
     def add_device(self, t_ns: int, T_rig_device: Pose) -> Touch | None:
         """Take a measured pose of the device, rig frame."""
@@ -136,7 +129,7 @@ class TouchCollector:
         return self._not_there(touch) or self.asked
 
     def _try(self) -> Touch | None:
-        self._forget_old()
+        forget_old(self._tips, self._devices)
         if self.done or self._trouble():
             return None
         touch = self._candidate()
@@ -150,27 +143,23 @@ class TouchCollector:
         self._devices.clear()
         return touch
 
-    def _forget_old(self) -> None:
-        newest = max(stream[-1].t_ns for stream in (self._tips, self._devices) if stream)
-        for stream in (self._tips, self._devices):
-            while stream and stream[0].t_ns < newest - _WINDOW_NS:
-                stream.popleft()
-
     def _trouble(self) -> str:
         """Return why no touch can be taken now; empty when one can."""
         measured = [tip for tip in self._tips if tip.position is not None]
-        if len(measured) < _LEAST_COVERED * len(self._tips):
+        if len(measured) < LEAST_COVERED * len(self._tips):
             return self._why_no_tip
-        if not _covered([tip.t_ns for tip in measured]):
+        if not covers(measured):
             return self.asked if measured else self._why_no_tip
-        if not _covered([device.t_ns for device in self._devices]):
+        if not covers(self._devices):
             return "the tracking system does not see the object's tracker"
-        p = np.array([device.pose.position for device in self._devices])
-        R = nearest_rotation(np.mean([device.R for device in self._devices], axis=0))
-        steady = min(rotation_cosine(R, device.R) for device in self._devices)
-        if np.linalg.norm(p - p.mean(axis=0), axis=1).max() > _DEVICE_STILL_M or steady < np.cos(_DEVICE_STILL_RAD):
+        if self._held_device() is None:
             return "the object moves: hold it still while you touch it"
         return ""
+
+    def _held_device(self) -> tuple[FloatArray, FloatArray] | None:
+        """Return position and rotation of the device, None while it moves."""
+        p = np.array([device.pose.position for device in self._devices])
+        return held_pose(p, np.array([device.R for device in self._devices]))
 
     def _candidate(self) -> Touch | None:
         """Return the touch that is held now; None where the finger moves."""
@@ -178,8 +167,10 @@ class TouchCollector:
         thirds = np.array([part.mean(axis=0) for part in np.array_split(tips, 3)])
         if np.linalg.norm(thirds - np.roll(thirds, 1, axis=0), axis=1).max() > _TIP_STILL_M:
             return None
-        R = nearest_rotation(np.mean([device.R for device in self._devices], axis=0))
-        p = np.mean([device.pose.position for device in self._devices], axis=0)
+        held = self._held_device()
+        if held is None:
+            return None
+        p, R = held
         radius_m = float(np.mean([tip.radius_m for tip in self._tips if tip.position is not None]))
         tip = np.median(tips, axis=0)
         view = (
@@ -204,7 +195,3 @@ class TouchCollector:
         other = face_at(self.shape, fit, touch)
         seems = f"that is {other}" if other else "the finger does not touch it"
         return f"{self.asked}: {seems} by the touches so far"
-
-
-def _covered(times_ns: list[int]) -> bool:
-    return len(times_ns) >= _LEAST_SAMPLES and times_ns[-1] - times_ns[0] >= _LEAST_COVERED * _WINDOW_NS

@@ -4,29 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import Callable
 from typing import Final
 
 from rhot.bus import Bus
-from rhot.errors import BusError, CalibrationError, WireError
+from rhot.errors import CalibrationError, WireError
 from rhot.messages import HandPose, ObjectPose, decode
 from rhot.operation.control import newest_control
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import registration_name, registration_path
 from rhot_calibration.keyboard import keyboard
-from rhot_calibration.objects.live import check_session
+from rhot_calibration.objects.live import CONNECT_TIMEOUT_S, HINT_S, Hint, StreamWatch, check_session
 from rhot_calibration.objects.touch.checks import judged, least_touches, missing_faces
 from rhot_calibration.objects.touch.collector import TouchCollector
 from rhot_calibration.objects.touch.fit import Touch
 from rhot_calibration.objects.touch.record import R_before
 from rhot_calibration.objects.touch.streams import TouchTask, feed
 
-_CONNECT_TIMEOUT_S: Final = 5.0
-_HINT_S: Final = 0.5
+_REMEDY: Final = ", the rig started (`rhot status`, `rhot start`), and in sight what it tracks"
 
 Taken = Callable[[Touch], None]
-Hint = Callable[[str], None]
 
 
 async def collect_touches(
@@ -86,17 +83,21 @@ async def collect_touches(
             collector.take_back()
             hint(f"taken back; {collector.asked}")
 
-    async with await Bus.open(bus_config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_TIMEOUT_S) as bus:
         start = await newest_control(bus)
         check_session(start, registration_path(rig.path, task.source) or rig.path / registration_name(task.source))
         # A session that is about to start: what still comes from the one before is another world.
         from_ns = start.start_t_ns if start is not None and start.action == "start" else 0
+        services = {task.hand_key: "ik", task.object_key: "objects"}
         models: dict[str, type[HandPose | ObjectPose]] = {task.hand_key: HandPose, task.object_key: ObjectPose}
         tasks = [asyncio.create_task(follow(bus, key, model)) for key, model in models.items()]
         tasks.append(asyncio.create_task(_work_out(collector, task, changed)))
         try:
             with keyboard(pressed) if keys else contextlib.nullcontext():
-                await _wait(tasks, heard, task, collector, patience_s, hint)
+                watch = StreamWatch(tasks, heard, services, patience_s, _REMEDY, hint)
+                while not collector.done:
+                    watch.look(lambda: collector.hint)
+                    await asyncio.sleep(HINT_S)
         finally:
             for each in tasks:
                 each.cancel()
@@ -120,32 +121,3 @@ async def _work_out(collector: TouchCollector, task: TouchTask, changed: asyncio
             continue
         if len(collector.touches) >= len(touches):
             collector.rough = found.fit
-
-
-async def _wait(
-    tasks: list[asyncio.Task[None]],
-    heard: set[str],
-    task: TouchTask,
-    collector: TouchCollector,
-    patience_s: float,
-    hint: Hint,
-) -> None:
-    """Wait until the plan is done, saying what is missing."""
-    begun, hinted = time.monotonic(), ""
-    while not collector.done:
-        silent = [key for key in (task.hand_key, task.object_key) if key not in heard]
-        if silent and time.monotonic() - begun > patience_s:
-            service = "ik" if silent[0] == task.hand_key else "objects"
-            raise BusError(
-                f"nothing was published on {silent[0]} for {patience_s:.0f} s; is `rhot {service}` running, the rig "
-                "started (`rhot status`, `rhot start`), and in sight what it tracks?"
-            )
-        for each in tasks:
-            if each.done():
-                each.result()
-                raise BusError("the connection to the router was closed")
-        now = f"nothing on {silent[0]} yet" if silent else collector.hint
-        if now and now != hinted:
-            hint(now)
-        hinted = now
-        await asyncio.sleep(_HINT_S)
