@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
@@ -15,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from page.browser import CHROMIUM, Browser, open_browser, wait_until
+from page.viewer_process import ViewerProcess
 from stub_rig import StubRig, StubThread
 
 from rhot.anatomy.skeleton import JOINTS
@@ -62,48 +60,14 @@ MARKER_NOISE_M: Final = 0.0005
 ALIKE_M: Final = 1e-4
 
 
-class Rig:
-    """A rig without cameras, and the page beside it.
-
-    Attributes:
-        heard: newest pose of headset and controller on the bus.
-    """
+class Rig(ViewerProcess):
+    """A rig without cameras, and the page beside it."""
 
     def __init__(self, folder: Path, port: int, bus: Bus) -> None:
+        arguments = ["--xr", "--rig", str(folder), "--other-page", "http://localhost:1"]
+        super().__init__(arguments, port, folder / "grasp.log")
         self.folder = folder
-        self.url = f"http://127.0.0.1:{port}"
-        self._log = folder / "grasp.log"
-        self._command = [
-            "viewer",
-            "--xr",
-            "--rig",
-            str(folder),
-            "--port",
-            str(port),
-            "--other-page",
-            "http://localhost:1",
-        ]
-        self._process: subprocess.Popen[bytes] | None = None
         self.bus = bus
-
-    def start(self) -> None:
-        with self._log.open("wb") as output:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "rhot", *self._command], stdout=output, stderr=output
-            )
-        process = self._process
-        wait_until(lambda: "connected and waits" in self._log.read_text() or process.poll() is not None, "the page")
-
-    def stop(self) -> None:
-        assert self._process is not None
-        self._process.send_signal(signal.SIGINT)
-        assert self._process.wait(timeout=30.0) == 130, self._log.read_text()
-        assert "Traceback" not in self._log.read_text()
-
-    def kill(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
 
 
 @pytest.fixture

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -16,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from page.actions import canvas_size, choose, on_screen, place_of_pixel, press_until, text_shows
 from page.browser import CHROMIUM, Browser, open_browser, wait_until
+from page.viewer_process import ViewerProcess
 from stub_rig import StubRig, StubThread
 
 from rhot.rig import load_rig
@@ -48,39 +47,11 @@ def stub(simulated_rig: tuple[Path, str], tmp_path: Path) -> Iterator[tuple[Stub
         yield rig, endpoint
 
 
-class Viewer:
-    """The viewer as a process that can be started again on its port."""
-
-    def __init__(self, rig: Path, endpoint: str, port: int, log: Path) -> None:
-        self.url = f"http://127.0.0.1:{port}"
-        self._log = log
-        self._command = ["viewer", "--rig", str(rig), "--connect", endpoint, "--port", str(port)]
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def start(self) -> None:
-        with self._log.open("wb") as output:
-            process = subprocess.Popen([sys.executable, "-m", "rhot", *self._command], stdout=output, stderr=output)
-        self._process = process
-        wait_until(lambda: "connected and waits" in self._log.read_text() or process.poll() is not None, "the viewer")
-
-    def stop(self) -> None:
-        """Ctrl-C; how soon it ends is measured where a machine is idle, here only that it does."""
-        assert self._process is not None
-        self._process.send_signal(signal.SIGINT)
-        assert self._process.wait(timeout=30.0) == 130, self._log.read_text()
-        assert "Traceback" not in self._log.read_text()
-
-    def kill(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-
-
 @pytest.fixture
-def viewer(stub: tuple[StubRig, str], free_port: int, tmp_path: Path) -> Iterator[Viewer]:
+def viewer(stub: tuple[StubRig, str], free_port: int, tmp_path: Path) -> Iterator[ViewerProcess]:
     """A running viewer."""
     rig, endpoint = stub
-    made = Viewer(rig.rig.path, endpoint, free_port, tmp_path / "viewer.log")
+    made = ViewerProcess(["--rig", str(rig.rig.path), "--connect", endpoint], free_port, tmp_path / "viewer.log")
     try:
         made.start()
         yield made
@@ -113,7 +84,7 @@ def press(browser: Browser, slider: str, key: str) -> None:
         browser.command("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=KEYS[key])
 
 
-def test_a_person_looks_turns_a_slider_and_asks_for_a_mask(stub: tuple[StubRig, str], viewer: Viewer) -> None:
+def test_a_person_looks_turns_a_slider_and_asks_for_a_mask(stub: tuple[StubRig, str], viewer: ViewerProcess) -> None:
     rig, _ = stub
     with open_browser(f"{viewer.url}/?fixedDpr=0.5", *SIZE) as browser:
         text_shows(browser, "Right hand")

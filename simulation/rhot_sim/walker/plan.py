@@ -141,6 +141,10 @@ class Choreographer:
             self.t_s = start_s + beat_s * self.rng.uniform(0.96, 1.04)
         self.t_s += (STEP_SPAN - 0.9) * beat_s
 
+    def return_to_start(self) -> None:
+        """Put both feet where they began, with level soles."""
+        self.walk([(side, self.start[side]) for side in SIDES], 0.6, level=True)
+
     def off(self, side: Side, t_s: float, offset: FloatArray, *, velocity: FloatArray | None = None) -> Waypoint:
         """Return a pose in the air relative to where the foot stands now.
 

@@ -130,7 +130,7 @@ def _walk(body: BodyModel, steps: Choreographer) -> Plan:
         number = int(np.ceil(count * length / back))
         steps.walk(_line(steps, -count * length, count * length / number, number, heading), 1.1 * beat_s, level=True)
         steps.pause(rng.uniform(0.3, 0.8))
-    steps.walk([(side, steps.start[side]) for side in SIDES], 0.6, level=True)
+    steps.return_to_start()
     return steps.plan(swaying(rng))
 
 

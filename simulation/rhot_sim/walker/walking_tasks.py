@@ -42,7 +42,7 @@ def step(body: BodyModel, steps: Choreographer) -> Plan:
             targets = [(side, near(steps.place(side, 0.0, z, 0.0), rng, 0.012)) for side in order]
             steps.walk(targets, beat_s, level=z == 0.0)
             steps.pause(rng.uniform(0.4, 1.0))
-    steps.walk([(side, steps.start[side]) for side in SIDES], 0.6, level=True)
+    steps.return_to_start()
     return steps.plan(swaying(rng))
 
 
@@ -60,7 +60,7 @@ def side_steps(body: BodyModel, steps: Choreographer) -> Plan:
                 targets = [(side, near(steps.place(side, x, 0.0, 0.0), rng, 0.015)) for side in order]
                 steps.walk(targets, beat_s, clearance_m=0.05, level=True)
             steps.pause(rng.uniform(0.3, 0.8))
-    steps.walk([(side, steps.start[side]) for side in SIDES], 0.6, level=True)
+    steps.return_to_start()
     return steps.plan(swaying(rng))
 
 
@@ -87,7 +87,7 @@ def line(body: BodyModel, steps: Choreographer) -> Plan:
             turn.append((side, steps.place(side, 0.0, end, yaw + np.pi * share * (-1.0 if yaw else 1.0))))
         steps.walk(turn, 0.55, level=True)
         steps.pause(rng.uniform(0.3, 0.6))
-    steps.walk([(side, steps.start[side]) for side in SIDES], 0.6, level=True)
+    steps.return_to_start()
     return steps.plan(swaying(rng))
 
 
