@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,7 @@ def bridge(target: str | None, rig_path: Path, connect: tuple[str, ...], namespa
     return run_to_the_end(serve_bridges(bridges, tool_bus(rig_path, connect, namespace)))
 
 
-bridge.help = (bridge.help or "").replace(
+bridge.help = inspect.cleandoc(bridge.help or "").replace(
     "TABLE\n", "".join(f"  {name:8}{kind.summary}\n" for name, kind in TARGETS.items())
 )
 
