@@ -103,7 +103,7 @@ async def rig(stubbed: tuple[StubRig, str], free_port: int) -> AsyncIterator[Rig
 def headset_browser(url: str) -> Iterator[Browser]:
     with open_browser("about:blank", 480, 320) as browser:
         browser.command("Page.addScriptToEvaluateOnNewDocument", source=EMULATOR.read_text() + HEADSET)
-        browser.command("Page.navigate", url=url)
+        browser.navigate(url)
         yield browser
 
 

@@ -63,7 +63,7 @@ class Browser:
         self.command(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
         )
-        self.command("Page.navigate", url=url)
+        self.navigate(url)
 
     @property
     def pid(self) -> int:
@@ -104,6 +104,14 @@ class Browser:
             self.errors.append(json.dumps(parameters["args"])[:500])
         elif message.get("method") == "Log.entryAdded" and parameters["entry"]["level"] == "error":
             self.errors.append(json.dumps(parameters["entry"])[:500])
+
+    def navigate(self, url: str) -> None:
+        """Open a page, and wait until its document is there: Chromium's reply comes before it is parsed."""
+        answer = self.command("Page.navigate", url=url)
+        if "errorText" in answer:
+            raise RuntimeError(f"{url}: {answer['errorText']}")
+        blank = json.dumps(url == "about:blank")
+        self.wait_for(f"document.readyState === 'complete' && (location.href === 'about:blank') === {blank}")
 
     def evaluate(self, expression: str) -> Any:
         """Return the value of a JavaScript expression in the page."""
