@@ -24,6 +24,10 @@ _MAX_EXPLAINED: Final = 4
 _ENOUGH_FOUND: Final = 0.5
 """Where this share of the pictures shows the stated board, it is the right one."""
 _THREADS: Final = 2
+_FIRST: Final = 6
+"""Without the board, one after the other, until some of them are asked for another count: looking for a board that is
+not there takes a second a picture, and a wrong --board is told by the first few."""
+_FIRST_EXPLAINED: Final = 2
 
 Key = tuple[str, int]
 Progress = Callable[[int, int], None]
@@ -37,7 +41,7 @@ class PictureReading:
         views: where the board was found.
         problems: label of a picture that was left out to the reason; pictures without a board are among them.
         counts: label to the (columns, rows) of inner corners that it shows in place of the stated ones; looked for in
-            the first few pictures without the board.
+            a few pictures without the board. Where the first ones agree on another count, no more are looked at.
         mirrored: labels of pictures that show the board mirrored; same.
     """
 
@@ -111,6 +115,7 @@ def read_pictures(
     problems: dict[str, str] = {}
     seen: dict[str, dict[tuple[int, int], list[str]]] = {name: {} for name in cameras}
     without: list[_Picture] = []
+    first: list[_Picture] = []
     # Two at a time: OpenCV releases the interpreter, and videos must not be decoded far ahead.
     with ThreadPoolExecutor(_THREADS) as pool:
         pictures = (picture for name in cameras for picture in _pictures(loaded, name))
@@ -131,9 +136,15 @@ def read_pictures(
                     seen[picture.key[0]].setdefault(looked.size, []).append(picture.label)
                 if progress is not None:
                     progress(done, max(done, total))
-    view_sizes = {name: _one_size(loaded.path, name, found) for name, found in seen.items()}
-    for name, size in view_sizes.items():
-        _require_size(loaded.path, name, size, (sizes or {}).get(name, size))
+            if not views and not first and len(without) >= _FIRST:
+                first = without[:: len(without) // _FIRST_EXPLAINED][:_FIRST_EXPLAINED]
+                counts, _ = _explain(first, board, problems)
+                if len(counts) == len(first) and len(set(counts.values())) == 1:
+                    so_far = {name: found for name, found in seen.items() if found}
+                    return PictureReading(
+                        ViewSet(board, _sizes(loaded.path, so_far, sizes), {}, labels), problems, counts
+                    )
+    view_sizes = _sizes(loaded.path, seen, sizes)
     # Explaining takes seconds a picture; a board that is merely not wholly in view needs no explanation. A mirrored
     # ChArUco board is told quickly, and one picture may be mirrored alone.
     if len(views) >= _ENOUGH_FOUND * (len(views) + len(without)) and not board.is_charuco:
@@ -254,6 +265,16 @@ def _video_pictures(track: VideoTrack) -> Iterator[_Picture]:
                 yield _Picture((track.name, number), f"{track.file.name} frame {number}", None, gray)
     finally:
         capture.release()
+
+
+def _sizes(
+    path: Path, seen: dict[str, dict[tuple[int, int], list[str]]], stated: dict[str, tuple[int, int]] | None
+) -> dict[str, tuple[int, int]]:
+    """Return the size of each camera's pictures, refusing more than one and others than `rig.toml` states."""
+    sizes = {name: _one_size(path, name, found) for name, found in seen.items()}
+    for name, size in sizes.items():
+        _require_size(path, name, size, (stated or {}).get(name, size))
+    return sizes
 
 
 def _one_size(path: Path, name: str, found: dict[tuple[int, int], list[str]]) -> tuple[int, int]:
