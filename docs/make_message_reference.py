@@ -48,7 +48,8 @@ something is missing, wrong-typed, not finite or out of bounds is dropped, count
 Every key also answers a query with its last value, as JSON with `?format=json`: `rhot get 'rhot/**'`. Beside the
 messages below there are `rhot/alive/<service>/<instance>` (liveliness tokens), `rhot/config/<service>/<instance>` (get,
 and put to change), `rhot/preview/<camera>` (a picture; `?overlay=markers`, `?mask=<marker>`, `?format=png`) and
-`rhot/keep/capture/<camera>` (exposure, gain and white balance as rig.toml has them; `?do=save`, `?do=undo`).
+`rhot/keep/capture/<camera>` (exposure, gain, white balance and picture as rig.toml has them; `?do=save`, `?do=undo`;
+`?do=save_bounds` writes colour bounds into colors.json).
 """
 
 _SAID: Final = {

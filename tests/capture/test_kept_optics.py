@@ -48,6 +48,18 @@ def test_a_slider_leaves_no_long_numbers(rig_folder: Path) -> None:
     assert not kept.state(running).differs
 
 
+def test_a_picture_is_kept_and_written_only_where_it_was_set(rig_folder: Path) -> None:
+    file = rig_folder / "rig.toml"
+    file.write_text("\n".join(line for line in file.read_text().splitlines() if not line.startswith("saturation")))
+    kept = KeptOptics(rig_folder, "left")
+    kept.save(settings_of(rig_folder).changed({"gain": 5.0}, 60.0))
+    assert "saturation" not in file.read_text()
+    kept.save(settings_of(rig_folder).changed({"saturation": 1.5, "brightness": -0.1}, 60.0))
+    assert settings_of(rig_folder).picture == {"saturation": 1.5, "contrast": 1.0, "brightness": -0.1}
+    assert kept.undo().saturation == 1.0
+    assert settings_of(rig_folder).picture == {"saturation": 1.0, "contrast": 1.0, "brightness": 0.0}
+
+
 def test_what_cannot_be_kept_says_so(rig_folder: Path) -> None:
     running = settings_of(rig_folder)
     with pytest.raises(ConfigError, match="nothing was saved"):

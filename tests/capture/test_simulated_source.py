@@ -136,5 +136,21 @@ def test_simulated_light_cannot_be_exposed_anew() -> None:
     source = source_with(SystemClock())
     settings = CameraSettings.from_config(CameraConfig(), nominal_colors({}))
     source.apply(settings)
-    with pytest.raises(ConfigError, match="only colours can change"):
+    with pytest.raises(ConfigError, match="colours can change"):
         source.apply(settings.changed({"gain": 2.0}, 60.0))
+    with pytest.raises(ConfigError, match="colours can change"):
+        source_with(SystemClock()).apply(settings.changed({"gain": 2.0}, 60.0))
+
+
+def test_picture_settings_change_the_simulated_picture() -> None:
+    source = source_with(SystemClock())
+    source.open(0, time.time_ns())
+    settings = CameraSettings.from_config(CameraConfig(), nominal_colors({}))
+    before = source.read()
+    source.apply(settings.changed({"brightness": 1.0}, 60.0))
+    after = source.read()
+    source.close()
+    assert before is not None
+    assert after is not None
+    assert before.image.max() < 255
+    assert (after.image == 255).all()

@@ -13,6 +13,7 @@ from rhot.rig.bus_config import BusConfig
 from rhot.rig.calibration import DeskHeight
 from rhot.rig.feet_config import BodyConfig, FeetConfig, WalkProgram
 from rhot.rig.file_model import FileModel, HoldS, NotNegative, Positive, Vector3
+from rhot.rig.picture_config import PICTURE_NEUTRAL, Brightness, Contrast, Saturation
 from rhot.rig.shape_config import ShapeConfig
 from rhot.rig.v4l2_control import V4l2Control
 
@@ -30,6 +31,7 @@ class CameraConfig(FileModel):
         gain: analogue gain.
         white_balance: red and blue gains; locked, never automatic.
         focus_dioptres: lens position, for cameras with a focus motor. V4L2 has no units for gain, white balance, focus.
+        saturation, contrast, brightness: of the picture, where the camera can set them; 1, 1 and 0 leave it alone.
         v4l2_controls: what a V4L2 driver is set to, in its own units (`v4l2-ctl --list-ctrls`).
         readout_s: time between the read-out of the first and of the last row (rolling shutter).
         sync: libcamera's software synchronisation between Pis: who gives the beat.
@@ -48,6 +50,9 @@ class CameraConfig(FileModel):
     gain: Annotated[float, Field(ge=1.0, le=64.0)] = 4.0
     white_balance: tuple[Positive, Positive] = (1.6, 1.6)
     focus_dioptres: NotNegative | None = None
+    saturation: Saturation = 1.0
+    contrast: Contrast = 1.0
+    brightness: Brightness = 0.0
     v4l2_controls: dict[V4l2Control, Annotated[int, Field(ge=-(1 << 31), lt=1 << 31)]] = {}
     readout_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     sync: Literal["off", "server", "client"] = "off"
@@ -59,6 +64,9 @@ class CameraConfig(FileModel):
     def _has_path(self) -> CameraConfig:
         if self.source in ("images", "video") and not self.path:
             raise ValueError(f'source = "{self.source}" needs `path`')
+        twice = [name for name, neutral in PICTURE_NEUTRAL.items() if getattr(self, name) != neutral]
+        if set(twice) & set(self.v4l2_controls):
+            raise ValueError(f"{twice[0]} is set twice, here and in v4l2_controls; keep one")
         return self
 
 

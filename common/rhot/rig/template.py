@@ -46,6 +46,10 @@ exposure_s = {exposure_s:g}
 gain = 4.0
 # Red and blue gain.
 white_balance = [1.6, 1.6]
+# Of the picture, where the camera can set them; 1, 1 and 0 leave it alone.
+saturation = 1.0
+contrast = 1.0
+brightness = 0.0
 # Time from the first to the last row (rolling shutter); camera v2 at 640x480: about 0.012.
 readout_s = {readout_s:g}
 # Used until cameras.json holds a calibration: horizontal field of view, and where the camera stands. The cameras look

@@ -1,4 +1,4 @@
-"""What was set with the sliders, kept: exposure, gain and white balance of one camera in its node's own `rig.toml`.
+"""What was set with the sliders, kept: exposure, gain, whites and picture of one camera in its node's own `rig.toml`.
 
 Each capture service keeps its own camera's, in the rig folder that it was started with, so that a camera on another
 machine comes up again as it was left, too. `rhot/keep/capture/<camera>` answers how things stand; with `?do=save` and
@@ -14,6 +14,7 @@ from rhot.errors import ConfigError
 from rhot.rig.config import CameraConfig
 from rhot.rig.file_model import FileModel, Positive
 from rhot.rig.folder import load_config, read_json_model, write_json_model
+from rhot.rig.picture_config import Brightness, Contrast, Saturation
 from rhot.rig.toml_edit import change_rig_file
 from rhot_capture.settings import CameraSettings
 
@@ -26,6 +27,9 @@ class Optics(FileModel):
     exposure_s: Positive
     gain: Positive
     white_balance: tuple[Positive, Positive]
+    saturation: Saturation = 1.0
+    contrast: Contrast = 1.0
+    brightness: Brightness = 0.0
 
     @classmethod
     def of(cls, settings: CameraSettings | CameraConfig) -> Optics:
@@ -35,6 +39,9 @@ class Optics(FileModel):
             exposure_s=round(settings.exposure_s, _DIGITS),
             gain=round(settings.gain, _DIGITS),
             white_balance=(round(red, _DIGITS), round(blue, _DIGITS)),
+            saturation=round(settings.saturation, _DIGITS),
+            contrast=round(settings.contrast, _DIGITS),
+            brightness=round(settings.brightness, _DIGITS),
         )
 
 
@@ -102,5 +109,8 @@ class KeptOptics:
 
     def _write(self, optics: Optics) -> None:
         before = self.saved()
-        change_rig_file(self._rig_path, {("cameras", self._camera): optics.model_dump()})
+        # Only what changes: a file that says nothing of a picture goes on saying nothing.
+        there = before.model_dump()
+        changes = {name: value for name, value in optics.model_dump().items() if value != there[name]}
+        change_rig_file(self._rig_path, {("cameras", self._camera): changes})
         write_json_model(self._previous, before)

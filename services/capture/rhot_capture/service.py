@@ -8,7 +8,6 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 from pydantic import BaseModel
@@ -18,15 +17,15 @@ from rhot.clock import NodeClock
 from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.messages import Control, MarkerFrame
 from rhot.rig import Rig
-from rhot.rig.colors import ColorsFile, load_colors
 from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.grabber import Grabber
-from rhot_capture.detection.color_table import ColorTable, ImageArray, build_color_table
+from rhot_capture.detection.color_table import ColorTable, ImageArray
 from rhot_capture.detection.cutouts import marker_mask
 from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.frame_stream import FrameStream
 from rhot_capture.kept_optics import KeptOptics
+from rhot_capture.live_colors import LiveColors
 from rhot_capture.preview import preview_jpeg, preview_png
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources import Frame, ReportsProblem, Source, grab, open_source
@@ -77,13 +76,11 @@ class CaptureService:
         self._clock = clock
         self._rate_hz = config.rate_hz
         self._size = (config.width, config.height)
-        self._colors_stamp = _stamp(rig.colors_path)
-        self._colors = _colors_of(rig)
         self._names = tuple(rig.config.markers)
+        self._colors = LiveColors(rig, self._names)
         self._kept = KeptOptics(rig.path, camera)
-        self._settings = CameraSettings.from_config(config, self._colors)
-        table = build_color_table(self._colors, self._names)
-        self._detector = MarkerDetector(rig.config.markers, table, *self._size)
+        self._settings = self._colors.initial(CameraSettings.from_config(config, self._colors.file))
+        self._detector = MarkerDetector(rig.config.markers, self._colors.table, *self._size)
         self._publisher: Publisher[MarkerFrame] | None = None
         self._frame_stream: FrameStream | None = None
         self._grabber: Grabber[Frame] | None = None
@@ -112,31 +109,28 @@ class CaptureService:
                 raise
             except Exception as error:  # whatever the driver raises: a refused setting ends no service
                 raise ConfigError(str(error) or type(error).__name__) from error
-        if settings.tolerances != self._settings.tolerances:
+        settings = self._colors.with_moved_bounds(settings, self._settings)
+        if (settings.tolerances, settings.bounds) != (self._settings.tolerances, self._settings.bounds):
             # Takes a fraction of a second; frames go on with the old colours meanwhile.
             self._building.submit(self._rebuild, settings)
         self._settings = settings
 
     def _rebuild(self, settings: CameraSettings) -> None:
-        self._detector.table = build_color_table(self._colors.with_tolerances(settings.tolerances), self._names)
+        self._detector.table = self._colors.table_of(settings)
 
     def _reload(self, node: Node) -> None:
         """Take over a new `colors.json`; a wrong one leaves the old colours in force."""
         try:
-            colors = _colors_of(self._rig)
+            self._colors.reload()
         except RhotError as error:
             node.status.error(f"new colours refused, the old ones stay: {error}")
             return
-        self._detector.table = build_color_table(colors, self._names)
-        self._colors = colors
-        tolerances = {name: color.tolerance for name, color in colors.markers.items()}
-        self._settings = self._settings.model_copy(update={"tolerances": tolerances})
-        logger.info("%s: new colours of %s", self.instance, ", ".join(colors.markers) or "no marker")
+        self._detector.table = self._colors.table
+        self._settings = self._colors.initial(self._settings)
+        logger.info("%s: new colours of %s", self.instance, ", ".join(self._colors.file.markers) or "no marker")
 
     def _look_for_colors(self, node: Node) -> None:
-        stamp = _stamp(self._rig.colors_path)
-        if stamp != self._colors_stamp:
-            self._colors_stamp = stamp
+        if self._colors.has_changed():
             self._building.submit(self._reload, node)
 
     def attach(self, node: Node) -> None:
@@ -194,8 +188,8 @@ class CaptureService:
         if camera is None or (camera.width, camera.height) != self._size or tuple(latest.config.markers) != self._names:
             logger.error("%s: cameras or markers of rig.toml have changed; start this service again", self.instance)
             return
-        before = CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors)
-        after = CameraSettings.from_config(camera, self._colors)
+        before = CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors.file)
+        after = CameraSettings.from_config(camera, self._colors.file)
         if not after.same_optics(before):
             # What was written last counts: the file after the sliders.
             self._settings = self._settings.with_optics_of(after)
@@ -205,7 +199,7 @@ class CaptureService:
         return not self._of_rig().same_optics(self._settings)
 
     def _of_rig(self) -> CameraSettings:
-        return CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors)
+        return CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors.file)
 
     def _apply_changes(self, node: Node, source: Source) -> None:
         """Set a camera as it was set before it was opened; where it refuses, the rig's own values stay."""
@@ -259,10 +253,12 @@ class CaptureService:
         return detections, seconds
 
     def _answer_keep(self, loop: asyncio.AbstractEventLoop, request: Request) -> Answer:
-        """Save or undo exposure, gain and white balance, and report how they stand; runs on a worker thread."""
+        """Save or undo the optics, or save colour bounds, and report how they stand; runs on a worker thread."""
         wanted = request.parameters.get("do")
         if wanted == "save":
             self._kept.save(self._settings)
+        elif wanted == "save_bounds":
+            self._colors.save_bounds(self._settings)
         elif wanted == "undo":
             optics = self._kept.undo().model_dump()
 
@@ -271,7 +267,7 @@ class CaptureService:
 
             asyncio.run_coroutine_threadsafe(apply(), loop).result(timeout=_APPLY_LIMIT_S)
         elif wanted is not None:
-            raise ConfigError(f"do={wanted}: only do=save and do=undo are known")
+            raise ConfigError(f"do={wanted}: only do=save, do=undo and do=save_bounds are known")
         return json_answer(self._kept.state(self._settings).model_dump(mode="json"))
 
     def _answer_preview(self, request: Request) -> Answer:
@@ -298,18 +294,3 @@ class CaptureService:
         mask = None if name is None else marker_mask(seen.image, seen.table, name)
         code = preview_png if coding == "png" else preview_jpeg
         return Answer(code(seen.image, seen.detections if overlay else None, mask), f"image/{coding}")
-
-
-def _colors_of(rig: Rig) -> ColorsFile:
-    if rig.colors_path.exists():
-        return load_colors(rig.colors_path)
-    logger.warning("%s is missing: no marker is found until `rhot calibrate colors` has written it", rig.colors_path)
-    return ColorsFile(markers={})
-
-
-def _stamp(file: Path) -> int:
-    """Return what changes with a file's content, 0 without the file."""
-    try:
-        return file.stat().st_mtime_ns
-    except OSError:
-        return 0

@@ -12,8 +12,10 @@ from rhot.messages import Name, first_problem
 from rhot.rig.colors import ColorsFile, Tolerance
 from rhot.rig.config import CameraConfig
 from rhot.rig.file_model import FileModel, NotNegative, Positive
+from rhot.rig.picture_config import PICTURE_NEUTRAL, Brightness, Contrast, Saturation
+from rhot_capture.color_bounds import ColorBounds
 
-OPTICS: Final = ("exposure_s", "gain", "white_balance", "focus_dioptres")
+OPTICS: Final = ("exposure_s", "gain", "white_balance", "focus_dioptres", *PICTURE_NEUTRAL)
 """Fields of `CameraSettings` that rig.toml holds, too."""
 
 
@@ -21,11 +23,13 @@ class CameraSettings(FileModel):
     """Live settings of one camera node.
 
     Attributes:
-        exposure_s: exposure time; the only one of these four that a V4L2 camera takes.
+        exposure_s: exposure time; the only one of the first four that a V4L2 camera takes.
         gain: analogue gain.
         white_balance: red and blue gains.
         focus_dioptres: lens position; None leaves the lens alone.
+        saturation, contrast, brightness: of the picture; 1, 1 and 0 leave it alone.
         tolerances: marker name to the factor on the width of its colour; above 1 takes in more colours.
+        bounds: marker name to the bounds of its colour, to be seen and moved; see `ColorBounds`.
         outlines: publish the outline of each marker.
     """
 
@@ -33,7 +37,11 @@ class CameraSettings(FileModel):
     gain: Annotated[float, Field(ge=1.0, le=64.0)]
     white_balance: tuple[Positive, Positive]
     focus_dioptres: NotNegative | None = None
+    saturation: Saturation = 1.0
+    contrast: Contrast = 1.0
+    brightness: Brightness = 0.0
     tolerances: dict[Name, Tolerance] = {}
+    bounds: dict[Name, ColorBounds] = {}
     outlines: bool = False
 
     @classmethod
@@ -44,11 +52,14 @@ class CameraSettings(FileModel):
             gain=camera.gain,
             white_balance=camera.white_balance,
             focus_dioptres=camera.focus_dioptres,
+            saturation=camera.saturation,
+            contrast=camera.contrast,
+            brightness=camera.brightness,
             tolerances={name: color.tolerance for name, color in colors.markers.items()},
         )
 
     def changed(self, changes: Mapping[str, Any], rate_hz: float) -> CameraSettings:
-        """Return the settings with some of them replaced; `tolerances` may name single markers.
+        """Return the settings with some of them replaced; `tolerances` and `bounds` may name single markers.
 
         Args:
             changes: field name to new value.
@@ -58,14 +69,14 @@ class CameraSettings(FileModel):
             ConfigError: an unknown field or marker, or a value out of bounds; these settings stay as they are.
         """
         data = {**self.model_dump(), **changes}
-        tolerances = changes.get("tolerances", {})
-        if isinstance(tolerances, Mapping):
-            unknown = [str(name) for name in tolerances if name not in self.tolerances]
-            if unknown:
-                raise ConfigError(
-                    f"tolerances.{unknown[0]}: no such marker; this camera knows {', '.join(self.tolerances) or 'none'}"
-                )
-            data["tolerances"] = {**self.tolerances, **tolerances}
+        for field in ("tolerances", "bounds"):
+            parts, mine = changes.get(field, {}), getattr(self, field)
+            if isinstance(parts, Mapping):
+                unknown = [str(name) for name in parts if name not in mine]
+                if unknown:
+                    known = ", ".join(mine) or "none"
+                    raise ConfigError(f"{field}.{unknown[0]}: no such marker; this camera knows {known}")
+                data[field] = {**mine, **parts}
         try:
             settings = CameraSettings.model_validate(data)
         except ValidationError as error:
@@ -79,8 +90,17 @@ class CameraSettings(FileModel):
 
     @property
     def optics(self) -> dict[str, Any]:
-        """What of these settings is the camera's own, by field: exposure, gain, white balance and focus."""
+        """What of these settings is the camera's own, by field: exposure, gain, white balance, focus and picture."""
         return {name: getattr(self, name) for name in OPTICS}
+
+    @property
+    def picture(self) -> dict[str, float]:
+        """Saturation, contrast and brightness, by field."""
+        return {name: getattr(self, name) for name in PICTURE_NEUTRAL}
+
+    def same_lens_and_sensor(self, other: CameraSettings) -> bool:
+        """Tell whether light falls on the sensor alike; picture and colours may differ."""
+        return all(getattr(self, name) == getattr(other, name) for name in OPTICS if name not in PICTURE_NEUTRAL)
 
     def same_optics(self, other: CameraSettings) -> bool:
         """Tell whether the camera itself is set alike; colours may differ."""

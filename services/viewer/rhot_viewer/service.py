@@ -109,7 +109,7 @@ class ViewerService:
                 {name: camera.rate_hz for name, camera in rig.config.cameras.items()},
             ),
             pictures,
-            CamerasPanel(page, self._settings, self._inbox, rig.config.markers),
+            CamerasPanel(page, self._settings, self._inbox, tuple(rig.config.markers), pictures.select),
             self._calibrate,
             self._record,
             TimelinePanel(self._history),

@@ -9,15 +9,19 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
+from collections.abc import Mapping
 from typing import Final, Protocol
 
 from rhot.clock import NodeClock, SkewedClock
 from rhot.errors import ConfigError, DeviceError
 from rhot.rig import CameraConfig, Rig
+from rhot.rig.colors import ColorsFile
+from rhot.rig.picture_config import PICTURE_NEUTRAL
 from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.pacing import Pacer
+from rhot_sim.rendering.picture_settings import with_picture
 from rhot_sim.rendering.render_process import AHEAD, RenderProcess
 from rhot_sim.sources.stride import Stride
 
@@ -113,7 +117,7 @@ class SimulatedSource:
         self._stride = Stride()
         self._begun: deque[tuple[int, FrameMoment]] = deque()
         self._drawing_s = 0.0
-        self._settings: CameraSettings | None = None
+        self._picture: Mapping[str, float] = {name: getattr(camera, name) for name in PICTURE_NEUTRAL}
 
     @classmethod
     def from_rig(cls, name: str, rig: Rig, clock: NodeClock) -> SimulatedSource:
@@ -150,7 +154,7 @@ class SimulatedSource:
                 return None
             break
         return Frame(
-            image,
+            with_picture(image, self._picture),
             number,
             self._node_ns(self._world_start_ns + round(1e9 * moment.t_first_row_s)),
             self._camera.exposure_s,
@@ -197,13 +201,17 @@ class SimulatedSource:
         return image
 
     def apply(self, settings: CameraSettings) -> None:
-        """Accept settings that leave the optics alone: the simulated light is what it is."""
-        if self._settings is not None and not settings.same_optics(self._settings):
+        """Take saturation, contrast and brightness; the simulated light is what it is.
+
+        Raises:
+            ConfigError: exposure, gain, white balance or focus are to change.
+        """
+        if not settings.same_lens_and_sensor(CameraSettings.from_config(self._camera, ColorsFile(markers={}))):
             raise ConfigError(
                 f"camera {self._name} is simulated: exposure, gain, white balance and focus follow rig.toml; only "
-                "colours can change while it runs"
+                "saturation, contrast, brightness and colours can change while it runs"
             )
-        self._settings = settings
+        self._picture = settings.picture
 
     def close(self) -> None:
         """Stop; a waiting `read` returns None."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhot.errors import DeviceError
+from rhot.errors import ConfigError, DeviceError
 from rhot.rig import CameraConfig
 from rhot.rig.colors import nominal_colors
 from rhot_capture.settings import CameraSettings
@@ -75,7 +75,12 @@ class FakePicamera2:
     def __init__(self, number: int) -> None:
         self.number = number
         self.sensor_modes = MODES
-        self.camera_controls = {"LensPosition": (0.0, 15.0, 1.0)}
+        self.camera_controls = {
+            "LensPosition": (0.0, 15.0, 1.0),
+            "Saturation": (0.0, 32.0, 1.0),
+            "Contrast": (0.0, 32.0, 1.0),
+            "Brightness": (-1.0, 1.0, 0.0),
+        }
         self.outcome: list[Any] = []
         self.controls_set: list[dict[str, Any]] = []
         self.configuration: dict[str, Any] = {}
@@ -152,6 +157,9 @@ def test_everything_automatic_is_off() -> None:
         "NoiseReductionMode": "noise off",
         "AfMode": "manual focus",
         "LensPosition": 1.2,
+        "Saturation": 1.0,
+        "Contrast": 1.0,
+        "Brightness": 0.0,
     }
     assert device.calls == ["start"]
 
@@ -251,6 +259,40 @@ def test_live_settings_reach_the_camera() -> None:
     source.close()
     with pytest.raises(DeviceError, match="not open"):
         source.apply(settings)
+
+
+def test_picture_settings_reach_the_camera_at_the_start_and_live() -> None:
+    camera = CameraConfig(saturation=1.4)
+    source, device = opened(camera)
+    start = device.configuration["controls"]
+    assert (start["Saturation"], start["Contrast"], start["Brightness"]) == (1.4, 1.0, 0.0)
+    settings = CameraSettings.from_config(camera, nominal_colors({}))
+    source.apply(settings.changed({"contrast": 1.2, "brightness": -0.1}, 60.0))
+    live = device.controls_set[0]
+    assert (live["Saturation"], live["Contrast"], live["Brightness"]) == (1.4, 1.2, -0.1)
+    assert source.problem == ""
+
+
+def test_a_picture_setting_that_the_camera_has_not_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = FakePicamera2.__init__
+
+    def grey(self: FakePicamera2, number: int) -> None:
+        made(self, number)
+        del self.camera_controls["Saturation"]
+
+    monkeypatch.setattr(FakePicamera2, "__init__", grey)
+    source, device = opened(CameraConfig())
+    assert "Saturation" not in device.configuration["controls"]
+    settings = CameraSettings.from_config(CameraConfig(), nominal_colors({}))
+    with pytest.raises(ConfigError, match=r"camera left has no control for saturation = 1\.5"):
+        source.apply(settings.changed({"saturation": 1.5}, 60.0))
+    assert not device.controls_set
+    # In rig.toml it is a problem that stays in the status, and no reason to refuse everything else.
+    source, device = opened(CameraConfig(saturation=1.5))
+    assert "saturation = 1.5" in source.problem
+    asked = CameraSettings.from_config(CameraConfig(saturation=1.5), nominal_colors({}))
+    source.apply(asked.changed({"gain": 8.0}, 60.0))
+    assert device.controls_set[0]["AnalogueGain"] == 8.0
 
 
 def test_close_frees_the_camera_and_ends_reading() -> None:

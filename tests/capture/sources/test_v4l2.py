@@ -88,6 +88,51 @@ def test_a_camera_without_these_controls_is_no_fault() -> None:
     assert opened(device).problem == ""
 
 
+def values_of(device: FakeV4l2) -> tuple[float, float, float]:
+    return tuple(device.controls[name].value for name in ("SATURATION", "CONTRAST", "BRIGHTNESS"))  # type: ignore[return-value]
+
+
+def test_picture_settings_are_set_in_proportion_and_only_where_asked() -> None:
+    device = FakeV4l2()
+    source = opened(device, CAMERA.model_copy(update={"saturation": 1.5}))
+    assert values_of(device) == (96.0, 32.0, 0.0)
+    assert "CONTRAST" not in device.set_values
+    source.apply(settings(saturation=1.5, contrast=0.5, brightness=-0.25))
+    assert values_of(device) == (96.0, 16.0, -16.0)
+    source.apply(settings())
+    assert values_of(device) == (64.0, 32.0, 0.0)
+
+
+def test_a_neutral_picture_goes_back_to_the_drivers_own_values() -> None:
+    device = FakeV4l2()
+    source = opened(device, CAMERA.model_copy(update={"v4l2_controls": {"saturation": 80}}))
+    source.apply(settings(saturation=1.2))
+    assert values_of(device)[0] == 77.0
+    source.apply(settings())
+    assert values_of(device)[0] == 80.0
+
+
+def test_a_picture_that_the_driver_cannot_make_is_refused() -> None:
+    device = FakeV4l2()
+    del device.controls["CONTRAST"]
+    source = opened(device)
+    with pytest.raises(ConfigError, match=r"contrast = 1\.5 \(the driver has no such control\)"):
+        source.apply(settings(saturation=1.5, contrast=1.5))
+    with pytest.raises(ConfigError, match=r"saturation = 3 \(at most 2\.00\)"):
+        source.apply(settings(saturation=3.0))
+    assert device.controls["SATURATION"].value == 64.0
+    camera = CAMERA.model_copy(update={"contrast": 1.5})
+    source = opened(device, camera)
+    assert "contrast = 1.5" in source.problem
+    source.apply(CameraSettings.from_config(camera, nominal_colors({})).changed({"exposure_s": 0.002}, 60.0))
+    assert device.controls["EXPOSURE"].value == 20.0
+
+
+def test_a_picture_is_not_set_in_two_ways() -> None:
+    with pytest.raises(ValueError, match="saturation is set twice"):
+        CameraConfig.model_validate({**CAMERA.model_dump(), "saturation": 1.2, "v4l2_controls": {"saturation": 80}})
+
+
 def test_a_wrong_size_is_an_error_and_frees_the_device() -> None:
     device = FakeV4l2(forced={"FRAME_WIDTH": 1280.0})
     with pytest.raises(DeviceError, match="1280x480 instead of 640x480"):

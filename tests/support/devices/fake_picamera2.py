@@ -98,7 +98,11 @@ class FakePicamera2:
     def __init__(self, number: int = 0) -> None:
         self.number = number
         self.sensor_modes = MODES
-        self.camera_controls: dict[str, Any] = {}
+        self.camera_controls: dict[str, Any] = {
+            "Saturation": (0.0, 32.0, 1.0),
+            "Contrast": (0.0, 32.0, 1.0),
+            "Brightness": (-1.0, 1.0, 0.0),
+        }
         self.calls: list[str] = []
         self.stop_hangs = False
         self.fails: dict[str, Exception] = {}

@@ -27,6 +27,7 @@ import cv2
 import numpy as np
 
 from rhot_capture.sources.v4l2.buffers import START_OF_EXPOSURE, VIDIOC_QUERYBUF, BufferQuery, V4l2Buffer
+from rhot_capture.sources.v4l2.picture import IDENTIFIERS, VIDIOC_QUERYCTRL, V4l2QueryControl
 
 _NAMES: Final = (
     "FOURCC",
@@ -78,6 +79,9 @@ def uvc_controls() -> dict[str, Control]:
         "WB_TEMPERATURE": Control(4000.0, 2800.0, 6500.0),
         "AUTOFOCUS": Control(1.0),
         "FOCUS": Control(30.0, 0.0, 250.0),
+        "BRIGHTNESS": Control(0.0, -64.0, 64.0),
+        "CONTRAST": Control(32.0, 0.0, 64.0),
+        "SATURATION": Control(64.0, 0.0, 128.0),
     }
 
 
@@ -190,7 +194,11 @@ class FakeV4l2:
 
     # The kernel
 
-    def _ioctl(self, handle: int, request: int, buffer: V4l2Buffer) -> None:
+    def _ioctl(self, handle: int, request: int, buffer: V4l2Buffer | V4l2QueryControl) -> None:
+        if isinstance(buffer, V4l2QueryControl):
+            assert request == VIDIOC_QUERYCTRL
+            self._query_control(buffer)
+            return
         assert request == VIDIOC_QUERYBUF
         if not self.answers_queries or buffer.index >= 2:
             raise OSError(errno.EINVAL, "Invalid argument")
@@ -198,6 +206,13 @@ class FakeV4l2:
         if self._held is not None and buffer.index == 1:
             buffer.seconds, buffer.microseconds = divmod(self._held.stamp_us, 1_000_000)
             buffer.sequence = self._held.sequence
+
+    def _query_control(self, query: V4l2QueryControl) -> None:
+        name = {number: field for field, number in IDENTIFIERS.items()}[query.id].upper()
+        if name not in self.controls:
+            raise OSError(errno.EINVAL, "Invalid argument")
+        control, default = self.controls[name], uvc_controls()[name].value
+        query.minimum, query.maximum, query.default_value = int(control.low), int(control.high), int(default)
 
     @staticmethod
     def _name(identifier: int) -> str:

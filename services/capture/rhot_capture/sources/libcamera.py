@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import importlib
 import logging
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from rhot.errors import DeviceError
 from rhot.rig.config import CameraConfig
+from rhot.rig.picture_config import PICTURE_NEUTRAL
+from rhot_capture.settings import CameraSettings
 
 logger = logging.getLogger(__name__)
+
+_TOLERANCE: Final = 0.05
+"""Sensors set time and gain in steps: a report this near, as a share, is what was asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +53,8 @@ def locked_controls(
     enums: Any,
     camera: CameraConfig,
     name: str,
-    exposure_s: float,
-    gain: float,
-    white_balance: tuple[float, float],
-    focus_dioptres: float | None,
-    *,
-    has_focus: bool,
+    settings: CameraConfig | CameraSettings,
+    offered: Container[str],
 ) -> dict[str, Any]:
     """Return libcamera's controls with everything automatic switched off.
 
@@ -60,8 +62,8 @@ def locked_controls(
         enums: `libcamera.controls`.
         camera: rate and synchronisation.
         name: of the camera, for messages.
-        exposure_s, gain, white_balance, focus_dioptres: as in `CameraSettings`.
-        has_focus: the lens has a motor.
+        settings: what is set now; at the start the same as `camera`.
+        offered: names of the controls that the camera has.
 
     Raises:
         DeviceError: libcamera is too old to synchronise.
@@ -70,15 +72,16 @@ def locked_controls(
     controls: dict[str, Any] = {
         "AeEnable": False,
         "AwbEnable": False,
-        "ColourGains": white_balance,
-        "ExposureTime": round(1e6 * exposure_s),
-        "AnalogueGain": gain,
+        "ColourGains": settings.white_balance,
+        "ExposureTime": round(1e6 * settings.exposure_s),
+        "AnalogueGain": settings.gain,
         "FrameDurationLimits": (frame_us, frame_us),
         "NoiseReductionMode": enums.draft.NoiseReductionModeEnum.Off,
     }
-    if focus_dioptres is not None:
-        if has_focus:
-            controls |= {"AfMode": enums.AfModeEnum.Manual, "LensPosition": focus_dioptres}
+    controls |= {name.capitalize(): getattr(settings, name) for name in PICTURE_NEUTRAL if name.capitalize() in offered}
+    if settings.focus_dioptres is not None:
+        if "LensPosition" in offered:
+            controls |= {"AfMode": enums.AfModeEnum.Manual, "LensPosition": settings.focus_dioptres}
         else:
             logger.warning("camera %s: has no focus motor; focus_dioptres is ignored", name)
     if camera.sync != "off":
@@ -90,3 +93,24 @@ def locked_controls(
         modes = enums.rpi.SyncModeEnum
         controls["SyncMode"] = modes.Server if camera.sync == "server" else modes.Client
     return controls
+
+
+def lacking_controls(settings: CameraConfig | CameraSettings, offered: Container[str], name: str) -> str:
+    """Return what is asked of the picture of a camera and cannot be had, one sentence; empty when nothing is."""
+    lacking = [
+        f"{field} = {value:g}"
+        for field, neutral in PICTURE_NEUTRAL.items()
+        if (value := getattr(settings, field)) != neutral and field.capitalize() not in offered
+    ]
+    if not lacking:
+        return ""
+    return f"camera {name} has no control for {', '.join(lacking)}; take it out of [cameras.{name}] in rig.toml"
+
+
+def differences(metadata: Mapping[str, Any], expected: Mapping[str, float]) -> list[str]:
+    """Return what a camera reports otherwise than it was asked for."""
+    return [
+        f"{key} {float(metadata[key]):g} instead of {value:g}"
+        for key, value in expected.items()
+        if key in metadata and abs(float(metadata[key]) - value) > _TOLERANCE * value
+    ]

@@ -19,11 +19,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhot.errors import DeviceError, RhotError
+from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.rig.config import CameraConfig
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
-from rhot_capture.sources.libcamera import PicameraModules, import_picamera, locked_controls
+from rhot_capture.sources.libcamera import (
+    PicameraModules,
+    differences,
+    import_picamera,
+    lacking_controls,
+    locked_controls,
+)
 from rhot_capture.sources.sensor_modes import choose_mode
 
 logger = logging.getLogger(__name__)
@@ -32,7 +38,6 @@ _FORMAT: Final = "RGB888"
 """picamera2 names formats by significance: RGB888 lies in memory as B, G, R, which is what OpenCV wants."""
 _BUFFERS: Final = 4
 """One being exposed, one in the pipeline, one waiting, one in work."""
-_TOLERANCE: Final = 0.05
 _WAIT_S: Final = 0.5
 _SILENCE_S: Final = 5.0
 _SYNC_WAIT_S: Final = 10.0
@@ -87,6 +92,7 @@ class Picamera2Source:
         self._expected: Mapping[str, float] = {}
         self._unsynchronised_since_ns: int | None = None
         self._problem = ""
+        self._lacking, self._offered = "", frozenset[str]()
         self._closing = threading.Event()
         # Nothing may enter picamera2's queue between its emptying and the stop.
         self._queueing = threading.Lock()
@@ -94,7 +100,7 @@ class Picamera2Source:
     @property
     def problem(self) -> str:
         """What is wrong while frames come, for the status; empty when nothing is."""
-        return self._problem
+        return self._problem or self._lacking
 
     def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
         """Open the camera, choose a sensor mode that is fast enough and lock everything.
@@ -167,17 +173,20 @@ class Picamera2Source:
         return None
 
     def apply(self, settings: CameraSettings) -> None:
-        """Set exposure, gain, white balance and focus while running.
+        """Set exposure, gain, white balance, focus and picture while running.
 
         Raises:
+            ConfigError: the camera has no such picture setting.
             DeviceError: the camera is not open.
         """
         if self._device is None:
             raise DeviceError(f"camera {self._name}: not open; start it first")
+        lacking = lacking_controls(settings, self._offered, self._name)
+        if lacking not in ("", self._lacking):
+            raise ConfigError(lacking)
         with self._driver_errors("refuses its settings"):
-            self._device.set_controls(
-                self._controls(settings.exposure_s, settings.gain, settings.white_balance, settings.focus_dioptres)
-            )
+            self._device.set_controls(self._controls(settings))
+        self._lacking = lacking
 
     def close(self) -> None:
         """Stop and free the camera; may take for ever, as the driver's own stop may."""
@@ -216,13 +225,16 @@ class Picamera2Source:
         if camera.readout_s == 0.0:
             # At its highest rate a sensor reads row after row with hardly a pause, so one frame takes one read-out.
             self._readout_s = 1.0 / float(mode["fps"])
-        controls = self._controls(camera.exposure_s, camera.gain, camera.white_balance, camera.focus_dioptres)
+        self._offered = frozenset(getattr(self._device, "camera_controls", {}))
+        self._lacking = lacking_controls(camera, self._offered, self._name)
+        if self._lacking:
+            logger.warning("%s", self._lacking)
         configuration = self._device.create_video_configuration(
             main={"size": (camera.width, camera.height), "format": _FORMAT},
             sensor={"output_size": mode["size"], "bit_depth": mode["bit_depth"]},
             buffer_count=_BUFFERS,
             queue=False,
-            controls=controls,
+            controls=self._controls(camera),
         )
         self._device.configure(configuration)
         size = tuple(self._device.camera_configuration()["main"]["size"])
@@ -237,20 +249,14 @@ class Picamera2Source:
             self._name, *mode["size"], float(mode["fps"]), camera.rate_hz,
         )  # fmt: skip
 
-    def _controls(
-        self, exposure_s: float, gain: float, white_balance: tuple[float, float], focus_dioptres: float | None
-    ) -> dict[str, Any]:
+    def _controls(self, settings: CameraConfig | CameraSettings) -> dict[str, Any]:
         if self._modules is None:
             raise DeviceError(f"camera {self._name}: not open; start it first")
-        camera, has_focus = self._camera, "LensPosition" in getattr(self._device, "camera_controls", {})
-        controls = locked_controls(
-            self._modules.controls, camera, self._name, exposure_s, gain, white_balance, focus_dioptres,
-            has_focus=has_focus,
-        )  # fmt: skip
-        self._exposure_s = exposure_s
+        controls = locked_controls(self._modules.controls, self._camera, self._name, settings, self._offered)
+        self._exposure_s = settings.exposure_s
         self._settling = _SETTLE_FRAMES
-        frame_us = 1e6 / camera.rate_hz
-        self._expected = {"ExposureTime": 1e6 * exposure_s, "AnalogueGain": gain, "FrameDuration": frame_us}
+        frame_us, exposure_us = 1e6 / self._camera.rate_hz, 1e6 * settings.exposure_s
+        self._expected = {"ExposureTime": exposure_us, "AnalogueGain": settings.gain, "FrameDuration": frame_us}
         return controls
 
     def _frame(self, request: Any) -> Frame | None:
@@ -310,10 +316,5 @@ class Picamera2Source:
         self._settling -= 1
         if self._settling:
             return
-        refused = [
-            f"{key} {float(metadata[key]):g} instead of {value:g}"
-            for key, value in self._expected.items()
-            if key in metadata and abs(float(metadata[key]) - value) > _TOLERANCE * value
-        ]
-        if refused:
+        if refused := differences(metadata, self._expected):
             logger.warning("camera %s: the camera runs with %s", self._name, ", ".join(refused))

@@ -58,8 +58,8 @@ class RecordedSource:
         """Accept settings that leave the optics alone: a recording cannot be exposed again."""
         if self._settings is not None and not settings.same_optics(self._settings):
             raise ConfigError(
-                f"camera {self._name} replays {self._camera.path}: exposure, gain, white balance and focus are "
-                "what they were; only colours can change"
+                f"camera {self._name} replays {self._camera.path}: exposure, gain, white balance, focus and "
+                "picture are what they were; only colours can change"
             )
         self._settings = settings
 

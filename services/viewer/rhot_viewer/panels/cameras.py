@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import Any, Final
@@ -12,6 +12,7 @@ import viser
 
 from rhot.messages import ServiceStatus
 from rhot_viewer.browser.page import Page
+from rhot_viewer.panels.color_bounds import ColorBoundsFolder
 from rhot_viewer.rig.camera_sliders import CameraSlider, camera_sliders
 from rhot_viewer.rig.capture_settings import CaptureSettings
 from rhot_viewer.rig.inbox import Inbox
@@ -25,6 +26,7 @@ _STATUS_AGE_S: Final = 5.0
 @dataclass(slots=True)
 class _CameraFolder:
     sliders: dict[CameraSlider, viser.GuiSliderHandle[float]]
+    bounds: ColorBoundsFolder
     note: viser.GuiHtmlHandle
     shown_version: int = 0
     moved_at: float = field(default=-_HELD_S)
@@ -32,12 +34,21 @@ class _CameraFolder:
 
 
 class CamerasPanel:
-    """Exposure, gain, white balance and colour thresholds of every camera."""
+    """Exposure, gain, white balance, picture and colours of every camera."""
 
     title = "Cameras"
 
-    def __init__(self, page: Page, settings: CaptureSettings, inbox: Inbox, markers: Iterable[str]) -> None:
+    def __init__(
+        self,
+        page: Page,
+        settings: CaptureSettings,
+        inbox: Inbox,
+        markers: Sequence[str],
+        choose: Callable[[str], None] = lambda _: None,
+    ) -> None:
         self._page = page
+        self._markers = tuple(markers)
+        self._choose = choose
         self._settings = settings
         self._inbox = inbox
         self._sliders = camera_sliders(markers)
@@ -46,8 +57,8 @@ class CamerasPanel:
     def build(self, gui: viser.GuiApi) -> None:
         """Add a folder per camera; the sliders stay grey until the camera has sent its settings."""
         text = (
-            "The sliders act at once, until the service restarts. To keep exposure, gain and white balance, save them "
-            "in the first step of the tab Calibrate."
+            "The sliders act at once, until the service restarts. To keep exposure, gain, white balance and picture, "
+            "save them in the first step of the tab Calibrate."
         )
         gui.add_html(_NOTE.format(color="inherit", text=text))
         for index, camera in enumerate(self._settings.cameras):
@@ -58,7 +69,19 @@ class CamerasPanel:
                 with gui.add_folder("Colour thresholds"):
                     thresholds = [slider for slider in self._sliders if isinstance(slider.part, str)]
                     handles |= {slider: self._add(gui, camera, slider) for slider in thresholds}
-            self._folders[camera] = _CameraFolder(handles, note)
+                with gui.add_folder("Colour bounds", expand_by_default=False):
+                    bounds = self._bounds(camera)
+                    bounds.build(gui)
+            self._folders[camera] = _CameraFolder(handles, bounds, note)
+
+    def _bounds(self, camera: str) -> ColorBoundsFolder:
+        def ask(change: Mapping[str, Any]) -> None:
+            self._folders[camera].moved_at = time.monotonic()
+            self._settings.ask(camera, change)
+
+        return ColorBoundsFolder(
+            self._page, self._markers, ask, lambda: self._settings.keep_bounds(camera), self._choose
+        )
 
     def _add(self, gui: viser.GuiApi, camera: str, slider: CameraSlider) -> viser.GuiSliderHandle[float]:
         handle = gui.add_slider(
@@ -88,6 +111,7 @@ class CamerasPanel:
                 continue
             folder.shown_version = state.version
             folder.note.content = _NOTE.format(color="#ff6b6b", text=escape(state.refusal)) if state.refusal else ""
+            folder.bounds.show(state.settings)
             for slider, handle in folder.sliders.items():
                 value = slider.value_in(state.settings)
                 handle.disabled = value is None

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-_TOLERANCES: Final = "tolerances"
+_PER_MARKER: Final = ("tolerances", "bounds")
+"""Fields of `CameraSettings` that hold a value for each marker."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +69,23 @@ def camera_sliders(markers: Iterable[str]) -> tuple[CameraSlider, ...]:
         CameraSlider("gain", "gain", None, 1.0, 1.0, 16.0, 0.1, "Amplifies the picture and its noise."),
         CameraSlider("white: red", "white_balance", 0, 1.0, 0.5, 4.0, 0.02, "Red gain; locked, never automatic."),
         CameraSlider("white: blue", "white_balance", 1, 1.0, 0.5, 4.0, 0.02, "Blue gain; locked, never automatic."),
+        CameraSlider(
+            "saturation",
+            "saturation",
+            None,
+            1.0,
+            0.0,
+            4.0,
+            0.05,
+            "Of the picture, where the camera can set it: 1 is its own, 0 is grey. More sets paints further apart.",
+        ),
+        CameraSlider("contrast", "contrast", None, 1.0, 0.1, 4.0, 0.05, "Of the picture: 1 is the camera's own."),
+        CameraSlider("brightness", "brightness", None, 1.0, -1.0, 1.0, 0.01, "Added to the picture: 0 adds nothing."),
     )
     thresholds = tuple(
         CameraSlider(
             name,
-            _TOLERANCES,
+            "tolerances",
             name,
             1.0,
             0.1,
@@ -86,8 +99,9 @@ def camera_sliders(markers: Iterable[str]) -> tuple[CameraSlider, ...]:
 
 
 def merged_change(first: Mapping[str, Any], then: Mapping[str, Any]) -> dict[str, Any]:
-    """Return two changes of settings as one; the later wins, thresholds marker by marker."""
+    """Return two changes of settings as one; the later wins, thresholds and bounds marker by marker."""
     merged = {**first, **then}
-    if _TOLERANCES in first and _TOLERANCES in then:
-        merged[_TOLERANCES] = {**first[_TOLERANCES], **then[_TOLERANCES]}
+    for field in _PER_MARKER:
+        if field in first and field in then:
+            merged[field] = {**first[field], **then[field]}
     return merged

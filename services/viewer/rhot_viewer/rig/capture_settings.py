@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from rhot.bus import Bus
@@ -13,6 +13,7 @@ from rhot.errors import BusError
 from rhot_viewer.rig.camera_sliders import merged_change
 
 _TIMEOUT_S: Final = 0.8
+_KEEP_S: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +37,18 @@ class CaptureSettings:
     def __init__(self, cameras: Iterable[str]) -> None:
         self.cameras = {name: CameraState() for name in cameras}
         self._pending: dict[str, dict[str, Any]] = {}
+        self._keeping: set[str] = set()
         self._wake = asyncio.Event()
 
     def ask(self, camera: str, change: Mapping[str, Any]) -> None:
         """Change a camera's settings; an empty change reads them."""
         self._pending[camera] = merged_change(self._pending.get(camera, {}), change)
         self._wake.set()
+
+    def keep_bounds(self, camera: str) -> None:
+        """Have a camera write the colour bounds that are in force into its colors.json."""
+        self._keeping.add(camera)
+        self.ask(camera, {})
 
     def is_asked(self, camera: str) -> bool:
         """Tell whether an answer is awaited."""
@@ -53,10 +60,22 @@ class CaptureSettings:
             await self._wake.wait()
             self._wake.clear()
             for camera, change in list(self._pending.items()):
+                kept = await self._keep(bus, camera) if camera in self._keeping else ""
                 answered = await self._answer(bus, camera, change)
+                if kept:
+                    answered = replace(answered, refusal=kept)
                 if self._pending.get(camera) is change:
                     del self._pending[camera]
                 self.cameras[camera] = answered
+
+    async def _keep(self, bus: Bus, camera: str) -> str:
+        """Return why the bounds were not kept; empty when they were."""
+        self._keeping.discard(camera)
+        try:
+            replies = await bus.get(f"rhot/keep/capture/{camera}?do=save_bounds", timeout_s=_KEEP_S)
+        except BusError as error:
+            return str(error)
+        return replies[0].error if replies else f"nobody answers; is `rhot capture --camera {camera}` running?"
 
     async def _answer(self, bus: Bus, camera: str, change: Mapping[str, Any]) -> CameraState:
         before = self.cameras[camera]

@@ -1,4 +1,4 @@
-"""What V4L2 says of a captured frame and OpenCV keeps to itself: what its timestamp marks, and its number.
+"""What V4L2 says and OpenCV keeps to itself: what a frame's timestamp marks, its number, and a control's range.
 
 `VIDIOC_QUERYBUF` tells it of the device's buffers, on any handle of the device, also while another one streams ("anyone
 can query buffers": `vb2_ioctl_querybuf` in the kernel's videobuf2-v4l2.c). `struct v4l2_buffer` and its flags are from
@@ -13,6 +13,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
+
+from rhot_capture.sources.v4l2.picture import IDENTIFIERS, UNUSABLE, VIDIOC_QUERYCTRL, ControlRange, V4l2QueryControl
 
 VIDIOC_QUERYBUF: Final = 0xC0585609
 """`_IOWR('V', 9, struct v4l2_buffer)` with 64-bit longs, as everywhere where RHOT runs."""
@@ -74,11 +76,11 @@ def stamps_arrival(device: str, sysfs: Path = Path("/sys")) -> bool:
         return False
 
 
-Ioctl = Callable[[int, int, V4l2Buffer], object]
+Ioctl = Callable[[int, int, V4l2Buffer | V4l2QueryControl], object]
 
 
 class BufferQuery:
-    """Asks a device of its buffers; answers None where the driver does not, as for multi-planar devices."""
+    """Asks a device of its buffers and controls; answers None where the driver does not (multi-planar devices)."""
 
     def __init__(self, device: str, ioctl: Ioctl = fcntl.ioctl) -> None:
         """Open a further handle of a device.
@@ -111,6 +113,17 @@ class BufferQuery:
             if buffer.seconds * 1_000_000 + buffer.microseconds == stamp_us:
                 return int(buffer.sequence)
         return None
+
+    def control_range(self, field: str) -> ControlRange | None:
+        """Return the range of `brightness`, `contrast` or `saturation`; None where the driver has no such control."""
+        query = V4l2QueryControl(id=IDENTIFIERS[field])
+        try:
+            self._ioctl(self._handle, VIDIOC_QUERYCTRL, query)
+        except OSError:
+            return None
+        if query.flags & UNUSABLE or query.minimum >= query.maximum:
+            return None
+        return ControlRange(query.minimum, query.maximum, query.default_value)
 
     def close(self) -> None:
         """Close the handle; closing twice does no harm."""

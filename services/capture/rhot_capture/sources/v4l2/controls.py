@@ -8,9 +8,12 @@ to such a driver; its own values are named as its own: `v4l2_controls`.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from rhot.rig.config import CameraConfig
+from rhot.rig.picture_config import PICTURE_NEUTRAL
+from rhot_capture.sources.v4l2.picture import ControlRange
 
 _MANUAL_EXPOSURE: Final = 1.0
 """`V4L2_EXPOSURE_MANUAL` of the menu of `V4L2_CID_EXPOSURE_AUTO`."""
@@ -61,6 +64,28 @@ class DriverControls:
         """Return the exposure that the driver runs with, or the one asked for where it does not tell."""
         units = self.value("CAP_PROP_EXPOSURE")
         return units * _EXPOSURE_UNIT_S if units > 0.0 else asked_s
+
+    def set_picture(
+        self, camera: CameraConfig, asked: Mapping[str, float], ranges: Callable[[str], ControlRange | None]
+    ) -> list[str]:
+        """Set saturation, contrast and brightness, and return what cannot be set, with the reason.
+
+        Args:
+            camera: whose `v4l2_controls` are what a neutral value goes back to.
+            asked: field to value; only these are touched.
+            ranges: asks the driver for the range of a field's control.
+        """
+        refused = []
+        for field, value in asked.items():
+            known = ranges(field)
+            own = camera.v4l2_controls.get(field) if value == PICTURE_NEUTRAL[field] else None  # type: ignore[call-overload]
+            if known is None:
+                refused.append(f"{field} = {value:g} (the driver has no such control)")
+            elif (units := known.units(field, value) if own is None else own) is None:
+                refused.append(f"{field} = {value:g} (at most {known.most(field):.2f})")
+            else:
+                refused += self.set(f"{field} = {value:g}", _PROPERTIES[field], float(units))
+        return refused
 
     def unset(self, camera: CameraConfig) -> str:
         """Say which values of the rig mean nothing to the driver, and what it runs with instead."""

@@ -6,7 +6,7 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import ModuleType
 from typing import Any, Final
 
@@ -15,10 +15,12 @@ import numpy as np
 
 from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.rig.config import CameraConfig
+from rhot.rig.picture_config import PICTURE_NEUTRAL
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.v4l2.buffers import BufferQuery, stamps_arrival
 from rhot_capture.sources.v4l2.controls import DriverControls
+from rhot_capture.sources.v4l2.picture import ControlRange
 
 _LOG = logging.getLogger(__name__)
 
@@ -69,6 +71,7 @@ class V4l2Source:
         self._buffers: BufferQuery | None = None
         self._stamps = "end of frame"
         self._exposure_s = camera.exposure_s
+        self._picture: dict[str, float] = dict(PICTURE_NEUTRAL)
         self._start_ns = 0
         self._period_ns = round(1e9 / camera.rate_hz)
         self._index = -1
@@ -136,7 +139,7 @@ class V4l2Source:
         return None
 
     def apply(self, settings: CameraSettings) -> None:
-        """Set the exposure while running.
+        """Set exposure and picture while running.
 
         Raises:
             ConfigError: a setting that V4L2 has no unit for, or an exposure that the driver refuses.
@@ -154,9 +157,10 @@ class V4l2Source:
             if self._capture is None:
                 raise DeviceError(f"camera {self._name}: not open; start it first")
             controls = DriverControls(self._cv, self._capture)
-            refused = controls.set_exposure(settings.exposure_s)
-            if refused:
+            refused = self._set_picture(controls, settings.picture)
+            if not refused and (refused := controls.set_exposure(settings.exposure_s)):
                 controls.set_exposure(self._exposure_s)
+            if refused:
                 raise ConfigError(f"camera {self._name}: the driver of {camera.device} refuses {', '.join(refused)}")
             self._exposure_s = controls.exposure_s(settings.exposure_s)
 
@@ -193,7 +197,14 @@ class V4l2Source:
         refused += controls.set(f"rate_hz = {camera.rate_hz:g}", "CAP_PROP_FPS", camera.rate_hz)
         rate_hz = controls.value("CAP_PROP_FPS")
         self._period_ns = round(1e9 / (rate_hz if rate_hz > 0.0 else camera.rate_hz))
+        self._ask_for_stamps()
         refused += controls.lock(camera)
+        self._picture = dict(PICTURE_NEUTRAL)
+        asked = {name: getattr(camera, name) for name in PICTURE_NEUTRAL}
+        for name, value in asked.items():
+            refused += self._set_picture(controls, {**self._picture, name: value})
+        # Said once in the status; a later change of something else must not fail over it.
+        self._picture = asked
         self._exposure_s = controls.exposure_s(camera.exposure_s)
         if refused:
             self._problem = (
@@ -207,7 +218,19 @@ class V4l2Source:
                 "[cameras.%s.v4l2_controls] of rig.toml",
                 self._name, left, self._name,
             )  # fmt: skip
-        self._ask_for_stamps()
+
+    def _set_picture(self, controls: DriverControls, picture: Mapping[str, float]) -> list[str]:
+        """Set what changes of the picture; return what the driver refused, which leaves the picture as it was."""
+        ranges: Callable[[str], ControlRange | None] = (
+            self._buffers.control_range if self._buffers is not None else lambda _: None
+        )
+        changes = {name: value for name, value in picture.items() if value != self._picture[name]}
+        refused = controls.set_picture(self._camera, changes, ranges)
+        if refused:
+            controls.set_picture(self._camera, {name: self._picture[name] for name in changes}, ranges)
+        else:
+            self._picture = dict(picture)
+        return refused
 
     def _ask_for_stamps(self) -> None:
         device = self._device()
