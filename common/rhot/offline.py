@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from typing import Any, Protocol
 
 from rhot.errors import ConfigError
 from rhot.messages import HeadPose, MarkerFrame, Message, ObjectPose
 from rhot.plugins import load_plugin
 from rhot.recording import Recording, TrackTiming, marker_track_frames
 from rhot.rig import Rig
+from rhot.stage import Output
 
 
 def core(name: str) -> Callable[..., Any]:
@@ -22,12 +23,49 @@ def core(name: str) -> Callable[..., Any]:
     return loaded
 
 
-def track(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[str, Message]]:
+class PlayedFeet(Protocol):
+    """The feet of a recording; `rhot_feet.offline.RecordedFeet` is one."""
+
+    @property
+    def frame_count(self) -> int:
+        """How many pictures there are."""
+        ...
+
+    @property
+    def frames_done(self) -> int:
+        """How many of them were looked at."""
+        ...
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the last picture."""
+        ...
+
+    def until(self, t_ns: int) -> list[Output]:
+        """Return the head's poses and the feet up to a time; times do not go back."""
+        ...
+
+
+def feet_of(rig: Rig, recording: Recording) -> PlayedFeet | None:
+    """Return the feet of a recording, None where it has none.
+
+    Raises:
+        ConfigError: the rig has no feet, or a file is missing or cannot be used.
+    """
+    if recording.depth_camera is None:
+        return None
+    feet: PlayedFeet = core("feet")(rig, recording)
+    return feet
+
+
+def track(rig: Rig, frames: Iterator[MarkerFrame], feet: PlayedFeet | None = None) -> Iterator[tuple[str, Message]]:
     """Yield every message that a live rig would have published for these marker frames, in order.
 
-    Objects of the rig whose source is `recorded` are played beside them, from the first frame on.
+    Objects of the rig whose source is `recorded` are played beside them, from the first frame on, and so are feet.
     """
-    yield from track_with(core("fusion")(rig), core("ik")(rig), frames, _objects(rig))
+    # A rig of feet alone has no cameras to fuse.
+    fusion = core("fusion")(rig) if rig.config.cameras else None
+    yield from track_with(fusion, core("ik")(rig), frames, _objects(rig), feet)
 
 
 def _objects(rig: Rig) -> Any:
@@ -44,12 +82,21 @@ def _played(objects: Any, ik: Any, t_ns: int) -> Iterator[tuple[str, Message]]:
         yield key, pose
 
 
+def _walked(feet: PlayedFeet | None, ik: Any, t_ns: int | None = None) -> Iterator[tuple[str, Message]]:
+    """Yield head, feet and the bodies that follow from them, up to a time or to the end."""
+    if feet is not None:
+        for key, pose in feet.until(feet.end_ns if t_ns is None else t_ns):
+            yield key, pose
+            yield from ik.feed(pose)
+
+
 def track_with(
-    fusion: Any, ik: Any, frames: Iterable[MarkerFrame], objects: Any = None
+    fusion: Any, ik: Any, frames: Iterable[MarkerFrame], objects: Any = None, feet: PlayedFeet | None = None
 ) -> Iterator[tuple[str, Message]]:
-    """Yield what cores make of marker frames and recorded objects, as `track` does."""
+    """Yield what cores make of marker frames, recorded objects and feet, as `track` does."""
     for frame in frames:
         yield from _played(objects, ik, frame.t_ns)
+        yield from _walked(feet, ik, frame.t_ns)
         yield f"rhot/markers/{frame.camera}", frame
         for points_key, points in fusion.feed(frame):
             yield points_key, points
@@ -57,14 +104,19 @@ def track_with(
             yield from hands
             for _, hand in hands:
                 fusion.feed(hand)
+    yield from _walked(feet, ik)
 
 
-def track_smoothly(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[str, Message]]:
+def track_smoothly(
+    rig: Rig, frames: Iterator[MarkerFrame], feet: PlayedFeet | None = None
+) -> Iterator[tuple[str, Message]]:
     """Yield all marker frames, then all points as the whole recording shows them, and the hands from those.
 
     Raises:
         ConfigError: the rig's method keeps no paths to smooth.
     """
+    if not rig.config.cameras:
+        raise ConfigError("--smooth looks back at the paths of hands, and this rig has no cameras; leave it out")
     method = rig.config.fusion.method
     if method != "filter":
         raise ConfigError(
@@ -80,8 +132,10 @@ def track_smoothly(rig: Rig, frames: Iterator[MarkerFrame]) -> Iterator[tuple[st
     ik, objects = core("ik")(rig), _objects(rig)
     for points in fusion.smoothed():
         yield from _played(objects, ik, points.t_ns)
+        yield from _walked(feet, ik, points.t_ns)
         yield "rhot/points", points
         yield from ik.feed(points)
+    yield from _walked(feet, ik)
 
 
 def rig_timing(rig: Rig) -> dict[str, TrackTiming]:
@@ -94,6 +148,8 @@ def rig_timing(rig: Rig) -> dict[str, TrackTiming]:
 
 def marker_frames(rig: Rig, recording: Recording) -> Iterator[MarkerFrame]:
     """Return the marker frames of a recording: read from its tracks, or found in its pictures."""
+    if not recording.cameras:
+        return iter(())
     if recording.holds_markers:
         return iter(marker_track_frames(rig, recording))
     frames: Iterator[MarkerFrame] = core("capture")(rig, recording)

@@ -10,11 +10,10 @@ from bus_watch import PATIENCE_S
 
 from rhot.bus import Bus
 from rhot.messages import decode
-from rhot.recording.camera_picture import CameraPicture
+from rhot.recording.camera_picture import CameraPicture, jpeg_of
 from rhot.recording.mcap.session import subscribe_pictures
 from rhot.rig import BusConfig
 from rhot_capture.frame_stream import FrameStream
-from rhot_capture.preview import jpeg_of
 from rhot_capture.sources import Frame
 
 

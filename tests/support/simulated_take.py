@@ -11,12 +11,11 @@ from pathlib import Path
 
 from rhot.messages import HandPose, MarkerFrame, encode, encoding_of
 from rhot.offline import track
-from rhot.recording.camera_picture import CameraPicture
+from rhot.recording.camera_picture import CameraPicture, jpeg_of
 from rhot.recording.mcap.writer import McapWriter, rig_files
 from rhot.recording.picture_folder import PictureFolder
 from rhot.rig import Rig, load_rig
 from rhot_bench.speed.simulated import Cameras, Capture, moments, world_of
-from rhot_capture.preview import jpeg_of
 from rhot_sim.rig.folder import write_simulated_rig
 
 DELAY_NS = 8_000_000

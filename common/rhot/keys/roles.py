@@ -21,8 +21,10 @@ ROUTER: Final = "router"
 SERVICES: Final = "services"
 OPERATOR: Final = "operator"
 TOOL: Final = "tool"
-_EVERYTHING: Final = ("rhot/**", "rhot/@pictures/**")
-"""The second is apart: `**` does not match chunks that begin with `@`."""
+_EVERYTHING: Final = ("rhot/**", "rhot/@pictures/**", "rhot/@sensors/**")
+"""The others are apart: `**` does not match chunks that begin with `@`."""
+_FEET_INPUTS: Final = ("@pictures/feet", "@sensors/*")
+"""What the feet service sends to who records."""
 _DATA: Final = ("points", "hand/*", "object/*", "space/*", "head", "foot/*", "body", "truth")
 _HEARD: Final = ("rhot/control",)
 _ASKED: Final = ("rhot/control", "rhot/clock")
@@ -91,18 +93,19 @@ def allowance(holder: Holder) -> Allowance:
             ask=_ASKED,
         )
     if holder.role in ("objects", "feet"):
-        data = ("object/*", "head", "space/*") if holder.role == "objects" else ("foot/*", "space/*")
+        is_feet = holder.role == "feet"
+        data = ("foot/*", "space/*", *_FEET_INPUTS) if is_feet else ("object/*", "head", "space/*")
         return Allowance(
             publish=(*(f"rhot/{key}" for key in data), f"rhot/status/{holder.role}/*"),
-            answer=(f"rhot/config/{holder.role}/*",),
+            answer=(f"rhot/config/{holder.role}/*", *(("rhot/preview/feet",) if is_feet else ())),
             alive=(f"rhot/alive/{holder.role}/*",),
-            hear=(*_HEARD, f"rhot/config/{holder.role}/*", *(("rhot/head",) if holder.role == "feet" else ())),
+            hear=(*_HEARD, f"rhot/config/{holder.role}/*", *(("rhot/head",) if is_feet else ())),
             ask=_ASKED,
         )
     if holder.role == SERVICES:
         return Allowance(
-            publish=(*(f"rhot/{key}" for key in _DATA), "rhot/status/*/*"),
-            answer=("rhot/control", "rhot/clock", "rhot/config/*/*"),
+            publish=(*(f"rhot/{key}" for key in (*_DATA, *_FEET_INPUTS)), "rhot/status/*/*"),
+            answer=("rhot/control", "rhot/clock", "rhot/config/*/*", "rhot/preview/feet"),
             alive=("rhot/alive/*/*",),
             hear=_EVERYTHING,
             ask=_ASKED,

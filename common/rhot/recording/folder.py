@@ -32,6 +32,10 @@ MARKERS_FILE = "markers.csv"
 TIMES_FILE = "timestamps.csv"
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi")
+COLOR_FOLDER = "color"
+"""Below the folder of a depth camera."""
+DEPTH_FOLDER = "depth"
+INTRINSICS_FILE = "intrinsics.json"
 
 _CAMERA_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _NO_TIMES = frozen_array([])
@@ -57,7 +61,13 @@ def load_recording(path: Path, timing: Mapping[str, TrackTiming] | None = None) 
     settings = _settings(path)
     entries = sorted(entry for entry in path.iterdir() if not entry.name.startswith("."))
     origins: dict[str, Path] = {}
+    depth_cameras = [entry for entry in entries if (entry / COLOR_FOLDER).is_dir()]
+    if len(depth_cameras) > 1:
+        both = " and ".join(entry.name for entry in depth_cameras[:2])
+        raise ConfigError(f"{path}: holds two depth cameras, {both}; keep one")
     for entry in entries:
+        if entry in depth_cameras:
+            continue
         if entry.is_dir() and _is_camera_folder(entry):
             name = entry.name
         elif entry.is_file() and entry.suffix.lower() in VIDEO_SUFFIXES:
@@ -69,14 +79,16 @@ def load_recording(path: Path, timing: Mapping[str, TrackTiming] | None = None) 
         if name in origins:
             raise ConfigError(f"{path}: camera {name} is there twice, {origins[name].name} and {entry.name}; keep one")
         origins[name] = entry
-    if not origins:
+    if not (origins or depth_cameras):
         raise ConfigError(
-            f"{path}: holds no camera; expected <camera>/NNNNNN.jpg, <camera>.mp4 or <camera>/{MARKERS_FILE}"
+            f"{path}: holds no camera; expected <camera>/NNNNNN.jpg, <camera>.mp4, <camera>/{MARKERS_FILE}, or "
+            f"<camera>/{COLOR_FOLDER} of a depth camera"
         )
     unknown = [name for name in settings.cameras if name not in origins]
     if unknown:
         raise ConfigError(
-            f"{path / RECORDING_FILE}: cameras.{unknown[0]} is not in this recording, which holds {', '.join(origins)}"
+            f"{path / RECORDING_FILE}: cameras.{unknown[0]} is not in this recording, which holds "
+            f"{', '.join(origins) or 'none but a depth camera'}"
         )
     cameras = {
         name: load_camera(
@@ -84,7 +96,7 @@ def load_recording(path: Path, timing: Mapping[str, TrackTiming] | None = None) 
         )
         for name, origin in origins.items()
     }
-    return Recording(path, cameras, settings.notes)
+    return Recording(path, cameras, settings.notes, next(iter(depth_cameras), None), settings.complete)
 
 
 def load_camera(path: Path, name: str, timing: TrackTiming | None = None, *, complete: bool = True) -> CameraTrack:

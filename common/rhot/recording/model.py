@@ -139,13 +139,17 @@ class Recording:
 
     Attributes:
         path: the folder.
-        cameras: what each camera recorded, by name, in alphabetical order.
+        cameras: what each camera recorded, by name, in alphabetical order; empty where it holds a depth camera alone.
         notes: from `recording.toml`.
+        depth_camera: folder of the feet's depth camera, see `rhot_feet.sources.depth_camera.recorded_frames`.
+        complete: false where the recorder was cut off.
     """
 
     path: Path
     cameras: dict[str, CameraTrack]
     notes: str
+    depth_camera: Path | None = None
+    complete: bool = True
 
     @property
     def has_times(self) -> bool:

@@ -7,6 +7,7 @@ cameras cost nothing but themselves, and are counted.
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +18,14 @@ import tomlkit
 from rhot.atomic_file import sync_file_system, sync_folder, why
 from rhot.errors import ConfigError
 from rhot.recording.camera_picture import CameraPicture
-from rhot.recording.folder import RECORDING_FILE, TIMES_FILE, VIDEO_SUFFIXES
+from rhot.recording.folder import (
+    COLOR_FOLDER,
+    DEPTH_FOLDER,
+    INTRINSICS_FILE,
+    RECORDING_FILE,
+    TIMES_FILE,
+    VIDEO_SUFFIXES,
+)
 from rhot.recording.mcap.gaps import KeyCount
 from rhot.recording.model import MOST_CAMERAS
 from rhot.recording.stamps import StampGate
@@ -27,6 +35,7 @@ from rhot.rig.folder import write_text_atomic
 _TAKEN: Final = (".csv", ".toml", *VIDEO_SUFFIXES)
 """Endings of files that mean something in a recording folder; a camera's folder must not be called so."""
 _JPEG: Final = b"\xff\xd8\xff"
+_PNG: Final = b"\x89PNG"
 
 
 @dataclass(slots=True)
@@ -38,6 +47,7 @@ class _Camera:
     times: IO[str] | None = None
     exposure_s: float = 0.0
     readout_s: float = 0.0
+    has_lens: bool = False
     offset: int = 0
     frame: int = -1
     t_ns: int = -1
@@ -96,6 +106,11 @@ class PictureFolder:
         """Pictures written, lost and left out, by camera."""
         return {name: camera.count for name, camera in self._cameras.items()}
 
+    @property
+    def depth_camera(self) -> Path | None:
+        """The folder of the first camera that sends depth; None before its first picture."""
+        return next((camera.folder for camera in self._cameras.values() if camera.has_lens), None)
+
     def write(self, picture: CameraPicture, arrived_ns: int | None = None) -> None:
         """Add a picture; one that is not later than the camera's last, or whose time has not come, is left out.
 
@@ -112,8 +127,9 @@ class PictureFolder:
                 self.refused += 1
                 return
             camera = self._cameras[picture.camera] = _Camera()
-        camera.count.note(picture.seq, len(picture.jpeg))
-        if not picture.jpeg.startswith(_JPEG):
+        depth = picture.depth_png or b""
+        camera.count.note(picture.seq, len(picture.jpeg) + len(depth))
+        if not (picture.jpeg.startswith(_JPEG) and (not depth or (depth.startswith(_PNG) and picture.lens))):
             camera.count.left_out += 1
             return
         was_ready = camera.gate.ready
@@ -158,7 +174,10 @@ class PictureFolder:
             # The source counts anew: the rig was stopped and started.
             camera.offset = camera.frame + 1 - picture.frame
         camera.frame, camera.t_ns = picture.frame + camera.offset, picture.t_ns
-        (folder / f"{camera.frame:06d}.jpg").write_bytes(picture.jpeg)
+        name = f"{camera.frame:06d}"
+        ((folder / COLOR_FOLDER if camera.has_lens else folder) / f"{name}.jpg").write_bytes(picture.jpeg)
+        if camera.has_lens and picture.depth_png is not None:
+            (folder / DEPTH_FOLDER / f"{name}.png").write_bytes(picture.depth_png)
         times.write(f"{camera.frame},{camera.t_ns}\n")
         times.flush()
 
@@ -167,6 +186,11 @@ class PictureFolder:
             camera.folder = self.path / picture.camera
             camera.folder.mkdir(parents=True)
             camera.exposure_s, camera.readout_s = picture.exposure_s, picture.readout_s
+            camera.has_lens = picture.lens is not None
+            if picture.lens is not None:
+                (camera.folder / COLOR_FOLDER).mkdir()
+                (camera.folder / DEPTH_FOLDER).mkdir()
+                write_text_atomic(camera.folder / INTRINSICS_FILE, json.dumps(picture.lens.model_dump()) + "\n")
             camera.times = (camera.folder / TIMES_FILE).open("w", encoding="utf-8")
             camera.times.write(",".join(TIMES_HEADER) + "\n")
             self._describe(complete=False)
@@ -177,7 +201,7 @@ class PictureFolder:
         cameras = {
             name: {"exposure_s": camera.exposure_s, "readout_s": camera.readout_s}
             for name, camera in sorted(self._cameras.items())
-            if camera.folder is not None
+            if camera.folder is not None and not camera.has_lens
         }
         content = {"version": 1, "notes": self._notes, "complete": complete, "cameras": cameras}
         write_text_atomic(self.path / RECORDING_FILE, tomlkit.dumps(content))

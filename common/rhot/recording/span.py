@@ -47,6 +47,8 @@ def time_span(recording: Recording) -> tuple[int, int]:
         ConfigError: the recording has no times.
     """
     recording.require_times()
+    if not recording.cameras:
+        raise ConfigError(f"{recording.path}: holds a depth camera alone, no camera of hands")
     times = [track.t_ns for track in recording.cameras.values()]
     return min(int(t_ns[0]) for t_ns in times), max(int(t_ns[-1]) for t_ns in times)
 

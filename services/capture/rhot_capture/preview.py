@@ -23,15 +23,6 @@ _LINE_PX: Final = 13
 
 _PNG_LEVEL: Final = 1
 """Least compression: noise hardly compresses, and the camera's processor has other work."""
-_RECORDED_QUALITY: Final = 90
-"""Of simulated noisy pictures it moves marker centres by 0.08 px (root mean square; 95: 0.06, 75: 0.13; 0.19 at half
-colour resolution) and takes 54 kB (114, 20), 26 Mbit/s at 60 Hz."""
-_RECORDED: Final = (
-    cv2.IMWRITE_JPEG_QUALITY,
-    _RECORDED_QUALITY,
-    cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-    cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
-)
 
 
 def preview_jpeg(
@@ -102,9 +93,3 @@ def _draw_rim(canvas: ImageArray, detection: Detection) -> None:
     if detection.corners is not None:
         corners = np.round(detection.corners * 16.0).astype(np.int32).reshape(-1, 1, 2)
         cv2.polylines(canvas, [corners], True, (0, 255, 255), 1, cv2.LINE_AA, 4)
-
-
-def jpeg_of(image: ImageArray) -> bytes:
-    """Return a frame (H, W, 3), uint8 BGR, as it is recorded: JPEG with full colour resolution."""
-    _, data = cv2.imencode(".jpg", image, _RECORDED)
-    return bytes(data)

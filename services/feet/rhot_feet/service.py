@@ -26,6 +26,7 @@ from rhot.service.spaces import publish_spaces
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame, DepthSource
 from rhot_feet.imu.samples import ImuSource
+from rhot_feet.input_stream import InputStream
 from rhot_feet.sources.depth_camera.factory import open_depth_source
 from rhot_feet.sources.depth_camera.grabber import DepthGrabber
 from rhot_feet.sources.imu.factory import plan_sensors
@@ -80,6 +81,7 @@ class FeetService:
         self._grabber: DepthGrabber | None = None
         self._troubles: dict[str, str] = {}
         self._heads: EventSubscriber | None = None
+        self._inputs: InputStream | None = None
         self._head_came = asyncio.Event()
         self._head_known_s = 0.0
         # A picture takes some milliseconds, in which samples must go on.
@@ -95,8 +97,9 @@ class FeetService:
         raise ConfigError("feet are described in rig.toml; change it there and restart this service")
 
     def attach(self, node: Node) -> None:
-        """Listen to the head; a foot's key appears with its first pose."""
+        """Listen to the head, declare what is recorded; a foot's key appears with its first pose."""
         self._heads = node.bus.events(HEAD_KEY)
+        self._inputs = InputStream(node.bus, self._config.feet)
         node.status.include(self._counts)
         node.status.watch(self._figures)
         if self.owns_clock:
@@ -104,7 +107,13 @@ class FeetService:
 
     def _counts(self) -> Mapping[str, int]:
         counts = GrabberCounts() if self._grabber is None else self._grabber.counts
-        return {**self._stage.counts, "dropped_late": counts.dropped_late, "missed": counts.missed}
+        unsent = 0 if self._inputs is None else self._inputs.dropped
+        return {
+            **self._stage.counts,
+            "dropped_late": counts.dropped_late,
+            "missed": counts.missed,
+            "pictures_dropped": unsent,
+        }
 
     def _figures(self) -> tuple[Mapping[str, float], str]:
         grabber_s = 0.0 if self._grabber is None else self._grabber.busy_s
@@ -181,6 +190,8 @@ class FeetService:
             grabber.start()
             while (frame := await grabber.next_frame()) is not None:
                 self._works("depth camera")
+                if self._inputs is not None:
+                    self._inputs.offer(frame)
                 await self._look(node, frame)
         finally:
             await grabber.stop()
@@ -229,6 +240,8 @@ class FeetService:
                 self._works(f"{side} sensor")
                 node.status.counts[f"{side}_samples"] += len(samples)
                 self._stage.add_imu_samples(side, samples)
+                if self._inputs is not None:
+                    self._inputs.offer_samples(side, samples)
 
     async def _publish(self, node: Node) -> None:
         loop = asyncio.get_running_loop()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from rhot.explain import Explanation
 from rhot.messages import FootPose, HeadPose, ObjectPose, PointSet
 from rhot.rig import IkConfig, Rig
 from rhot.stage import Output
@@ -46,6 +47,14 @@ class WholeStage:
         if isinstance(message, PointSet):
             return self._hands.feed(message)
         if isinstance(message, ObjectPose) and not isinstance(message, HeadPose):
-            self._hands.feed_object(message)
+            self.feed_object(message)
             return []
         return self._body.feed(message)
+
+    def feed_object(self, pose: ObjectPose) -> None:
+        """Take an object's newest pose, for contacts."""
+        self._hands.feed_object(pose)
+
+    def explain(self) -> list[Explanation]:
+        """Return what the hands' core explains of itself."""
+        return self._hands.explain()

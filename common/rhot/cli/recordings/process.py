@@ -17,8 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from rhot.atomic_file import replacing
 from rhot.cli.options import rig_option
-from rhot.messages import MarkerFrame, PointSet
-from rhot.offline import marker_frames, rig_timing, track, track_smoothly
+from rhot.messages import FootPose, MarkerFrame, PointSet
+from rhot.offline import feet_of, marker_frames, rig_timing, track, track_smoothly
 from rhot.recording import Recording, load_recording
 from rhot.rig import load_rig
 
@@ -63,11 +63,13 @@ def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth:
     """Track a recording and write every published message as one JSON object a line.
 
     RECORDING is a folder that holds, per camera of the rig, pictures with timestamps.csv, a video, or marker tracks
-    (markers.csv). Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it.
+    (markers.csv), and, for feet, what `rhot record --frames` wrote of the depth camera, the ankle sensors and the head.
+    Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it.
     """
     rig = load_rig(rig_path)
     recording = load_recording(recording_path, rig_timing(rig))
     counts: Counter[str] = Counter()
+    looked_at = 0
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -76,17 +78,22 @@ def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth:
         TimeRemainingColumn(),
     )
     console = Console(stderr=True, soft_wrap=True)
-    if not rig.calibrated:
+    feet = feet_of(rig, recording)
+    if recording.cameras and not rig.calibrated:
         console.print(
             f"[yellow]{rig_path} is not calibrated (no cameras.json): cameras are taken as parallel, at the positions "
             "and with the field of view of rig.toml[/]"
         )
     with _output(out_path) as stream, Progress(*columns, console=console) as progress:
-        task = progress.add_task("tracking", total=_frame_count(recording))
-        for key, message in (track_smoothly if smooth else track)(rig, marker_frames(rig, recording)):
+        pictures = 0 if feet is None else feet.frame_count
+        task = progress.add_task("tracking", total=_frame_count(recording) + pictures)
+        for key, message in (track_smoothly if smooth else track)(rig, marker_frames(rig, recording), feet):
             counts[key] += 1
             if isinstance(message, MarkerFrame):
                 progress.advance(task)
+            elif feet is not None and isinstance(message, FootPose) and feet.frames_done > looked_at:
+                progress.advance(task, feet.frames_done - looked_at)
+                looked_at = feet.frames_done
             elif smooth and isinstance(message, PointSet):
                 progress.update(task, description="looking back")
             if not only or key.startswith(only):
@@ -94,5 +101,9 @@ def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth:
                 stream.write(f'{{"key": {json.dumps(key)}, "value": {value}}}\n')
     for key, number in sorted(counts.items()):
         console.print(f"{key:<24} {number:>8} messages")
-    if not any(key.startswith("rhot/hand/") for key in counts):
+    if feet is not None and not any(key.startswith("rhot/foot/") for key in counts):
+        console.print(
+            "[yellow]no foot was found: are the markers those of rig.toml, and was the head tracked meanwhile?[/]"
+        )
+    if recording.cameras and not any(key.startswith("rhot/hand/") for key in counts):
         console.print("[yellow]no hand was found: are the cameras named as in rig.toml, and colours calibrated?[/]")

@@ -19,9 +19,16 @@ from rich.table import Table
 from rhot.bus import Bus
 from rhot.cli.options import DEFAULT_RIG, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
+from rhot.recording.feet.tables import HEAD_FILE, FeetTables
 from rhot.recording.mcap.gaps import Tally
 from rhot.recording.mcap.session import record as record_session
-from rhot.recording.mcap.session import record_pictures, subscribe, subscribe_pictures
+from rhot.recording.mcap.session import (
+    record_motion,
+    record_pictures,
+    subscribe,
+    subscribe_motion,
+    subscribe_pictures,
+)
 from rhot.recording.mcap.writer import McapWriter, rig_files
 from rhot.recording.model import MOST_CAMERAS
 from rhot.recording.picture_folder import PictureFolder
@@ -76,21 +83,28 @@ async def _taking_pictures(
 ) -> AsyncIterator[None]:
     """Record pictures during the block, over a session of their own, so that messages do not queue behind them."""
     async with await Bus.open(config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
-        mailbox = subscribe_pictures(bus)
-        with folder:
-            storing = asyncio.create_task(record_pictures(mailbox, folder))
+        mailbox, motion = subscribe_pictures(bus), subscribe_motion(bus)
+        # The tables are closed first: a folder is complete when all of it is written.
+        with folder, FeetTables(lambda: folder.depth_camera) as tables:
+            storing = [
+                asyncio.create_task(record_pictures(mailbox, folder)),
+                asyncio.create_task(record_motion(motion, tables)),
+            ]
             # A disk that is full ends the whole recording.
-            storing.add_done_callback(lambda _: stop.requested.set())
+            for task in storing:
+                task.add_done_callback(lambda _: stop.requested.set())
             try:
                 yield
             finally:
-                mailbox.close()
-                invalid = await storing
+                for each in (mailbox, *motion):
+                    each.close()
+                invalid = sum(await asyncio.gather(*storing))
     for name, count in sorted(folder.counts.items()):
         lost = f", [red]{count.lost} lost on the way[/]" if count.lost else ""
         left_out = f", [red]{count.left_out} left out: not later than the one before, or a time that cannot be[/]"
         written = f"{count.messages - count.left_out} pictures, {count.bytes / 1e6:.1f} MB"
         console.print(f"{escape(str(folder.path / name))}: {written}{lost}{left_out if count.left_out else ''}")
+    _tell_tables(folder, tables, console)
     if folder.refused:
         console.print(
             f"[red]{folder.refused} pictures are left out: their cameras' names cannot be folders, or there are more "
@@ -99,9 +113,27 @@ async def _taking_pictures(
     if mailbox.overwritten:
         console.print(f"[red]{mailbox.overwritten} pictures were lost because the disk was too slow[/]")
     if invalid:
-        console.print(f"[red]{invalid} pictures were not valid and are left out[/]")
+        console.print(f"[red]{invalid} pictures, poses or samples were not valid and are left out[/]")
     if not folder.counts:
         console.print("[yellow]no camera sent pictures: do its capture services run, and is the rig started?[/]")
+
+
+def _tell_tables(folder: PictureFolder, tables: FeetTables, console: Console) -> None:
+    """Say what was recorded of the feet beside pictures, and what `rhot process` will miss."""
+    place = folder.depth_camera
+    if place is None:
+        return
+    for name, rows in sorted(tables.rows.items()):
+        console.print(f"{escape(str(place / name))}: {rows} rows")
+    if tables.left_out:
+        console.print(
+            f"[red]{tables.left_out} rows are left out: not later than the one before, or a time that cannot be[/]"
+        )
+    if HEAD_FILE not in tables.rows:
+        console.print(
+            "[yellow]no measured pose of the head came, so that the pictures of the feet cannot be tracked: does "
+            "`rhot objects` run?[/]"
+        )
 
 
 async def _record(
@@ -189,12 +221,13 @@ def record(
     puts a recording back on the bus, `rhot export` makes tables and animations of it, and any MCAP tool opens it.
 
     With --frames the capture services also send every picture in which they looked for markers, as JPEG of quality 90,
-    after the messages and only while somebody records. `rhot process` tracks such a folder anew.
+    after the messages and only while somebody records; the feet service sends colour and depth of its camera, and the
+    ankles' sensors. `rhot process` tracks such a folder anew.
 
     \b
     rhot record                                until Ctrl-C, into recordings/
     rhot record --out grasp.mcap --duration 30
-    rhot record --out grasp.mcap --frames      pictures in grasp/left, grasp/right, ...
+    rhot record --out grasp.mcap --frames      pictures in grasp/left, grasp/right, grasp/feet
     """
     config = tool_bus(rig_path, connect, namespace)
     attachments = rig_files(rig_path) if rig_path.is_dir() else {}

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from rhot.bus import Bus, EventSubscriber
 from rhot.errors import WireError
-from rhot.messages import decode
+from rhot.messages import HeadPose, decode
 from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
+from rhot.recording.feet.sensor_samples import SENSORS_KEY, SensorSamples
+from rhot.recording.feet.tables import FeetTables
 from rhot.recording.mcap.gaps import Tally, peek
 from rhot.recording.mcap.wire_models import MSGPACK_ENCODING
 from rhot.recording.mcap.writer import McapWriter
@@ -98,6 +100,49 @@ def subscribe(bus: Bus) -> EventSubscriber:
 def subscribe_pictures(bus: Bus) -> EventSubscriber:
     """Ask all cameras for their pictures; they code them from now on, and until the bus is closed."""
     return bus.events(f"{PICTURES_KEY}/*", PICTURE_LIMIT)
+
+
+def subscribe_motion(bus: Bus) -> tuple[EventSubscriber, EventSubscriber]:
+    """Ask for the head's poses and for the ankles' sensors, which belong to the pictures of the feet."""
+    return bus.events("rhot/head", QUEUE_LIMIT), bus.events(f"{SENSORS_KEY}/*", QUEUE_LIMIT)
+
+
+async def record_motion(mailboxes: Sequence[EventSubscriber], tables: FeetTables) -> int:
+    """Write what `subscribe_motion` gives until both mailboxes are closed.
+
+    Returns:
+        How many messages were not valid and were left out.
+
+    Raises:
+        ConfigError: a table cannot be written any more.
+    """
+    invalid = 0
+
+    async def heads(mailbox: EventSubscriber) -> None:
+        nonlocal invalid
+        async for sample in mailbox:
+            try:
+                tables.add_head(decode(sample.payload, HeadPose), sample.arrived_ns)
+            except WireError:
+                invalid += 1
+
+    async def sensors(mailbox: EventSubscriber) -> None:
+        nonlocal invalid
+        async for sample in mailbox:
+            try:
+                samples = decode(sample.payload, SensorSamples)
+            except WireError:
+                invalid += 1
+                continue
+            if sample.key.rpartition("/")[2] == samples.side:
+                tables.add_samples(samples, sample.arrived_ns)
+            else:
+                invalid += 1
+
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(heads(mailboxes[0]))
+        tasks.create_task(sensors(mailboxes[1]))
+    return invalid
 
 
 async def record_pictures(mailbox: EventSubscriber, folder: PictureFolder) -> int:

@@ -14,6 +14,7 @@ from typing import Final
 from rhot.errors import ConfigError
 from rhot.explain import Explanation, ExplanationRow, Outline, PictureExplanation, Verdict
 from rhot.recording import PictureTrack, VideoTrack
+from rhot.recording.camera_picture import jpeg_of
 from rhot.rig import MarkerConfig, Rig
 from rhot.rig.colors import load_colors
 from rhot_capture.detection.blob import Blob
@@ -21,7 +22,6 @@ from rhot_capture.detection.candidates import MIN_FILL, MIN_PLAUSIBILITY, MIN_SO
 from rhot_capture.detection.color_table import ImageArray, build_color_table
 from rhot_capture.detection.cutouts import Region
 from rhot_capture.detection.detector import Detection, MarkerDetector
-from rhot_capture.preview import jpeg_of
 from rhot_capture.sources.pictures import read_pictures
 
 _MOST_SHOWN: Final = 6

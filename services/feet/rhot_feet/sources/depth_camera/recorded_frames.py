@@ -24,17 +24,13 @@ from pydantic import ValidationError
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.messages import first_problem
-from rhot.recording.folder import numbered_pictures
+from rhot.recording.folder import COLOR_FOLDER, DEPTH_FOLDER, INTRINSICS_FILE, TIMES_FILE, numbered_pictures
 from rhot.recording.tables import read_times
 from rhot.rig.calibration import Intrinsics
 from rhot_feet.frames import DepthFrame, DepthImage, pinhole
 
 IntArray = NDArray[np.int64]
 
-COLOR_FOLDER = "color"
-DEPTH_FOLDER = "depth"
-TIMES_FILE = "timestamps.csv"
-INTRINSICS_FILE = "intrinsics.json"
 _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
 _DEPTH_SUFFIXES = (".png",)
 
@@ -103,7 +99,7 @@ class DepthRecording:
 
 
 def load_depth_recording(
-    path: Path, *, camera: CameraModel | None = None, rate_hz: float | None = None
+    path: Path, *, camera: CameraModel | None = None, rate_hz: float | None = None, complete: bool = True
 ) -> DepthRecording:
     """Load the folder of one camera.
 
@@ -111,6 +107,7 @@ def load_depth_recording(
         path: the camera's folder.
         camera: lens to use where the recording has no `intrinsics.json`.
         rate_hz: frames per second where the recording has no `timestamps.csv`; the first frame is then at 0.
+        complete: false where the recorder was cut off: its last pictures and their times need not match then.
 
     Raises:
         ConfigError: missing, empty or contradictory; names the file and what to do.
@@ -126,7 +123,9 @@ def load_depth_recording(
         raise ConfigError(
             f"{orphans[0]}: has no picture of its number in {path / COLOR_FOLDER} (and {len(orphans) - 1} more)"
         )
-    numbers, t_ns = _times(path, list(color), rate_hz)
+    if not complete:
+        color, depth = _whole(color), _whole(depth)
+    numbers, t_ns = _times(path, list(color), rate_hz, complete=complete)
     return DepthRecording(
         path,
         tuple(color[number] for number in numbers.tolist()),
@@ -141,15 +140,27 @@ def _numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
     return numbered_pictures(folder, suffixes) if folder.is_dir() else {}
 
 
-def _times(path: Path, numbers: list[int], rate_hz: float | None) -> tuple[IntArray, IntArray]:
+def _whole(pictures: dict[int, Path]) -> dict[int, Path]:
+    """Return the pictures that are not empty, as a power cut leaves them."""
+    return {number: file for number, file in pictures.items() if file.stat().st_size}
+
+
+def _times(
+    path: Path, numbers: list[int], rate_hz: float | None, *, complete: bool = True
+) -> tuple[IntArray, IntArray]:
     table = path / TIMES_FILE
     if not table.exists():
         if rate_hz is None:
             raise ConfigError(f"{path}: has no {TIMES_FILE} (`frame,t_ns`); write one, or state the frame rate")
         frames = np.array(numbers, dtype=np.int64)
         return frames, np.round((frames - frames[0]) * (1e9 / rate_hz)).astype(np.int64)
-    frames, t_ns = read_times(table)
+    frames, t_ns = read_times(table, complete=complete)
     listed, present = set(frames.tolist()), set(numbers)
+    if not complete:
+        there = np.isin(frames, numbers)
+        if not there.any():
+            raise ConfigError(f"{path}: the recording was cut off before its first picture was on the disk")
+        return frames[there], t_ns[there]
     for frame in frames.tolist():
         if frame not in present:
             raise ConfigError(f"{table}: frame {frame} has no picture in {path / COLOR_FOLDER}")

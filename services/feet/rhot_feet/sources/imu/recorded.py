@@ -1,8 +1,9 @@
 """Inertial samples out of a CSV file: what a BNO080 sends, or specific force and angular rate.
 
-Three headers are understood, further columns are left alone: `t,qw,qx,qy,qz,lax,lay,laz` (orientation and linear
-acceleration), `t,ax,ay,az,gx,gy,gz` (specific force and angular rate; seconds, m/s², rad/s), and that of x-io's loggers
-with `Gyroscope X (deg/s)` … `Accelerometer Z (g)`.
+Four headers are understood; of the first three further columns are left alone: `t,qw,qx,qy,qz,lax,lay,laz` (orientation
+and linear acceleration), `t,ax,ay,az,gx,gy,gz` (specific force and angular rate; seconds, m/s², rad/s), that of x-io's
+loggers with `Gyroscope X (deg/s)` … `Accelerometer Z (g)`, and that of `rhot record --frames`
+(`rhot.recording.feet.tables`), which holds the samples as the tracker used them.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
+from rhot.recording.feet.tables import SENSOR_HEADER, read_table
 from rhot_feet.imu.conversion import FusedImuConverter, RawImuConverter
 from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
 
@@ -92,6 +94,8 @@ def read_samples(path: Path) -> ImuSamples:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             rows = csv.reader(stream)
             header = [column.strip() for column in next(rows, [])]
+            if tuple(header) == SENSOR_HEADER:
+                return _own_samples(path)
             columns = next((names for names in (_FUSED, _RAW, _XIO) if set(names) <= set(header)), None)
             if columns is None:
                 raise ConfigError(
@@ -110,6 +114,17 @@ def read_samples(path: Path) -> ImuSamples:
     if columns is _XIO:
         table = table * _XIO_UNITS
     return RawImuConverter().convert(t_ns, table[:, 1:4], table[:, 4:7])
+
+
+def _own_samples(path: Path) -> ImuSamples:
+    t_ns, values = read_table(path, SENSOR_HEADER)
+    if len(t_ns) < 2:
+        raise ConfigError(f"{path}: holds {len(t_ns)} samples under its header; two are needed")
+    norms = np.linalg.norm(values[:, 6:], axis=1)
+    wrong = np.flatnonzero(np.abs(norms - 1.0) > 1e-3)
+    if len(wrong):
+        raise ConfigError(f"{path}, line {wrong[0] + 2}: the quaternion {values[wrong[0], 6:]} is no unit quaternion")
+    return ImuSamples(t_ns, values[:, :3], values[:, 3:6], values[:, 6:] / norms[:, None])
 
 
 def _table(path: Path, rows: Iterable[list[str]], columns: tuple[str, ...], indices: list[int]) -> FloatArray:

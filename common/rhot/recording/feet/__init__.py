@@ -1,0 +1,1 @@
+"""What a recording holds of the feet beside the depth camera's pictures: ankle sensors and the head's poses."""
