@@ -17,6 +17,7 @@ from rhot_bench.speed.bridges import bridges_section
 from rhot_bench.speed.cores import Scene, capture_section, fusion_section, ik_section, pipeline_section
 from rhot_bench.speed.interleaved import Spread
 from rhot_bench.speed.live import live_section
+from rhot_bench.speed.pages import pages_section
 from rhot_bench.speed.pi_budget import budget_section
 from rhot_bench.speed.scaling import scaling_section, scaling_steps
 from rhot_bench.speed.secured import secured_section
@@ -24,7 +25,19 @@ from rhot_bench.speed.services import processes_section
 from rhot_bench.speed.soak import soak_section
 from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
 
-PARTS: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget", "live", "processes", "tls", "bridge")
+PARTS: Final = (
+    "capture",
+    "fusion",
+    "ik",
+    "pipeline",
+    "scaling",
+    "budget",
+    "live",
+    "processes",
+    "tls",
+    "bridge",
+    "page",
+)
 LONG_PARTS: Final = ("soak",)
 """Measured only where they are asked for by name."""
 
@@ -70,6 +83,7 @@ def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | N
     processes  start-up time and memory of each service
     tls        what a secured bus costs: latency with and without certificates
     bridge     four other programs at once: latency from the bus to the packet, rate, processor time
+    page       two windows with the page Grasp: pose on the bus to its picture, and what they cost the tracker
     soak       hours of the running rig: memory, descriptors, threads, latency and losses, each minute
 
     The machine should do nothing else meanwhile. This takes about two minutes, or one with --quick.
@@ -95,7 +109,7 @@ def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | N
 def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) -> list[Section]:
     seconds = 0.6 if quick else 6.0
     sections: list[Section] = []
-    if set(parts) - {"live", "processes", "tls", "bridge"}:
+    if set(parts) - {"live", "processes", "tls", "bridge", "page"}:
         pictures = progress.add_task("rendering", total=2 * seconds * RATE_HZ)
         scene = Scene(rig, seconds, lambda: progress.advance(pictures))
         work = progress.add_task("measuring the cores", total=4 + scaling_steps())
@@ -125,5 +139,9 @@ def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) 
     if "bridge" in parts:
         waiting = progress.add_task("bridges to four programs", total=None)
         sections.append(bridges_section(rig, 6.0 if quick else 20.0))
+        progress.remove_task(waiting)
+    if "page" in parts:
+        waiting = progress.add_task("two windows of a browser", total=None)
+        sections.append(pages_section(rig, 6.0, 1) if quick else pages_section(rig, 10.0))
         progress.remove_task(waiting)
     return sections

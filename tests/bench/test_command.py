@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from rhot.errors import ConfigError
+from rhot.messages import ServiceStatus
 from rhot_bench.command import bench
 from rhot_bench.speed.live import Arrivals, latencies_s, live_rows
+from rhot_bench.speed.pages import Turn, page_rows
 from rhot_bench.speed.pi_budget import slowness
 from rhot_bench.speed.scaling import growth_row
 
@@ -73,3 +75,37 @@ def test_latency_counts_from_the_newest_picture_of_a_hand() -> None:
     hands = [(7_000_400, 19_000_000), (16_700_000, 30_700_000), (16_700_000, 20_000_000)]
     assert latencies_s(frames, hands) == pytest.approx([0.003, 0.005])
     assert {row.verdict for row in live_rows(Arrivals(), 1.0, 60.0)} == {"not measured", "missed", "met", ""}
+
+
+def shown(p99_s: float, pictures_hz: float, without_graphics: float) -> ServiceStatus:
+    return ServiceStatus(
+        t_ns=1,
+        service="viewer",
+        instance="grasp",
+        state="running",
+        figures={"pictures_hz": pictures_hz, "without_graphics": without_graphics, "clock_ms": 0.2, "browsers": 2.0},
+        latency_s={"to_picture": {"p50": 0.005, "p99": p99_s, "max": 1.0}},
+    )
+
+
+def test_pages_are_judged_beside_the_turns_without_them() -> None:
+    waits_ms = tuple(range(1, 101))
+    turns = [
+        Turn(0, 1.0, tuple(map(float, waits_ms)), None),
+        Turn(2, 1.0, tuple(2.0 * wait for wait in waits_ms[:70]), shown(0.02, 60.0, 0.0)),
+    ]
+    rows = {row.name: row for row in page_rows(turns)}
+    assert rows["fewer poses with pages"].value == pytest.approx(30.0)
+    assert rows["fewer poses with pages"].verdict == "missed"
+    assert rows["later with pages, p99"].verdict == "missed"
+    last = rows["pose on the bus to the picture that shows it, p99"]
+    assert (last.value, last.most) == (pytest.approx(20.0), 20.7), "one picture at 60 Hz and 4 ms"
+    assert last.verdict == "met"
+
+    turns[1] = Turn(2, 1.0, turns[1].waits_ms, shown(0.2, 10.0, 2.0))
+    rows = {row.name: row for row in page_rows(turns)}
+    assert rows["later with pages, p99"].verdict == "", "the processor draws: it is the poses that count"
+    assert rows["pose on the bus to the picture that shows it, p99"].verdict == "missed"
+
+    rows = {row.name: row for row in page_rows([Turn(0, 1.0, (), None), Turn(2, 1.0, (), None)])}
+    assert rows["fewer poses with pages"].verdict == "not measured"

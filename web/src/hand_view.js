@@ -1,7 +1,8 @@
 // A hand in the scene: the skin that was made of its model, moved by 26 joints; predicted fingers are blue.
-import { Bone, BufferAttribute, BufferGeometry, Color, CylinderGeometry, Group, Matrix4, Mesh, MeshStandardMaterial, Quaternion, SRGBColorSpace, Skeleton, SkinnedMesh, Vector3 } from "three";
+import { Bone, BufferAttribute, BufferGeometry, Color, CylinderGeometry, Group, Matrix4, Mesh, Quaternion, SRGBColorSpace, Skeleton, SkinnedMesh, Vector3 } from "three";
 import { makeSkin } from "./hand_skin.js";
 import { FINGERS, WRIST } from "./skeleton.js";
+import { surface } from "./surfaces.js";
 
 const SKIN = { right: new Color(0xdca988), left: new Color(0xcfa49a) };
 const PREDICTED = new Color(0x4f93e0);
@@ -29,7 +30,7 @@ export class HandView extends Group {
     geometry.setAttribute("skinWeight", new BufferAttribute(skin.weights, 4));
     geometry.setAttribute("color", new BufferAttribute(new Float32Array(skin.positions.length), 3));
     geometry.setIndex(new BufferAttribute(skin.triangles, 1));
-    const material = new MeshStandardMaterial({ vertexColors: true, roughness: 0.62, metalness: 0 });
+    const material = surface({ vertexColors: true, roughness: 0.62 });
     this.#mesh = new SkinnedMesh(geometry, material);
     this.#mesh.frustumCulled = false;
     this.#mesh.castShadow = true;
@@ -40,7 +41,7 @@ export class HandView extends Group {
     this.add(this.#mesh, ...this.bones);
     this.#sleeve = new Mesh(
       new CylinderGeometry(1, 0.93, 1, 28, 1).rotateX(Math.PI / 2).translate(0, 0, 0.5),
-      new MeshStandardMaterial({ color: 0x2f4a66, roughness: 0.95 }),
+      surface({ color: 0x2f4a66, roughness: 0.95 }),
     );
     const scale = model.radii[WRIST] / 0.022;
     this.#sleeve.scale.set(scale * SLEEVE.across, scale * SLEEVE.up, SLEEVE.length);

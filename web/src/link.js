@@ -10,7 +10,7 @@ export class Link {
   #wish = { rate_hz: 90, truth: false };
   #hear;
 
-  /** hear(message, arrivedMs) is called with each message but those about time. */
+  /** hear(message) is called with each message but those about time. */
   constructor(hear) {
     this.#hear = hear;
     this.clock = new RigClock();
@@ -38,7 +38,7 @@ export class Link {
         if (message.rig_ms !== null) this.clock.put(message.at_ms, arrivedMs, message.rig_ms);
         return;
       }
-      this.#hear(message, arrivedMs);
+      this.#hear(message);
     };
     socket.onclose = () => {
       this.connected = false;
@@ -56,6 +56,11 @@ export class Link {
 
   taken() {
     this.send({ type: "taken" });
+  }
+
+  /** Tell how long poses took to be seen: what `rhot status` and `rhot bench --part page` show. */
+  shown(told) {
+    this.send({ type: "shown", clock_ms: this.clock.uncertainty, ...told });
   }
 
   wish(changes) {

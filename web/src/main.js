@@ -13,6 +13,8 @@ import { Rig } from "./rig.js";
 import { Stage } from "./scene.js";
 import { Body, UNKNOWN, halfHeight } from "./shapes.js";
 import { BENDING, FINGERS, PALM, WRIST } from "./skeleton.js";
+import { drawPlainly } from "./surfaces.js";
+import { Timing } from "./timing.js";
 
 const BALL = { kind: "sphere", radius: 0.028 };
 /** Beside the middle of the desk, on the thumb's side of a right hand. */
@@ -25,14 +27,10 @@ const $ = (id) => document.getElementById(id);
 
 const rig = new Rig();
 const canvas = $("view");
+const pace = new Pace(isSoftware(rendererName()));
+if (pace.software) drawPlainly();
 const renderer = makeRenderer();
-const pace = new Pace(isSoftware(rendererName(renderer)));
-if (pace.software) {
-  renderer.setPixelRatio(Math.min(1, 900 / innerWidth));
-  renderer.xr.setFramebufferScaleFactor(0.5);
-} else {
-  renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
-}
+if (pace.software) renderer.xr.setFramebufferScaleFactor(0.5);
 renderer.shadowMap.enabled = !pace.software;
 renderer.shadowMap.type = PCFSoftShadowMap;
 const stage = new Stage(!pace.software);
@@ -43,6 +41,10 @@ controls.minDistance = 0.12;
 controls.maxDistance = 6;
 const labels = new Labels($("tags"));
 const link = new Link(hear);
+const timing = new Timing();
+/** Whether a pose has come that is not drawn yet, and one that was not said to be taken. */
+let fresh = false;
+let owed = false;
 const headset = new Headset(renderer, link);
 const views = new Map();
 const ghosts = new Map();
@@ -56,7 +58,7 @@ let lastMs = 0;
 
 /** For tests, and for whoever is curious at the console. */
 const seen = (window.rhot = {
-  frames: 0, drawn: {}, held: {}, waits: [], T_webxr_rig: null, rig, link, pace, headset,
+  frames: 0, drawn: {}, held: {}, T_webxr_rig: null, rig, link, pace, headset, timing,
   get ball() { return ball?.at; },
   /** The 26 joints of a hand as they are drawn, in the space of desktop or headset. */
   bones: (side) => views.get(side)?.bones.map((bone) => bone.getWorldPosition(new Vector3()).toArray()),
@@ -65,29 +67,39 @@ const seen = (window.rhot = {
 
 function makeRenderer() {
   try {
-    return new WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    return new WebGLRenderer({ canvas, antialias: !pace.software, powerPreference: "high-performance" });
   } catch (error) {
     $("state").textContent = "This browser draws no 3D (WebGL): switch its hardware acceleration on, or use another one.";
     throw error;
   }
 }
 
-function rendererName(made) {
-  const gl = made.getContext();
-  const info = gl.getExtension("WEBGL_debug_renderer_info");
-  return info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
+/** Who draws, asked before there is anything to draw with. */
+function rendererName() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const info = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return name;
 }
 
-function hear(message, arrivedMs) {
+function hear(message) {
   if (message.type === "hello") {
     hello = message;
     rig.hello(message);
     begin();
   } else if (message.type === "frame") {
     rig.frame(message.keys);
-    if (Object.keys(message.keys).some((key) => key.startsWith("rhot/hand/"))) seen.arrived ??= arrivedMs;
-    link.taken();
+    timing.came(message.bus);
+    fresh = owed = true;
+    // Who draws seldom asks for the next pose when it is time: it is then as new as can be.
+    if (!pace.software) taken();
   }
+}
+
+function taken() {
+  if (owed) link.taken();
+  owed = false;
 }
 
 function begin() {
@@ -160,7 +172,9 @@ function frame(nowMs, xrFrame) {
   if (!xrFrame && headset.on) return;
   const begun = performance.now();
   // A headset says when to draw; only one that is emulated without a graphics card is held back.
-  if ((!xrFrame || pace.software) && !pace.due(begun)) return;
+  if ((!xrFrame || pace.software) && !pace.due(begun, fresh)) return;
+  fresh = false;
+  if (link.clock.ready) timing.begins(begun, link.clock.rig(begun));
   const displayMs = xrFrame ? Headset.displayMs(xrFrame) : begun + 8;
   if (xrFrame) headset.publish(xrFrame, displayMs);
   if (hello && link.clock.ready) update(link.clock.rig(displayMs), displayMs, (nowMs - lastMs) / 1000);
@@ -171,13 +185,9 @@ function frame(nowMs, xrFrame) {
   // Without a graphics card the drawing goes on after `render`: reading a pixel waits for it.
   if (pace.software && !xrFrame) renderer.getContext().readPixels(0, 0, 1, 1, 6408, 5121, new Uint8Array(4));
   const done = performance.now();
-  if (seen.arrived !== undefined) {
-    seen.waits.push(done - seen.arrived);
-    if (seen.waits.length > 600) seen.waits.shift();
-    seen.arrived = undefined;
-  }
   pace.drawn(begun, done - begun);
   seen.frames++;
+  if (owed) setTimeout(taken, pace.rest(done));
 }
 
 function update(t, displayMs, elapsed) {
@@ -270,7 +280,9 @@ function follow(hands, elapsed) {
 function fit() {
   const { clientWidth: width, clientHeight: height } = canvas;
   const size = renderer.getSize(new Vector2());
-  if (size.x !== width || size.y !== height) {
+  const ratio = pace.software ? Math.min(1, pace.width / width) : Math.min(devicePixelRatio, 2);
+  if (size.x !== width || size.y !== height || renderer.getPixelRatio() !== ratio) {
+    renderer.setPixelRatio(ratio);
     renderer.setSize(width, height, false);
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
@@ -296,6 +308,12 @@ function say(hands, t) {
     parts.push(error === null ? "no truth here: only a simulation knows it" : `fingertips ${(1e3 * error).toFixed(1)} mm from the truth (median)`);
   }
   if (rig.guessed) parts.push("floor guessed");
+  if ($("timing").checked && timing.waits.length) {
+    parts.push(
+      `seen ${timing.within(0.5).toFixed(1)} ms after it was on the bus (99 of 100 within ${timing.within(0.99).toFixed(1)} ms), ` +
+        `one picture is ${(1000 / timing.rate).toFixed(1)} ms, clock ± ${link.clock.uncertainty.toFixed(1)} ms`,
+    );
+  }
   if (pace.software) parts.push(`no graphics card: ${pace.rate.toFixed(0)} pictures/s`);
   $("state").className = "";
   $("state").textContent = parts.join(" · ");
@@ -308,13 +326,19 @@ function watch() {
       ? "The rig does not answer; this page comes back by itself when it does."
       : "connecting …";
     rig.forget();
+    timing.clear();
   } else if (!link.clock.ready) {
     $("state").className = "bad";
     $("state").textContent = "The rig is not running: no clock (fusion). `rhot sim` or `rhot up` starts it.";
   }
-  link.wish({ truth: $("truth").checked, rate_hz: Math.max(1, Math.min(120, headset.on ? 120 : Math.min(pace.rate, 90))) });
+  // Who asks for each pose by itself gets it at once.
+  const rate_hz = pace.software ? 60 : headset.on ? 120 : 90;
+  link.wish({ truth: $("truth").checked, rate_hz, ahead: pace.software ? 1 : 2 });
 }
 setInterval(watch, 500);
+setInterval(() => {
+  if (link.clock.ready) link.shown({ ...timing.told(performance.now()), graphics: !pace.software });
+}, 1000);
 
 $("what").onclick = () => {
   $("about").hidden = !$("about").hidden;

@@ -1,9 +1,10 @@
 // What is drawn around the hand: light, desk, floor, things by their shape, feet and legs. Stage axes: y up, metres.
 import {
   BoxGeometry, CanvasTexture, CapsuleGeometry, Color, CylinderGeometry, DirectionalLight, Fog, Group, HemisphereLight,
-  Mesh, MeshBasicMaterial, MeshStandardMaterial, PlaneGeometry, Quaternion, RepeatWrapping, SRGBColorSpace, Scene, SphereGeometry, Vector3,
+  Mesh, MeshBasicMaterial, PlaneGeometry, Quaternion, RepeatWrapping, SRGBColorSpace, Scene, SphereGeometry, Vector3,
 } from "three";
 import { UNKNOWN } from "./shapes.js";
+import { surface } from "./surfaces.js";
 
 const BACKGROUND = 0x46525e;
 const TWIN = 0xd6a03c;
@@ -84,12 +85,12 @@ export class Stage {
     const fill = new DirectionalLight(0x9fc3ff, 0.7);
     fill.position.set(-1, 0.6, 0.8);
     this.root.add(fill);
-    this.floor = new Mesh(new PlaneGeometry(14, 14).rotateX(-Math.PI / 2), new MeshStandardMaterial({ color: 0x4a555f, roughness: 1 }));
+    this.floor = new Mesh(new PlaneGeometry(14, 14).rotateX(-Math.PI / 2), surface({ color: 0x4a555f, roughness: 1 }));
     this.floor.receiveShadow = true;
-    this.desk = new Mesh(new BoxGeometry(...DESK_SIZE), new MeshStandardMaterial({ color: 0x8a7561, roughness: 0.8 }));
+    this.desk = new Mesh(new BoxGeometry(...DESK_SIZE), surface({ color: 0x8a7561, roughness: 0.8 }));
     const texture = matTexture();
     texture.repeat.set(18, 10);
-    this.mat = new Mesh(new PlaneGeometry(0.9, 0.5).rotateX(-Math.PI / 2), new MeshStandardMaterial({ map: texture, roughness: 0.95 }));
+    this.mat = new Mesh(new PlaneGeometry(0.9, 0.5).rotateX(-Math.PI / 2), surface({ map: texture, roughness: 0.95 }));
     this.mat.receiveShadow = this.desk.receiveShadow = true;
     this.surroundings = new Group();
     this.surroundings.add(this.floor, this.desk, this.mat);
@@ -119,7 +120,7 @@ export class Stage {
     const key = JSON.stringify(shape ?? UNKNOWN);
     if (mesh?.userData.shape !== key) {
       if (mesh) this.#drop(mesh);
-      mesh = new Mesh(geometryOf(shape ?? UNKNOWN), new MeshStandardMaterial({ roughness: 0.5, transparent: !shape && !virtual, opacity: !shape && !virtual ? 0.85 : 1 }));
+      mesh = new Mesh(geometryOf(shape ?? UNKNOWN), surface({ roughness: 0.5, transparent: !shape && !virtual, opacity: !shape && !virtual ? 0.85 : 1 }));
       mesh.castShadow = mesh.receiveShadow = true;
       mesh.userData.shape = key;
       this.#things.set(name, mesh);
@@ -161,7 +162,7 @@ export class Stage {
   foot(side, at, predicted) {
     let mesh = this.#feet.get(side);
     if (!mesh && at) {
-      mesh = new Mesh(new BoxGeometry(...FOOT.size).translate(...FOOT.middle), new MeshStandardMaterial({ roughness: 0.7 }));
+      mesh = new Mesh(new BoxGeometry(...FOOT.size).translate(...FOOT.middle), surface({ roughness: 0.7 }));
       mesh.castShadow = true;
       this.#feet.set(side, mesh);
       this.root.add(mesh);
@@ -186,7 +187,7 @@ export class Stage {
         continue;
       }
       if (!mesh) {
-        mesh = new Mesh(new CapsuleGeometry(LEG_RADIUS, 1, 6, 16), new MeshStandardMaterial({ roughness: 0.8 }));
+        mesh = new Mesh(new CapsuleGeometry(LEG_RADIUS, 1, 6, 16), surface({ roughness: 0.8 }));
         mesh.castShadow = true;
         this.#legs.set(key, mesh);
         this.root.add(mesh);

@@ -6,6 +6,7 @@ import { MOST_AHEAD_MS, RigClock, Track } from "../src/motion.js";
 import { Pace, isSoftware } from "../src/pace.js";
 import { Body, halfHeight } from "../src/shapes.js";
 import { BONES, FINGERS, JOINTS } from "../src/skeleton.js";
+import { Timing } from "../src/timing.js";
 import { HANDS, bent, placed, radii, random, rest } from "./hands.js";
 
 const near = (a, b, by, what) => assert.ok(Math.abs(a - b) <= by, `${what ?? ""} ${a} is not ${b} ± ${by}`);
@@ -69,7 +70,53 @@ test("without a graphics card the page draws less often, and with one as the scr
   };
   near(drawn(false, 3), 60, 1);
   assert.ok(drawn(true, 5) <= 11);
-  assert.ok(drawn(true, 80) <= 6);
+  assert.ok(drawn(true, 80) <= 3, "a fifth of the time at most");
+});
+
+test("where pictures cost much, they become coarser, and finer again only where that is cheap", () => {
+  const pace = new Pace(true);
+  const draw = (cost) => {
+    for (let i = 0; i < 60; i++) pace.drawn(i, cost(pace.width));
+  };
+  draw(() => 30);
+  assert.equal(pace.width, 900);
+  draw((width) => 90 * (width / 900) ** 2);
+  assert.equal(pace.width, 640, "46 ms a picture: four a second");
+  draw((width) => 200 * (width / 900) ** 2);
+  assert.equal(pace.width, 480);
+  draw(() => 400);
+  assert.equal(pace.width, 480, "there is nothing coarser");
+  assert.equal(pace.rate, 2);
+  for (let i = 0; i < 4; i++) draw((width) => 10 * (width / 900) ** 2);
+  assert.equal(pace.width, 900);
+});
+
+test("who draws seldom asks just before a picture is due, and waits a little for the answer", () => {
+  const pace = new Pace(true);
+  pace.drawn(1000, 5);
+  near(pace.rest(1005), 87, 1e-9);
+  assert.equal(pace.rest(5000), 0);
+  assert.ok(!pace.due(1090) && pace.due(1100) && !pace.due(1100, false) && pace.due(1150, false));
+  assert.equal(new Pace(false).rest(0), 0, "with a graphics card every pose is taken at once");
+});
+
+test("the time from the bus to the picture is that of the newest pose, told once", () => {
+  const timing = new Timing();
+  timing.begins(0, 5000);
+  for (let i = 1; i <= 100; i++) {
+    timing.came(5000 + 10 * i - 8);
+    timing.came(5000 + 10 * i - 3);
+    timing.begins(10 * i, 5000 + 10 * i);
+    timing.begins(10 * i + 5, 5005 + 10 * i);
+  }
+  near(timing.within(0.5), 3, 1e-9);
+  near(timing.rate, 200, 2);
+  const told = timing.told(1005);
+  assert.equal(told.waits_ms.length, 100, "a picture without a new pose is none");
+  assert.deepEqual(timing.told(1005).waits_ms, []);
+  assert.equal(timing.told(9000).pictures_hz, 0);
+  timing.clear();
+  assert.equal(timing.within(0.5), null);
 });
 
 test("the skin is closed, as thick as the flesh, and every finger moves its own part", () => {

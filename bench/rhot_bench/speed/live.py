@@ -11,7 +11,8 @@ import shutil
 import tempfile
 import time
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -117,16 +118,25 @@ async def _measured(rig: Rig, logs: Path, seconds: float) -> Arrivals:
 
     async def work(bus: Bus) -> None:
         await broadcast(bus, "start", "bench", 1.0, wait_s=_PATIENCE_S)
-        reading = asyncio.create_task(_read(bus, arrivals))
         try:
-            await asyncio.sleep(1.0 + _SETTLING_S + seconds)
+            async with reading(bus, arrivals):
+                await asyncio.sleep(1.0 + _SETTLING_S + seconds)
         finally:
-            reading.cancel()
-            await asyncio.gather(reading, return_exceptions=True)
             await broadcast(bus, "stop", "bench", 0.0, wait_s=_PATIENCE_S)
 
     await with_processes(endpoint, services, logs, work)
     return arrivals
+
+
+@asynccontextmanager
+async def reading(bus: Bus, into: Arrivals) -> AsyncIterator[None]:
+    """Note frames and hands in the meantime."""
+    task = asyncio.create_task(_read(bus, into))
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
 
 
 async def _read(bus: Bus, into: Arrivals) -> None:

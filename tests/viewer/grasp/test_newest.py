@@ -22,6 +22,17 @@ def test_only_the_newest_of_what_has_changed_is_sent() -> None:
     assert newest.since(version, without=("rhot/object/cup",)) == ""
 
 
+def test_a_frame_tells_when_the_bus_handed_over_its_hand() -> None:
+    newest = Newest()
+    newest.put("rhot/space/stage", "1")
+    assert "bus" not in json.loads(newest.since(0))
+    newest.put("rhot/object/cup", "1", 1_700_000_000_001.25)
+    assert json.loads(newest.since(0))["bus"] == 1_700_000_000_001.25
+    newest.put("rhot/hand/right", "1", 1_700_000_000_000.5)
+    newest.put("rhot/hand/left", "1", 1_700_000_000_000.75)
+    assert json.loads(newest.since(0))["bus"] == 1_700_000_000_000.5, "no hand is older than it says"
+
+
 def test_strangers_cannot_fill_the_table() -> None:
     newest = Newest()
     for number in range(2 * MOST_KEYS):
@@ -48,5 +59,8 @@ def test_a_browser_that_takes_nothing_is_sent_two_frames_and_no_more() -> None:
         assert pace.wait_s(1e3) is not None
         pace.sent(1e3, 1)
     assert pace.wait_s(2e3) is None
+    pace.ahead = 1
+    pace.taken()
+    assert pace.wait_s(2e3) is None, "who asks for each has one under way"
     pace.taken()
     assert pace.wait_s(2e3) == 0.0

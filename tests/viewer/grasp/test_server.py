@@ -141,6 +141,16 @@ async def test_a_headset_is_heard_from_who_may_change_things(page: Page) -> None
     assert len(page.heard) == 1
 
 
+async def test_whoever_looks_tells_what_it_has_drawn(page: Page) -> None:
+    async with browser(page, host="desk.local", token=Access(TOKEN).view_token) as one:
+        await tell(one, type="shown", pictures_hz=60.0, waits_ms=[4.5], clock_ms=0.2, graphics=True)
+        await answered(one)
+        assert [told.waits_ms for told in page.heard] == [[4.5]]
+        (here,) = page.server.browsers
+        assert here.shown is page.heard[0]
+    assert page.guard.refused["message"] == 0
+
+
 async def test_who_only_looks_publishes_nothing(page: Page) -> None:
     async with browser(page, host="desk.local", token=Access(TOKEN).view_token) as one:
         assert (await read(one))["role"] == "view"

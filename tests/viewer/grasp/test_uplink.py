@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rhot.errors import WireError
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
 from rhot.geometry.transforms import rigid
-from rhot_viewer.grasp.uplink import Devices, Wish, controller_pose, head_pose, told
+from rhot_viewer.grasp.uplink import MOST_BYTES, Devices, Shown, Wish, controller_pose, head_pose, told
 
 POSE = {"position": [0.1, 1.2, -0.3], "orientation": [0.0, 0.6, 0.0, 0.8]}
 
@@ -35,9 +35,21 @@ def test_a_headset_tells_where_it_is() -> None:
         assert pose.frame == "rig"
 
 
+def test_a_browser_tells_what_it_has_drawn() -> None:
+    message = told('{"type":"shown","pictures_hz":59.9,"waits_ms":[3.1,17],"clock_ms":0.3,"graphics":true}')
+    assert message == Shown(type="shown", pictures_hz=59.9, waits_ms=[3.1, 17.0], clock_ms=0.3, graphics=True)
+    longest = {"type": "shown", "pictures_hz": 240.0, "waits_ms": [123.45] * 240, "clock_ms": 1.25, "graphics": False}
+    text = json.dumps(longest, separators=(",", ":"))
+    assert told(text)
+    assert len(text) < MOST_BYTES
+
+
 @pytest.mark.parametrize(
     "bad",
     [
+        '{"type": "wish", "ahead": 3}',
+        '{"type": "shown", "pictures_hz": 60, "waits_ms": [1e9], "clock_ms": 0, "graphics": true}',
+        json.dumps({"type": "shown", "pictures_hz": 1, "waits_ms": [1] * 241, "clock_ms": 0, "graphics": True}),
         "",
         "[]",
         "null",

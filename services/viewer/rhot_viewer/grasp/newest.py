@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass, field
 from typing import Final
 
 MOST_KEYS: Final = 256
 """The last part of a key is an outsider's choice: the table must not grow with it."""
+_HAND: Final = "rhot/hand/"
 
 
 class Newest:
@@ -15,28 +17,43 @@ class Newest:
 
     def __init__(self) -> None:
         self.version = 0
-        self._texts: dict[str, tuple[int, str]] = {}
+        self._texts: dict[str, tuple[int, str, float]] = {}
 
-    def put(self, key: str, text: str) -> None:
-        """Keep a text in place of the key's last one."""
+    def put(self, key: str, text: str, bus_ms: float = math.nan) -> None:
+        """Keep a text in place of the key's last one.
+
+        Args:
+            key: on the bus.
+            text: JSON.
+            bus_ms: when the bus handed it over, rig clock; NaN where nobody waits for it.
+        """
         if key not in self._texts and len(self._texts) >= MOST_KEYS:
             return
         self.version += 1
-        self._texts[key] = (self.version, text)
+        self._texts[key] = (self.version, text, bus_ms)
 
     def since(self, version: int, without: tuple[str, ...] = ()) -> str:
         """Return a frame of what has changed since a version, JSON; empty when nothing has.
+
+        Its `bus` is when the bus handed over the hand in it, the older one of two; without a hand, the newest of all.
 
         Args:
             version: what a browser has been sent last.
             without: keys that it does not want.
         """
-        parts = [
-            f"{json.dumps(key)}:{text}"
-            for key, (changed, text) in self._texts.items()
-            if changed > version and key not in without
-        ]
-        return f'{{"type":"frame","keys":{{{",".join(parts)}}}}}' if parts else ""
+        changed = {
+            key: (text, bus_ms)
+            for key, (at_version, text, bus_ms) in self._texts.items()
+            if at_version > version and key not in without
+        }
+        if not changed:
+            return ""
+        parts = ",".join(f"{json.dumps(key)}:{text}" for key, (text, _) in changed.items())
+        moments = {key: bus_ms for key, (_, bus_ms) in changed.items() if not math.isnan(bus_ms)}
+        hands = [bus_ms for key, bus_ms in moments.items() if key.startswith(_HAND)]
+        bus_ms = min(hands) if hands else max(moments.values(), default=math.nan)
+        stamp = "" if math.isnan(bus_ms) else f'"bus":{bus_ms:.3f},'
+        return f'{{"type":"frame",{stamp}"keys":{{{parts}}}}}'
 
 
 @dataclass(slots=True)
@@ -48,17 +65,20 @@ class Pace:
 
     Attributes:
         rate_hz: most frames per second.
+        ahead: most frames that are under way: two are one that is drawn and one on its way, as over Wi-Fi a round trip
+            takes some milliseconds; a browser that asks for each by itself wants one.
         version: of what it has been sent.
     """
 
     rate_hz: float = 90.0
+    ahead: int = 2
     version: int = 0
     _under_way: int = field(default=0, init=False)
     _due_s: float = field(default=0.0, init=False)
 
     def wait_s(self, now_s: float) -> float | None:
         """Return how long until the next frame may go; None when the browser has to take one first."""
-        return None if self._under_way >= _MOST_UNDER_WAY else max(0.0, self._due_s - now_s)
+        return None if self._under_way >= self.ahead else max(0.0, self._due_s - now_s)
 
     def sent(self, now_s: float, version: int) -> None:
         """A frame has gone."""
@@ -70,7 +90,3 @@ class Pace:
     def taken(self) -> None:
         """The browser has taken one."""
         self._under_way = max(0, self._under_way - 1)
-
-
-_MOST_UNDER_WAY: Final = 2
-"""One that is drawn and one on its way; over Wi-Fi a round trip takes some milliseconds."""

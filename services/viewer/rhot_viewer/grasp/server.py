@@ -18,7 +18,7 @@ from rhot_viewer.browser.access import Role
 from rhot_viewer.browser.guard import Guard
 from rhot_viewer.grasp import files
 from rhot_viewer.grasp.newest import Newest, Pace
-from rhot_viewer.grasp.uplink import MOST_BYTES, Ask, Taken, Wish, told
+from rhot_viewer.grasp.uplink import MOST_BYTES, Ask, Shown, Taken, Wish, told
 
 logger = logging.getLogger(__name__)
 _SOCKET_LOGGER: Final = "rhot_viewer.websockets"
@@ -33,6 +33,7 @@ class Browser:
         pace: of what it is sent.
         wished_hz: most frames per second that it asked for.
         wants_truth: whether it shows the truth.
+        shown: what it drew last; None until it has said so.
     """
 
     def __init__(self, connection: ServerConnection, role: Role) -> None:
@@ -40,6 +41,7 @@ class Browser:
         self.pace = Pace()
         self.wished_hz = self.pace.rate_hz
         self.wants_truth = False
+        self.shown: Shown | None = None
         self._connection = connection
         self._something = asyncio.Event()
 
@@ -188,7 +190,10 @@ class GraspServer:
             browser.wake()
         elif isinstance(message, Wish):
             browser.wished_hz, browser.wants_truth = message.rate_hz, message.truth
-            browser.pace.rate_hz = min(message.rate_hz, self.rate_hz)
+            browser.pace.rate_hz, browser.pace.ahead = min(message.rate_hz, self.rate_hz), message.ahead
+        elif isinstance(message, Shown):
+            browser.shown = message
+            self._heard(browser, message)
         elif isinstance(message, Ask):
             await browser.send(f'{{"type":"time","at_ms":{message.at_ms!r},"rig_ms":{_number(self._now_ms())}}}')
         elif browser.role != "control":

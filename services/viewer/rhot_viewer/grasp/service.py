@@ -37,7 +37,7 @@ from rhot_viewer.grasp.hello import hello_text
 from rhot_viewer.grasp.newest import Newest
 from rhot_viewer.grasp.server import Browser, GraspServer
 from rhot_viewer.grasp.text import text_of
-from rhot_viewer.grasp.uplink import CONTROLLER, HEAD, WEBXR, Devices, Left, Moved, controller_pose, head_pose
+from rhot_viewer.grasp.uplink import CONTROLLER, HEAD, WEBXR, Devices, Left, Moved, Shown, controller_pose, head_pose
 from rhot_viewer.manners import end_within, give_way
 from rhot_viewer.page_token import links
 
@@ -134,6 +134,11 @@ class GraspService:
                 f"{CONTROLLER}` places it anew"
             )
         figures = {"browsers": float(len(self.server.browsers)), "headset": float(self._wearer is not None), **refused}
+        shown = [browser.shown for browser in self.server.browsers if browser.shown is not None]
+        if shown:
+            figures["pictures_hz"] = min(one.pictures_hz for one in shown)
+            figures["clock_ms"] = max(one.clock_ms for one in shown)
+            figures["without_graphics"] = float(sum(not one.graphics for one in shown))
         return figures, problem
 
     async def run(self, node: Node, start: Control) -> None:
@@ -151,7 +156,8 @@ class GraspService:
             if message is None:
                 continue
             mailbox.keep_slot_of(sample.key)
-            self._take(sample.key, message)
+            waited_s = (time.monotonic_ns() - sample.arrived_ns) / 1e9
+            self._take(sample.key, message, math.nan if rare else self._now_ms() - 1e3 * waited_s)
             if not rare:
                 node.status.tick("input")
                 node.status.latency("to_page", (time.monotonic_ns() - sample.arrived_ns) / 1e9)
@@ -161,11 +167,11 @@ class GraspService:
             return any(browser.wants_truth for browser in self.server.browsers)
         return bool(self.server.browsers)
 
-    def _take(self, key: str, message: Message) -> None:
+    def _take(self, key: str, message: Message, bus_ms: float = math.nan) -> None:
         text = text_of(message)
         if text is None:
             return
-        self._newest.put(key, text)
+        self._newest.put(key, text, bus_ms)
         now_s = time.monotonic()
         if key.startswith(_HAND):
             self._hand_s = now_s
@@ -212,6 +218,10 @@ class GraspService:
                 logger.info("a headset is here")
             if self._wearer is browser:
                 self._publish(message)
+        elif isinstance(message, Shown):
+            if self._node is not None:
+                for wait_ms in message.waits_ms:
+                    self._node.status.latency("to_picture", 1e-3 * wait_ms)
         elif isinstance(message, Left):
             self._gone(browser)
         elif isinstance(message, Moved) and self._wearer is browser and not self._moved:

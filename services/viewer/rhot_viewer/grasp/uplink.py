@@ -1,4 +1,4 @@
-"""What a browser tells: a frame is taken, how fast it wants them, where the headset is; pure."""
+"""What a browser tells: a frame is taken, how fast it wants and draws them, where the headset is; pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from rhot.messages.base import Position, Quaternion, unit_quaternion, wire_posit
 FloatArray = NDArray[np.float64]
 
 MOST_BYTES: Final = 2048
-"""Of a message from a browser; a head and two controllers take 500."""
+"""Of a message from a browser; a head and two controllers take 500, a second of waits 1,500."""
+_MOST_WAITS: Final = 240
+"""Pictures of a second, on the quickest screen there is."""
 WEBXR: Final = "webxr"
 HEAD: Final = "head"
 CONTROLLER: Final = "controller"
@@ -39,11 +41,31 @@ class Wish(_Told):
     Attributes:
         rate_hz: most frames per second.
         truth: also the simulated world's truth.
+        ahead: most frames under way that it has not taken.
     """
 
     type: Literal["wish"]
     rate_hz: Annotated[float, Field(ge=1.0, le=120.0)] = 90.0
     truth: bool = False
+    ahead: Annotated[int, Field(ge=1, le=2)] = 2
+
+
+class Shown(_Told):
+    """What it has drawn in the last second.
+
+    Attributes:
+        pictures_hz: pictures per second.
+        waits_ms: of each picture with a new pose: from the moment the bus handed the pose over to the moment the
+            browser began to draw it.
+        clock_ms: how far its idea of the rig's clock may be wrong.
+        graphics: whether a graphics card draws; otherwise the processor does.
+    """
+
+    type: Literal["shown"]
+    pictures_hz: Annotated[float, Field(ge=0.0, le=1000.0)]
+    waits_ms: Annotated[list[Annotated[float, Field(ge=-1e4, le=1e4)]], Field(max_length=_MOST_WAITS)]
+    clock_ms: Annotated[float, Field(ge=0.0, le=1e6)]
+    graphics: bool
 
 
 class Ask(_Told):
@@ -95,11 +117,11 @@ class Left(_Told):
     type: Literal["left"]
 
 
-Told = Annotated[Taken | Wish | Ask | Devices | Moved | Left, Field(discriminator="type")]
-_ADAPTER: Final[TypeAdapter[Taken | Wish | Ask | Devices | Moved | Left]] = TypeAdapter(Told)
+AnyTold = Taken | Wish | Shown | Ask | Devices | Moved | Left
+_ADAPTER: Final[TypeAdapter[AnyTold]] = TypeAdapter(Annotated[AnyTold, Field(discriminator="type")])
 
 
-def told(text: str | bytes) -> Taken | Wish | Ask | Devices | Moved | Left:
+def told(text: str | bytes) -> AnyTold:
     """Return what a browser says.
 
     Raises:
