@@ -22,7 +22,7 @@ readonly START_DROP_INS="$UNITS/rhot-start.service.d"
 readonly TIME_DROP_INS="$UNITS/systemd-time-wait-sync.service.d"
 readonly OS_RELEASE="$ROOT/etc/os-release"
 readonly PC_SERVICES=(rhot-router.service rhot-fusion.service rhot-ik.service rhot-objects.service
-    rhot-feet.service rhot-viewer.service rhot-start.service)
+    rhot-feet.service rhot-bridge.service rhot-viewer.service rhot-grasp.service rhot-start.service)
 # First version that knows RestartSteps= and RestartMaxDelaySec=.
 readonly BACKOFF_VERSION=254
 
@@ -41,7 +41,7 @@ Usage: sudo $PROGRAM capture --camera NAME [--camera NAME] [--connect ENDPOINT] 
        sudo $PROGRAM --uninstall [--purge] [--dry-run]
 
   capture              this machine has cameras: one service rhot-capture@NAME for each
-  pc                   this machine runs router, fusion, ik, objects, feet and the web page
+  pc                   this machine runs router, fusion, ik, objects, feet, bridges and the web pages
   --camera NAME        name of a camera in rig.toml, such as left
   --connect ENDPOINT   where the router is, such as tcp/192.168.1.10:7447; kept in /etc/default/rhot
   --without-picamera2  this machine has USB cameras only
@@ -182,6 +182,10 @@ install_program() {
         run "$VENV/bin/python" -c 'import picamera2' ||
             fail "picamera2 does not load beside our packages (see above); try: $VENV/bin/python -c 'import picamera2'"
     fi
+    if [[ $role == pc && ! -e $SOURCE/services/viewer/rhot_viewer/static/index.html ]]; then
+        # npm is not run as root.
+        printf '%s: the page Grasp is not built; run "make web" in %s (needs node and npm), then this script again\n' "$PROGRAM" "$SOURCE" >&2
+    fi
     run install -m 0644 "$SOURCE/docs/deploy.md" "$PREFIX/share/deploy.md"
 }
 
@@ -209,7 +213,8 @@ install_rig() {
 # Settings of this machine for all RHOT services; they win over rig.toml. After a change: systemctl restart rhot.target
 # RHOT_CONNECT: the Zenoh router, such as tcp/192.168.1.10:7447; several are separated by commas.
 # RHOT_NAMESPACE: keeps several rigs on one network apart.
-# RHOT_PAGE_HOST=0.0.0.0: other machines may open the page, with one of the links in /var/lib/rhot/page.links.
+# RHOT_PAGE_HOST=0.0.0.0: other machines may open the pages, with one of the links in /var/lib/rhot/page.links
+#   and grasp.links.
 ${connect:+RHOT_CONNECT=$connect}
 EOF
 }

@@ -11,7 +11,9 @@ from typing import Any
 import pytest
 import yaml
 
-RHOT_SERVICES = ("fusion", "ik", "objects", "feet", "viewer", "truth", "capture-left", "capture-right")
+RHOT_SERVICES = ("fusion", "ik", "objects", "feet", "viewer", "grasp", "bridge", "truth", "capture-left", "capture-right")
+ON_THE_BUS = {"grasp": "viewer-grasp", "bridge": "bridge-*"}
+"""Those whose name there is another one."""
 VOLUMES = {
     "viewer": ["rig:/rig", "recordings:/recordings"],
     "capture-left": ["rig:/rig"],
@@ -61,6 +63,7 @@ def test_every_command_in_it_exists(compose: dict[str, Any], resolve_command: Ca
     assert resolved == {
         "rig": ["init"],
         **{name: [name.partition("-")[0], "get"] for name in RHOT_SERVICES},
+        "grasp": ["viewer", "get"],
         "start": ["start", "watch"],
     }
 
@@ -80,7 +83,7 @@ def test_each_service_runs_alone_restarts_and_can_do_little(compose: dict[str, A
     assert service["security_opt"] == ["no-new-privileges:true"]
     assert service["volumes"] == VOLUMES.get(name, ["rig:/rig:ro"])
     assert service["environment"] == {"RHOT_RIG": "/rig", "RHOT_CONNECT": "tcp/router:7447"}
-    kind, _, instance = name.partition("-")
+    kind, _, instance = ON_THE_BUS.get(name, name).partition("-")
     assert service["healthcheck"]["test"] == ["CMD", "rhot", "get", f"rhot/status/{kind}/{instance or 'main'}"]
 
 
@@ -130,6 +133,9 @@ def test_the_page_is_open_to_this_machine_only(compose: dict[str, Any]) -> None:
     viewer = compose["services"]["viewer"]
     assert viewer["ports"] == ["127.0.0.1:8080:8080"]
     assert viewer["command"] == ["viewer", "--host", "0.0.0.0", "--recordings", "/recordings"]
+    grasp = compose["services"]["grasp"]
+    assert grasp["ports"] == ["127.0.0.1:8081:8081"]
+    assert grasp["command"] == ["viewer", "--xr", "--host", "0.0.0.0", "--port", "8081"]
     assert {"rig", "recordings"} == set(compose["volumes"])
 
 

@@ -12,10 +12,20 @@ import pytest
 
 Settings = dict[str, dict[str, list[str]]]
 
-SERVICES = ("rhot-capture@", "rhot-feet", "rhot-router", "rhot-fusion", "rhot-ik", "rhot-objects", "rhot-viewer")
+SERVICES = (
+    "rhot-capture@",
+    "rhot-feet",
+    "rhot-router",
+    "rhot-fusion",
+    "rhot-ik",
+    "rhot-objects",
+    "rhot-bridge",
+    "rhot-viewer",
+    "rhot-grasp",
+)
 PC_SERVICES = (*SERVICES[1:], "rhot-start")
 WITHOUT_DEVICES = (*SERVICES[2:], "rhot-start")
-SAVING = {"rhot-capture@", "rhot-viewer"}
+SAVING = {"rhot-capture@", "rhot-viewer", "rhot-grasp"}
 HARDENING = {
     "User": "rhot",
     "NoNewPrivileges": "yes",
@@ -163,7 +173,7 @@ def test_each_service_waits_for_network_and_time(units: Path, name: str) -> None
 
 
 def test_services_come_after_the_router_of_their_machine_but_live_without_it(units: Path) -> None:
-    for name in ("rhot-fusion", "rhot-ik", "rhot-objects", "rhot-feet", "rhot-viewer", "rhot-start"):
+    for name in (name for name in PC_SERVICES if name != "rhot-router"):
         unit = effective(units, name)["Unit"]
         assert "rhot-router.service" in unit["After"][-1].split()
         # Requires= or BindsTo= would take all services down whenever the router restarts.
@@ -254,6 +264,8 @@ def test_each_unit_runs_a_command_that_exists(units: Path, resolve_command: Call
         "rhot-objects": "objects",
         "rhot-feet": "feet",
         "rhot-viewer": "viewer",
+        "rhot-grasp": "viewer",
+        "rhot-bridge": "bridge",
         "rhot-start": "start",
     }
 
@@ -292,6 +304,19 @@ def test_feet_run_only_where_the_rig_has_some(units: Path, tmp_path: Path, rig: 
 )
 def test_objects_run_only_where_the_rig_has_some(units: Path, tmp_path: Path, rig: str, needed: bool) -> None:
     is_run_where_needed(units / "rhot-objects.service", tmp_path, rig, needed)
+
+
+@pytest.mark.parametrize(
+    ("rig", "needed"),
+    [
+        ("[bridges.avatar]\ntarget = 'vmc'\n", True),
+        ("bridges.avatar.target = 'vmc'\n", True),
+        ("# [bridges.avatar]\n", False),
+        ("[objects.bridges]\n", False),
+    ],
+)
+def test_bridges_run_only_where_the_rig_has_some(units: Path, tmp_path: Path, rig: str, needed: bool) -> None:
+    is_run_where_needed(units / "rhot-bridge.service", tmp_path, rig, needed)
 
 
 def is_run_where_needed(unit: Path, tmp_path: Path, rig: str, needed: bool) -> None:

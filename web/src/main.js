@@ -120,7 +120,8 @@ function begin() {
   ball = new VirtualThing({ p: [at[0], deskHeight + BALL.radius, at[2]], q: [0, 0, 0, 1] }, (q) => halfHeight(BALL, q));
   headset.published = hello.may_publish && hello.devices.length > 0;
   $("simulated").hidden = !hello.simulated;
-  $("other").hidden = !hello.other_page;
+  // Its address is that of the rig's own machine.
+  $("other").hidden = !hello.other_page || !["localhost", "127.0.0.1", "[::1]"].includes(location.hostname);
   if (hello.other_page) $("other").href = hello.other_page;
   if (!framed) {
     framed = true;
