@@ -11,7 +11,18 @@ from typing import Any
 import pytest
 import yaml
 
-RHOT_SERVICES = ("fusion", "ik", "objects", "feet", "viewer", "grasp", "bridge", "truth", "capture-left", "capture-right")
+RHOT_SERVICES = (
+    "fusion",
+    "ik",
+    "objects",
+    "feet",
+    "viewer",
+    "grasp",
+    "bridge",
+    "truth",
+    "capture-left",
+    "capture-right",
+)
 ON_THE_BUS = {"grasp": "viewer-grasp", "bridge": "bridge-*"}
 """Those whose name there is another one."""
 VOLUMES = {
