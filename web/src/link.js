@@ -7,6 +7,7 @@ const ASK_MS = 1000;
 export class Link {
   #socket = null;
   #tries = 0;
+  #owed = 0;
   #wish = { rate_hz: 90, truth: false };
   #hear;
 
@@ -26,6 +27,7 @@ export class Link {
     socket.onopen = () => {
       this.connected = true;
       this.connections++;
+      this.#owed = 0;
       this.#tries = 0;
       this.clock.clear();
       this.send({ type: "wish", ...this.#wish });
@@ -38,6 +40,7 @@ export class Link {
         if (message.rig_ms !== null) this.clock.put(message.at_ms, arrivedMs, message.rig_ms);
         return;
       }
+      if (message.type === "frame") this.#owed++;
       this.#hear(message);
     };
     socket.onclose = () => {
@@ -54,8 +57,14 @@ export class Link {
     if (this.connected && this.#socket.readyState === WebSocket.OPEN) this.#socket.send(JSON.stringify(message));
   }
 
+  /** Say that the frames which have come are taken; the next ones come then. */
   taken() {
-    this.send({ type: "taken" });
+    for (; this.#owed > 0; this.#owed--) this.send({ type: "taken" });
+  }
+
+  /** Whether frames have come that were not said to be taken. */
+  get owes() {
+    return this.#owed > 0;
   }
 
   /** Tell how long poses took to be seen: what `rhot status` and `rhot bench --part page` show. */

@@ -42,9 +42,8 @@ controls.maxDistance = 6;
 const labels = new Labels($("tags"));
 const link = new Link(hear);
 const timing = new Timing();
-/** Whether a pose has come that is not drawn yet, and one that was not said to be taken. */
+/** Whether a pose has come that is not drawn yet. */
 let fresh = false;
-let owed = false;
 const headset = new Headset(renderer, link);
 const views = new Map();
 const ghosts = new Map();
@@ -91,15 +90,10 @@ function hear(message) {
   } else if (message.type === "frame") {
     rig.frame(message.keys);
     timing.came(message.bus);
-    fresh = owed = true;
+    fresh = true;
     // Who draws seldom asks for the next pose when it is time: it is then as new as can be.
-    if (!pace.software) taken();
+    if (!pace.software) link.taken();
   }
-}
-
-function taken() {
-  if (owed) link.taken();
-  owed = false;
 }
 
 function begin() {
@@ -188,7 +182,7 @@ function frame(nowMs, xrFrame) {
   const done = performance.now();
   pace.drawn(begun, done - begun);
   seen.frames++;
-  if (owed) setTimeout(taken, pace.rest(done));
+  if (link.owes) setTimeout(() => link.taken(), pace.rest(done));
 }
 
 function update(t, displayMs, elapsed) {
