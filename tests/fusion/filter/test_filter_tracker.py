@@ -88,6 +88,33 @@ def test_late_frames_change_little(make_rig: MakeRig) -> None:
     assert figures.measured > 0.98
 
 
+def test_looking_back_stays_on_the_path_where_nothing_is_calibrated(make_rig: MakeRig) -> None:
+    """Whole pixels, stamps that err by 6 ms and a wrong blob in twenty: the smoothed path holds, and says how well."""
+    rig, motion, rng = make_rig(fusion=FILTER, rate_hz=30.0), Motion(), np.random.default_rng(3)
+    stage = FusionStage(rig, record=True)
+    for one in watch(rig, motion, 3.0, rate_hz=30.0, noise_px=0.5):
+        late_ns, markers = round(rng.normal(0.0, 6e6)), {}
+        for name, marker in one.frame.markers.items():
+            assert marker.t_ns is not None
+            wrong = float(rng.choice([-25.0, -12.0, 12.0, 25.0])) if rng.random() < 0.05 else 0.0
+            moved = {"u": round(marker.u) + wrong, "v": round(marker.v) + wrong / 3.0, "t_ns": marker.t_ns + late_ns}
+            markers[name] = marker.model_copy(update=moved)
+        stage.feed(one.frame.model_copy(update={"t_ns": one.frame.t_ns + late_ns, "markers": markers}))
+    error, ratio = [], []
+    for points in stage.smoothed():
+        t_s = (points.t_ns - EPOCH_NS) * 1e-9
+        truth = motion.at(t_s)[0]
+        for place, name in enumerate(MARKERS):
+            if t_s > 0.5 and name in points.points:
+                error.append(1e3 * float(np.linalg.norm(np.array(points.points[name].position) - truth[place])))
+                ratio.append(1e-3 * error[-1] / points.points[name].sigma)
+    assert len(error) > 700
+    assert np.median(error) < 12.0
+    assert np.percentile(error, 95) < 70.0
+    assert max(error) < 250.0
+    assert np.mean(np.array(ratio) < 2.0) > 0.9
+
+
 def test_a_marker_seen_by_one_camera_grows_less_sure(make_rig: MakeRig) -> None:
     rig = make_rig(fusion=FILTER)
     seen = watch(rig, Motion(), 1.4)

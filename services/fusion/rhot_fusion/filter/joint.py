@@ -15,7 +15,7 @@ from rhot_fusion.filter.settings import MotionSettings
 from rhot_fusion.filter.state import SHARED, BoolArray, FloatArray, IndexArray, Innovation, State, Step, Views
 
 _HUBER = 9.0
-"""Squared Mahalanobis distance beyond which a view's variance grows in proportion to it."""
+"""Squared Mahalanobis distance beyond which the variance of a view, or of its innovation, grows in proportion to it."""
 _BACK = 6.0
 """The same of a view of a marker that the camera had lost, beyond which the marker is elsewhere: 5 % by chance."""
 _EYE: FloatArray = np.eye(2)
@@ -33,6 +33,7 @@ class JointFilter:
     """
 
     def __init__(self, count: int, settings: MotionSettings, gate: float) -> None:
+        """Begin without markers; an infinite gate refuses nothing, and doubts what lies far off the more."""
         self._count = count
         self._settings = settings
         self._gate = gate
@@ -146,8 +147,11 @@ class JointFilter:
             HP = H @ before.P
             S = HP @ H.T
             innovation = self._gated(views, y, S, own, evidence)
-        # What lies far off counts less: Huber's loss.
-        variance = views.variance * np.maximum(1.0, innovation.nis / _HUBER)[:, None, None] + between
+        # What lies far off counts less: Huber's loss. A gate keeps out what fits nowhere, and the view alone is
+        # doubted; without one a view may move a marker that little is known of, and the whole innovation is.
+        doubted = views.variance if math.isfinite(self._gate) else innovation.S
+        far = np.maximum(innovation.nis / _HUBER - 1.0, 0.0)[:, None, None]
+        variance = views.variance + far * doubted + between
         _add_blocks(S, variance)
         self.state = _updated(before, HP, S, y, innovation.accepted)
         return innovation, Step(dt, F, before, self.state)

@@ -50,13 +50,14 @@ class HandRecord:
         )
         self._frames.append(Frame(sightings.t_s, sightings.camera, views, np.zeros(count, dtype=bool), []))
 
-    def took(self, views: Views, innovation: Innovation, doubt: FloatArray) -> None:
-        """Note what became of the newest frame's views; `doubt` (N,) is their noise beyond the camera's."""
+    def took(self, views: Views, innovation: Innovation, camera_variance: float) -> None:
+        """Note what became of the newest frame's views, of whose variance the camera's own is `camera_variance`."""
         frame = self._frames[-1]
         rows = np.searchsorted(frame.views.index, views.index)
         frame.taken[rows] = innovation.accepted
         frame.views.xy[rows] = views.xy
-        frame.views.variance[rows] = (doubt * doubt)[:, None, None] * np.eye(2)
+        # What the camera's own proves to be is known in the end; paint that is hidden and stamps that err stay.
+        frame.views.variance[rows] = views.variance - camera_variance * np.eye(2)
 
     def note(self, event: Event) -> None:
         """Note that a marker began or ended after the newest frame."""

@@ -294,7 +294,7 @@ class FilterTracker:
         if again:
             return
         if hand.record is not None:
-            hand.record.took(views, innovation, doubt)
+            hand.record.took(views, innovation, own)
         self.noise.learn(sightings.camera, innovation)
         self.gates[sightings.camera] = index, innovation, slack
         self._counts["refused"] += len(here) - int(np.count_nonzero(innovation.accepted))
