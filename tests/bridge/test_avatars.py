@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from rhot.anatomy.hand import WRIST
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import Side
 from rhot_bridge.axes import Converter
@@ -125,6 +126,24 @@ def test_legs_follow_the_body() -> None:
         row = names.index(name)
         assert seen.positions[bone] == pytest.approx(positions[row], abs=1e-5)
         assert np.allclose(seen.rotations[bone], rotation_from_quaternion(body.orientations[row]), atol=1e-5)
+
+
+def test_spine_and_elbows_follow_a_body_that_has_them() -> None:
+    names = ("hips", "spine_lower", "chest", "neck", "head", "left_shoulder", "left_elbow", "left_wrist")
+    scene = bridge_poses.scene("flat")
+    wrist = scene.hands["left"].positions[WRIST]
+    shoulder = wrist + np.array([0.0, 0.3, 0.3])
+    spine = [[0.0, 0.9, 0.0], [0.0, 1.0, 0.02], [0.0, 1.2, 0.03], [0.0, 1.45, 0.0], [0.0, 1.55, 0.0]]
+    positions = np.array([*spine, shoulder, 0.5 * (shoulder + wrist) + [-0.2, 0.0, 0.0], wrist])
+    body = Body(1, "measured", 1.0, positions, random_rotations(5, len(names)), names)
+    seen = read_vmc(VmcTarget("arms").frame(UNITY.scene(dataclasses.replace(scene, body=body)), 0))
+    for name, bone in (("spine_lower", "spine"), ("chest", "chest"), ("neck", "neck"), ("head", "head")):
+        row = names.index(name)
+        assert seen.positions[bone] == pytest.approx(positions[row], abs=1e-5)
+        assert np.allclose(seen.rotations[bone], rotation_from_quaternion(body.orientations[row]), atol=1e-5)
+    arm = seen.hand("left")
+    for bone, row in (("upperarm", 5), ("lowerarm", 6), ("wrist", 7)):
+        assert arm[bone] == pytest.approx(positions[row], abs=2e-3)
 
 
 def test_a_device_that_is_gone_is_switched_off_once_and_the_room_is_told_again() -> None:

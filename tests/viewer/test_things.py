@@ -26,8 +26,8 @@ from rhot_viewer.scene.things import (
     PREDICTED_COLOR,
     PREDICTED_SHARE,
     UNKNOWN_COLOR,
+    body_rods,
     foot_boxes,
-    leg_rods,
     marker_balls,
     object_copies,
 )
@@ -108,9 +108,12 @@ def test_legs_are_drawn_as_far_as_they_are_known() -> None:
 
     joints = {"hips": joint(0, 1, 0), "left_hip": joint(-0.1, 1, 0), "left_knee": joint(-0.1, 0.5, 0)}
     body = BodyPose(t_ns=1, frame="rig", joints=joints, angles={}, legs={"left": "predicted"}, state="measured")
-    balls, rods = leg_rods(body)
+    balls, rods = body_rods(body)
     assert len(balls) == len(rods) == 2
     assert rods.scales[:, 2] == pytest.approx([0.1, 0.5])
     assert tuple(rods.colors[0]) == PREDICTED_COLOR
-    empty = leg_rods(body.model_copy(update={"joints": {}}))
+    arms = {"chest": joint(0, 1.2, 0), "right_shoulder": joint(0.2, 1.4, 0), "right_elbow": joint(0.2, 1.1, 0)}
+    upper = body.model_copy(update={"joints": arms, "legs": {}, "arms": {"right": "predicted"}})
+    assert [tuple(color) for color in body_rods(upper)[1].colors] == [PREDICTED_COLOR] * 2
+    empty = body_rods(body.model_copy(update={"joints": {}}))
     assert [len(part) for part in empty] == [0, 0]

@@ -236,7 +236,7 @@ function update(t, displayMs, elapsed) {
   if (hello.desk.shown) tags.set("ball", [holds("") ? "virtual ball · held" : "a ball that exists only here", ball.at.p]);
   const feet = rig.thingsAt(rig.feet, t);
   for (const side of ["left", "right"]) stage.foot(side, feet.get(side)?.at ?? null, feet.get(side)?.state === "predicted");
-  stage.legs(rig.legsAt(t), rig.body?.predicted ?? []);
+  stage.body(rig.bodyAt(t), rig.body?.predicted ?? []);
   showTruth(hands);
   follow(hands, elapsed);
   if (!headset.on) labels.set(tags, camera, innerWidth, innerHeight);

@@ -128,8 +128,8 @@ export class Rig {
     return found;
   }
 
-  /** Joints of the legs, stage axes; null where none are known. */
-  legsAt(t) {
+  /** Joints of the body, stage axes; null where none are known. */
+  bodyAt(t) {
     if (!this.body || t - this.latest > SILENT_MS || this.latest - this.body.t > GONE_MS) return null;
     const T = this.T_stage_rig;
     return Object.fromEntries(

@@ -1,4 +1,4 @@
-// What is drawn around the hand: light, desk, floor, things by their shape, feet and legs. Stage axes: y up, metres.
+// What is drawn around the hand: light, desk, floor, things by their shape, feet and body. Stage axes: y up, metres.
 import {
   BoxGeometry, CanvasTexture, CapsuleGeometry, Color, CylinderGeometry, DirectionalLight, Fog, Group, HemisphereLight,
   Mesh, MeshBasicMaterial, PlaneGeometry, Quaternion, RepeatWrapping, SRGBColorSpace, Scene, SphereGeometry, Vector3,
@@ -14,11 +14,15 @@ const LIMB = 0xb4bac2;
 const DESK_SIZE = [1.3, 0.03, 0.75];
 const FOOT = { size: [0.09, 0.06, 0.26], middle: [0, -0.04, 0.03] };
 const LEG_RADIUS = 0.045;
-const LEGS = ["left", "right"].flatMap((side) =>
-  [["hips", "hip"], ["hip", "knee"], ["knee", "ankle"], ["ankle", "foot"]].map(([a, b]) => [
-    a === "hips" ? a : `${side}_${a}`, `${side}_${b}`, side,
-  ]),
-);
+// Bones of the body: from, to, and the limb whose state colours it. Neck and head are not drawn: the camera is in them.
+const BONES = ["left", "right"].flatMap((side) => {
+  const named = (joint) => (joint === "hips" || joint === "chest" ? joint : `${side}_${joint}`);
+  const bones = (limb, joints) => joints.slice(1).map((to, k) => [named(joints[k]), named(to), limb]);
+  return [
+    ...bones(side, ["hips", "hip", "knee", "ankle", "foot"]),
+    ...bones(`${side}_arm`, ["chest", "shoulder", "elbow", "wrist"]),
+  ];
+}).concat([["hips", "spine_lower", ""], ["spine_lower", "chest", ""]]);
 const UP = new Vector3(0, 1, 0);
 
 function matTexture() {
@@ -60,7 +64,7 @@ export function geometryOf(shape) {
 export class Stage {
   #things = new Map();
   #feet = new Map();
-  #legs = new Map();
+  #bones = new Map();
   #shades = new Map();
   #shadeMap = null;
 
@@ -175,11 +179,11 @@ export class Stage {
     mesh.material.color.set(predicted ? PREDICTED : 0x5c80ac);
   }
 
-  /** Show legs from joint positions by name; null hides them. */
-  legs(joints, predicted) {
-    for (const [from, to, side] of LEGS) {
+  /** Show the body from joint positions by name; null hides it. `predicted` names legs (by side) and arms. */
+  body(joints, predicted) {
+    for (const [from, to, limb] of BONES) {
       const key = `${from} ${to}`;
-      let mesh = this.#legs.get(key);
+      let mesh = this.#bones.get(key);
       const a = joints?.[from];
       const b = joints?.[to];
       if (!a || !b) {
@@ -189,7 +193,7 @@ export class Stage {
       if (!mesh) {
         mesh = new Mesh(new CapsuleGeometry(LEG_RADIUS, 1, 6, 16), surface({ roughness: 0.8 }));
         mesh.castShadow = true;
-        this.#legs.set(key, mesh);
+        this.#bones.set(key, mesh);
         this.root.add(mesh);
       }
       const start = new Vector3(...a);
@@ -198,7 +202,7 @@ export class Stage {
       mesh.position.copy(start).addScaledVector(along, 0.5);
       mesh.scale.set(1, along.length(), 1);
       mesh.quaternion.copy(new Quaternion().setFromUnitVectors(UP, along.normalize()));
-      mesh.material.color.set(predicted.includes(side) ? PREDICTED : LIMB);
+      mesh.material.color.set(predicted.includes(limb) ? PREDICTED : LIMB);
     }
   }
 }

@@ -1,4 +1,4 @@
-"""The hand's joints in OpenXR's terms: names, chains and parents (XR_EXT_hand_tracking).
+"""The hand's joints in OpenXR's terms: names, chains and parents (XR_EXT_hand_tracking); at the end those of the body.
 
 Joint axes: +Z points from the tip to the wrist, +Y out of the back of the hand, +X to the right for either hand
 when the palm faces down.
@@ -29,3 +29,26 @@ PARENTS: Final[dict[str, str | None]] = {
         for index, joint in enumerate(chain)
     },
 }
+
+BODY_PARENTS: Final[dict[str, str | None]] = {
+    "hips": None,
+    "spine_lower": "hips",
+    "chest": "spine_lower",
+    "neck": "chest",
+    "head": "neck",
+    **{
+        f"{side}_{joint}": parent if parent in ("hips", "chest") else f"{side}_{parent}"
+        for side in ("left", "right")
+        for joint, parent in (
+            ("hip", "hips"),
+            ("knee", "hip"),
+            ("ankle", "knee"),
+            ("foot", "ankle"),
+            ("shoulder", "chest"),
+            ("elbow", "shoulder"),
+            ("wrist", "elbow"),
+        )
+    },
+}
+"""The joints of `rhot/body` and their parents, parents first. Names are OpenXR's: of `hips`, spine and head those of
+XR_FB_body_tracking, of legs and arms those of XR_BD_body_tracking (whose pelvis the hips are)."""

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.anatomy.skeleton import JOINTS, PARENTS
+from rhot.anatomy.skeleton import BODY_PARENTS, JOINTS, PARENTS
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import BodyPose, FootPose, HandPose, Message, ObjectPose, Side
@@ -20,9 +20,8 @@ FloatArray = NDArray[np.float64]
 
 HAND_PARENTS: Final = tuple(-1 if (parent := PARENTS[name]) is None else JOINTS.index(parent) for name in JOINTS)
 """(26,) index in `JOINTS` of each joint's parent, −1 for the wrist."""
-_LEG: Final = ("hip", "knee", "ankle", "foot")
 _LIMB_RADIUS_M: Final = 0.03
-"""Of hips and legs where they are drawn; their messages carry none."""
+"""Of a body's joints where they are drawn; their messages carry none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,8 +135,10 @@ def _posed(message: HandPose | BodyPose | FootPose | ObjectPose) -> tuple[tuple[
     if isinstance(message, HandPose):
         return JOINTS, message.joints
     if isinstance(message, BodyPose):
-        legs = [side for side in ("left", "right") if f"{side}_knee" in message.joints]
-        return ("hips", *(f"{side}_{joint}" for side in legs for joint in _LEG)), message.joints
+        # Joints are known by whole limbs; one whose parent is missing hangs nowhere.
+        known = [name for name in BODY_PARENTS if name in message.joints]
+        whole = [name for name in known if all(ancestor in message.joints for ancestor in _ancestors(name))]
+        return tuple(whole or ["hips"]), message.joints
     return ("origin",), {"origin": Pose(position=message.position, orientation=message.orientation)}
 
 
@@ -152,17 +153,39 @@ def _angles(message: HandPose | BodyPose | FootPose | ObjectPose) -> dict[str, f
 
 
 def _with_one_body(found: Mapping[str, _Collected]) -> dict[str, _Collected]:
-    """Keep of each body the legs that most of its poses have; the other poses count as incomplete."""
+    """Keep of each body the joints that most of its poses have; the other poses count as incomplete.
+
+    Of several sets of joints the one with most joints counted over all poses that have them, so that an arm that is
+    tracked now and then is left out, and one that is hardly ever missing is not.
+    """
     kept = {name: each for name, each in found.items() if ":" not in name}
     bodies: dict[str, list[_Collected]] = {}
     for name, each in found.items():
         if ":" in name:
             bodies.setdefault(name.partition(":")[0], []).append(each)
     for name, variants in bodies.items():
-        most = max(variants, key=lambda each: len(each.poses))
-        most.incomplete += sum(len(each.poses) for each in variants if each is not most)
-        kept[name] = most
+        counts = [sum(len(more.poses) for more in _with(each, variants)) * len(each.joints) for each in variants]
+        chosen = variants[counts.index(max(counts))]
+        whole = _Collected(chosen.joints, incomplete=chosen.incomplete)
+        for more in variants:
+            if more not in _with(chosen, variants):
+                whole.incomplete += len(more.poses)
+                continue
+            rows = [more.joints.index(joint) for joint in chosen.joints]
+            whole.poses |= {t_ns: poses[rows] for t_ns, poses in more.poses.items()}
+            whole.angles |= more.angles
+        kept[name] = whole
     return kept
+
+
+def _with(wanted: _Collected, variants: Sequence[_Collected]) -> list[_Collected]:
+    """Return the variants that have all joints of one."""
+    return [each for each in variants if set(wanted.joints) <= set(each.joints)]
+
+
+def _ancestors(name: str) -> list[str]:
+    parent = BODY_PARENTS[name]
+    return [] if parent is None else [parent, *_ancestors(parent)]
 
 
 def _motion(name: str, kept: _Collected) -> Motion:
@@ -189,5 +212,5 @@ def _parents(joints: Sequence[str]) -> tuple[int, ...]:
         return HAND_PARENTS
     if len(joints) == 1:
         return (-1,)
-    # Hips, then legs from the hip downwards: each joint follows its parent, but a leg's first hangs on the hips.
-    return tuple(-1 if row == 0 else 0 if name.endswith("_hip") else row - 1 for row, name in enumerate(joints))
+    parents = [BODY_PARENTS[name] for name in joints]
+    return tuple(-1 if parent is None else joints.index(parent) for parent in parents)

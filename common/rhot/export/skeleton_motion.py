@@ -6,8 +6,8 @@ rotation that makes the bone to its child point where the recorded child is:
 
     p_child = p_parent + R_parent · offset_child
 
-With constant bone lengths the joints of the fingers are met exactly, wherever the recorded axes point. The root has
-several children and keeps its recorded axes.
+With constant bone lengths the joints of the fingers are met exactly, wherever the recorded axes point. A joint with
+several children (the root, a body's chest) keeps its recorded axes.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _offsets(motion: Motion) -> FloatArray:
 def _turned_to_children(motion: Motion, offsets: FloatArray) -> FloatArray:
     axes = motion.rotations.copy()
     for joint, parent in enumerate(motion.parents):
-        if parent < 0 or parent == motion.root:
+        if parent < 0 or parent == motion.root or motion.parents.count(parent) > 1:
             continue
         bones = motion.positions[:, joint] - motion.positions[:, parent]
         axes[:, parent] = _smallest_rotations(axes[:, parent] @ offsets[joint], bones) @ axes[:, parent]

@@ -1,4 +1,4 @@
-"""Feet, and the legs that follow from them."""
+"""Feet, and the body that follows from them, the head and the hands."""
 
 from __future__ import annotations
 
@@ -42,10 +42,12 @@ class FootPose(Message):
 
 
 class BodyJoint(Pose):
-    """One joint of hips and legs.
+    """One joint of the body.
 
-    A joint's frame has +X to the body's right, +Y along the bone towards the hips and +Z backwards when the person
-    stands upright; a knee's frame is that of the shank, an ankle's and a foot's that of the foot.
+    A joint's frame has +X to the body's right, +Y up and +Z backwards when the person stands upright with hanging arms
+    and palms towards the thighs. It moves with the bone that begins at the joint, along +Y or −Y: a knee's frame is
+    that of the shank, an ankle's and a foot's that of the foot, a shoulder's that of the upper arm, an elbow's that of
+    the forearm, a wrist's that of the hand.
     """
 
 
@@ -68,14 +70,21 @@ class LegAngles(WireModel):
 
 
 class BodyPose(Message):
-    """Hips and legs, from ik.
+    """A body, from ik: hips, legs, trunk, head and, of hands that are tracked, arms.
+
+    Head, feet and wrists are measured; `inferred` names the joints between them, which follow by the person's lengths
+    and by how people stand.
 
     Attributes:
         frame: frame of all positions and orientations.
         joints: `hips`, and for `left` and `right`: `<side>_hip`, `<side>_knee`, `<side>_ankle`, `<side>_foot` (the ball
-            of the foot).
+            of the foot). Above the hips `spine_lower`, `chest`, `neck`, `head` (the skull's base), and for a tracked
+            hand `<side>_shoulder`, `<side>_elbow`, `<side>_wrist`. OpenXR's names (XR_FB_body_tracking,
+            XR_BD_body_tracking).
         angles: joint angles per leg.
         legs: per leg whether its foot is measured or predicted; a leg of which nothing is known is absent.
+        arms: per arm whether its hand is measured or predicted; an arm whose hand is not tracked is absent.
+        inferred: joints that nothing measures.
         state: measured while the head and at least one foot are.
     """
 
@@ -83,4 +92,6 @@ class BodyPose(Message):
     joints: Annotated[dict[Name, BodyJoint], Field(max_length=32)]
     angles: Annotated[dict[Side, LegAngles], Field(max_length=2)]
     legs: Annotated[dict[Side, State], Field(max_length=2)]
+    arms: Annotated[dict[Side, State], Field(max_length=2)] = {}
+    inferred: Annotated[tuple[Name, ...], Field(max_length=32)] = ()
     state: State

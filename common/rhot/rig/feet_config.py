@@ -162,15 +162,18 @@ class FeetConfig(FileModel):
 
 
 class BodyConfig(FileModel):
-    """The person whose legs are solved.
+    """The person whose body is solved.
 
     Attributes:
         height_m: standing, without shoes.
         hip_width_m, thigh_m, shank_m: between the hip joints, hip to knee, knee to ankle; from the height by average
             proportions when left out.
+        upper_arm_m, forearm_m: shoulder to elbow, elbow to wrist; likewise.
     """
 
     height_m: Annotated[float, Field(ge=0.8, le=2.5)] = 1.75
     hip_width_m: Positive | None = None
     thigh_m: Positive | None = None
     shank_m: Positive | None = None
+    upper_arm_m: Positive | None = None
+    forearm_m: Positive | None = None

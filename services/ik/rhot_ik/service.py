@@ -1,4 +1,4 @@
-"""The ik service: points in, hands out; head and feet in, hips and legs out."""
+"""The ik service: points in, hands out; head and feet in, and with the hands the body out."""
 
 from __future__ import annotations
 

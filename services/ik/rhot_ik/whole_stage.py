@@ -1,4 +1,4 @@
-"""Hands and legs together: what the ik service runs, and what `rhot process` feeds."""
+"""Hands and body together: what the ik service runs, and what `rhot process` feeds."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from rhot.explain import Explanation
 from rhot.messages import FootPose, HeadPose, ObjectPose, PointSet
+from rhot.messages import FootPose, HandPose, HeadPose, ObjectPose, PointSet
 from rhot.rig import IkConfig, Rig
 from rhot.stage import Output
 from rhot_ik.hand.stage import HandStage
@@ -13,7 +14,7 @@ from rhot_ik.legs.body_stage import BodyStage
 
 
 class WholeStage:
-    """Passes points and objects to the hands' core, head and feet to that of the legs.
+    """Passes points and objects to the hands' core; head, feet and solved hands to that of the body.
 
     Args:
         rig: marker table, sizes and configuration.
@@ -39,13 +40,17 @@ class WholeStage:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What became of the samples, of hands and legs."""
+        """What became of the samples, of hands and body."""
         return {**self._hands.counts, **self._body.counts}
 
     def feed(self, message: PointSet | ObjectPose | HeadPose | FootPose) -> list[Output]:
         """Return the hands or the body that follow from a message, with their keys."""
         if isinstance(message, PointSet):
-            return self._hands.feed(message)
+            hands = self._hands.feed(message)
+            for _, hand in hands:
+                if isinstance(hand, HandPose):
+                    self._body.feed(hand)
+            return hands
         if isinstance(message, ObjectPose) and not isinstance(message, HeadPose):
             self.feed_object(message)
             return []

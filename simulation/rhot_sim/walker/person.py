@@ -7,7 +7,7 @@ all times near, so that every leg reaches its ankle with the lengths of the body
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -218,15 +218,12 @@ class Person:
 def person_of(body: BodyModel, seed: int) -> BodyModel:
     """Return somebody of the same height whose legs, hips and trunk are not quite average."""
     thigh, shank, width, trunk = 1.0 + seeded(seed, _STREAM, 2).normal(0.0, PROPORTION_SIGMA, 4).clip(-0.05, 0.05)
-    return BodyModel(
-        height_m=body.height_m,
+    return replace(
+        body,
         hip_width_m=body.hip_width_m * width,
         thigh_m=body.thigh_m * thigh,
         shank_m=body.shank_m * shank,
-        ankle_height_m=body.ankle_height_m,
-        foot_length_m=body.foot_length_m,
         neck_height_m=body.neck_height_m * trunk,
-        neck_m=body.neck_m,
     )
 
 

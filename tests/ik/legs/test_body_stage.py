@@ -10,7 +10,19 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.geometry.rotations import quaternion_from_rotation
-from rhot.messages import BodyPose, FootPose, HeadPose, Position, Quaternion, Side, decode, encode
+from rhot.messages import (
+    BodyPose,
+    FootPose,
+    HandPose,
+    HeadPose,
+    Joint,
+    Position,
+    Quaternion,
+    Side,
+    State,
+    decode,
+    encode,
+)
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import BodyConfig, load_rig
 from rhot_ik.legs.body_stage import BodyStage
@@ -68,7 +80,14 @@ def foot(side: Side, t_ns: int, *, velocity_m_s: float = 0.0) -> FootPose:
     )
 
 
-def bodies(stage: BodyStage, *messages: HeadPose | FootPose) -> list[BodyPose]:
+def hand(side: Side, t_ns: int, wrist: Position, *, frame: str = "rig", state: State = "measured") -> HandPose:
+    joint = Joint(position=wrist, orientation=(0.0, 0.0, 0.0, 1.0), radius=0.02)
+    return HandPose(
+        t_ns=t_ns, side=side, frame=frame, joints={"wrist": joint}, angles={}, residual={}, fingers={}, state=state
+    )
+
+
+def bodies(stage: BodyStage, *messages: HeadPose | FootPose | HandPose) -> list[BodyPose]:
     found = []
     for message in messages:
         for key, body in stage.feed(message):
@@ -124,7 +143,7 @@ def wire(T: FloatArray) -> tuple[Position, Quaternion]:
 def test_both_feet_give_one_body_with_both_legs(stage: BodyStage) -> None:
     poses = bodies(stage, head(100 * MS), foot("left", 100 * MS), foot("right", 100 * MS))
     last = poses[-1]
-    assert set(last.joints) == {"hips"} | {
+    assert set(last.joints) == {"hips", "spine_lower", "chest", "neck", "head"} | {
         f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "knee", "ankle", "foot")
     }
     assert last.state == "measured"
@@ -222,3 +241,30 @@ def test_wild_poses_never_break_it(stage: BodyStage) -> None:
             count += 1
             assert all(leg.knee_flexion >= 0.0 for leg in body.angles.values())
     assert count > 100
+
+
+def test_tracked_hands_get_arms_and_the_message_says_what_is_inferred(stage: BodyStage) -> None:
+    hands = [hand("right", 95 * MS, (0.25, 1.1, -0.4)), hand("left", 95 * MS, (-0.25, 1.1, -0.4), state="predicted")]
+    body = bodies(stage, head(100 * MS), *hands, foot("left", 100 * MS), foot("right", 100 * MS))[-1]
+    assert body.arms == {"left": "predicted", "right": "measured"}
+    assert body.joints["right_wrist"].position == pytest.approx((0.25, 1.1, -0.4), abs=1e-3)
+    elbow = np.array(body.joints["right_elbow"].position)
+    assert elbow[1] < 1.25, "below the line from the shoulder to the wrist"
+    measured = set(body.joints) - set(body.inferred)
+    assert measured == {"head"} | {f"{side}_{end}" for side in ("left", "right") for end in ("ankle", "foot", "wrist")}
+
+
+@pytest.mark.parametrize(
+    "away",
+    [
+        hand("right", 95 * MS, (0.25, 1.1, -0.4)),
+        hand("right", 995 * MS, (0.25, 1.1, -0.4), frame="elsewhere"),
+        hand("right", 995 * MS, (0.3, 1.1, -1.4)),
+    ],
+    ids=["old", "other frame", "out of reach"],
+)
+def test_a_hand_that_says_nothing_gives_no_arm(stage: BodyStage, away: HandPose) -> None:
+    body = bodies(stage, head(1000 * MS), away, foot("left", 1000 * MS), foot("right", 1000 * MS))[-1]
+    assert body.arms == {}
+    assert "right_elbow" not in body.joints
+    assert "chest" in body.joints

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from exported import person
 from hand_messages import hand_pose, object_pose
 
 from rhot.cli.recordings.export import export
@@ -63,6 +64,22 @@ def test_what_was_only_predicted_can_be_left_out() -> None:
     ]
     assert len(motions(predicted)["object_cup"].t_ns) == 30
     assert len(motions(predicted, measured=True)["object_cup"].t_ns) == 16
+
+
+@pytest.mark.parametrize(("without", "kept"), [(2, True), (15, False)])
+def test_an_arm_counts_where_it_is_hardly_ever_missing(without: int, kept: bool) -> None:
+    messages: list[tuple[str, Message]] = []
+    for number in range(20):
+        body = person.body_message(BEGIN_NS + 10_000_000 * number, np.eye(4))
+        arm = [name for name in body.joints if name.startswith("right_") and name.endswith(("er", "ow", "st"))]
+        if number < without:
+            body = body.model_copy(update={"joints": {k: v for k, v in body.joints.items() if k not in arm}})
+        messages.append(("rhot/body", body))
+    motion = motions(messages)["body"]
+    assert ("right_elbow" in motion.joints) is kept
+    assert len(motion.t_ns) == (20 - without if kept else 20)
+    assert motion.incomplete == (without if kept else 0)
+    assert motion.joints[motion.parents[motion.joints.index("neck")]] == "chest"
 
 
 def test_nothing_that_moves_is_one_clear_error(tmp_path: Path) -> None:

@@ -86,6 +86,8 @@ def read_bvh(recording: Path, folder: Path) -> At:
         joint = name.removeprefix(thing).removeprefix("_") or "origin"
         ends = {chain[-1]: f"{chain[-2]} end" for chain in CHAINS.values()}
         ends |= {f"{side}_foot": f"{side}_ankle end" for side in SIDES}
+        ends |= {"head": "neck end"} if thing == "body" else {}
+        ends |= {f"{side}_wrist": f"{side}_elbow end" for side in SIDES}
         return 0.01 * found[ends.get(joint, joint)]
 
     return at

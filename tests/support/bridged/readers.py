@@ -94,12 +94,15 @@ def read_vrchat(packets: list[bytes]) -> Seen:
 
 _VMC_PARENT: Final = {
     "Hips": "",
-    "Head": "Hips",
+    "Spine": "Hips",
+    "Chest": "Spine",
+    "Neck": "Chest",
+    "Head": "Neck",
     **{
         f"{side}{bone}": parent
         for side in ("Left", "Right")
         for bone, parent in (
-            ("UpperArm", "Hips"),
+            ("UpperArm", "Chest"),
             ("LowerArm", f"{side}UpperArm"),
             ("Hand", f"{side}LowerArm"),
             ("UpperLeg", "Hips"),
@@ -119,7 +122,7 @@ _THUMB_JOINTS: Final = {"Proximal": "metacarpal", "Intermediate": "proximal", "D
 def read_vmc(packets: list[bytes]) -> Seen:
     """As a VMC receiver that applies positions, too: forward kinematics over HumanBodyBones, Unity's axes.
 
-    Arms hang on the neck's end, whose place is the head bone's.
+    Without a chest, arms hang on the neck's end, whose place is the head bone's.
     """
     bones: dict[str, list[float]] = {}
     seen = Seen()
@@ -129,10 +132,14 @@ def read_vmc(packets: list[bytes]) -> Seen:
         elif address == "/VMC/Ext/Tra/Pos":
             seen.positions[values[0]] = MIRROR @ np.array(values[1:4])
     placed: dict[str, tuple[FloatArray, FloatArray]] = {"": (np.zeros(3), np.eye(3))}
-    for name, parent in _VMC_PARENT.items():
+    for name, usual in _VMC_PARENT.items():
+        # A bone whose parent is not sent hangs on the nearest one that is.
+        parent = usual
+        while parent not in placed and parent in _VMC_PARENT:
+            parent = _VMC_PARENT[parent]
         if name in bones and parent in placed:
             p, R = placed[parent]
-            if name.endswith("UpperArm"):
+            if name.endswith("UpperArm") and "Chest" not in bones:
                 p = placed["Head"][0]
             placed[name] = p + R @ np.array(bones[name][:3]), R @ matrix(bones[name][3:])
     for name, (p, R) in placed.items():

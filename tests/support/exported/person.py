@@ -1,4 +1,4 @@
-"""Head, feet and legs of a person on a known floor, as messages of a rig that looks at them from anywhere."""
+"""Head, feet and body of a person on a known floor, as messages of a rig that looks at them from anywhere."""
 
 from __future__ import annotations
 
@@ -24,6 +24,13 @@ HEAD: Final = (0.0, 1.6, -0.1)
 FEET: Final[dict[Side, tuple[float, float, float]]] = {"left": (-0.1, 0.05, 0.0), "right": (0.1, 0.05, 0.0)}
 JOINTS: Final[dict[str, tuple[float, float, float]]] = {
     "hips": (0.0, 0.95, 0.0),
+    "spine_lower": (0.0, 1.03, 0.01),
+    "chest": (0.0, 1.22, 0.02),
+    "neck": (0.0, 1.46, -0.02),
+    "head": (0.0, 1.55, -0.03),
+    "right_shoulder": (0.2, 1.38, -0.01),
+    "right_elbow": (0.25, 1.1, 0.05),
+    "right_wrist": (0.22, 1.05, -0.2),
     "left_hip": (-0.09, 0.9, 0.0),
     "left_knee": (-0.09, 0.5, 0.0),
     "left_ankle": (-0.09, 0.08, 0.17),

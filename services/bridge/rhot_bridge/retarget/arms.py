@@ -1,20 +1,29 @@
-"""The rest of an avatar from what is known of a person: arms from head and wrists, hips and legs from the body.
+"""The rest of an avatar from what is known of a person: hips, spine, arms and legs.
 
-Unity's axes; N as in `rhot_bridge.retarget.vrm`. Nobody measures elbows and shoulders: shoulders hang at the neck,
-which hangs at the head, over the hips; the elbow lies where two bones of known length meet, on the side that points
-down, a little outwards and back. Half of the hand's rotation about the forearm is given to the forearm, as bone and
+Unity's axes; N as in `rhot_bridge.retarget.vrm`. Where there is no `rhot/body`, shoulders hang at the neck, which hangs
+at the head, over the hips; the elbow lies where two bones of known length meet, on the side that points down, a little
+outwards and back. Half of the hand's rotation about the forearm is given to the forearm, as bone and
 skin do. Lengths are shares of the body's height, from the figure that `rhot.anatomy.body_proportions` names.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.anatomy.body_proportions import NECK_BEHIND_EYES, NECK_BELOW_EYES
+from rhot.anatomy.body_proportions import (
+    FOREARM,
+    HIPS_BELOW_NECK,
+    NECK_BEHIND_EYES,
+    NECK_BELOW_EYES,
+    SHOULDER_BELOW_NECK,
+    SHOULDER_OUTWARDS,
+    UPPER_ARM,
+)
 from rhot.anatomy.hand import WRIST
 from rhot.geometry.rotations import (
     quaternion_from_rotation,
@@ -24,20 +33,15 @@ from rhot.geometry.rotations import (
 )
 from rhot.messages import Side
 from rhot_bridge.retarget.vrm import avatar_rotations
-from rhot_bridge.scene import Scene
+from rhot_bridge.scene import Body, Scene
 
 FloatArray = NDArray[np.float64]
 
-UPPER_ARM: Final = 0.186
-FOREARM: Final = 0.146
-SHOULDER_BELOW_NECK: Final = 0.058
-SHOULDER_OUTWARDS: Final = 0.129
-HIPS_BELOW_NECK: Final = 0.346
-"""As shares of the body's height: shoulders at 0.818, 0.259 apart, hips at 0.530, the head's pivot at 0.876."""
 _ELBOW: Final = np.array([0.4, -1.0, -0.3])
 """Where an elbow likes to be: outwards, up, forwards of the trunk. A choice that looks natural, no measurement."""
 _REACH: Final = 0.999
 """An arm is never straighter: its elbow would flip."""
+_SPINE: Final = (("Spine", "spine_lower"), ("Chest", "chest"), ("Neck", "neck"), ("Head", "head"))
 _LEGS: Final = (("UpperLeg", "hip"), ("LowerLeg", "knee"), ("Foot", "ankle"))
 
 
@@ -75,19 +79,39 @@ def body_bones(scene: Scene, height_m: float) -> list[Bone]:
         forward = N_head[:, 2]
         N_hips = rotation_y(float(np.arctan2(forward[0], forward[2])))
         hips = neck - np.array([0.0, HIPS_BELOW_NECK * height_m, 0.0])
-    bones = [Bone("Hips", hips, N_hips), Bone("Head", N_hips.T @ (neck - hips), N_hips.T @ N_head)]
+    bones = [Bone("Hips", hips, N_hips)]
+    if body is not None and body.row("chest") is not None:
+        bones += _chain(body, _SPINE, hips, N_hips)
+        chest = body.row("chest")
+        origin, N_chest = body.positions[chest], rotation_from_quaternion(body.orientations[chest])
+    else:
+        bones.append(Bone("Head", N_hips.T @ (neck - hips), N_hips.T @ N_head))
+        origin, N_chest = neck, N_hips
     for side in scene.hands:
-        bones += _arm(scene, side, neck, N_hips, height_m)
-    return bones + _legs(scene, hips, N_hips)
+        bones += _arm(scene, side, neck, origin, N_chest, height_m)
+    if body is not None:
+        for side in ("left", "right"):
+            legs = tuple((f"{side.capitalize()}{bone}", f"{side}_{joint}") for bone, joint in _LEGS)
+            bones += _chain(body, legs, hips, N_hips)
+    return bones
 
 
-def _arm(scene: Scene, side: Side, neck: FloatArray, N_chest: FloatArray, height_m: float) -> list[Bone]:
+def _arm(
+    scene: Scene, side: Side, neck: FloatArray, origin: FloatArray, N_chest: FloatArray, height_m: float
+) -> list[Bone]:
+    """Return one arm; `origin` (3,) is where its parent bone is, with axes `N_chest` (3, 3)."""
     out = 1.0 if side == "right" else -1.0
     hand = scene.hands[side]
     outwards = np.array([out * SHOULDER_OUTWARDS, -SHOULDER_BELOW_NECK, 0.0])
     shoulder = neck + N_chest @ (height_m * outwards)
     upper_m, lower_m = UPPER_ARM * height_m, FOREARM * height_m
     pole = N_chest @ (_ELBOW * np.array([out, 1.0, 1.0]))
+    body = scene.body
+    rows = () if body is None else tuple(body.row(f"{side}_{joint}") for joint in ("shoulder", "elbow", "wrist"))
+    if body is not None and rows and None not in rows:
+        shoulder, joint, end = (body.positions[row] for row in rows if row is not None)
+        upper_m, lower_m = float(np.linalg.norm(joint - shoulder)), float(np.linalg.norm(end - joint))
+        pole = joint - 0.5 * (shoulder + end)
     elbow, wrist, hinge = two_bones(shoulder, hand.positions[WRIST], upper_m, lower_m, pole)
     name = side.capitalize()
     N_upper = _axes(out * (elbow - shoulder), -out * hinge)
@@ -98,7 +122,7 @@ def _arm(scene: Scene, side: Side, neck: FloatArray, N_chest: FloatArray, height
     N_lower = N_lower @ rotation_x(float(np.arctan2(x, w) if w >= 0.0 else np.arctan2(-x, -w)))
     length = np.array([out, 0.0, 0.0])
     return [
-        Bone(f"{name}UpperArm", N_chest.T @ (shoulder - neck), N_chest.T @ N_upper),
+        Bone(f"{name}UpperArm", N_chest.T @ (shoulder - origin), N_chest.T @ N_upper),
         Bone(f"{name}LowerArm", length * upper_m, N_upper.T @ N_lower),
         Bone(f"{name}Hand", length * lower_m, N_lower.T @ N_hand),
     ]
@@ -137,18 +161,15 @@ def _axes(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.stack([unit, y, np.cross(unit, y)], axis=1)
 
 
-def _legs(scene: Scene, hips: FloatArray, N_hips: FloatArray) -> list[Bone]:
+def _chain(body: Body, joints: Sequence[tuple[str, str]], start: FloatArray, N_start: FloatArray) -> list[Bone]:
+    """Return the bones of joints that hang on each other, as far as the body has them, in their parents' axes."""
     bones: list[Bone] = []
-    body = scene.body
-    if body is None:
-        return bones
-    for side in ("left", "right"):
-        before, N_before = hips, N_hips
-        for bone, joint in _LEGS:
-            row = body.row(f"{side}_{joint}")
-            if row is None:
-                break
-            position, N = body.positions[row], rotation_from_quaternion(body.orientations[row])
-            bones.append(Bone(f"{side.capitalize()}{bone}", N_before.T @ (position - before), N_before.T @ N))
-            before, N_before = position, N
+    before, N_before = start, N_start
+    for bone, joint in joints:
+        row = body.row(joint)
+        if row is None:
+            break
+        position, N = body.positions[row], rotation_from_quaternion(body.orientations[row])
+        bones.append(Bone(bone, N_before.T @ (position - before), N_before.T @ N))
+        before, N_before = position, N
     return bones

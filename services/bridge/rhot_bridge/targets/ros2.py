@@ -3,7 +3,7 @@
 | topic | message | of |
 |---|---|---|
 | `/rhot/hand_right`, `/rhot/hand_left` | geometry_msgs/PoseArray | the 26 joints in OpenXR's order |
-| `/rhot/body` | geometry_msgs/PoseArray | hips and legs, in the order of `rhot.messages.BodyPose` |
+| `/rhot/body` | geometry_msgs/PoseArray | the body, in the order of `rhot.messages.BodyPose` |
 | `/rhot/object_cup`, `/rhot/head`, `/rhot/foot_left`, … | geometry_msgs/PoseStamped | one thing |
 | `/tf` | tf2_msgs/TFMessage | `rhot_floor` to `hand_right_wrist`, `object_cup`, `body_hips`, … |
 

@@ -7,7 +7,7 @@
     /VMC/Ext/Tra/Pos s fff ffff       an object by its id, in the world's axes
 
 Unity's axes; bones as in `rhot_bridge.retarget`. With `fingers` only finger bones go out, for programs that get arms
-and head from elsewhere; with `arms` whole arms, head, hips and legs as far as they are known. A frame is several
+and head from elsewhere; with `arms` whole arms, head, spine, hips and legs as far as they are known. A frame is several
 bundles, each below an Ethernet frame. A hand that is not there is not in it: the avatar keeps its own. Source: the VMC
 protocol's specification, protocol.vmc.info.
 """

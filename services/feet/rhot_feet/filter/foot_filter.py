@@ -13,16 +13,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
+from rhot_feet.filter.displacement import UnseenDisplacement
 from rhot_feet.filter.inertial import InertialModel
-from rhot_feet.filter.kinematic import KinematicModel, KinematicState
-from rhot_feet.filter.model import FootFilterSettings, FootMotion, FootState, Observation, Stage
+from rhot_feet.filter.kinematic import KINEMATIC, KinematicModel, KinematicState
+from rhot_feet.filter.model import FilterCounts, FootFilterSettings, FootMotion, FootState, Observation, Stage
 from rhot_feet.filter.out_of_sequence import StateHistory
 from rhot_feet.filter.outliers import OutlierRun
 from rhot_feet.filter.strapdown import InertialState, Strapdown
@@ -36,25 +37,6 @@ FloatArray = NDArray[np.float64]
 State = TypeVar("State")
 
 _NO_RATE: Final = np.zeros(3)
-
-
-@dataclass(slots=True)
-class FilterCounts:
-    """What happened to the measurements.
-
-    Attributes:
-        accepted: observations that updated the filter.
-        gated: refused by the outlier gate.
-        rotations_gated: accepted without their orientation.
-        late: older than the horizon.
-        restarts: times the filter restarted at an observed position.
-    """
-
-    accepted: int = 0
-    gated: int = 0
-    rotations_gated: int = 0
-    late: int = 0
-    restarts: int = 0
 
 
 class FootFilter:
@@ -72,6 +54,7 @@ class FootFilter:
         self._alignment = AlignmentEstimator(self._C, np.array(settings.sensor_m))
         self._previous_alignment: Alignment | None = None
         self._imu = ImuTrack(settings.zero_velocity, 2 * settings.horizon_ns)
+        self._displacement = UnseenDisplacement(np.array(settings.sensor_m))
         self._inertial_history: StateHistory[InertialState] | None = None
         self._kinematic_history: StateHistory[KinematicState] | None = None
         self._outliers = OutlierRun(settings.agreeing)
@@ -140,6 +123,8 @@ class FootFilter:
             return None
         interval = self._imu.at(t_ns)
         stands = interval is not None and interval.zero_velocity.still
+        measured_ns = max(*self._observed_ns.values(), self._stood_ns or 0)
+        followed = self._inertial_history is not None or self._displacement.known_at(t_ns)
         return FootState(
             t_ns,
             motion.position,
@@ -149,7 +134,8 @@ class FootFilter:
             motion.rotation_covariance,
             self._stage(t_ns, stands=stands),
             stands,
-            max(*self._observed_ns.values(), self._stood_ns or 0),
+            measured_ns,
+            0.0 if followed else KINEMATIC.set_off_m(1e-9 * (t_ns - measured_ns)),
         )
 
     def _add_imu_sample(self, t_ns: int, force: FloatArray, rate: FloatArray, R_world: FloatArray) -> bool:
@@ -157,8 +143,10 @@ class FootFilter:
         interval = self._imu.add(t_ns, force, rate, R_world)
         if interval is None:
             self._stood_ns = None
+            self._displacement.forget()
             self._handle_dropout(t_ns)
             return False
+        self._displacement.add(interval, seen=self._stood_ns is not None)
         if not interval.zero_velocity.still:
             self._stood_ns = None
         elif self._stood_ns is not None:
@@ -210,6 +198,9 @@ class FootFilter:
         self._observed_ns[observation.stage] = max(observation.t_ns, self._observed_ns.get(observation.stage, 0))
         if self._inertial_history is not None:
             return
+        interval = self._imu.at(observation.t_ns)
+        if interval is None or not interval.zero_velocity.still:
+            self._displacement.forget()
         if observation.stage == "marker":
             sigma_m, rotation_sigma_rad = (
                 math.sqrt(float(np.trace(covariance)) / 3.0)
@@ -306,7 +297,8 @@ class FootFilter:
             rate = _NO_RATE if interval is None else interval.rate
             return self._inertial.motion(self._inertial_history.at(t_ns), rate)
         if self._kinematic_history is not None:
-            return self._kinematic.motion(self._kinematic_history.at(t_ns), _NO_RATE)
+            motion = self._kinematic.motion(self._kinematic_history.at(t_ns), _NO_RATE)
+            return self._displacement.bounded(t_ns, motion)
         return None
 
     def _stage(self, t_ns: int, *, stands: bool) -> Stage:

@@ -46,7 +46,9 @@ class KinematicSettings:
         start_rotation_rad, unknown_rotation_rad: of the orientation at the start, seen and not seen.
         start_liveliness_m_s2: standard deviation of the acceleration that a track starts with.
         gate_floor_m: model error that the gate leaves room for.
-        set_off_m_s2: acceleration with which a standing foot sets off, one sigma; only the gate allows for it.
+        set_off_m_s2: acceleration with which a standing foot sets off, one sigma. Gates allow for it at all times, the
+            filter where an observation shows it, and what is called measured ends with it.
+        unexplained_nis: squared normalised innovation (3 degrees of freedom) above which it does: 99.9 %.
         unseen_speed_m_s: how fast a foot that is not seen moves, one sigma.
     """
 
@@ -71,12 +73,17 @@ class KinematicSettings:
     start_liveliness_m_s2: float = 5.0
     gate_floor_m: float = 0.01
     set_off_m_s2: float = 20.0
+    unexplained_nis: float = 16.3
     unseen_speed_m_s: float = 1.5
+
+    def set_off_m(self, unseen_s: float) -> float:
+        """Return how far a foot that stood may have gone since it was seen, one sigma, until it comes to rest."""
+        return 0.5 * self.set_off_m_s2 * min(max(unseen_s, 0.0), self.seen_s) ** 2
 
     def unseen_error_m(self, unseen_s: float) -> float:
         """Return how far a foot may have left its course since it was seen: one that stood may set off at any time."""
-        bend_s = min(unseen_s, self.seen_s)
-        return self.gate_floor_m + 0.5 * self.set_off_m_s2 * bend_s**2 + self.unseen_speed_m_s * (unseen_s - bend_s)
+        unseen_m = self.unseen_speed_m_s * max(unseen_s - self.seen_s, 0.0)
+        return self.gate_floor_m + self.set_off_m(unseen_s) + unseen_m
 
 
 KINEMATIC: Final = KinematicSettings()
@@ -203,7 +210,13 @@ class KinematicModel:
         residual = observation.position - state.motion[:3]
         S = state.P[:3, :3] + observation.covariance
         nis = squared_distance(residual, S) / 3.0
-        motion, P = _correct(state.motion, state.P, _H_POSITION, residual, observation.covariance)
+        P = state.P
+        if 3.0 * nis > KINEMATIC.unexplained_nis:
+            # Only a foot that set off unseen can be there, so it is one: position, velocity and acceleration follow.
+            bend_s = min(state.unseen_s, KINEMATIC.seen_s)
+            set_off = np.array([0.5 * bend_s**2, bend_s, 1.0])
+            P = P + _on_each_axis(KINEMATIC.set_off_m_s2**2 * np.outer(set_off, set_off))
+        motion, P = _correct(state.motion, P, _H_POSITION, residual, observation.covariance)
         R, rate, rotation_covariance = state.R, state.rate, state.rotation_covariance
         if observation.rotation is not None:
             # One gain for all axes: an orientation out of a picture is worst about the line of sight's normals, but

@@ -72,6 +72,7 @@ class FootState:
         stage: the best evidence of the last moment.
         stationary: the foot stands.
         measured_ns: when it was last seen, or until when it has stood since.
+        set_off_m: how far it may have set off since, one sigma over all axes; nothing where a sensor would tell.
     """
 
     t_ns: int
@@ -83,11 +84,12 @@ class FootState:
     stage: Stage
     stationary: bool
     measured_ns: int
+    set_off_m: float = 0.0
 
     @property
     def sigma_m(self) -> float:
-        """Root of the sum of the three variances of the position, metres."""
-        return math.sqrt(max(float(np.trace(self.covariance)), 0.0))
+        """Root of the sum of the three variances of the position, metres, and what it may have set off."""
+        return math.sqrt(max(float(np.trace(self.covariance)), 0.0) + self.set_off_m**2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +130,25 @@ class FootMotion:
     rotation: FloatArray
     covariance: FloatArray
     rotation_covariance: FloatArray
+
+
+@dataclass(slots=True)
+class FilterCounts:
+    """What happened to the measurements.
+
+    Attributes:
+        accepted: observations that updated the filter.
+        gated: refused by the outlier gate.
+        rotations_gated: accepted without their orientation.
+        late: older than the horizon.
+        restarts: times the filter restarted at an observed position.
+    """
+
+    accepted: int = 0
+    gated: int = 0
+    rotations_gated: int = 0
+    late: int = 0
+    restarts: int = 0
 
 
 State = TypeVar("State")

@@ -1,4 +1,4 @@
-"""From `rhot/head` and `rhot/foot/<side>` to `rhot/body`."""
+"""From `rhot/head`, `rhot/foot/<side>` and `rhot/hand/<side>` to `rhot/body`."""
 
 from __future__ import annotations
 
@@ -11,32 +11,46 @@ from numpy.typing import NDArray
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.geometry.transforms import rigid
-from rhot.messages import BodyJoint, BodyPose, FootPose, HeadPose, LegAngles, Position, Quaternion, Side, State
+from rhot.messages import (
+    BodyJoint,
+    BodyPose,
+    FootPose,
+    HandPose,
+    HeadPose,
+    LegAngles,
+    Position,
+    Quaternion,
+    Side,
+    State,
+)
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import Rig
 from rhot.stage import Output
-from rhot_ik.legs.body_solver import BodySolution, solve_body
+from rhot_ik.legs.body_solver import solve_body
 from rhot_ik.legs.foot_track import LEAD_S, FootTrack, HipMotion
-from rhot_ik.legs.hips import hip_joint, hips_under_head, stride, within_reach
+from rhot_ik.legs.hips import OUTWARDS, hip_joint, hips_under_head, stride, within_reach
 from rhot_ik.legs.jumps import FOOT, HEAD, JumpBridge
 from rhot_ik.legs.stature import Stature
+from rhot_ik.trunk.upper_body import solve_upper_body
 
 FloatArray = NDArray[np.float64]
 
 BODY_KEY: Final = "rhot/body"
 _ANGLES: Final = tuple(LegAngles.model_fields)
 _STALE_NS: Final = 300_000_000
-"""A foot or head that was not heard of for so long is not known."""
+"""A foot, hand or head that was not heard of for so long is not known."""
 _TOGETHER_NS: Final = 2_000_000
 _LEAD_NS: Final = round(1e9 * LEAD_S)
 """A foot that is older than the other by less than this is carried on by its velocity."""
 _SIDE_BY_SIDE_M: Final = 0.12
 _CALM_S: Final = 0.05
 _LONGEST_STEP_S: Final = 0.1
+_MEASURED: Final = frozenset({"head", *(f"{side}_{end}" for side in OUTWARDS for end in ("ankle", "foot", "wrist"))})
+"""Joints next to which something is tracked; the others are inferred."""
 
 
 class BodyStage:
-    """The core of leg solving: keeps the newest head and feet, and solves when all feet that are tracked have moved on.
+    """The core of the body: keeps the newest head, feet and hands, and solves when all tracked feet have moved on.
 
     Args:
         rig: with `[feet]` and `[body]`; without feet nothing comes out.
@@ -58,6 +72,7 @@ class BodyStage:
         self._solved_ns = 0
         self._head: HeadPose | None = None
         self._feet: dict[Side, FootPose] = {}
+        self._hands: dict[Side, HandPose] = {}
         self._solved: dict[Side, int] = {}
         self._counts = {"bodies": 0, "no_head": 0, "jumps": 0}
 
@@ -66,8 +81,11 @@ class BodyStage:
         """`bodies` solved; `no_head`: feet came without the head that the hips hang from; `jumps` of head or feet."""
         return self._counts
 
-    def feed(self, message: HeadPose | FootPose) -> list[Output]:
+    def feed(self, message: HeadPose | FootPose | HandPose) -> list[Output]:
         """Return the `BodyPose` that follows from a message; most often nothing or one."""
+        if isinstance(message, HandPose):
+            self._hands[message.side] = message
+            return []
         if isinstance(message, HeadPose):
             self._head = self._without_jumps(message)
             return []
@@ -106,7 +124,15 @@ class BodyStage:
         states = {side: self._tracks[side].state for side in sorted(ankles)}
         legs: dict[Side, State] = {side: state for side, state in states.items() if state is not None}
         solution = solve_body(hips, {side: ankles[side] for side in legs}, self._stature.body)
-        return body_pose(solution, head, legs, t_ns)
+        hands = {side: hand for side, hand in self._hands.items() if abs(t_ns - hand.t_ns) < _STALE_NS}
+        wrists = {
+            side: _transform(wrist.position, wrist.orientation)
+            for side, hand in hands.items()
+            if hand.frame == head.frame and (wrist := hand.joints.get("wrist")) is not None
+        }
+        joints = {**solution.joints, **solve_upper_body(hips, T_rig_head, wrists, self._stature.body)}
+        arms = {side: hands[side].state for side in sorted(wrists) if f"{side}_wrist" in joints}
+        return body_pose(joints, solution.angles_rad, head, legs, arms, t_ns)
 
     def _without_jumps(self, head: HeadPose) -> HeadPose:
         """Return the head's pose; while a jump of its tracker is bridged it is predicted."""
@@ -141,10 +167,17 @@ class BodyStage:
         self._hip_motion = HipMotion(hips, velocity)
 
 
-def body_pose(solution: BodySolution, head: HeadPose, legs: Mapping[Side, State], t_ns: int) -> BodyPose:
-    """Return the message that carries a solution whose legs are measured or predicted."""
-    names = list(solution.joints)
-    poses = np.stack([solution.joints[name] for name in names])
+def body_pose(
+    joints: Mapping[str, FloatArray],
+    angles_rad: Mapping[Side, FloatArray],
+    head: HeadPose,
+    legs: Mapping[Side, State],
+    arms: Mapping[Side, State],
+    t_ns: int,
+) -> BodyPose:
+    """Return the message that carries joints by name, (4, 4) each, whose legs and arms are measured or predicted."""
+    names = list(joints)
+    poses = np.stack([joints[name] for name in names])
     positions, quaternions = poses[:, :3, 3], quaternion_from_rotation(poses[:, :3, :3])
     measured = head.state == "measured" and "measured" in legs.values()
     return BodyPose(
@@ -155,10 +188,11 @@ def body_pose(solution: BodySolution, head: HeadPose, legs: Mapping[Side, State]
             for name, position, quaternion in zip(names, positions, quaternions, strict=True)
         },
         angles={
-            side: LegAngles(**dict(zip(_ANGLES, values.tolist(), strict=True)))
-            for side, values in solution.angles_rad.items()
+            side: LegAngles(**dict(zip(_ANGLES, values.tolist(), strict=True))) for side, values in angles_rad.items()
         },
         legs=dict(legs),
+        arms=dict(arms),
+        inferred=tuple(name for name in names if name not in _MEASURED),
         state="measured" if measured else "predicted",
     )
 

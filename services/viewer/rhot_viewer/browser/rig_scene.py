@@ -21,7 +21,7 @@ from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.truth_track import TruthTrack
 from rhot_viewer.scene.hand import fingertips, ghost_shape, hand_shape
 from rhot_viewer.scene.instances import Rgb, turn_of_z, unit_ball, unit_box, unit_rod
-from rhot_viewer.scene.things import UNKNOWN_COLOR, foot_boxes, leg_rods, marker_balls, object_copies
+from rhot_viewer.scene.things import UNKNOWN_COLOR, body_rods, foot_boxes, marker_balls, object_copies
 from rhot_viewer.scene.trails import Trails
 from rhot_viewer.scene.viewpoint import Viewpoint, close_up, desk_middle, overview, through, up_direction, volume_lines
 
@@ -232,7 +232,7 @@ class RigScene:
         feet = self._inbox.all_newest("rhot/foot/", FootPose, _SLOW_AGE_S)
         self._feet.show(foot_boxes(feet) if feet else None)
         body = self._inbox.newest("rhot/body", BodyPose, _SLOW_AGE_S)
-        joints, bones = (None, None) if body is None else leg_rods(body)
+        joints, bones = (None, None) if body is None else body_rods(body)
         self._leg_joints.show(joints)
         self._leg_bones.show(bones)
 

@@ -5,7 +5,7 @@ A frame is `{"type": "frame", "keys": {key: …}}` with the newest of each key t
     rhot/hand/<side>    {"t", "state", "predicted": [finger, …], "joints": [26 × (x y z qx qy qz qw)], "radii": [26]}
     rhot/object/<id>    {"t", "state", "pose": [7], "shape": {…} or absent}
     rhot/head, rhot/foot/<side>    {"t", "state", "pose": [7]}
-    rhot/body           {"t", "state", "joints": {name: [x, y, z]}, "predicted": [side, …]}
+    rhot/body           {"t", "state", "joints": {name: [x, y, z]}, "predicted": [side or side_arm, …]}
     rhot/truth          {"t", "hands": {side: [26 × 7]}, "objects": {id: [7]}}
     rhot/space/<name>   {"T": [16, row by row], "source"}
 
@@ -71,7 +71,8 @@ def _foot(foot: FootPose) -> str:
 
 def _body(body: BodyPose) -> str:
     joints = {name: [round(number, 5) for number in joint.position] for name, joint in body.joints.items()}
-    predicted = [side for side, state in body.legs.items() if state == "predicted"]
+    predicted: list[str] = [side for side, state in body.legs.items() if state == "predicted"]
+    predicted += [f"{side}_arm" for side, state in body.arms.items() if state == "predicted"]
     return f'{{{_time(body)},"state":"{body.state}","joints":{_short(joints)},"predicted":{_short(predicted)}}}'
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
+from rhot.anatomy.skeleton import BODY_PARENTS
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import (
     BodyPose,
@@ -41,7 +41,7 @@ LEG_RADIUS_M: Final = 0.045
 
 _Placed = tuple[ObjectPose, tuple[float, float, float], Rgb]
 """A body, its size along its own axes, metres, and its colour."""
-_LEG: Final = ("hip", "knee", "ankle", "foot")
+_ARM: Final = ("shoulder", "elbow", "wrist")
 
 
 def marker_balls(points: PointSet, colors: Mapping[str, Rgb]) -> Instances:
@@ -107,20 +107,25 @@ def foot_boxes(feet: Mapping[str, FootPose]) -> Instances:
     )
 
 
-def leg_rods(body: BodyPose) -> tuple[Instances, Instances]:
-    """Return the joints (balls) and bones (rods) of hips and legs, as far as the message holds them."""
-    bones: list[tuple[str, str, bool]] = []
-    for side in ("left", "right"):
-        predicted = body.legs.get(side) == "predicted"
-        chain = ["hips", *(f"{side}_{part}" for part in _LEG)]
-        bones += [
-            (start, end, predicted) for start, end in pairwise(chain) if start in body.joints and end in body.joints
-        ]
+def body_rods(body: BodyPose) -> tuple[Instances, Instances]:
+    """Return the joints (balls) and bones (rods) of a body, as far as the message holds them."""
+    limbs = {f"{side}_leg": state for side, state in body.legs.items()}
+    limbs |= {f"{side}_arm": state for side, state in body.arms.items()}
+    bones = [
+        (parent, name, limbs.get(_limb(name)) == "predicted")
+        for name, parent in BODY_PARENTS.items()
+        if parent is not None and parent in body.joints and name in body.joints
+    ]
     starts = np.array([body.joints[start].position for start, _, _ in bones]).reshape(-1, 3)
     ends = np.array([body.joints[end].position for _, end, _ in bones]).reshape(-1, 3)
     colors = [PREDICTED_COLOR if predicted else LEG_COLOR for _, _, predicted in bones]
     radii = np.full(len(bones), LEG_RADIUS_M)
     return balls(ends, radii, colors), rods(starts, ends, 0.8 * radii, colors)
+
+
+def _limb(joint: str) -> str:
+    side, _, name = joint.partition("_")
+    return f"{side}_{'arm' if name in _ARM else 'leg'}"
 
 
 def _wxyz(xyzw: tuple[float, float, float, float]) -> tuple[float, float, float, float]:

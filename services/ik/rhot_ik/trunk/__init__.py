@@ -1,0 +1,1 @@
+"""The body above the hips: spine, neck, head and arms."""

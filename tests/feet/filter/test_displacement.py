@@ -1,0 +1,88 @@
+"""Feet that set off unseen: how far, by a sensor whose direction is not known, and without any sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from foot_walk import UP, Walk, ns
+from numpy.typing import NDArray
+
+from rhot_feet.filter.foot_filter import FootFilter
+from rhot_feet.filter.kinematic import KINEMATIC
+from rhot_feet.filter.model import FootFilterSettings, FootState
+from rhot_feet.imu.conversion import FusedImuConverter
+
+SIGMA_M = 0.002
+FloatArray = NDArray[np.float64]
+
+
+def filter_of_a_standing_foot() -> FootFilter:
+    return FootFilter(FootFilterSettings(up=(float(UP[0]), float(UP[1]), float(UP[2]))))
+
+
+def hidden_step(walk: Walk, until_s: float) -> tuple[list[FootState], FloatArray]:
+    """Return states and errors of a foot that stood in sight for a second and then steps unseen."""
+    foot, converter, random = filter_of_a_standing_foot(), FusedImuConverter(), np.random.default_rng(5)
+    t = np.arange(-1.0, until_s, 0.01)
+    accelerations, quaternions = walk.imu(t, 3)
+    states, errors_m = [], []
+    for k, now in enumerate(t.tolist()):
+        row = slice(k, k + 1)
+        foot.add_imu_samples(converter.convert(np.array([ns(now)]), accelerations[row], quaternions[row]))
+        position, _ = walk.foot(now)
+        if now < -0.05:
+            foot.update_marker(ns(now), position + random.normal(0.0, SIGMA_M, 3), SIGMA_M**2 * np.eye(3))
+        elif now > 0.15:
+            state = foot.state(ns(now))
+            assert state is not None
+            assert not foot.aligned, "one that is aligned is carried by its sensor"
+            states.append(state)
+            errors_m.append(float(np.linalg.norm(state.position - position)))
+    return states, np.array(errors_m)
+
+
+@pytest.mark.parametrize("stride_m", [0.03, 0.08, 0.5])
+def test_a_sensor_without_a_direction_tells_how_far_the_foot_went(stride_m: float) -> None:
+    states, error_m = hidden_step(Walk(stride_m=stride_m, height_m=0.02, pitch_rad=0.2), 1.05)
+    sigma_m = np.array([state.sigma_m for state in states])
+    assert error_m[-1] == pytest.approx(stride_m, rel=0.3), "nobody knows where to, so it stays"
+    assert (error_m < 2.0 * sigma_m).all()
+    assert sigma_m[-1] < 1.3 * stride_m + 0.05
+    # Without a sensor it might be a metre and a half away after a second.
+    assert sigma_m[-1] < 0.7
+
+
+def test_samples_that_are_missing_end_what_is_known() -> None:
+    foot, converter = filter_of_a_standing_foot(), FusedImuConverter()
+    rest = np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]])
+    for k in range(40):
+        foot.add_imu_samples(converter.convert(np.array([ns(0.01 * k)]), *rest))
+        foot.update_marker(ns(0.01 * k), np.zeros(3), SIGMA_M**2 * np.eye(3))
+    soon, late = foot.state(ns(0.41)), foot.state(ns(1.4))
+    assert soon is not None
+    assert late is not None
+    assert soon.sigma_m < 0.015
+    assert late.sigma_m > 0.5
+
+
+def test_what_only_setting_off_explains_is_followed_at_once() -> None:
+    """A foot that moves slowly, sets off unseen with 20 m/s² and is seen again 0.1 s later."""
+    foot, random = filter_of_a_standing_foot(), np.random.default_rng(2)
+    slow_m_s, a = 0.35, KINEMATIC.set_off_m_s2
+    for k in range(60):
+        t = k / 60.0 - 1.0
+        foot.update_marker(
+            ns(t), np.array([slow_m_s * t, 0.0, 0.0]) + random.normal(0.0, SIGMA_M, 3), SIGMA_M**2 * np.eye(3)
+        )
+    sigmas = [state.sigma_m for s in (0.0, 0.04, 0.08) if (state := foot.state(ns(-1.0 / 60.0 + s))) is not None]
+    assert sigmas[0] < 0.02
+    assert sigmas[2] > 0.5 * a * 0.08**2, "it may have set off, and that is said"
+    # A shape in the depth picture, 20 mm wrong; the foot is 100 mm away from where it was going.
+    seen_s = -1.0 / 60.0 + 0.1
+    true = np.array([slow_m_s * seen_s, 0.0, 0.5 * a * 0.1**2])
+    seen = true + np.array([0.0, 0.02, 0.0])
+    assert foot.update_depth(ns(seen_s), seen, 0.02**2 * np.eye(3))
+    state = foot.state(ns(seen_s))
+    assert state is not None
+    assert np.linalg.norm(state.position - true) < 0.03
+    assert state.velocity[2] > 1.0
