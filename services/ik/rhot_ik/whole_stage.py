@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rhot.explain import Explanation
-from rhot.messages import FootPose, HeadPose, ObjectPose, PointSet
 from rhot.messages import FootPose, HandPose, HeadPose, ObjectPose, PointSet
 from rhot.rig import IkConfig, Rig
 from rhot.stage import Output
