@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from page.browser import CHROMIUM, Browser, open_browser, wait_until
 from page.viewer_process import ViewerProcess
 from stub_rig import StubRig, StubThread
+from wall_clock import figures_in_time
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.bus import Bus
@@ -215,6 +216,56 @@ async def test_the_hand_is_where_the_rig_says_on_desktop_and_in_a_headset(
         assert apart_m(drawn(browser), inverse(T_rig_webxr), hand) < ALIKE_M
         assert [error for error in browser.errors if "ERR_CONNECTION_REFUSED" not in error] == []
     rig.stop()
+
+
+RECORD: Final = """(() => {
+    window.lifts = [];
+    let last = -1;
+    setInterval(() => {
+        if (rhot.frames !== last && rhot.twins.cube) window.lifts.push([rhot.t, rhot.twins.cube[1]]);
+        last = rhot.frames;
+    }, 5);
+    return true;
+})()"""
+CARRYING_FROM_S: Final = 7.0
+"""The scripted hand of the simulated world lifts its object half a second later, and has put it down 3.2 s later."""
+TWIN_LATE_S: Final = 0.1
+TWIN_OFF_M: Final = 0.003
+"""Beside what 0.1 s explain: a pose that is carried on overshoots a little where the truth turns."""
+
+
+@pytest.mark.real_time
+async def test_the_twin_is_lifted_and_put_down_when_the_truth_is(rig: Rig, stubbed: tuple[StubRig, str]) -> None:
+    stub, _ = stubbed
+    T_stage_rig = inverse(stage_of(stub.rig)[0])
+
+    def true_heights(t_s: FloatArray) -> FloatArray:
+        places = [stub.world.truth(float(t), 0).objects["cube"].position for t in t_s]
+        return np.array([(T_stage_rig @ np.append(place, 1.0))[1] for place in places])
+
+    with open_browser(rig.url, 320, 240) as browser:
+        browser.wait_for("rhot.twins?.cube && rhot.frames > 10 && rhot.link.clock.ready")
+        lying = float(true_heights(np.array([1.0]))[0])
+        stub.play_from(CARRYING_FROM_S)
+        stub.still = False
+        begun_ms = time.time() * 1e3
+        browser.evaluate(RECORD)
+        browser.wait_for(f"lifts.at(-1)?.[0] > {begun_ms + 4000}")
+        seen = np.array(browser.evaluate("lifts"))
+        clock_ms = browser.evaluate("rhot.link.clock.uncertainty")
+        assert browser.errors == []
+    seen = seen[seen[:, 0] > begun_ms + 200.0]
+    t_s, heights = seen[:, 0] / 1e3 - stub.zero_ns / 1e9, seen[:, 1]
+    slow_s = float(np.diff(t_s).max())
+    figures_in_time([f"a picture took {slow_s:.2f} s"] if slow_s > 0.5 else [])
+    figures_in_time([f"the page's clock is known to {clock_ms:.0f} ms"] if clock_ms > 50.0 else [])
+    assert heights.max() > lying + 0.09, "it was lifted"
+    assert heights[-1] == pytest.approx(lying, abs=TWIN_OFF_M), "and put down"
+    around = t_s[:, None] + np.linspace(-TWIN_LATE_S, TWIN_LATE_S, 21)
+    true = true_heights(around.ravel()).reshape(around.shape)
+    off = np.maximum(true.min(axis=1) - heights, heights - true.max(axis=1))
+    late = off > TWIN_OFF_M
+    figures_in_time([f"{late.sum()} of {len(off)} pictures show the twin more than 0.1 s off"] if late.any() else [])
 
 
 async def newest_hand(rig: Rig) -> FloatArray:

@@ -56,6 +56,7 @@ class StubRig:
         settings: of the cameras; `asked`: what previews were asked for; `newest`: what each camera sees. May be read
             from other threads.
         still: the world stands still; may be set while it runs.
+        zero_ns: when the world began, rig clock.
     """
 
     def __init__(
@@ -73,10 +74,15 @@ class StubRig:
         }
         self.asked: list[str] = []
         self.still = still
+        self.zero_ns = 0
         self._predicted = predicted
         self._endpoint = endpoint
         self._places: deque[tuple[float, FloatArray]] = deque(maxlen=round(120 * RATE_HZ))
         self.newest: dict[str, MarkerFrame] = {}
+
+    def play_from(self, t_s: float) -> None:
+        """Let it be this moment of the world now; may be called from other threads."""
+        self.zero_ns = time.time_ns() - round(1e9 * t_s)
 
     async def run(self) -> None:
         """Publish until cancelled."""
@@ -100,9 +106,10 @@ class StubRig:
             }
             publishers = {key: bus.publisher(key, model) for key, model in keys.items()}
             begun = time.monotonic()
+            self.play_from(0.0)
             ticks = 0
             while True:
-                t_s = 1.0 if self.still else time.monotonic() - begun
+                t_s = 1.0 if self.still else (time.time_ns() - self.zero_ns) * 1e-9
                 for key, message in self.messages(t_s, time.time_ns(), ticks).items():
                     publishers[key].put(message)
                 ticks += 1

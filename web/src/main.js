@@ -57,7 +57,7 @@ let lastMs = 0;
 
 /** For tests, and for whoever is curious at the console. */
 const seen = (window.rhot = {
-  frames: 0, drawn: {}, held: {}, T_webxr_rig: null, rig, link, pace, headset, timing,
+  frames: 0, drawn: {}, twins: {}, t: null, held: {}, T_webxr_rig: null, rig, link, pace, headset, timing,
   get ball() { return ball?.at; },
   /** The 26 joints of a hand as they are drawn, in the space of desktop or headset. */
   bones: (side) => views.get(side)?.bones.map((bone) => bone.getWorldPosition(new Vector3()).toArray()),
@@ -207,6 +207,8 @@ function update(t, displayMs, elapsed) {
   const surfaces = [...bodies.values(), new Body(BALL, ball.at)];
   for (const [side, view] of views) if (!hands.has(side)) view.visible = false;
   seen.drawn = {};
+  seen.t = t;
+  seen.twins = Object.fromEntries([...objects].map(([name, { at }]) => [name, at.p]));
   for (const [side, hand] of hands) {
     const poses = $("proxy").checked ? restrained(hand.poses, hand.radii, surfaces) : hand.poses;
     const view = viewOf(side);
