@@ -12,6 +12,8 @@ from page.browser import CHROMIUM, Browser, open_browser
 from page.viewer_process import ViewerProcess
 from played_rig import PATIENCE_S, PROCESSES, PlayedRig
 
+from rhot.rig import RegistrationFile, write_json_model
+from rhot.rig.folder import REGISTRATION_FILE, RIG_FILE
 from rhot_viewer.grasp.files import is_built
 
 pytestmark = [
@@ -35,6 +37,9 @@ async def shows(browser: Browser, name: str, after_s: float) -> None:
 
 
 async def test_the_page_comes_back_after_every_service(rig: PlayedRig, tmp_path: Path, free_port: int) -> None:
+    with (rig.folder / RIG_FILE).open("a") as file:
+        file.write('\n[objects.cube]\nsource = "simulated"\n')
+    write_json_model(rig.folder / REGISTRATION_FILE, RegistrationFile())
     objects = ["objects", "--rig", str(rig.folder), "--connect", rig.endpoint]
     await rig.supervisor.start("objects", objects)
     page = ViewerProcess(
@@ -48,6 +53,11 @@ async def test_the_page_comes_back_after_every_service(rig: PlayedRig, tmp_path:
                 before = rig.pids()[name]
                 rig.signal(name, signal.SIGKILL)
                 async with asyncio.timeout(PATIENCE_S):
+                    if name == "objects":
+                        # The rig's supervisor keeps only what ran when it began.
+                        await rig.child(name).process.wait()
+                        rig.supervisor.children.remove(rig.child(name))
+                        await rig.supervisor.start(name, objects)
                     while rig.pids().get(name, before) == before:
                         await asyncio.sleep(0.02)
                 again_s = time.time()
