@@ -118,8 +118,11 @@ class FusionConfig(FileModel):
             (tracks read at a common moment, lens models) or `disparity` (the same with the depth law of the 2018
             thesis).
         depth_law: k and z of depth[cm] = k · disparity[px]^z, for `disparity`.
-        min_cutoff_hz, beta, derivative_cutoff_hz: 1-euro filter, per marker and axis, of the other methods than
-            `filter`.
+        one_euro: where the other methods than `filter` have their 1-euro filter, each marker its own: `points` (in
+            space), or `pixels`, as in the thesis: on each camera's view, and then on the depth alone.
+        min_cutoff_hz, beta, derivative_cutoff_hz: of that filter in space; β in hertz per metre a second.
+        pixel_min_cutoff_hz, pixel_beta: of the one on views; β in hertz per pixel a second. Tuned as its authors say:
+            1 Hz at rest, then β up until a hand at 0.4 m/s no longer lags (at 30 Hz, 0.5 px and 60 Hz, 0.15 px alike).
         volume_m: lowest and highest x, y, z of a believable point, rig frame.
         max_speed_m_s: fastest believable marker; published points move no faster, in depth by as much less as depth is
             noisier.
@@ -134,9 +137,12 @@ class FusionConfig(FileModel):
 
     method: Literal["filter", "triangulate", "disparity"] = "filter"
     depth_law: tuple[Positive, Annotated[float, Field(ge=-10.0, le=10.0)]] = (4543.3, -1.035)
+    one_euro: Literal["points", "pixels"] = "points"
     min_cutoff_hz: Positive = 4.0
     beta: NotNegative = 20.0
     derivative_cutoff_hz: Positive = 8.0
+    pixel_min_cutoff_hz: Positive = 1.0
+    pixel_beta: NotNegative = 0.5
     volume_m: tuple[Vector3, Vector3] = ((-0.8, -0.6, 0.30), (0.8, 0.6, 1.40))
     max_speed_m_s: Annotated[float, Field(gt=0.0, le=100.0)] = 4.0
     hold_s: HoldS = 0.25

@@ -74,7 +74,8 @@ class Association:
         self._config = config
         self._geometry = self._make_geometry(config)
         self._hands = HandCoherence(markers, hand_length_m)
-        self._states = MarkerStates(len(markers), _one_euro(config), config.max_speed_m_s)
+        depth_only = config.one_euro == "pixels"
+        self._states = MarkerStates(len(markers), _one_euro(config), config.max_speed_m_s, depth_only=depth_only)
         self._last_s = -np.inf
         self.epipolar = EpipolarModel(cameras, config.epipolar_limit_px)
 
@@ -89,7 +90,8 @@ class Association:
             self.clear()
         self._config = config
         self.epipolar.set_limit(config.epipolar_limit_px)
-        self._states.configure(_one_euro(config), config.max_speed_m_s)
+        depth_only = config.one_euro == "pixels"
+        self._states.configure(_one_euro(config), config.max_speed_m_s, depth_only=depth_only)
 
     def clear(self) -> None:
         """Forget all markers; what was learnt of the cameras stays."""

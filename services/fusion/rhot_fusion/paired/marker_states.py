@@ -23,9 +23,13 @@ class MarkerStates:
         tracked: (M,) whether a marker has a state.
         backed_s: (M,) when a marker was last seen by two cameras or more.
         sigma_m: (M,) noise of the last accepted point.
+        depth_only: the filters smooth along the noisiest axis of each point alone, which is its depth.
     """
 
-    def __init__(self, count: int, settings: OneEuroSettings, max_speed_m_s: float) -> None:
+    def __init__(
+        self, count: int, settings: OneEuroSettings, max_speed_m_s: float, *, depth_only: bool = False
+    ) -> None:
+        self.depth_only = depth_only
         self.filter = OneEuroFilter(count, settings)
         self.max_speed_m_s = max_speed_m_s
         self.tracked: BoolArray = np.zeros(count, dtype=bool)
@@ -40,8 +44,9 @@ class MarkerStates:
         self._shown_s = -np.inf
         self._longest_step_s = np.inf
 
-    def configure(self, settings: OneEuroSettings, max_speed_m_s: float) -> None:
+    def configure(self, settings: OneEuroSettings, max_speed_m_s: float, *, depth_only: bool = False) -> None:
         """Change the settings; states stay."""
+        self.depth_only = depth_only
         self.filter.settings = settings
         self.max_speed_m_s = max_speed_m_s
 
@@ -98,7 +103,11 @@ class MarkerStates:
         bounded = predicted + np.einsum("kij,kj->ki", basis, innovation)
         quiet = np.minimum(1.0, PAIRED.quiet_sigma_m / np.maximum(sigma, 1e-9))
         moved, basis, quiet = index[passed], basis[passed], quiet[passed]
-        axes = Axes(basis, quiet, np.maximum(quiet, PAIRED.slowest_cutoff))
+        cutoff_scale = np.maximum(quiet, PAIRED.slowest_cutoff)
+        if self.depth_only:
+            # Eigenvalues ascend: the last axis is depth, the others were smoothed in the pictures.
+            cutoff_scale[:, :2] = PAIRED.open_cutoff
+        axes = Axes(basis, quiet, cutoff_scale)
         advance = (predicted - self.filter.value[index])[passed]
         self.filter.update(moved, bounded[passed], t_s, axes, advance=advance)
         self._anchor_s[moved] = t_s

@@ -86,7 +86,7 @@ class OneEuroFilter:
         self,
         index: IndexArray,
         value: FloatArray,
-        t_s: float,
+        t_s: float | FloatArray,
         axes: Axes | None = None,
         *,
         advance: FloatArray | float = 0.0,
@@ -96,12 +96,12 @@ class OneEuroFilter:
         Args:
             index: (K,) which points.
             value: (K, 3) samples.
-            t_s: their time.
+            t_s: their time, or the time (K, 1) of each.
             axes: axes of the filter and their scales; world axes and 1 when absent.
             advance: (K, 3) how far the points are believed to have moved since their last samples; the low-pass then
                 acts on what is left, and a steady motion does not lag. 0 is the filter as published.
         """
-        interval = (t_s - self.t_s[index])[:, None]
+        interval = t_s - self.t_s[index][:, None]
         later = interval > 0.0
         # An interval that does not advance must not move anything: α(0) = 0.
         step_s = np.where(later, interval, 0.0)
@@ -122,4 +122,4 @@ class OneEuroFilter:
         self.value[index] = expected + correction
         self.speed[index] = speed
         self._raw[index] = np.where(later, value, self._raw[index])
-        self.t_s[index] = np.maximum(self.t_s[index], t_s)
+        self.t_s[index] = np.maximum(self.t_s[index], np.reshape(t_s, -1))

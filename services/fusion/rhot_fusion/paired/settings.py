@@ -24,6 +24,7 @@ class PairedSettings:
         quiet_sigma_m: noise below which the 1-euro filter trusts the speed of an axis in full.
         elongated: depth noise counts as such above this multiple of the lateral noise.
         slowest_cutoff: share of the 1-euro filter's cut-off at rest that is left along the noisiest axis.
+        open_cutoff: factor on the cut-off of an axis that is not to be smoothed; lets pass 0.99999 of a step.
         slowest_glide: share of the fastest believable speed that a marker may have along its noisiest axis.
         fewest_siblings: so many markers of a hand must move for an unseen one to be carried along.
         agreement_s: points further apart in time do not confirm each other.
@@ -43,6 +44,7 @@ class PairedSettings:
     quiet_sigma_m: float = 0.002
     elongated: float = 3.0
     slowest_cutoff: float = 0.5
+    open_cutoff: float = 1e6
     slowest_glide: float = 0.2
     fewest_siblings: int = 2
     agreement_s: float = 0.2

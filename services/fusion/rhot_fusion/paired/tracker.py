@@ -14,6 +14,7 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import HandPose
 from rhot.rig import FusionConfig, HandFile, MarkerConfig
 from rhot_fusion.paired.association import Association
+from rhot_fusion.paired.pixel_filter import PixelFilters
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.epipolar import EpipolarModel
 from rhot_fusion.views.sightings import Outcome, Sightings
@@ -42,6 +43,7 @@ class PairedTracker:
         self._association = Association(cameras, markers, hand.length_m, config, counts)
         self._schedule = Schedule(list(periods_s))
         self._tracks = Tracks(len(cameras), len(markers))
+        self._pixels = PixelFilters([float(camera.K[0, 0]) for camera in cameras], len(markers), config)
         self._cameras = len(cameras)
 
     @property
@@ -61,6 +63,7 @@ class PairedTracker:
         """
         self._association.configure(config)
         self._config = config
+        self._pixels.configure(config)
 
     def learn(self, hand: HandPose) -> None:
         """Nothing: these methods publish what the cameras see."""
@@ -69,6 +72,7 @@ class PairedTracker:
         """Forget all markers; what was learnt of the cameras stays."""
         self._schedule.clear()
         self._tracks.clear()
+        self._pixels.clear()
         self._association.clear()
 
     def advance(self, sightings: Sightings) -> Outcome | None:
@@ -78,7 +82,8 @@ class PairedTracker:
         self._counts["late_marker"] += int(np.count_nonzero(~later))
         low, high = self._config.volume_m
         max_rate = self._config.max_speed_m_s / max(0.5 * (low[2] + high[2]), 0.1)
-        self._tracks.append(camera, sightings.index[later], t[later], sightings.xy[later], max_rate)
+        index, t, xy = sightings.index[later], t[later], sightings.xy[later]
+        self._tracks.append(camera, index, t, self._pixels.smoothed(camera, index, t, xy, max_rate), max_rate)
         self._schedule.arrived(camera, sightings.t_s)
         moment_s = self._schedule.moment(self._config.extrapolation)
         if moment_s is None:
