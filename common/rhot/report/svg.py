@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from typing import Final
 
@@ -67,6 +68,64 @@ def histogram(title: str, x_label: str, values: FloatArray, *, bins: int = 60, c
     return _frame(title, x_label, "share", x_range, y_range, parts)
 
 
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """One bar.
+
+    Attributes:
+        value: its height.
+        low, high: ends of its whisker; NaN = none.
+    """
+
+    value: float
+    low: float = float("nan")
+    high: float = float("nan")
+
+
+def bar_plot(title: str, y_label: str, groups: Mapping[str, Mapping[str, Bar]]) -> str:
+    """Return groups of bars with whiskers.
+
+    Args:
+        title: above the plot.
+        y_label: of the axis, with its unit.
+        groups: name below a group to its bars by series; a series keeps its colour.
+    """
+    series = list(dict.fromkeys(name for bars in groups.values() for name in bars))
+    ends = [end for bars in groups.values() for bar in bars.values() for end in (bar.value, bar.high)]
+    tops = [end for end in ends if np.isfinite(end)]
+    if not tops:
+        return _frame(title, "", y_label, (0.0, 1.0), (0.0, 1.0), ["<text x='60' y='120'>no data</text>"])
+    y_range = (0.0, max(tops) * 1.05 or 1.0)
+    x_range = (0.0, float(len(groups)))
+    width = 0.8 / len(series)
+    parts = []
+    for number, (name, bars) in enumerate(groups.items()):
+        middle = _x(number + 0.5, x_range)
+        parts.append(f"<text x='{middle:.1f}' y='{HEIGHT - _BOTTOM + 15}' text-anchor='middle'>{escape(name)}</text>")
+        for one, bar in bars.items():
+            if not np.isfinite(bar.value):
+                continue
+            begin = number + 0.1 + width * series.index(one)
+            left, right, up, down = (
+                _x(begin, x_range),
+                _x(begin + width, x_range),
+                _y(bar.value, y_range),
+                _y(0.0, y_range),
+            )
+            parts.append(
+                f"<rect x='{left + 0.5:.1f}' y='{up:.1f}' width='{right - left - 1.0:.1f}' height='{down - up:.1f}' "
+                f"fill='{COLORS[series.index(one) % len(COLORS)]}'/>"
+            )
+            if np.isfinite(bar.low) and np.isfinite(bar.high):
+                at, top, foot = 0.5 * (left + right), _y(bar.high, y_range), _y(max(bar.low, 0.0), y_range)
+                parts.append(f"<path d='M{at:.1f} {top:.1f}V{foot:.1f}' stroke='#222' stroke-width='1.2'/>")
+                parts += [f"<path d='M{at - 3:.1f} {end:.1f}h6' stroke='#222'/>" for end in (top, foot)]
+    for index, name in enumerate(series):
+        at = _LEGEND_X + index * min(90.0, (WIDTH - _LEGEND_X) / len(series))
+        parts.append(f"<text x='{at:.1f}' y='18' fill='{COLORS[index % len(COLORS)]}'>{escape(name)}</text>")
+    return _frame(title, "", y_label, x_range, y_range, parts, x_ticks=False)
+
+
 def _frame(
     title: str,
     x_label: str,
@@ -74,10 +133,12 @@ def _frame(
     x_range: tuple[float, float],
     y_range: tuple[float, float],
     parts: Sequence[str],
+    *,
+    x_ticks: bool = True,
 ) -> str:
     bottom, right = HEIGHT - _BOTTOM, WIDTH - _RIGHT
     ticks = []
-    for value in _ticks(*x_range):
+    for value in _ticks(*x_range) if x_ticks else ():
         at = _x(value, x_range)
         ticks.append(f"<line x1='{at:.1f}' x2='{at:.1f}' y1='{_TOP}' y2='{bottom}' stroke='#eee'/>")
         ticks.append(f"<text x='{at:.1f}' y='{bottom + 15}' text-anchor='middle'>{value:g}</text>")

@@ -1,0 +1,194 @@
+"""`rhot evaluate rig`: one's own rig measured as the 2018 thesis measured its own, as one report."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+import click
+from rich.console import Console
+
+from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.errors import CalibrationError, ConfigError
+from rhot.geometry.camera import CameraModel
+from rhot.offline import marker_frames, rig_timing, track
+from rhot.recording import MarkerTrack, load_recording
+from rhot.rig import Rig, load_rig
+from rhot.rig.colors import load_colors
+from rhot.rig.folder import write_text_atomic
+from rhot_bench.grasp.figures import grasp_figures, grasp_sections
+from rhot_bench.grasp.session import grasp_session
+from rhot_bench.measures.html import html_report
+from rhot_bench.measures.rows import Section, check_output
+from rhot_bench.output import json_option, page_option, show
+from rhot_bench.rig.depth import depth_plot, depth_sections
+from rhot_bench.rig.heard import Heard, listen
+from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
+from rhot_bench.rig.session import depth_rows, pictures_of
+from rhot_bench.rig.stages import stage_sections, stage_times, thread_section
+from rhot_capture.detection.color_table import ImageArray, build_color_table
+from rhot_capture.detection.detector import MarkerDetector
+from rhot_capture.sources.pictures import read_pictures
+
+PARTS: Final = ("still", "stages", "depth", "grasp")
+_PICTURES: Final = 12
+_DISTANCES_CM: Final = "30,35,40,45,50,55,60,65,70,75,80,85,90"
+_SAY: Final = {
+    "still": "hold the hand still, on something, all markers in view",
+    "stages": "let the rig run",
+    "depth": "move the hand slowly towards the cameras and away",
+    "grasp": "take hold of the object, carry it, put it down, a few times",
+}
+
+
+@click.command()
+@click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path, exists=True))
+@click.option(
+    "--live", "live", multiple=True, type=click.Choice(PARTS), help="Measure this on the running rig. May be repeated."
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(3.0, 3600.0),
+    default=60.0,
+    show_default=True,
+    help="Live: how long each part listens.",
+)
+@click.option("--marker", default="index", show_default=True, help="Depth: the marker that is held before the cameras.")
+@click.option("--distances", default=_DISTANCES_CM, show_default=True, help="Depth: where it is held, cm.")
+@click.option(
+    "--ruler-mm",
+    type=click.FloatRange(0.0, 100.0),
+    default=8.0,
+    show_default=True,
+    help="Depth: what a measured distance may be off; a painted tip has a radius of about 8 mm.",
+)
+@click.option("--yes", is_flag=True, help="Live: begin each part at once, without waiting for Enter.")
+@json_option
+@page_option("--report")
+@rig_option
+@bus_options
+def rig(
+    recording_path: Path | None,
+    live: tuple[str, ...],
+    seconds: float,
+    marker: str,
+    distances: str,
+    ruler_mm: float,
+    yes: bool,
+    json_path: Path | None,
+    page_path: Path | None,
+    rig_path: Path,
+    connect: tuple[str, ...],
+    namespace: str | None,
+) -> None:
+    """Measure your own rig: jitter, stage times, threads, depth and grasping, with uncertainties, as one report.
+
+    Either on the running rig, part by part (it says what to do), or on a RECORDING of pictures or marker tracks:
+
+    \b
+    rhot evaluate rig --rig RIG --live still --live stages --report rig.html
+    rhot evaluate rig --rig RIG --live depth --distances 40,50,60,70,80,90
+    rhot evaluate rig --rig RIG take --report take.html
+
+    \b
+    still   jitter of each marker, in pixels and millimetres, while the hand rests
+    stages  retrieval, detection, sending and all of it, per camera; threads against time of a frame
+    depth   disparity at measured distances, and the depth law through them (see `rhot calibrate depth`)
+    grasp   the phases of grasping, as `rhot evaluate grasp`
+
+    Every figure has an interval that holds the truth in 95 of 100 cases, which takes into account that neighbouring
+    samples are alike. On `rhot sim` the truth stands beside the figures; the depth session then takes it as its ruler.
+    """
+    check_output("--json", json_path)
+    check_output("--report", page_path)
+    if (recording_path is None) == (not live):
+        raise ConfigError(f"give either a RECORDING or --live {'|'.join(PARTS)}")
+    loaded, console = load_rig(rig_path), Console(stderr=True, soft_wrap=True)
+    if marker not in loaded.config.markers:
+        raise ConfigError(f"--marker {marker}: the rig has {', '.join(loaded.config.markers)}")
+    sections: list[Section] = []
+    plots: list[str] = []
+    if recording_path is not None:
+        _recorded(loaded, recording_path, sections, plots)
+        source = f"the recording {recording_path.name}"
+    else:
+        places = _distances(distances)
+        bus = tool_bus(rig_path, connect, namespace)
+        for part in dict.fromkeys(live):
+            console.print(f"{part}: {_SAY[part]}, {seconds:g} s")
+            if not yes:
+                click.prompt("Enter begins", default="", show_default=False, err=True)
+            guided = part == "depth" and not asyncio.run(listen(bus, 3.0, lambda _: None)).truth
+            heard = Heard() if guided else asyncio.run(listen(bus, seconds, lambda _: None))
+            if part == "depth":
+                rows = depth_rows(loaded, bus, heard, marker, places, 1e-3 * ruler_mm, console)
+                sections += depth_sections(rows, _true_fb(loaded) if heard.truth else None)
+                plots.append(depth_plot(rows))
+            elif part == "grasp":
+                session = grasp_session(heard.poses, None, None, None)
+                sections += grasp_sections(session, grasp_figures(session))
+            elif part == "stages":
+                sections += stage_sections(heard, stage_times(heard))
+                sections.append(_threads(loaded, asyncio.run(pictures_of(bus, tuple(loaded.cameras), _PICTURES))))
+            else:
+                jitter = still_jitter(heard, rests_only=False)
+                sections += jitter_sections(jitter)
+                plots += jitter_plots(jitter)
+        source = f"the running rig {loaded.config.name}, {seconds:g} s each"
+    show("evaluate rig", sections, json_path, source=source)
+    if page_path is not None:
+        about = f"From {source}. Intervals hold the truth in 95 of 100 cases; neighbouring samples count as alike."
+        write_text_atomic(page_path, html_report(f"Rig {loaded.config.name}, measured", about, sections, plots))
+        console.print(f"report: {page_path}")
+
+
+def _recorded(rig: Rig, path: Path, sections: list[Section], plots: list[str]) -> None:
+    """Judge a recording: jitter where the hand rests, and threads where there are pictures."""
+    recording = load_recording(path, rig_timing(rig))
+    heard = Heard.of(track(rig, marker_frames(rig, recording)))
+    jitter = still_jitter(heard, rests_only=True)
+    sections += jitter_sections(jitter)
+    plots += jitter_plots(jitter)
+    tracks = {name: each for name, each in recording.cameras.items() if not isinstance(each, MarkerTrack)}
+    if tracks:
+        sections.append(
+            _threads(rig, {name: list(islice(read_pictures(each), _PICTURES)) for name, each in tracks.items()})
+        )
+
+
+def _threads(rig: Rig, pictures: dict[str, list[ImageArray]]) -> Section:
+    names = list(rig.config.markers)
+    table = build_color_table(load_colors(rig.colors_path), names)
+    detectors = {
+        name: MarkerDetector(rig.config.markers, table, rig.cameras[name].width, rig.cameras[name].height)
+        for name in pictures
+    }
+    cores = os.cpu_count() or 1
+    return thread_section(pictures, detectors, sorted({1, 2, min(4, cores), cores}))
+
+
+def _true_fb(rig: Rig) -> float | None:
+    """Return f · B of a simulated rig's two true cameras, pixel metres; None where it has none."""
+    from rhot_sim.rig.folder import true_cameras  # noqa: PLC0415  # only simulated rigs have them
+
+    try:
+        first, second = list(true_cameras(rig).values())[:2]
+    except (CalibrationError, ConfigError, ValueError):
+        return None
+    # The second camera is turned into the first one's orientation, so its own does not matter.
+    K = CameraModel.from_calibration(next(iter(rig.cameras.values()))).K
+    return float(K[0, 0]) * abs(float(first.to_camera(second.center[None])[0, 0]))
+
+
+def _distances(text: str) -> Sequence[float]:
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) < 3 or min(found) <= 0.0:
+        raise ConfigError(f"--distances {text}: give three or more in centimetres, such as 40,60,80")
+    return found

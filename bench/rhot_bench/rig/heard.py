@@ -1,0 +1,108 @@
+"""What a rig says for a while: from the running one, or from a recording."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+from rhot.bus import Bus
+from rhot.errors import BusError, WireError
+from rhot.messages import HandPose, MarkerFrame, Message, ObjectPose, PointSet, ServiceStatus, Truth, decode
+from rhot.operation.live_rig import rig_clock
+from rhot.rig import BusConfig
+
+_CONNECT_S: Final = 5.0
+_MODELS: Final[dict[str, type[Message]]] = {
+    "rhot/markers/*": MarkerFrame,
+    "rhot/points": PointSet,
+    "rhot/hand/*": HandPose,
+    "rhot/object/*": ObjectPose,
+    "rhot/truth": Truth,
+    "rhot/status/**": ServiceStatus,
+}
+
+
+@dataclass(slots=True)
+class Heard:
+    """Messages in order of arrival.
+
+    Attributes:
+        frames: of all cameras.
+        arrived_ns: rig time at which each frame was here; empty for a recording.
+        points, truth: as published; truth only by a simulated rig.
+        poses: hands and objects with their keys.
+        statuses: the newest of each service, by `service/instance`.
+    """
+
+    frames: list[MarkerFrame] = field(default_factory=list)
+    arrived_ns: list[int] = field(default_factory=list)
+    points: list[PointSet] = field(default_factory=list)
+    truth: list[Truth] = field(default_factory=list)
+    poses: list[tuple[str, Message]] = field(default_factory=list)
+    statuses: dict[str, ServiceStatus] = field(default_factory=dict)
+
+    def note(self, key: str, message: Message, arrived_ns: int | None = None) -> None:
+        """Take one message."""
+        if isinstance(message, MarkerFrame):
+            self.frames.append(message)
+            if arrived_ns is not None:
+                self.arrived_ns.append(arrived_ns)
+        elif isinstance(message, PointSet):
+            self.points.append(message)
+        elif isinstance(message, Truth):
+            self.truth.append(message)
+        elif isinstance(message, ServiceStatus):
+            self.statuses[f"{message.service}/{message.instance}"] = message
+        else:
+            self.poses.append((key, message))
+
+    @classmethod
+    def of(cls, messages: Iterable[tuple[str, Message]]) -> Heard:
+        """Return what messages say that nobody timed at their arrival."""
+        heard = cls()
+        for key, message in messages:
+            heard.note(key, message)
+        return heard
+
+
+async def listen(bus_config: BusConfig, seconds: float, progress: Callable[[float], None]) -> Heard:
+    """Return what the running rig publishes.
+
+    Args:
+        bus_config: how to reach it.
+        seconds: how long to listen.
+        progress: called with the seconds that have passed.
+
+    Raises:
+        BusError: no router, or no camera's markers came.
+    """
+    heard = Heard()
+    async with await Bus.open(bus_config, timeout_s=_CONNECT_S) as bus:
+        now_ns = await rig_clock(bus)
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+
+        async def hear(keys: str, model: type[Message]) -> None:
+            async for sample in bus.events(keys):
+                # When it was here, and not when this reader came to it.
+                arrived_ns = now_ns() - (time.monotonic_ns() - sample.arrived_ns)
+                progress(loop.time() - begun)
+                try:
+                    heard.note(sample.key, decode(sample.payload, model), arrived_ns)
+                except WireError:
+                    continue
+
+        try:
+            async with asyncio.timeout(seconds), asyncio.TaskGroup() as tasks:
+                for keys, model in _MODELS.items():
+                    tasks.create_task(hear(keys, model))
+        except TimeoutError:
+            pass
+    if not heard.frames:
+        raise BusError(
+            f"no camera's markers came in {seconds:g} s; is the rig running and started (see `rhot status`)?"
+        )
+    return heard

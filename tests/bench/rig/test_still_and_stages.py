@@ -1,0 +1,160 @@
+"""Jitter and stage times of messages whose jitter and times are known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rhot.cli.main import main
+from rhot.messages import MarkerFrame, Message, Point, PointSet, ServiceStatus, Truth
+from rhot.report.svg import Bar, bar_plot
+from rhot_bench.rig.heard import Heard
+from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
+from rhot_bench.rig.stages import stage_sections, stage_times, thread_section
+
+START_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 16_666_667
+COUNT = 600
+
+
+def still(
+    sigma_px: float = 0.3, sigma_m: tuple[float, float, float] = (1e-4, 1e-4, 2e-3), clock_s: float = 0.0
+) -> Heard:
+    """Two cameras that see one marker with white noise, and points of it; stages take 8, 3 and 2 ms."""
+    rng = np.random.default_rng(2)
+    heard = Heard()
+    for number in range(COUNT):
+        t_ns = START_NS + number * PERIOD_NS
+        for camera in ("left", "right"):
+            u, v = rng.normal((320.0, 240.0), sigma_px)
+            age, detect, sending = rng.normal((0.008, 0.003, 0.002), (4e-4, 3e-4, 5e-4))
+            frame = MarkerFrame.model_validate(
+                {
+                    "t_ns": t_ns,
+                    "camera": camera,
+                    "width": 640,
+                    "height": 480,
+                    "markers": {"index": {"u": u, "v": v, "area": 90.0, "score": 1.0}},
+                    "timing": {"age": age, "detect": detect},
+                    "frame": number,
+                }
+            )
+            heard.note(f"rhot/markers/{camera}", frame, t_ns + round(1e9 * (age + detect + sending)))
+        x, y, z = rng.normal((0.0, 0.0, 0.8), sigma_m)
+        point = Point(position=(x, y, z), sigma=0.002, views=2, state="measured")
+        messages: list[Message] = [
+            PointSet(t_ns=t_ns, frame="rig", points={"index": point}),
+            Truth(t_ns=t_ns, frame="rig", points={"index": (0.001, 0.0, 0.8)}, hands={}, objects={}),
+        ]
+        for message in messages:
+            heard.note("", message)
+    for who in ("left", "right"):
+        status = ServiceStatus(
+            t_ns=START_NS, service="capture", instance=who, state="running", clock_uncertainty_s=clock_s
+        )
+        heard.note("", status)
+    return heard
+
+
+@pytest.mark.parametrize("rests_only", [False, True])
+def test_jitter_is_what_was_put_in(rests_only: bool) -> None:
+    jitter = still_jitter(still(), rests_only=rests_only)
+    for camera in ("left", "right"):
+        assert jitter.pixels[camera]["index"].holds(0.3 * np.sqrt(2.0))
+    assert jitter.sideways["index"].holds(1e-4 * np.sqrt(2.0))
+    assert jitter.depth["index"].holds(2e-3)
+    assert jitter.depth["index"].half_width < 2.5e-4
+    beside = jitter_sections(jitter)[-1]
+    assert "truth" in beside.title
+    assert [row.value for row in beside.rows] == [1.0, 1.0]
+
+
+def test_swaying_counts_for_a_hand_that_is_held_still() -> None:
+    heard = still(sigma_px=0.05)
+    for number, frame in enumerate(heard.frames):
+        shift = 8.0 * np.sin(2.0 * np.pi * number / COUNT / 0.4)
+        marker = frame.markers["index"]
+        markers = {"index": marker.model_copy(update={"u": marker.u + shift})}
+        heard.frames[number] = frame.model_copy(update={"markers": markers})
+    whole, rests = (still_jitter(heard, rests_only=each).pixels["left"]["index"] for each in (False, True))
+    assert whole.value > 5.0
+    assert rests.value < 0.7
+
+
+def test_stages_are_told_with_mean_and_deviation() -> None:
+    times = stage_times(still())
+    sections = {section.title: section for section in stage_sections(still(), times)}
+    rows = {row.name: row for row in sections["Stages of camera left"].rows}
+    expected = {"retrieval": (8.0, 0.4), "detection": (3.0, 0.3), "sending": (2.0, 0.5), "in all": (13.0, 0.71)}
+    for stage, (middle, spread) in expected.items():
+        assert rows[f"{stage}, mean"].value == pytest.approx(middle, abs=0.1)
+        assert rows[f"{stage}, deviation"].value == pytest.approx(spread, rel=0.12)
+    assert "95 %" in rows["sending, mean"].note
+
+
+def test_what_a_clock_may_be_off_widens_what_spans_two_machines() -> None:
+    row = next(
+        row for row in stage_sections(still(), stage_times(still(clock_s=0.001)))[0].rows if row.name == "sending, mean"
+    )
+    low, high = (float(part) for part in row.note.split("95 %: ")[1].split(" ms")[0].split(" to "))
+    assert low < 1.1
+    assert high > 2.9
+
+
+def test_frames_without_timing_tell_no_stages() -> None:
+    heard = Heard.of([("", frame.model_copy(update={"timing": {}})) for frame in still().frames])
+    assert stage_times(heard) == {}
+
+
+def test_threads_are_compared_on_the_same_pictures() -> None:
+    class Detector:
+        def detect(self, image: object) -> dict[str, object]:
+            return {}
+
+    pictures = {"left": [np.zeros((4, 4, 3), np.uint8)] * 12}
+    section = thread_section(pictures, {"left": Detector()}, (1, 2))  # type: ignore[dict-item]
+    assert [row.name for row in section.rows] == ["left, 1 thread, mean", "left, 2 threads, mean"]
+    assert all(row.value > 0.0 for row in section.rows)
+
+
+def test_bars_have_whiskers_and_a_legend() -> None:
+    drawn = bar_plot("jitter", "px", {"index": {"left": Bar(1.0, 0.5, 1.5), "right": Bar(2.0)}, "<thumb>": {}})
+    assert drawn.count("<rect") == 4
+    assert drawn.count("<path") == 3
+    assert "&lt;thumb&gt;" in drawn
+    assert "no data" in bar_plot("empty", "px", {})
+    assert len(jitter_plots(still_jitter(still(), rests_only=False))) == 2
+
+
+def test_a_recording_of_marker_tracks_gives_a_report(rig_folder: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    for camera, shift in (("left", 0.0), ("right", -50.0)):
+        folder = tmp_path / "take" / camera
+        folder.mkdir(parents=True)
+        lines = ["frame,t_ns,marker,u,v"]
+        for number in range(120):
+            u, v = rng.normal((320.0 + shift, 240.0), 0.1)
+            lines.append(f"{number},{START_NS + number * PERIOD_NS},index,{u:.3f},{v:.3f}")
+        (folder / "markers.csv").write_text("\n".join(lines) + "\n")
+    report, figures = tmp_path / "rig.html", tmp_path / "rig.json"
+    arguments = ["evaluate", "rig", str(tmp_path / "take"), "--rig", str(rig_folder)]
+    result = CliRunner().invoke(main, [*arguments, "--report", str(report), "--json", str(figures)])
+    assert result.exit_code == 0, result.output
+    assert "Jitter of each marker in the pictures" in report.read_text()
+    assert "http" not in report.read_text().replace("http://www.w3.org", "")
+    titles = [section["title"] for section in json.loads(figures.read_text())["sections"]]
+    assert titles == [
+        "Jitter in the pictures of camera left",
+        "Jitter in the pictures of camera right",
+        "Jitter in space",
+    ]
+
+
+def test_what_to_measure_must_be_said(rig_folder: Path) -> None:
+    for arguments in ([], ["--live", "still", "--distances", "4,5"], ["--live", "still", "--marker", "toe"]):
+        result = CliRunner().invoke(main, ["evaluate", "rig", "--rig", str(rig_folder), *arguments])
+        assert result.exit_code != 0
