@@ -188,6 +188,9 @@ async def test_the_hand_is_where_the_rig_says_on_desktop_and_in_a_headset(
         head = rigid(rotation_from_vector(np.array([-0.4, 0.2, 0.0])), np.array([0.1, 1.3, 0.2]))
         place(browser, "device", head)
         wait_until(lambda: browser.evaluate("rhot.frames") > 5, "frames")
+        # What the page says in HTML stands in the scene here.
+        signs = browser.wait_for("rhot.signs.texts.length > 2 && rhot.signs.texts")
+        assert {"tracked right hand", "a ball that exists only here"} <= set(signs)
         T_rig_webxr = await register(rig, browser)
         off = inverse(T_RIG_WEBXR) @ T_rig_webxr
         desk = np.array([0.0, 1.0, -0.3, 1.0])

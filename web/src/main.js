@@ -4,7 +4,7 @@ import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { Grip, VirtualThing } from "./grasp.js";
 import { HandView } from "./hand_view.js";
 import { Headset } from "./headset.js";
-import { Labels } from "./labels.js";
+import { Labels, Signs } from "./labels.js";
 import { Link } from "./link.js";
 import { IDENTITY, add, apply, compose, invert, sub } from "./math.js";
 import { Pace, isSoftware } from "./pace.js";
@@ -20,7 +20,7 @@ const BALL = { kind: "sphere", radius: 0.028 };
 /** Beside the middle of the desk, on the thumb's side of a right hand. */
 const BALL_FROM_MIDDLE = [-0.13, 0, -0.1];
 /** From the thumb's side, over the hand: thumb and fingers are both seen. */
-const VIEW_FROM = { hand: [-0.22, 0.21, 0.27], body: [1.6, 1.1, 2.6] };
+const VIEW_FROM = { hand: [-0.27, 0.25, 0.33], body: [1.6, 1.1, 2.6] };
 const FOLLOW_S = 0.7;
 const GREEN = 0x62c987;
 const $ = (id) => document.getElementById(id);
@@ -40,6 +40,8 @@ controls.enableDamping = true;
 controls.minDistance = 0.12;
 controls.maxDistance = 6;
 const labels = new Labels($("tags"));
+const signs = new Signs();
+stage.root.add(signs);
 const link = new Link(hear);
 const timing = new Timing();
 /** Whether a pose has come that is not drawn yet. */
@@ -57,7 +59,7 @@ let lastMs = 0;
 
 /** For tests, and for whoever is curious at the console. */
 const seen = (window.rhot = {
-  frames: 0, drawn: {}, twins: {}, t: null, held: {}, T_webxr_rig: null, rig, link, pace, headset, timing,
+  frames: 0, drawn: {}, twins: {}, t: null, held: {}, T_webxr_rig: null, rig, link, pace, headset, timing, signs,
   get ball() { return ball?.at; },
   /** The 26 joints of a hand as they are drawn, in the space of desktop or headset. */
   bones: (side) => views.get(side)?.bones.map((bone) => bone.getWorldPosition(new Vector3()).toArray()),
@@ -114,6 +116,9 @@ function begin() {
   ball = new VirtualThing({ p: [at[0], deskHeight + BALL.radius, at[2]], q: [0, 0, 0, 1] }, (q) => halfHeight(BALL, q));
   headset.published = hello.may_publish && hello.devices.length > 0;
   $("simulated").hidden = !hello.simulated;
+  $("tagline").textContent = hello.simulated
+    ? "a simulated hand, followed by the real tracker: each joint, as it moves"
+    : "a real hand, followed by cameras: each joint, as it moves";
   // Its address is that of the rig's own machine.
   $("other").hidden = !hello.other_page || !["localhost", "127.0.0.1", "[::1]"].includes(location.hostname);
   if (hello.other_page) $("other").href = hello.other_page;
@@ -226,8 +231,8 @@ function update(t, displayMs, elapsed) {
   for (const [name, { shape, state, at }] of objects) {
     stage.shade(name, at.p, 1.3 * bodies.get(name).reach, deskHeight);
     stage.thing(name, shape, at, { predicted: state === "predicted", lit: holds(name) });
-    const note = shape ? "" : ", shape not known: a 6 cm box";
-    tags.set(`thing ${name}`, [`${name}, twin of the tracked object${note}${holds(name) ? " · held" : ""}`, sub(at.p, [0, halfHeight(shape ?? UNKNOWN, at.q) + 0.01, 0])]);
+    const note = shape ? "" : " (shape not known: a 6 cm box)";
+    tags.set(`thing ${name}`, [`${name}: twin of the tracked object${holds(name) ? ", held" : note}`, sub(at.p, [0, halfHeight(shape ?? UNKNOWN, at.q) + 0.01, 0])]);
   }
   for (const name of bodiesGone(bodies)) {
     stage.thing(name, null, null);
@@ -242,6 +247,7 @@ function update(t, displayMs, elapsed) {
   showTruth(hands);
   follow(hands, elapsed);
   if (!headset.on) labels.set(tags, camera, innerWidth, innerHeight);
+  signs.set(tags, headset.on && labels.shown);
   say(hands, t);
 }
 
