@@ -13,11 +13,11 @@ import click
 from rich.console import Console
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
-from rhot.errors import CalibrationError, ConfigError
+from rhot.errors import CalibrationError, ConfigError, RhotError
 from rhot.geometry.camera import CameraModel
 from rhot.offline import marker_frames, rig_timing, track
 from rhot.recording import MarkerTrack, load_recording
-from rhot.rig import Rig, load_rig
+from rhot.rig import BusConfig, Rig, load_rig
 from rhot.rig.colors import load_colors
 from rhot.rig.folder import write_text_atomic
 from rhot_bench.grasp.figures import grasp_figures, grasp_sections
@@ -36,6 +36,8 @@ from rhot_capture.sources.pictures import read_pictures
 
 PARTS: Final = ("still", "stages", "depth", "grasp")
 _PICTURES: Final = 12
+_LOOK_S: Final = 3.0
+"""So long is it listened whether a simulated rig tells its truth: it does so sixty times a second."""
 _DISTANCES_CM: Final = "30,35,40,45,50,55,60,65,70,75,80,85,90"
 _SAY: Final = {
     "still": "hold the hand still, on something, all markers in view",
@@ -112,6 +114,7 @@ def rig(
         raise ConfigError(f"--marker {marker}: the rig has {', '.join(loaded.config.markers)}")
     sections: list[Section] = []
     plots: list[str] = []
+    failed: list[str] = []
     if recording_path is not None:
         _recorded(loaded, recording_path, sections, plots)
         source = f"the recording {recording_path.name}"
@@ -122,28 +125,43 @@ def rig(
             console.print(f"{part}: {_SAY[part]}, {seconds:g} s")
             if not yes:
                 click.prompt("Enter begins", default="", show_default=False, err=True)
-            guided = part == "depth" and not asyncio.run(listen(bus, 3.0, lambda _: None)).truth
-            heard = Heard() if guided else asyncio.run(listen(bus, seconds, lambda _: None))
-            if part == "depth":
-                rows = depth_rows(loaded, bus, heard, marker, places, 1e-3 * ruler_mm, console)
-                sections += depth_sections(rows, _true_fb(loaded) if heard.truth else None)
-                plots.append(depth_plot(rows))
-            elif part == "grasp":
-                session = grasp_session(heard.poses, None, None, None)
-                sections += grasp_sections(session, grasp_figures(session))
-            elif part == "stages":
-                sections += stage_sections(heard, stage_times(heard))
-                sections.append(_threads(loaded, asyncio.run(pictures_of(bus, tuple(loaded.cameras), _PICTURES))))
-            else:
-                jitter = still_jitter(heard, rests_only=False)
-                sections += jitter_sections(jitter)
-                plots += jitter_plots(jitter)
+            try:
+                guided = part == "depth" and not asyncio.run(listen(bus, _LOOK_S, lambda _: None)).truth
+                heard = Heard() if guided else asyncio.run(listen(bus, seconds, lambda _: None))
+                if part == "depth":
+                    rows = depth_rows(loaded, bus, heard, marker, places, 1e-3 * ruler_mm, console)
+                    sections += depth_sections(rows, _true_fb(loaded) if heard.truth else None)
+                    plots.append(depth_plot(rows))
+                else:
+                    _listened(part, loaded, heard, bus, sections, plots)
+            except RhotError as error:
+                # What was measured before it is not lost.
+                failed.append(f"{part}: {error}")
+                console.print(failed[-1], style="red", markup=False)
+        if not sections:
+            raise ConfigError("; ".join(failed))
         source = f"the running rig {loaded.config.name}, {seconds:g} s each"
     show("evaluate rig", sections, json_path, source=source)
     if page_path is not None:
         about = f"From {source}. Intervals hold the truth in 95 of 100 cases; neighbouring samples count as alike."
         write_text_atomic(page_path, html_report(f"Rig {loaded.config.name}, measured", about, sections, plots))
         console.print(f"report: {page_path}")
+    if failed:
+        raise ConfigError(f"not measured: {'; '.join(failed)}")
+
+
+def _listened(part: str, rig: Rig, heard: Heard, bus: BusConfig, sections: list[Section], plots: list[str]) -> None:
+    """Judge what was heard for one part other than depth."""
+    if part == "grasp":
+        session = grasp_session(heard.poses, None, None, None)
+        sections += grasp_sections(session, grasp_figures(session))
+    elif part == "stages":
+        sections += stage_sections(heard, stage_times(heard))
+        sections.append(_threads(rig, asyncio.run(pictures_of(bus, tuple(rig.cameras), _PICTURES))))
+    else:
+        jitter = still_jitter(heard, rests_only=False)
+        sections += jitter_sections(jitter)
+        plots += jitter_plots(jitter)
 
 
 def _recorded(rig: Rig, path: Path, sections: list[Section], plots: list[str]) -> None:

@@ -25,6 +25,8 @@ from rhot_calibration.depth.fit import PowerLaw, fit_physical_law, fit_power_law
 
 _CM: Final = 100.0
 _LEAST_SAMPLES: Final = 10
+_SIGMAS: Final = 2.0
+"""Standard deviations within which 95 of 100 normal samples lie."""
 _LONGEST_GAP_S: Final = 0.1
 _DISTANCES: Final = 12
 """Stretches into which a simulated hand's way towards and away from the cameras is divided."""
@@ -95,6 +97,10 @@ def row_at(distance_m: float, disparity_px: FloatArray, ruler_m: float) -> Depth
             "the least; is it in both pictures (rhot/preview, or the tab Pictures)?"
         )
     found = mean(disparity_px)
+    if np.isnan(found.low):
+        # Too few independent samples: as unsure as a single one, which is more than the mean can be.
+        one = _SIGMAS * float(disparity_px.std(ddof=1))
+        found = replace(found, low=found.value - one, high=found.value + one)
     # A distance that is off by δ is a disparity that is off by d · δ / D.
     by = abs(found.value) * ruler_m / distance_m
     return DepthRow(distance_m, replace(found, low=found.low - by, high=found.high + by))
