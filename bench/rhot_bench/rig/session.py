@@ -16,6 +16,7 @@ from rhot.rig import BusConfig, Rig
 from rhot_bench.rig.depth import DepthRow, disparities, row_at, rows_by_truth
 from rhot_bench.rig.heard import Heard, listen
 from rhot_calibration.colors.live import decoded
+from rhot_calibration.depth.fit import LEAST_ROWS
 from rhot_capture.detection.color_table import ImageArray
 
 _HOLD_S: Final = 3.0
@@ -76,10 +77,21 @@ def depth_rows(
     ruler_m: float,
     console: Console,
 ) -> list[DepthRow]:
-    """Return the rows of the depth table: by the truth of a simulated rig that was heard, or else by a session."""
+    """Return the rows of the depth table: by the truth of a simulated rig that was heard, or else by a session.
+
+    Raises:
+        ConfigError: the marker was seen at too few distances.
+    """
     if heard.truth:
-        return rows_by_truth(rig, heard.frames, heard.truth, marker, ruler_m)
-    return depth_session(rig, bus, marker, distances_cm, ruler_m, console)
+        rows = rows_by_truth(rig, heard.frames, heard.truth, marker, ruler_m)
+    else:
+        rows = depth_session(rig, bus, marker, distances_cm, ruler_m, console)
+    if len(rows) < LEAST_ROWS:
+        raise ConfigError(
+            f"both cameras saw {marker} at {len(rows)} distances only, {LEAST_ROWS} are the least; is it in both pictures, "
+            "and do the cameras keep up (`rhot status`)?"
+        )
+    return rows
 
 
 async def pictures_of(bus_config: BusConfig, cameras: Sequence[str], count: int) -> dict[str, list[ImageArray]]:

@@ -131,3 +131,11 @@ def test_a_marker_that_was_not_seen_is_named() -> None:
     with pytest.raises(ConfigError, match="at 50 cm both cameras saw the marker 0 times"):
         row_at(0.5, np.empty(0), 0.0)
     assert isinstance(depth_sections([row_at(d, np.full(20, 40.0 / d), 0.0) for d in (0.3, 0.5, 0.8)])[1].rows[0], Row)
+
+
+def test_too_few_distances_say_what_to_look_at(make_rig: MakeRig) -> None:
+    rig = make_rig()
+    heard = Heard()
+    heard.truth = [Truth(t_ns=1, frame="rig", points={}, hands={}, objects={})]
+    with pytest.raises(ConfigError, match="saw index at 0 distances only, 3 are the least"):
+        session.depth_rows(rig, BusConfig(), heard, "index", (), 0.008, Console())
