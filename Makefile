@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help sim foreign test lint web page format clean
+.PHONY: help sim foreign test lint web page holder format clean
 
 help:
 	@echo "make sim      set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
@@ -13,6 +13,7 @@ help:
 	@echo "make foreign  programs of others that tests hand our output to (make test calls it)"
 	@echo "make lint     only lint, types and layers"
 	@echo "make web      build the page Grasp (node and npm); sim and test do it where these are there"
+	@echo "make holder   write the printable camera holder, build/holder/*.stl (docs/build.md)"
 	@echo "make clean    remove the environment and caches"
 
 # The environment is made once and again whenever what it is made from changes.
@@ -54,6 +55,9 @@ $(BUNDLE): $(SOURCES)
 	  { echo "the page Grasp needs node and npm: apt install nodejs npm"; exit 1; }
 	@echo "building the page Grasp"
 	@cd web && npm ci --silent --no-audit --no-fund && node build.mjs
+
+holder: $(READY)
+	@$(BIN)/python docs/make_holder.py $(HOLDER)
 
 page:
 	@$(MAKE) --no-print-directory web || echo "going on without the page Grasp"

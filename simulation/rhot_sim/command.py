@@ -60,15 +60,15 @@ from rhot_sim.walker.run import WalkerRun
     type=click.Choice(["right", "left", "both"]),
     default="right",
     show_default=True,
-    help="Hands in the simulated world.",
+    help="Hands in the simulated world. The second one's fingertips wear the paints of the first one's.",
 )
 @click.option(
     "--motion",
-    type=click.Choice(["script", "still", "board", "desk_board", "touch"]),
+    type=click.Choice(["script", "still", "crossing", "board", "desk_board", "touch"]),
     default="script",
     show_default=True,
-    help="What the cameras see: gestures and grasps, open hands that never move, a chessboard to calibrate the cameras "
-    "with, one that lies on the desk, or a finger that touches the faces of a box.",
+    help="What the cameras see: gestures and grasps, open hands that never move, two hands that touch and cross, a "
+    "chessboard to calibrate the cameras with, one that lies on the desk, or a finger that touches the faces of a box.",
 )
 @click.option(
     "--feet",
@@ -115,7 +115,7 @@ def sim(
     rate_hz: float,
     cameras: int,
     hands: str,
-    motion: Literal["script", "still", "board", "desk_board", "touch"],
+    motion: Literal["script", "still", "crossing", "board", "desk_board", "touch"],
     feet: bool,
     walk: WalkProgram,
     height_m: float,

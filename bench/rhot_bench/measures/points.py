@@ -112,11 +112,17 @@ def false_points(track: PointTrack) -> int:
     return int((track.measured & (_distances(track).min(axis=2) > FALSE_M)).sum())
 
 
-def identity_swaps(track: PointTrack) -> int:
-    """Return how many times a marker was measured at another marker's position; a stretch of sets counts once."""
+def identity_swaps(track: PointTrack, hands: Sequence[str] | None = None) -> int:
+    """Return how many times a marker was measured at another marker's position; a stretch of sets counts once.
+
+    Args:
+        track: points beside the truth.
+        hands: the hand of each of its markers; then only markers of another hand count.
+    """
     distances = _distances(track)
     own = np.einsum("nmm->nm", distances)
-    other = distances + np.where(np.eye(len(track.names), dtype=np.bool_), np.inf, 0.0)
+    mine = np.eye(len(track.names), dtype=np.bool_) if hands is None else np.equal.outer(hands, hands)
+    other = np.where(mine, np.inf, distances)
     swapped = track.measured & (own > SWAP_OWN_M) & (other.min(axis=2) < SWAP_OTHER_M)
     before = np.vstack([np.zeros((1, len(track.names)), dtype=np.bool_), swapped[:-1]])
     return int((swapped & ~before).sum())

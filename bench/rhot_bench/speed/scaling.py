@@ -13,6 +13,7 @@ from rhot.messages import MarkerFrame, Side
 from rhot.rig import Rig, load_rig, write_json_model
 from rhot.rig.colors import load_colors
 from rhot.rig.folder import CAMERAS_FILE, RIG_FILE, write_text_atomic
+from rhot.rig.marker_config import own_paints
 from rhot.rig.template import rig_template
 from rhot_bench.measures.rows import Row, Section
 from rhot_bench.speed.cores import MICRO, MILLI, Advance, Scene, points_of
@@ -55,7 +56,7 @@ def bare_rig(folder: Path, cameras: int, hands: int) -> Rig:
 
 def capture_growth(scene: Scene) -> tuple[Row, ...]:
     """Return the cost of a frame for one, three and all markers."""
-    names = list(scene.rig.config.markers)
+    names = list(own_paints(scene.rig.config.markers))
     colors = load_colors(scene.rig.colors_path)
     camera = next(iter(scene.rig.config.cameras.values()))
     counts = sorted({1, (len(names) + 1) // 2, len(names)})

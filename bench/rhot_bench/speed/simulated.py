@@ -18,6 +18,7 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import Marker, MarkerFrame
 from rhot.rig import Rig
 from rhot.rig.colors import load_colors
+from rhot.rig.marker_config import own_paints
 from rhot_bench.measures.hands import START_NS
 from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.detector import MarkerDetector
@@ -138,7 +139,7 @@ class Capture:
     """
 
     def __init__(self, rig: Rig) -> None:
-        table = build_color_table(load_colors(rig.colors_path), list(rig.config.markers))
+        table = build_color_table(load_colors(rig.colors_path), list(own_paints(rig.config.markers)))
         self._cameras = rig.config.cameras
         self.detectors = {
             name: MarkerDetector(rig.config.markers, table, camera.width, camera.height)

@@ -17,6 +17,7 @@ import numpy as np
 from rhot.rig.calibration import today
 from rhot.rig.colors import ColorComponent, ColorsFile, FloatArray, GaussianColor, log_ratio
 from rhot.rig.config import MarkerConfig
+from rhot.rig.marker_config import own_paints, worn_paints
 from rhot_calibration.colors.model.fit import COUNTER_FLOOR, MARKER_FLOOR, fit_component, fit_mixture
 from rhot_calibration.colors.model.quality import MarkerQuality, class_pixels, marker_quality, quality_as_plain
 from rhot_calibration.colors.model.samples import ClassPixels, marker_pixels
@@ -48,8 +49,8 @@ class ColorCalibration:
 
     Attributes:
         colors: to be written as `colors.json`.
-        markers: quality of each marker that was shown.
-        regions: for each picture marker name to its pixels, (H, W) bool.
+        markers: quality of each paint that was shown, by the marker that stands for it.
+        regions: for each picture the same to its pixels, (H, W) bool.
         pixels: of all classes, in the pictures.
         separability: how well the colours can be told apart.
     """
@@ -84,7 +85,9 @@ def calibrate(
     known = region_of or (lambda number: regions(images[number], places[number]))
     found = [known(number) for number in range(len(images))]
     check_regions(found, places, markers)
-    names = [name for name in markers if any(name in shown for shown in places)]
+    worn = worn_paints(markers)
+    found = [_by_paint(shown, worn) for shown in found]
+    names = [name for name in own_paints(markers) if any(name in shown for shown in found)]
     features = [log_ratio(image[..., ::-1].astype(np.float64)) for image in images]
     painted = {name: marker_pixels(images, found, name) for name in names}
     fitted = {name: _fit_marker(log_ratio(own)) for name, own in painted.items()}
@@ -107,6 +110,15 @@ def calibrate(
     apart = separability(colors, table, pixels)
     colors = colors.model_copy(update={"quality": quality_as_plain(quality, apart)})
     return ColorCalibration(colors, quality, tuple(found), pixels, apart)
+
+
+def _by_paint(regions: Mapping[str, BoolArray], worn: Mapping[str, str]) -> dict[str, BoolArray]:
+    """Return the regions of a picture by paint: those of two markers that wear the same one become one."""
+    paints: dict[str, BoolArray] = {}
+    for name, region in regions.items():
+        before = paints.get(worn[name])
+        paints[worn[name]] = region if before is None else region | before
+    return paints
 
 
 def _fit_marker(samples: FloatArray) -> list[ColorComponent]:

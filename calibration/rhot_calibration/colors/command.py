@@ -18,6 +18,7 @@ from rhot.errors import ConfigError
 from rhot.rig import Rig, load_rig, write_json_model
 from rhot.rig.calibration import today
 from rhot.rig.colors import load_box_calibration
+from rhot.rig.marker_config import own_paints
 from rhot_calibration.colors.import_2018 import load_camera_settings, rig_lines
 from rhot_calibration.colors.learning import learn_colors
 from rhot_calibration.colors.live import live_pictures
@@ -222,7 +223,7 @@ def _write_image(path: Path, picture: ImageArray) -> None:
 
 
 def _import(rig: Rig, import_path: Path, settings_path: Path | None) -> None:
-    markers = list(rig.config.markers)
+    markers = list(own_paints(rig.config.markers))
     found = load_box_calibration(import_path, markers)
     settings = None if settings_path is None else load_camera_settings(settings_path)
     quality = {"source": f"imported from {import_path.name}"}

@@ -11,6 +11,7 @@ import numpy as np
 from rhot.calibration_step import Figures, Remark
 from rhot.rig.colors import ColorsFile
 from rhot.rig.config import MarkerConfig
+from rhot.rig.marker_config import own_paints
 from rhot_calibration.colors.calibration import ColorCalibration, calibrate
 from rhot_calibration.colors.picking.boxes import BoolArray
 from rhot_calibration.colors.picking.clicks import ClickedPicture
@@ -51,7 +52,7 @@ def learn_colors(
 ) -> LearntColors:
     """Fit colours and try them on the pictures that they were fitted to; arguments and errors as of `calibrate`."""
     result = calibrate(images, places, markers, region_of)
-    table = build_color_table(result.colors, list(markers))
+    table = build_color_table(result.colors, list(own_paints(markers)))
     detections = tuple(MarkerDetector(markers, table, image.shape[1], image.shape[0]).detect(image) for image in images)
     return LearntColors(result, table, detections, tuple(warnings(result)), tuple(suggestions(result)))
 

@@ -6,16 +6,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from rhot.anatomy.skeleton import JOINTS
 from rhot.messages import Name, Side
 from rhot.rig.bridge_config import BridgeConfig
 from rhot.rig.bus_config import BusConfig
 from rhot.rig.calibration import DeskHeight
 from rhot.rig.feet_config import BodyConfig, FeetConfig, WalkProgram
 from rhot.rig.file_model import FileModel, HoldS, NotNegative, Positive, Vector3
-from rhot.rig.picture_config import PICTURE_NEUTRAL, Brightness, Contrast, Saturation
+from rhot.rig.marker_config import MarkerConfig as MarkerConfig  # noqa: PLC0414 - others look for it here
+from rhot.rig.marker_config import check_shared_paints
+from rhot.rig.picture_config import PICTURE_NEUTRAL, Brightness, Contrast, Saturation, V4l2Control
 from rhot.rig.shape_config import ShapeConfig
-from rhot.rig.v4l2_control import V4l2Control
 
 
 class CameraConfig(FileModel):
@@ -67,36 +67,6 @@ class CameraConfig(FileModel):
         twice = [name for name, neutral in PICTURE_NEUTRAL.items() if getattr(self, name) != neutral]
         if set(twice) & set(self.v4l2_controls):
             raise ValueError(f"{twice[0]} is set twice, here and in v4l2_controls; keep one")
-        return self
-
-
-class MarkerConfig(FileModel):
-    """What a marker's name stands for.
-
-    Attributes:
-        hand: side of the hand that wears it.
-        joint: OpenXR joint that it marks (`index_tip`, …; `wrist` or `palm` for the patch on the back).
-        kind: a painted fingertip (`cap`), a flat rectangle (`patch`), or a ball or dot whose middle is what a camera
-            sees (`ball`).
-        size_m: of a patch, its extent across the hand and along it, metres.
-        min_area_px, max_area_px: size gate, square pixels.
-    """
-
-    hand: Side = "right"
-    joint: str
-    kind: Literal["cap", "patch", "ball"] = "cap"
-    size_m: tuple[Positive, Positive] | None = None
-    min_area_px: Positive = 12.0
-    max_area_px: Positive = 40_000.0
-
-    @model_validator(mode="after")
-    def _consistent(self) -> MarkerConfig:
-        if self.joint not in JOINTS:
-            raise ValueError(f'joint = "{self.joint}" is not an OpenXR hand joint; one of: {", ".join(JOINTS)}')
-        if self.kind == "patch" and self.size_m is None:
-            raise ValueError('kind = "patch" needs `size_m = [width, length]` in metres')
-        if self.min_area_px >= self.max_area_px:
-            raise ValueError(f"min_area_px {self.min_area_px} must be below max_area_px {self.max_area_px}")
         return self
 
 
@@ -220,9 +190,10 @@ class SimConfig(FileModel):
         clock_offset_s, clock_drift_ppm: largest error of a camera node's clock.
         jitter_s: standard deviation of a frame's delivery.
         phase_s: cameras are this much out of step with one another.
-        motion: `script` (gestures and grasps), `still` (open hands that never move) or `board` (no hands: a chessboard
-            is held at one place after the other, for calibrating the cameras) or `desk_board` (it lies on the desk, for
-            finding the floor) or `touch` (a finger touches the faces of a box, for finding where its tracker sits).
+        motion: `script` (gestures and grasps), `still` (open hands that never move), `crossing` (two hands touch and
+            cross), `board` (no hands: a chessboard is held at one place after the other, for calibrating the cameras),
+            `desk_board` (it lies on the desk, for finding the floor) or `touch` (a finger touches the faces of a box,
+            for finding where its tracker sits).
         walk: what the person does whose feet are tracked, where the rig has [feet].
         board_columns, board_rows: inner corners of that chessboard.
         board_square_m: side of its squares.
@@ -238,7 +209,7 @@ class SimConfig(FileModel):
     clock_drift_ppm: Annotated[float, Field(ge=0.0, le=1e4)] = 40.0
     jitter_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0005
     phase_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.007
-    motion: Literal["script", "still", "board", "desk_board", "touch"] = "script"
+    motion: Literal["script", "still", "crossing", "board", "desk_board", "touch"] = "script"
     walk: WalkProgram = "walk"
     board_columns: Annotated[int, Field(ge=3, le=60)] = 9
     board_rows: Annotated[int, Field(ge=3, le=60)] = 6
@@ -298,6 +269,11 @@ class RigConfig(FileModel):
                     f"markers.{name} and markers.{seen[joint]} both mark {marker.joint} of the {marker.hand} hand"
                 )
             seen[joint] = name
+        return self
+
+    @model_validator(mode="after")
+    def _hands_can_be_told_apart(self) -> RigConfig:
+        check_shared_paints(self.markers)
         return self
 
     @model_validator(mode="after")

@@ -65,7 +65,12 @@ _MARKERS: Final = """
 _TIP: Final = """[markers.{name}]
 hand = "{side}"
 joint = "{finger}_tip"
+{paint}
+"""
 
+_SHARED: Final = """\
+# Twelve paints are too many to tell apart: the second hand wears the first one's, each on another finger, so that those
+# that touch differ. `paint_of` names the marker with the same paint; the patches differ and tell the hands apart.
 """
 
 _BASE: Final = """[markers.{name}]
@@ -120,6 +125,9 @@ seed = {seed}
 """
 
 FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
+_PAINT_SHIFT: Final = 2
+"""How many fingers further the second hand wears a paint: neither the same finger nor its neighbour, which hands that
+meet bring together."""
 
 
 def rig_template(
@@ -136,6 +144,7 @@ def rig_template(
     readout_s: float = 0.012,
     sides: Sequence[Side] = ("right",),
     length_m: float = 0.189,
+    share_paints: bool = True,
     simulated_objects: Sequence[str] = (),
     seed: int | None = None,
 ) -> str:
@@ -148,6 +157,7 @@ def rig_template(
         cameras, camera_xs_m: names and nominal positions along x, metres.
         source, rate_hz, exposure_s, readout_s: of all cameras.
         sides: hands that wear markers; with two, the second hand's markers carry its side's name.
+        share_paints: the second hand's fingertips wear the paints of the first.
         length_m: of the hand.
         simulated_objects: names of simulated objects; without any, an example of a real one stands as comment.
         seed: of the simulated world; None for a real rig.
@@ -170,8 +180,12 @@ def rig_template(
     ]
     parts.append(_MARKERS)
     for number, side in enumerate(sides):
-        prefix = "" if number == 0 else f"{side}_"
-        parts += [_TIP.format(name=f"{prefix}{finger}", side=side, finger=finger) for finger in FINGERS]
+        prefix, shared = "" if number == 0 else f"{side}_", number > 0 and share_paints
+        parts += [_SHARED] if shared else []
+        for place, finger in enumerate(FINGERS):
+            other = FINGERS[(place + _PAINT_SHIFT) % len(FINGERS)]
+            paint = f'paint_of = "{other}"\n' if shared else ""
+            parts.append(_TIP.format(name=f"{prefix}{finger}", side=side, finger=finger, paint=paint))
         parts.append(_BASE.format(name=f"{prefix}base", side=side))
     parts.append(_TAIL)
     parts += [_SIM_OBJECT.format(name=name) for name in simulated_objects] or [_OBJECTS]

@@ -10,6 +10,7 @@ from rhot.messages import MarkerFrame
 from rhot.recording import MarkerTrack, PictureTrack, Recording, VideoTrack
 from rhot.rig import Rig
 from rhot.rig.colors import load_colors
+from rhot.rig.marker_config import own_paints
 from rhot_capture.detection.color_table import ColorTable, build_color_table
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.sources.pictures import read_pictures
@@ -32,8 +33,7 @@ def marker_frames(rig: Rig, recording: Recording, progress: Progress | None = No
         CalibrationError: `colors.json` is missing or wrong.
     """
     recording.require_times()
-    names = list(rig.config.markers)
-    table = build_color_table(load_colors(rig.colors_path), names)
+    table = build_color_table(load_colors(rig.colors_path), list(own_paints(rig.config.markers)))
     streams = []
     for name, track in recording.cameras.items():
         if isinstance(track, MarkerTrack):

@@ -18,6 +18,7 @@ from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.messages import Control, MarkerFrame
 from rhot.rig import Rig
 from rhot.rig.folder import latest_rig
+from rhot.rig.marker_config import own_paints, worn_paints
 from rhot.service import Node
 from rhot.service.grabber import Grabber
 from rhot_capture.detection.color_table import ColorTable, ImageArray
@@ -76,8 +77,8 @@ class CaptureService:
         self._clock = clock
         self._rate_hz = config.rate_hz
         self._size = (config.width, config.height)
-        self._names = tuple(rig.config.markers)
-        self._colors = LiveColors(rig, self._names)
+        self._worn = worn_paints(rig.config.markers)
+        self._colors = LiveColors(rig, tuple(own_paints(rig.config.markers)))
         self._kept = KeptOptics(rig.path, camera)
         self._settings = self._colors.initial(CameraSettings.from_config(config, self._colors.file))
         self._detector = MarkerDetector(rig.config.markers, self._colors.table, *self._size)
@@ -185,7 +186,8 @@ class CaptureService:
         """Take over what the rig folder says of this camera now, where a running service can."""
         latest = latest_rig(self._rig)
         camera = latest.config.cameras.get(self.instance)
-        if camera is None or (camera.width, camera.height) != self._size or tuple(latest.config.markers) != self._names:
+        same = camera is not None and worn_paints(latest.config.markers) == self._worn
+        if camera is None or not same or (camera.width, camera.height) != self._size:
             logger.error("%s: cameras or markers of rig.toml have changed; start this service again", self.instance)
             return
         before = CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors.file)
@@ -291,6 +293,6 @@ class CaptureService:
         if coding not in ("jpeg", "png"):
             raise ConfigError(f"format={coding}: only format=jpeg, format=png and format=json are known")
         name = request.parameters.get("mask")
-        mask = None if name is None else marker_mask(seen.image, seen.table, name)
+        mask = None if name is None else marker_mask(seen.image, seen.table, self._worn.get(name, name))
         code = preview_png if coding == "png" else preview_jpeg
         return Answer(code(seen.image, seen.detections if overlay else None, mask), f"image/{coding}")

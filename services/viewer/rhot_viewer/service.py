@@ -20,6 +20,7 @@ from rhot.messages import Control, ServiceStatus
 from rhot.rig import BusConfig, Rig
 from rhot.rig.file_model import FileModel
 from rhot.rig.folder import latest_rig
+from rhot.rig.marker_config import own_paints
 from rhot.service import Node
 from rhot.service.runner import serve
 from rhot_viewer.browser.access import Access
@@ -93,7 +94,7 @@ class ViewerService:
         self._problems = Problems()
         self._settings = CaptureSettings(rig.cameras)
         self._scene = RigScene(page, rig, self._inbox, marker_colors(rig))
-        pictures = PicturesPanel(page, self._scene, self._inbox, rig.cameras, rig.config.markers)
+        pictures = PicturesPanel(page, self._scene, self._inbox, rig.cameras, own_paints(rig.config.markers))
         self._pictures = pictures.feed
         self._calibrate = CalibratePanel(
             page, self._scene, pictures.feed, StepContext(rig.path, bus_config), rig.config
@@ -109,7 +110,7 @@ class ViewerService:
                 {name: camera.rate_hz for name, camera in rig.config.cameras.items()},
             ),
             pictures,
-            CamerasPanel(page, self._settings, self._inbox, tuple(rig.config.markers), pictures.select),
+            CamerasPanel(page, self._settings, self._inbox, tuple(own_paints(rig.config.markers)), pictures.select),
             self._calibrate,
             self._record,
             TimelinePanel(self._history),

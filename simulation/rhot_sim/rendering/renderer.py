@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
 from rhot.rig.config import CameraConfig, SimConfig
+from rhot.rig.marker_config import own_paints, worn_paints
 from rhot_sim.rendering.backdrop import Backdrop, Image, SensorNoise
 from rhot_sim.rendering.board_painter import BoardPainter
 from rhot_sim.rendering.canvas import AA_GROWTH, AA_SEAM, Window, disjoint, far_to_near, paint_groups
@@ -70,7 +71,9 @@ class Renderer:
         self._lamp_phase = seeded(config.seed, 12).uniform(0.0, 2.0 * np.pi, 2)
         # Two sensors of one kind still differ a little in colour.
         gain = 1.0 + (0.015 if config.light_drift > 0.0 else 0.0) * seeded(config.seed, 13, seed).uniform(-1, 1, 3)
-        colors: dict[str, Bgr] = {"skin": SKIN, "object": OBJECT, **paints_of(world.markers), **(paints or {})}
+        bought = paints_of(own_paints(world.markers))
+        worn = {name: bought[paint] for name, paint in worn_paints(world.markers).items()}
+        colors: dict[str, Bgr] = {"skin": SKIN, "object": OBJECT, **worn, **(paints or {})}
         self._paints: dict[str, Bgr] = {
             name: (color[0] * gain[0], color[1] * gain[1], color[2] * gain[2]) for name, color in colors.items()
         }

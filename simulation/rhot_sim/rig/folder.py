@@ -48,6 +48,7 @@ def write_simulated_rig(
     sides: Sequence[Side] = ("right",),
     endpoint: str = DEFAULT_ENDPOINT,
     calibrated: bool = True,
+    share_paints: bool = True,
 ) -> Rig:
     """Write the folder of a simulated rig and return it loaded.
 
@@ -58,6 +59,7 @@ def write_simulated_rig(
         seed: of the world and of the calibration's errors.
         sides: hands in the world.
         endpoint: of the router.
+        share_paints: the second hand's fingertips wear the paints of the first.
         calibrated: with all that calibration brings; else `rig.toml` alone, for trying the calibration.
 
     Raises:
@@ -78,6 +80,7 @@ def write_simulated_rig(
         exposure_s=min(0.006, 0.9 / rate_hz),
         readout_s=min(0.012, 0.9 / rate_hz),
         sides=sides,
+        share_paints=share_paints,
         simulated_objects=("cube",),
         seed=seed,
     )

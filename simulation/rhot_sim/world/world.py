@@ -21,6 +21,7 @@ from rhot.rig.folder import Rig
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.walker.world import WalkerWorld
 from rhot_sim.world.board import BoardMotion, ChessBoard, LyingBoard
+from rhot_sim.world.crossing import CrossingMotion
 from rhot_sim.world.motion import OBJECT_SIZE_M, Motion, StillMotion, true_pose
 from rhot_sim.world.script import ScriptedMotion
 from rhot_sim.world.touching import TouchMotion
@@ -101,6 +102,8 @@ class World:
         walker = None if config.feet is None else WalkerWorld.from_rig(rig)
         worn = () if walker is None else (HEAD,)
         objects = [name for name, item in config.objects.items() if item.source == "simulated" and name not in worn]
+        if config.sim.motion == "crossing":
+            objects = []  # hands that touch and cross leave no room for them
         for name in objects:
             shape = config.objects[name].shape
             if shape is not None and not (isinstance(shape, BoxShape) and np.allclose(shape.size, OBJECT_SIZE_M)):
@@ -157,6 +160,8 @@ class World:
 def _motion(config: SimConfig, hands: Mapping[Side, HandModel], objects: Sequence[str]) -> Motion:
     if config.motion == "still":
         return StillMotion(tuple(hands), objects, config.desk_z_m)
+    if config.motion == "crossing":
+        return CrossingMotion(config.seed, hands, config.desk_z_m)
     if config.motion == "touch":
         return TouchMotion(hands, objects, config.desk_z_m)
     return ScriptedMotion(config.seed, hands, objects, config.desk_z_m)

@@ -39,7 +39,7 @@ PAINTS: Final[Mapping[str, RgbColor]] = {
 }
 """Common acrylic colours as sRGB, dry and in white light. Brands differ: they serve to choose a direction, no more."""
 
-_TYPICAL_SKIN: Final[RgbColor] = (205, 168, 132)
+TYPICAL_SKIN: Final[RgbColor] = (205, 168, 132)
 _GREY: Final = 0.35
 """A pixel is grey when ln(R/G) and ln(B/G) are smaller than this: cloth, desk or paper in light of any usual tint."""
 _GREY_LEVELS: Final = (30.0, 235.0)
@@ -105,7 +105,7 @@ def estimate_illumination(pixels: ClassPixels) -> Illumination:
     rgb = pixels.others[(pixels.others >= _GREY_LEVELS[0]).all(axis=1) & (pixels.others <= _GREY_LEVELS[1]).all(axis=1)]
     grey = rgb[np.all(np.abs(log_ratio(rgb)[:, :2]) < _GREY, axis=1)]
     has_skin = len(pixels.skin) >= _LEAST_SKIN
-    skin = np.median(pixels.skin, axis=0) / np.array(_TYPICAL_SKIN) if has_skin else np.ones(3)
+    skin = np.median(pixels.skin, axis=0) / np.array(TYPICAL_SKIN) if has_skin else np.ones(3)
     if len(grey) >= _LEAST_GREY:
         tint = np.median(grey / grey[:, 1:2], axis=0)
         source = "grey surroundings"

@@ -30,6 +30,11 @@ class Region(NamedTuple):
     right: int
     bottom: int
 
+    def overlaps(self, other: Region) -> bool:
+        """Tell whether some pixel is part of both."""
+        across = self.left < other.right and other.left < self.right
+        return across and self.top < other.bottom and other.top < self.bottom
+
 
 class Cutout(NamedTuple):
     """A region in which a marker is looked for.

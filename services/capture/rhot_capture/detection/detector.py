@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
 from rhot.rig.config import MarkerConfig
+from rhot.rig.marker_config import own_paints, worn_paints
 from rhot_capture.detection.blob import Blob, Outsized, blobs_of
 from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Reason, Refusal, judge
 from rhot_capture.detection.color_table import ColorTable, ImageArray
@@ -24,6 +25,7 @@ from rhot_capture.detection.corners import find_corners
 from rhot_capture.detection.cutouts import Cutouts, Region
 from rhot_capture.detection.score import probability
 from rhot_capture.detection.search import find_regions
+from rhot_capture.detection.sharing import SharedPaints, spot_of
 from rhot_capture.detection.subpixel.centers import find_centres
 from rhot_capture.detection.subpixel.windows import Window
 from rhot_capture.detection.track import MarkerTrack
@@ -80,7 +82,7 @@ class MarkerDetector:
 
         Args:
             markers: by name.
-            table: built for these markers, in this order.
+            table: built for the paints of these markers, in this order.
             width: of the frames, pixels.
             height: of the frames, pixels.
 
@@ -88,8 +90,10 @@ class MarkerDetector:
             ConfigError: the table was built for other markers.
         """
         self._markers = dict(markers)
-        self._names = tuple(markers)
-        self._gates = [(marker.min_area_px, marker.max_area_px) for marker in markers.values()]
+        self._names = tuple(own_paints(markers))
+        self._labels = {name: self._names.index(paint) + 1 for name, paint in worn_paints(markers).items()}
+        self._gates = [(markers[name].min_area_px, markers[name].max_area_px) for name in self._names]
+        self._sharing = SharedPaints(markers)
         self._size = (height, width)
         self._tracks = {name: MarkerTrack() for name in markers}
         # Corners of patches in the last frame, from their centres.
@@ -109,9 +113,9 @@ class MarkerDetector:
 
     @table.setter
     def table(self, table: ColorTable) -> None:
-        if table.names != tuple(self._markers):
+        if table.names != self._names:
             raise ConfigError(
-                f"colour table is for {', '.join(table.names)}, the detector looks for {', '.join(self._markers)}"
+                f"colour table is for {', '.join(table.names)}, the detector looks for {', '.join(self._names)}"
             )
         self._table = table
 
@@ -132,6 +136,7 @@ class MarkerDetector:
     def reset(self) -> None:
         """Forget where the markers were."""
         self._shapes.clear()
+        self._sharing.clear()
         self._tracks = {name: MarkerTrack() for name in self._markers}
 
     def detect(self, image: ImageArray) -> dict[str, Detection]:
@@ -181,13 +186,15 @@ class MarkerDetector:
         if self._since_survey >= _SURVEY_FRAMES:
             return None
         looks: list[tuple[int, Region]] = []
-        for label, track in enumerate(self._tracks.values(), start=1):
-            region = track.region(track.margin_px, *self._size)
-            if region is None:
+        regions: dict[int, Region] = {}
+        for name, track in self._tracks.items():
+            region, label = track.region(track.margin_px, *self._size), self._labels[name]
+            if region is None or (label in regions and region.overlaps(regions[label])):
                 return None
+            regions[label] = region
             looks.append((label, region))
         candidates = self._candidates(looks, every=True) if looks else {}
-        if candidates is None or len(candidates) < len(looks):
+        if candidates is None or len(candidates) < len(regions):
             return None
         chosen = self._best(candidates)
         return chosen if len(chosen) == len(looks) else None
@@ -216,25 +223,33 @@ class MarkerDetector:
             count[cutout.label] += len(blobs)
         for cutout, blobs in zip(cutouts.parts, found, strict=True):
             name = self._names[cutout.label - 1]
-            track, alone = self._tracks[name], count[cutout.label] == 1
+            alone = count[cutout.label] == 1
             for blob in blobs:
                 if not blob.inside(cutout.region, self._size):
                     if every:
                         return None
                     self._judged.append((name, Refusal(blob, "cut")))
                     continue
+                track = self._track_at(name, blob)
                 verdict = judge(cutouts, blob, cutout.label, self._gates[cutout.label - 1][0], track, alone)
                 self._judged.append((name, verdict))
                 if isinstance(verdict, Candidate):
                     candidates.setdefault(name, []).append(verdict)
         return candidates
 
+    def _track_at(self, paint: str, blob: Blob) -> MarkerTrack:
+        """Return the track of the marker that wears a paint; of two, the one that a blob continues better."""
+        pair = self._sharing.wearers.get(paint)
+        if pair is None:
+            return self._tracks[paint]
+        return max((self._tracks[name] for name in pair), key=lambda track: track.preference(*blob.middle, blob.area))
+
     def _best(self, candidates: Mapping[str, list[Candidate]]) -> dict[str, Candidate]:
         """Return for each marker the candidate that is most surely it; none where none is surely enough."""
         chosen: dict[str, Candidate] = {}
         for name in self._names:
             each = candidates.get(name)
-            if each is None:
+            if each is None or name in self._sharing.wearers:
                 continue
             best = each[0]
             if len(each) > 1:
@@ -251,8 +266,21 @@ class MarkerDetector:
                 )
             if best.plausibility >= MIN_PLAUSIBILITY:
                 chosen[name] = best
-        self._chosen = chosen
+        self._chosen = chosen = chosen | self._share(candidates, chosen)
         return chosen
+
+    def _share(
+        self, candidates: Mapping[str, list[Candidate]], chosen: Mapping[str, Candidate]
+    ) -> dict[str, Candidate]:
+        """Return which candidates of paints that both hands wear are which marker, once the patches are known."""
+        shared: dict[str, Candidate] = {}
+        self._sharing.see_patches({name: spot_of(chosen[name]) for name in self._sharing.patches if name in chosen})
+        for paint, pair in self._sharing.wearers.items():
+            likely = [each for each in candidates.get(paint, ()) if each.plausibility >= MIN_PLAUSIBILITY]
+            carried = {name: self._tracks[name].expected for name in pair}
+            found = self._sharing.match(paint, [spot_of(each) for each in likely], carried)
+            shared |= {name: likely[number] for name, number in found.items()}
+        return shared
 
     def _measure(self, image: ImageArray, chosen: Mapping[str, Candidate]) -> dict[str, Detection]:
         """Measure the chosen blobs of a frame."""
@@ -280,4 +308,5 @@ class MarkerDetector:
                     corners.setflags(write=False)
             found[name] = Detection(u, v, centre.area, probability(one.evidence), corners, blob)
             self._tracks[name].update(u, v, centre.area, (0.5 * blob.box[2], 0.5 * blob.box[3]))
+        self._sharing.remember({name: one.blob.middle for name, one in chosen.items()})
         return found

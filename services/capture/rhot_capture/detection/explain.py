@@ -17,6 +17,7 @@ from rhot.recording import PictureTrack, VideoTrack
 from rhot.recording.camera_picture import jpeg_of
 from rhot.rig import MarkerConfig, Rig
 from rhot.rig.colors import load_colors
+from rhot.rig.marker_config import own_paints
 from rhot_capture.detection.blob import Blob
 from rhot_capture.detection.candidates import MIN_FILL, MIN_PLAUSIBILITY, MIN_SOLIDITY, Candidate, Reason, Refusal
 from rhot_capture.detection.color_table import ImageArray, build_color_table
@@ -64,7 +65,7 @@ class PictureExplainer:
         """
         self._markers = rig.config.markers
         size = rig.cameras[camera]
-        table = build_color_table(load_colors(rig.colors_path), list(self._markers))
+        table = build_color_table(load_colors(rig.colors_path), list(own_paints(self._markers)))
         self._detector = MarkerDetector(self._markers, table, size.width, size.height)
 
     def look(self, image: ImageArray) -> dict[str, Detection]:
@@ -89,7 +90,7 @@ class PictureExplainer:
         outlines: list[Outline] = []
         for name, marker in self._markers.items():
             detection = found.get(name)
-            judged = [each for whose, each in (*decisions.judged, *elsewhere) if whose == name]
+            judged = [each for whose, each in (*decisions.judged, *elsewhere) if whose in (name, marker.paint_of)]
             if not judged:
                 rows.append(ExplanationRow((name, *([""] * 8), "nothing of its colour in the picture"), "refused"))
             for each in sorted(judged, key=lambda each: each.blob.area, reverse=True)[:_MOST_SHOWN]:

@@ -11,6 +11,7 @@ import numpy as np
 from rhot.errors import RhotError
 from rhot.rig import Rig
 from rhot.rig.colors import GaussianColor, HsvRangeColor, MarkerColor, load_colors
+from rhot.rig.marker_config import worn_paints
 from rhot_viewer.scene.instances import Rgb
 
 logger = logging.getLogger(__name__)
@@ -33,7 +34,8 @@ def marker_colors(rig: Rig) -> dict[str, Rgb]:
     except RhotError as error:
         logger.warning("markers are shown in made-up colours: %s", error)
         return spread
-    return spread | {name: screen_color(color) for name, color in painted.items() if name in spread}
+    worn = worn_paints(rig.config.markers)
+    return spread | {name: screen_color(painted[paint]) for name, paint in worn.items() if paint in painted}
 
 
 def screen_color(color: MarkerColor) -> Rgb:
