@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rhot.anatomy.hand import HandModel
 from rhot.geometry.rotations import rotation_x, rotation_z
 from rhot.rig import HandFile
-from rhot_ik.fabrik.chains import ABDUCTION, FLEXION, TWIST, Chains
+from rhot_ik.fabrik.chains import FLEXION, Chains
 from rhot_ik.fabrik.fabrik import solve
 from rhot_ik.fabrik.finger_chains import FabrikFingers, finger_chains
 from rhot_ik.hand.fingers.geometry import FingerGeometry
@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 
 
 def leg() -> Chains:
-    """Hip ball with an elliptic swing and some twist, knee hinge that bends the other way, ankle hinge."""
+    """Hip ball with some twist, knee hinge that bends the other way, ankle hinge."""
     rest = np.tile(np.eye(3), (1, 3, 1, 1))
     rest[0, 1] = rotation_z(np.pi)
     rest[0, 2] = rotation_x(np.radians(90.0))
@@ -29,14 +29,14 @@ def leg() -> Chains:
     low[0, 0], high[0, 0] = np.radians([-20.0, -40.0, -30.0]), np.radians([110.0, 30.0, 30.0])
     high[0, 1, FLEXION] = np.radians(140.0)
     low[0, 2, FLEXION], high[0, 2, FLEXION] = np.radians([-40.0, 20.0])
-    return Chains(rest, bones, low, high, np.array([True, False, False]), np.full((1, 3), np.nan))
+    return Chains(rest, bones, low, high, np.full((1, 3), np.nan))
 
 
 def snake() -> Chains:
-    """Two chains of eight cone joints."""
+    """Two chains of eight saddle joints."""
     bones = np.tile([0.0, 0.0, -0.1], (2, 8, 1))
     high = np.tile(np.radians([50.0, 25.0, 0.0]), (2, 8, 1))
-    return Chains(np.tile(np.eye(3), (2, 8, 1, 1)), bones, -high, high, np.ones(8, bool), np.full((2, 8), np.nan))
+    return Chains(np.tile(np.eye(3), (2, 8, 1, 1)), bones, -high, high, np.full((2, 8), np.nan))
 
 
 def fingers() -> Chains:
@@ -57,10 +57,6 @@ def assert_legal(chains: Chains, angles: FloatArray, points: FloatArray) -> None
     assert (angles <= chains.highest + 1e-12).all()
     lengths = np.linalg.norm(np.diff(points, axis=1), axis=-1)
     assert np.abs(lengths - chains.lengths).max() < 1e-12
-    for joint in np.flatnonzero(chains.elliptic):
-        swing = angles[:, joint, :TWIST]
-        half = np.where(swing > 0.0, chains.highest[:, joint, :TWIST], -chains.lowest[:, joint, :TWIST])
-        assert ((swing / half) ** 2).sum(-1).max() <= 1.0 + 1e-9
     rebuilt, _ = chains.forward(angles)
     assert np.array_equal(rebuilt, points)
 
@@ -118,13 +114,6 @@ def test_warm_start_at_the_solution_needs_no_iteration() -> None:
     pose = solve(chains, points[:, -1], angles)
     assert pose.iterations == 0
     assert np.array_equal(pose.angles, angles)
-
-
-def test_elliptic_cone_is_narrower_than_its_rectangle_and_not_circular() -> None:
-    chains = leg()
-    corner = chains.clamp(chains.highest.copy())
-    assert corner[0, 0, FLEXION] == pytest.approx(chains.highest[0, 0, FLEXION] / np.sqrt(2.0))
-    assert corner[0, 0, ABDUCTION] == pytest.approx(chains.highest[0, 0, ABDUCTION] / np.sqrt(2.0))
 
 
 def test_finger_solver_recovers_tip_and_middle_joints(

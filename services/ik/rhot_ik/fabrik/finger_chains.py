@@ -27,7 +27,7 @@ def finger_chains(geometry: FingerGeometry) -> Chains:
     coupling = np.full((fingers, 3), np.nan)
     coupling[:, 2] = model.coupling
     rest = np.broadcast_to(np.eye(3), (fingers, 3, 3, 3))
-    return Chains(rest, bones, lowest, highest, np.zeros(3, dtype=np.bool_), coupling)
+    return Chains(rest, bones, lowest, highest, coupling)
 
 
 class FabrikFingers:

@@ -21,6 +21,7 @@ from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.truth_track import TruthTrack
 from rhot_viewer.scene.hand import fingertips, ghost_shape, hand_shape
 from rhot_viewer.scene.instances import Rgb, turn_of_z, unit_ball, unit_box, unit_rod
+from rhot_viewer.scene.limits import LINES, limit_lines
 from rhot_viewer.scene.things import UNKNOWN_COLOR, body_rods, foot_boxes, marker_balls, object_copies
 from rhot_viewer.scene.trails import Trails
 from rhot_viewer.scene.viewpoint import Viewpoint, close_up, desk_middle, overview, through, up_direction, volume_lines
@@ -34,6 +35,7 @@ _TRAIL_S: Final = 2.0
 _BACKGROUND: Final = (18, 20, 24)
 _VOLUME_COLOR: Final = (70, 84, 104)
 _GRID_CELL_M: Final = 0.1
+_LIMIT_COLOR: Final = (240, 200, 90)
 
 
 @dataclass(slots=True)
@@ -45,6 +47,7 @@ class Shown:
     markers: bool = True
     volume: bool = True
     cameras: bool = True
+    limits: bool = False
 
 
 @dataclass(slots=True)
@@ -82,13 +85,14 @@ class RigScene:
         self._truth = TruthTrack()
         tips = [f"{side} {finger}" for side in SIDES for finger in FINGERS]
         self._trails = Trails(tips, _TRAIL_S)
-        self._radii = {side: HandModel.from_file(rig.hand, side).radii for side in SIDES}
+        self._models = {side: HandModel.from_file(rig.hand, side) for side in SIDES}
         scene = page.server.scene
         scene.set_up_direction(up_direction(rig))
         scene.configure_default_lights(cast_shadow=False)
         self._volume = self._draw_desk(scene)
         self.cameras = CameraLayer(scene, rig.cameras, rig.config.sim.desk_z_m, self._picture_clicked, page.on_loop)
         self._hands = {side: HandLayer(scene, f"/hands/{side}") for side in SIDES}
+        self._limits = {side: self._draw_limits(scene, side) for side in SIDES}
         self._ghosts = {side: HandLayer(scene, f"/truth/{side}", ghost=True) for side in SIDES}
         self._markers = InstanceLayer(scene, "/markers", unit_ball())
         self._boxes = InstanceLayer(scene, "/objects/boxes", unit_box())
@@ -125,6 +129,10 @@ class RigScene:
         )
         volume = volume_lines(*self._rig.config.fusion.volume_m).astype(np.float32)
         return scene.add_line_segments("/volume", volume, _VOLUME_COLOR, thickness=0.0016)
+
+    def _draw_limits(self, scene: viser.SceneApi, side: Side) -> viser.LineSegmentsHandle:
+        nowhere = np.zeros((LINES, 2, 3), dtype=np.float32)
+        return scene.add_line_segments(f"/limits/{side}", nowhere, _LIMIT_COLOR, thickness=0.0008, visible=False)
 
     def _start_with(self, view: Viewpoint) -> None:
         camera = self._page.server.initial_camera
@@ -167,7 +175,7 @@ class RigScene:
         self._trails.clear()
         self._truth = TruthTrack()
         self._rig, self._colors = rig, colors
-        self._radii = {side: HandModel.from_file(rig.hand, side).radii for side in SIDES}
+        self._models = {side: HandModel.from_file(rig.hand, side) for side in SIDES}
         self.cameras.place(rig.cameras)
 
     def frame(self) -> None:
@@ -186,7 +194,7 @@ class RigScene:
             self._truth.add(truth)
         for side, layer in self._ghosts.items():
             joints = None if truth is None or not self.shown.ghost else truth.hands.get(side)
-            layer.show(None if joints is None else ghost_shape(joints, self._radii[side]))
+            layer.show(None if joints is None else ghost_shape(joints, self._models[side].radii))
 
     def _show_hands(self) -> None:
         hands = {side: self._inbox.newest(f"rhot/hand/{side}", HandPose, _HAND_AGE_S) for side in SIDES}
@@ -195,6 +203,7 @@ class RigScene:
         for side, layer in self._hands.items():
             pose = hands[side]
             layer.show(None if pose is None else hand_shape(pose))
+            self._show_limits(side, pose)
             if pose is None and side in before:
                 self._trails.clear(side)
                 moved = True
@@ -207,6 +216,12 @@ class RigScene:
                     self.seen.tip_errors_mm.setdefault(f"{side} {finger}", []).append(1e3 * float(error))
         if moved and self.shown.trails:
             self._paths.points = self._trails.lines.astype(np.float32)
+
+    def _show_limits(self, side: Side, pose: HandPose | None) -> None:
+        lines = limit_lines(self._models[side], pose) if pose is not None and self.shown.limits else None
+        self._limits[side].visible = lines is not None
+        if lines is not None:
+            self._limits[side].points = lines.astype(np.float32)
 
     def _show_objects(self) -> None:
         objects = self._inbox.all_newest("rhot/object/", ObjectPose, _SLOW_AGE_S)

@@ -15,6 +15,7 @@ _SWITCHES: Final = {
     "markers": ("marker points", "Where fusion sees the markers, in their colours; small = predicted."),
     "trails": ("trails", "The fingertips' paths of the last two seconds."),
     "cameras": ("cameras", "Their views and live pictures."),
+    "limits": ("joint limits", "How far each joint may bend: what the tracker obeys."),
     "volume": ("volume", "The box in which fusion believes points."),
 }
 _KEY: Final = (
@@ -41,7 +42,7 @@ class ViewPanel:
         for camera in self._scene.cameras.planes:
             self._add(gui, f"through camera {camera}", camera)
         for name, (label, hint) in _SWITCHES.items():
-            switch = gui.add_checkbox(label, initial_value=True, hint=hint)
+            switch = gui.add_checkbox(label, initial_value=getattr(self._scene.shown, name), hint=hint)
             switch.on_update(self._page.on_loop(self._set(name)))
         gui.add_html(_KEY)
 
