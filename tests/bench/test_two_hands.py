@@ -20,7 +20,6 @@ from rhot_bench.speed.scaling import bare_rig
 from rhot_bench.speed.simulated import world_of
 from rhot_bench.tracking import two_hands as command
 from rhot_bench.tracking.projected import named_frames
-from rhot_sim.rig.folder import with_motion
 from rhot_sim.world.paint import paints_of
 
 Invoke = Callable[..., str]
@@ -32,7 +31,9 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
     paints = paints_of(own_paints(bare.config.markers))
     colors = nominal_colors({name: (red, green, blue) for name, (blue, green, red) in paints.items()})
     write_json_model(bare.colors_path, colors)
-    return with_motion(load_rig(bare.path), "crossing")
+    rig = load_rig(bare.path)
+    sim = rig.config.sim.model_copy(update={"motion": "crossing"})
+    return dataclasses.replace(rig, config=rig.config.model_copy(update={"sim": sim}))
 
 
 def test_command_measures_every_figure(
