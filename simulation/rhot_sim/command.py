@@ -146,6 +146,8 @@ def sim(
     calibrate stage --live`. With --motion touch a finger touches the faces of a box, for `rhot calibrate objects
     --touch cube`.
 
+    With --hands both --motion crossing, two hands touch and cross, which is what a tracker may mix up.
+
     A rig made by `rhot init RIG --sim --uncalibrated` also runs until Ctrl-C: the page's tab Calibrate leads you
     through the calibration.
 
@@ -154,6 +156,8 @@ def sim(
     per second than you asked for, try --rate 30.
     """
     console = Console()
+    if motion == "crossing" and hands != "both" and not _is_given(context, "rig_path"):
+        raise ConfigError(f"--motion crossing with --hands {hands}: two hands are needed to cross; give --hands both")
     if report_path is not None and not report_path.resolve().parent.is_dir():
         raise ConfigError(f"--report {report_path}: the folder {report_path.resolve().parent} does not exist")
     with ExitStack() as stack:

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import JOINTS
@@ -19,6 +20,7 @@ from rhot.rig.marker_config import own_paints
 from rhot_bench.speed.scaling import bare_rig
 from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.detector import MarkerDetector
+from rhot_sim.command import sim
 from rhot_sim.rendering.renderer import Renderer
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.world.crossing import CYCLE_S, CrossingMotion
@@ -65,6 +67,12 @@ def test_motion_is_smooth_over_the_end_of_a_cycle_and_follows_from_the_time_alon
 def test_one_hand_cannot_cross() -> None:
     with pytest.raises(ConfigError, match="both hands"):
         CrossingMotion(1, {"right": HANDS["right"]})
+
+
+def test_command_refuses_to_let_one_hand_cross() -> None:
+    done = CliRunner().invoke(sim, ["--motion", "crossing"])
+    assert isinstance(done.exception, ConfigError)
+    assert "--hands both" in str(done.exception)
 
 
 def test_detector_finds_twelve_markers_of_seven_paints(tmp_path: Path) -> None:
