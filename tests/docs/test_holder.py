@@ -8,11 +8,15 @@ import struct
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 pytest.importorskip("manifold3d", reason="the holder is made with manifold3d: pip install 'rhot[holder]'")
+
+FloatArray = NDArray[np.float64]
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -28,15 +32,16 @@ def maker() -> ModuleType:
     return module
 
 
-def corners_of(stl: bytes) -> np.ndarray:
+def corners_of(stl: bytes) -> FloatArray:
     """Return the triangles (N, 3, 3) of a binary STL file."""
     (count,) = struct.unpack_from("<I", stl, 80)
     assert len(stl) == 84 + 50 * count
     records = np.frombuffer(stl, dtype=[("floats", "<f4", (4, 3)), ("unused", "<u2")], offset=84)
-    return records["floats"][:, 1:].astype(float)
+    corners: FloatArray = records["floats"][:, 1:].astype(np.float64)
+    return corners
 
 
-def is_watertight(corners: np.ndarray) -> bool:
+def is_watertight(corners: FloatArray) -> bool:
     """Tell whether every edge is passed once in each direction."""
     edges: dict[tuple[bytes, bytes], int] = {}
     for triangle in corners.astype("<f4"):
@@ -45,9 +50,9 @@ def is_watertight(corners: np.ndarray) -> bool:
     return all(count == 1 and edges.get((b, a)) == 1 for (a, b), count in edges.items())
 
 
-def is_open(maker: ModuleType, solid: object, start: tuple[float, ...], end: tuple[float, ...]) -> bool:
+def is_open(solid: Any, start: tuple[float, ...], end: tuple[float, ...]) -> bool:
     """Tell whether a straight line meets no material."""
-    return not solid.ray_cast(list(start), list(end))  # type: ignore[attr-defined]
+    return not solid.ray_cast(list(start), list(end))
 
 
 @pytest.mark.parametrize("part", ["bar", "carriage"])
@@ -76,9 +81,9 @@ def test_camera_board_fits(maker: ModuleType) -> None:
     carriage = maker.carriage(holder)
     height = holder.lens_height
     for x, z in itertools.product((-10.5, 10.5), (0.0, 12.5)):
-        assert is_open(maker, carriage, (x, -60.0, height + z), (x, 60.0, height + z)), "M2 hole"
-        assert not is_open(maker, carriage, (x + 1.4, -60.0, height + z), (x + 1.4, 60.0, height + z)), "wall beside it"
-    assert is_open(maker, carriage, (0.0, -60.0, height), (0.0, 60.0, height)), "lens"
+        assert is_open(carriage, (x, -60.0, height + z), (x, 60.0, height + z)), "M2 hole"
+        assert not is_open(carriage, (x + 1.4, -60.0, height + z), (x + 1.4, 60.0, height + z)), "wall beside it"
+    assert is_open(carriage, (0.0, -60.0, height), (0.0, 60.0, height)), "lens"
     # The board's lower edge clears the foot.
     assert height - (holder.board[1] - holder.lens_to_edge) >= holder.wall + 2.9
 
@@ -92,10 +97,10 @@ def test_both_screws_reach_through_at_every_baseline_and_toe_in(
     whole = maker.assembled(holder, baseline, toe_in)
     for side in (-1.0, 1.0):
         x, y = side * 0.5 * baseline, holder.pivot_y
-        assert is_open(maker, whole, (x, y, -5.0), (x, y, 14.0 + holder.wall)), "pivot"
+        assert is_open(whole, (x, y, -5.0), (x, y, 14.0 + holder.wall)), "pivot"
         lock = (x, y - holder.lock)
-        assert is_open(maker, whole, (*lock, -5.0), (*lock, 14.0 + holder.wall)), "lock"
-    assert is_open(maker, whole, (0.0, 0.0, -5.0), (0.0, 0.0, 30.0)), "tripod"
+        assert is_open(whole, (*lock, -5.0), (*lock, 14.0 + holder.wall)), "lock"
+    assert is_open(whole, (0.0, 0.0, -5.0), (0.0, 0.0, 30.0)), "tripod"
 
 
 def test_what_cannot_be_made_is_refused(maker: ModuleType) -> None:

@@ -6,22 +6,24 @@ import numpy as np
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vector
 from rhot.messages import FingerAngles, HandPose, Joint
+from rhot.messages.base import wire_position
 from rhot.rig import HandFile
 from rhot_viewer.scene.limits import LINES, STEPS, limit_lines
 
 MODEL = HandModel.from_file(HandFile(), "left")
 
 
-def pose(angles: np.ndarray, fingers: tuple[str, ...] = FINGERS) -> tuple[HandPose, np.ndarray]:
+def pose(angles: FloatArray, fingers: tuple[str, ...] = FINGERS) -> tuple[HandPose, FloatArray]:
     """Return a pose with these angles (5, 4), and its joints (26, 3)."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation_from_vector(np.array([0.4, -0.7, 0.2])), (0.1, -0.05, 0.8)
     joints = MODEL.forward(T, angles)
     x, y, z, w = quaternion_from_rotation(T[:3, :3])
     shown = {
-        name: Joint(position=tuple(place), orientation=(x, y, z, w), radius=0.008)
+        name: Joint(position=wire_position(place), orientation=(x, y, z, w), radius=0.008)
         for name, place in zip(JOINTS, joints.positions, strict=True)
     }
     named = {
