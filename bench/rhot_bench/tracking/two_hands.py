@@ -116,19 +116,17 @@ class Naming:
 
 def wrong_names(rig: Rig, world: World, frames: list[MarkerFrame]) -> Naming:
     """Compare what fingertips are called in pictures with the truth."""
-    cameras = true_cameras(rig)
     t_s = np.array([(frame.t_ns - START_NS) * 1e-9 for frame in frames])
     true = world.sample(t_s).markers
     tips = [name for name, marker in world.markers.items() if marker.kind == "cap"]
     named = wrong = 0
-    for name in tips:
-        for row, frame in enumerate(frames):
-            marker = frame.markers.get(name)
-            if marker is None:
-                continue
-            u, v = cameras[frame.camera].project(true[name][row : row + 1])[0]
-            named += 1
-            wrong += bool(np.hypot(u - marker.u, v - marker.v) > _WRONG_PX)
+    for name, camera in true_cameras(rig).items():
+        for tip in tips:
+            rows = [row for row, frame in enumerate(frames) if frame.camera == name and tip in frame.markers]
+            seen = np.array([(frames[row].markers[tip].u, frames[row].markers[tip].v) for row in rows]).reshape(-1, 2)
+            off = camera.project(true[tip][rows]) - seen
+            named += len(rows)
+            wrong += int(np.count_nonzero(np.hypot(off[:, 0], off[:, 1]) > _WRONG_PX))
     return Naming(named, wrong)
 
 
