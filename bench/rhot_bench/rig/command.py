@@ -20,6 +20,7 @@ from rhot.recording import MarkerTrack, load_recording
 from rhot.rig import BusConfig, Rig, load_rig
 from rhot.rig.colors import load_colors
 from rhot.rig.folder import write_text_atomic
+from rhot.rig.marker_config import own_paints
 from rhot_bench.grasp.figures import grasp_figures, grasp_sections
 from rhot_bench.grasp.session import grasp_session
 from rhot_bench.measures.html import html_report
@@ -179,7 +180,7 @@ def _recorded(rig: Rig, path: Path, sections: list[Section], plots: list[str]) -
 
 
 def _threads(rig: Rig, pictures: dict[str, list[ImageArray]]) -> Section:
-    names = list(rig.config.markers)
+    names = list(own_paints(rig.config.markers))
     table = build_color_table(load_colors(rig.colors_path), names)
     detectors = {
         name: MarkerDetector(rig.config.markers, table, rig.cameras[name].width, rig.cameras[name].height)
