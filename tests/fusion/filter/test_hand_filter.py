@@ -230,17 +230,37 @@ def test_noise_is_learnt_from_innovations() -> None:
     assert stated_px(["left", "right"], quality, DEFAULT.noise) == pytest.approx([0.1414, 0.1414], abs=1e-3)
 
 
+def half_hidden(rate_hz: float) -> tuple[Paint, FloatArray, FloatArray]:
+    """Return where one camera sees half of what the other does after a third of a second, and how sure that is."""
+    paint, one, depth, period_s = (
+        Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint),
+        np.array([0]),
+        np.array([0.8]),
+        1.0 / rate_hz,
+    )
+    for number in range(round(rate_hz / 3.0)):
+        paint.correct(0, one, number * period_s, np.array([100.0]), depth, period_s)
+        shift, doubt = paint.correct(1, one, number * period_s + 0.005, np.array([50.0]), depth, period_s)
+    return paint, shift, doubt
+
+
 def test_hidden_paint_is_made_up_for_on_its_own_side() -> None:
-    paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
-    one, depth = np.array([0]), np.array([0.8])
-    for number in range(20):
-        paint.correct(0, one, number / 60.0, np.array([100.0]), depth)
-        shift, doubt = paint.correct(1, one, number / 60.0 + 0.005, np.array([50.0]), depth)
+    paint, shift, doubt = half_hidden(60.0)
     # A third or more of 10 px is hidden in the right camera: by something on its right.
     assert 1.0 < shift[0, 0] * FOCAL_PX < 2.5
     assert doubt[0] > 0.0
-    level, _ = paint.correct(0, one, 1.0, np.array([100.0]), depth)
+    level, _ = paint.correct(0, np.array([0]), 1.0, np.array([100.0]), np.array([0.8]), 1.0 / 60.0)
     assert np.abs(level).max() == 0.0
+
+
+def test_what_hides_paint_for_many_frames_is_not_averaged_away() -> None:
+    """Views of a tenth of a second tell as much of where the hidden half is, however many frames that is."""
+    told = {}
+    for rate_hz in (5.0, 30.0, 120.0):
+        doubt = float(half_hidden(rate_hz)[2][0])
+        told[rate_hz] = max(0.1 * rate_hz, 1.0) / doubt**2
+    assert told[120.0] == pytest.approx(told[5.0], rel=0.15)
+    assert told[30.0] == pytest.approx(told[5.0], rel=0.15)
 
 
 def test_a_bent_finger_is_seen_on_its_near_side() -> None:

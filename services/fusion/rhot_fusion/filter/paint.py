@@ -20,6 +20,7 @@ With the share h that is hidden in one view and not in the fullest one, and w th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -98,7 +99,13 @@ class Paint:
         return shift
 
     def correct(
-        self, camera: int, index: IndexArray, t_s: float, area_px: FloatArray, depth_m: FloatArray
+        self,
+        camera: int,
+        index: IndexArray,
+        t_s: float,
+        area_px: FloatArray,
+        depth_m: FloatArray,
+        period_s: float,
     ) -> tuple[FloatArray, FloatArray]:
         """Return how far the middles of markers (N,) lie beside what is seen, and how sure that is.
 
@@ -108,6 +115,7 @@ class Paint:
             t_s: when.
             area_px: (N,) visible, square pixels; 0 = not told.
             depth_m: (N,) of the markers.
+            period_s: of the camera's frames.
 
         Returns:
             (N, 2) what to add to the views and (N,) its standard deviation, normalised units.
@@ -145,6 +153,8 @@ class Paint:
         hidden = np.where(told, np.minimum(np.maximum(1.0 - share - uneven, 0.0), 1.0), 0.0)
         size = hidden * full / depth_m
         doubt = np.hypot(settings.doubt * size, settings.wander * width)
+        # Views that err alike tell as much together as one of them.
+        doubt *= math.sqrt(max(1.0, settings.lasts_s / period_s))
         return settings.shift * size[:, None] * self._away[camera], doubt
 
     def _changing(self, camera: int, rows: IndexArray | slice, elapsed: FloatArray, width: FloatArray) -> FloatArray:

@@ -271,7 +271,8 @@ class FilterTracker:
         place, t_s = hand.filter.place, max(sightings.t_s, hand.filter.state.t_s)
         area_px = sightings.area_px[here]
         depth = self._depth(hand, sightings.camera, index)
-        shift, doubt = self._paint.correct(sightings.camera, index, sightings.t_s, area_px, depth)
+        period_s = self._schedule.period_s(sightings.camera)
+        shift, doubt = self._paint.correct(sightings.camera, index, sightings.t_s, area_px, depth, period_s)
         if hand.base >= 0 and hand.filter.state.alive[hand.base]:
             along = self._paint.along(camera, index, place[local], hand.roots(place)[local])
             # Without areas it is not paint that is seen, or nobody knows how a finger bends.
