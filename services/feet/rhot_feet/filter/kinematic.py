@@ -48,6 +48,7 @@ class KinematicSettings:
         gate_floor_m: model error that the gate leaves room for.
         set_off_m_s2: acceleration with which a standing foot sets off, one sigma. Gates allow for it at all times, the
             filter where an observation shows it, and what is called measured ends with it.
+        stands_m_s: a sensor that is known to stand no better than this does not end a motion.
         unexplained_nis: squared normalised innovation (3 degrees of freedom) above which it does: 99.9 %.
         unseen_speed_m_s: how fast a foot that is not seen moves, one sigma.
     """
@@ -73,6 +74,7 @@ class KinematicSettings:
     start_liveliness_m_s2: float = 5.0
     gate_floor_m: float = 0.01
     set_off_m_s2: float = 20.0
+    stands_m_s: float = 0.15
     unexplained_nis: float = 16.3
     unseen_speed_m_s: float = 1.5
 
@@ -241,6 +243,8 @@ class KinematicModel:
 
     def zero_velocity_update(self, state: KinematicState, speed_sigma: float, gate_nis: float | None) -> KinematicState:
         """Return the state after the sensor's velocity was measured to be zero; unchanged when its NIS is too high."""
+        if speed_sigma > KINEMATIC.stands_m_s:
+            return state
         S = state.P[3:6, 3:6] + speed_sigma**2 * _UNIT
         if gate_nis is not None and squared_distance(state.motion[3:6], S) > gate_nis:
             return state

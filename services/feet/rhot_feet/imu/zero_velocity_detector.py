@@ -30,6 +30,10 @@ RATE_NOISE: Final = float(np.radians(0.1))
 """σ_ω, rad/s: the scale of the angular rates in the test."""
 
 
+_SAMPLE_S: Final = 0.005
+"""Spacing of the samples that `ZeroVelocity.speed_sigma` is meant for."""
+
+
 @dataclass(frozen=True, slots=True)
 class ZeroVelocity:
     """What a sample says about standing still.
@@ -55,11 +59,14 @@ class ZeroVelocitySettings:
 
     Attributes:
         window_s: length of the window, which ends with the newest sample.
-        lowest, highest: bounds of the threshold of SHOE.
-        share: the threshold is this share of the mean of the statistic over the last `memory_s`, within the bounds: who
+        lowest: bound of the threshold of SHOE; above it there is none, for a runner's foot is never still.
+        share: the threshold is this share of the mean of the statistic over the last `memory_s`, if that is more: who
             runs never stands as still as who strolls.
         memory_s: time constant of that mean.
-        speed_sigma, scale: a sample with statistic T gives the velocity to speed_sigma·(1 + T/scale), m/s.
+        speed_sigma: of the velocity of a sensor that stands still, m/s.
+        lever_m: a foot on the ground rolls, about a point so far below or before its sensor: a sensor with rate ω
+            moves at ω·lever. As the statistic T is at least (ω/σ_ω)², that is at most σ_ω·√T·lever.
+        alike_s: for so long the samples of a stance tell the same, so that n of them are worth one.
         hold_s: the foot counts as standing after so long below the lowest threshold.
         bias_s: its rate may be bias after so long, when it varies by less than `even_rad_s`.
         even_rad_s: rates that vary less come from a sensor that does not rotate.
@@ -72,11 +79,11 @@ class ZeroVelocitySettings:
 
     window_s: float = 0.04
     lowest: float = 1e4
-    highest: float = 3e5
     share: float = 0.03
     memory_s: float = 1.0
     speed_sigma: float = 0.01
-    scale: float = 1e3
+    lever_m: float = 0.1
+    alike_s: float = 0.1
     hold_s: float = 0.05
     bias_s: float = 0.2
     even_rad_s: float = math.radians(2.0)
@@ -129,16 +136,17 @@ class ZeroVelocityDetector:
             window.popleft()
         statistic, rate, unevenness, accelerated = self._statistic()
         self._mean += (statistic - self._mean) * min(duration_s / settings.memory_s, 1.0)
-        threshold = min(max(settings.share * self._mean, settings.lowest), settings.highest)
+        threshold = max(settings.share * self._mean, settings.lowest)
         self._even_s = self._even_s + duration_s if statistic <= settings.lowest else 0.0
         accelerates = self._accelerates(duration_s, accelerated)
         if len(window) < 3 or statistic > threshold:
             self._still_s = 0.0
             return MOVING
-        # Between both bounds the velocity is corrected, softly, though nobody would call that standing.
+        # Above the lowest threshold the velocity is corrected, softly, though nobody would call that standing.
         stands = statistic <= settings.lowest and accelerates == 0.0
         self._still_s = self._still_s + duration_s if stands else 0.0
-        sigma = settings.speed_sigma * (1.0 + statistic / settings.scale) + self._settings.noticed_s * accelerates
+        rolls = settings.lever_m * RATE_NOISE * math.sqrt(statistic * settings.alike_s / _SAMPLE_S)
+        sigma = math.hypot(settings.speed_sigma, rolls) + settings.noticed_s * accelerates
         even = self._still_s >= settings.bias_s and unevenness < self._settings.even_rad_s
         return ZeroVelocity(self._still_s >= settings.hold_s, sigma, rate if even else None)
 
