@@ -88,8 +88,8 @@ def depth_rows(
         rows = depth_session(rig, bus, marker, distances_cm, ruler_m, console)
     if len(rows) < LEAST_ROWS:
         raise ConfigError(
-            f"both cameras saw {marker} at {len(rows)} distances only, {LEAST_ROWS} are the least; is it in both pictures, "
-            "and do the cameras keep up (`rhot status`)?"
+            f"both cameras saw {marker} at {len(rows)} distances only, {LEAST_ROWS} are the least; is it in both "
+            "pictures, and do the cameras keep up (`rhot status`)?"
         )
     return rows
 
