@@ -221,8 +221,8 @@ class HandSolver:
         self, before: HandTrack, state: HandState, seen: HandObservation, dt_s: float
     ) -> tuple[HandState, float]:
         """Return the state, or a better one when the tips have missed the model for too long, and for how long."""
-        # One tip alone does not tell one end of a patch from the other, so it corrects only what rests on no more.
-        if np.count_nonzero(seen.tips_seen & seen.tips_measured) < min(2, before.most_tips):
+        # What so many tips have met at once is not overturned by fewer: a few leave a patch two ways round.
+        if np.count_nonzero(seen.tips_seen & seen.tips_measured) < before.most_tips:
             return state, before.lost_s
         if state.mean_residual_m < self._settings.lost_m:
             return state, 0.0
