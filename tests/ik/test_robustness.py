@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
-from rhot.geometry.rotations import rotation_from_vector
+from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
 from rhot.messages import HandPose, Point, PointSet, State
 from rhot.rig import CameraConfig, HandFile, MarkerConfig, RegistrationFile, Rig, RigConfig
 from rhot_ik.hand.solver import HandObservation, HandSolution, HandSolver
@@ -199,3 +199,30 @@ def test_a_hand_taken_up_the_wrong_way_round_is_right_again_within_a_second(
         if k == 119:
             assert error < 0.012
     assert error < 0.008
+
+
+def test_what_five_tips_have_met_is_not_overturned_by_two(
+    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
+) -> None:
+    """Three tips vanish and the two that are left lie where this hand cannot have them, for two seconds."""
+    stage, T = HandStage(right_rig), wrist()
+    joints = right_hand.forward(T, EASE)
+    markers = right_rig.config.markers
+    turned = T[:3, :3] @ rotation_from_vector(np.array([0.0, 1.6, 0.0])) @ T[:3, :3].T
+    largest = 0.0
+    for k in range(150):
+        points = make_points(right_hand, joints, markers, k / 60.0)
+        if k >= 30:
+            base = np.array(points.points["base"].position)
+            seen = {"base": points.points["base"]}
+            for name in ("index", "middle"):
+                point = points.points[name]
+                moved = base + turned @ (np.array(point.position) - base)
+                seen[name] = point.model_copy(update={"position": tuple(moved.tolist())})
+            points = points.model_copy(update={"points": seen})
+        for _, pose in stage.feed(points):
+            assert isinstance(pose, HandPose)
+            found = rotation_from_quaternion(np.array(pose.joints["wrist"].orientation))
+            if k >= 30:
+                largest = max(largest, float(np.linalg.norm(vector_from_rotation(T[:3, :3].T @ found))))
+    assert np.degrees(largest) < 45.0

@@ -43,7 +43,8 @@ class HandSettings:
         corner_factor: covariance of a patch's corner about its middle over that of the middle, before anything is
             known. Corners are found half as surely as centroids (0.2 px beside 0.1, rendered G1) and come
             unfiltered: (2 · 2)².
-        corner_samples: how many samples that first guess is worth, and how many are remembered.
+        corner_samples: the first sample counts one part in so many, so that the guess, which is one of order only, is
+            worth a single sample; and how many are remembered.
         corner_m: and at least this, each axis: the fitted corners of soft-edged paint.
         across_rad: error of the direction across the wrist, where two points of the wrist tell it.
         sigma_m: of a point that states no covariance, root of the sum of the three variances.
@@ -79,7 +80,7 @@ class HandSettings:
     known_share: float = 0.005
     model_m: float = 0.0015
     corner_factor: float = 16.0
-    corner_samples: tuple[float, float] = (8.0, 100.0)
+    corner_samples: tuple[float, float] = (2.0, 100.0)
     corner_m: float = 0.001
     across_rad: float = 0.05
     sigma_m: float = 0.0015
