@@ -160,23 +160,32 @@ async def test_pictures_are_asked_for_only_while_somebody_looks(bus: Bus, viewer
             raise ConfigError("mask=toe: no such marker")
         return Answer(b"\xff\xd8 a picture", "image/jpeg")
 
+    def answer_of_feet(request: Request) -> Answer:
+        of_feet.append(dict(request.parameters))
+        return Answer(b"\xff\xd8 feet", "image/jpeg")
+
+    of_feet: list[dict[str, str]] = []
     bus.queryable("rhot/preview/left", answer)
-    await answers(viewer_bus, "rhot/preview/left")
+    bus.queryable("rhot/preview/feet", answer_of_feet)
+    for camera in ("left", "feet"):
+        await answers(viewer_bus, f"rhot/preview/{camera}")
     asked.clear()
     shown: list[tuple[str, Picture]] = []
-    feed = PictureFeed(["left", "silent"], lambda camera, picture: shown.append((camera, picture)))
+    feed = PictureFeed(["left", "silent", "feet"], lambda camera, picture: shown.append((camera, picture)))
     looked_at = asyncio.Event()
     async with Running(feed.run(viewer_bus, lambda: 60.0, looked_at.wait)):
         await asyncio.sleep(0.05)
         assert asked == []
         looked_at.set()
-        await until(lambda: len(shown) == 2)
+        await until(lambda: len(shown) == 3)
         assert asked == [{"overlay": "markers"}]
         assert shown[0] == ("left", Picture(jpeg=b"\xff\xd8 a picture"))
         assert "rhot capture --camera silent" in shown[1][1].problem
         feed.select("thumb")  # at once, not after the interval
-        await until(lambda: len(shown) == 4)
-        assert asked[-1] == {"mask": "thumb"}
-        feed.select("toe")
         await until(lambda: len(shown) == 6)
-        assert shown[-2] == ("left", Picture(problem="mask=toe: no such marker"))
+        assert asked[-1] == {"mask": "thumb"}
+        assert of_feet[-1] == {"overlay": "markers"}, "the feet's camera knows no masks"
+        assert shown[-1] == ("feet", Picture(jpeg=b"\xff\xd8 feet"))
+        feed.select("toe")
+        await until(lambda: len(shown) == 9)
+        assert shown[-3] == ("left", Picture(problem="mask=toe: no such marker"))

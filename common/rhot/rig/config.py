@@ -257,6 +257,8 @@ class RigConfig(FileModel):
             raise ValueError("no camera: name at least one [cameras.<name>]; only a rig with [feet] alone needs none")
         if self.cameras and not self.markers:
             raise ValueError("no marker: name at least one [markers.<name>] for the cameras to look for")
+        if self.feet and "feet" in self.cameras:
+            raise ValueError("cameras.feet: with [feet], `feet` is the name of the feet's depth camera; choose another")
         return self
 
     @model_validator(mode="after")

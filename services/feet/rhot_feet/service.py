@@ -26,7 +26,8 @@ from rhot.service.spaces import publish_spaces
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame, DepthSource
 from rhot_feet.imu.samples import ImuSource
-from rhot_feet.input_stream import InputStream
+from rhot_feet.input_stream import CAMERA, InputStream
+from rhot_feet.preview import FeetPreview
 from rhot_feet.sources.depth_camera.factory import open_depth_source
 from rhot_feet.sources.depth_camera.grabber import DepthGrabber
 from rhot_feet.sources.imu.factory import plan_sensors
@@ -82,6 +83,7 @@ class FeetService:
         self._troubles: dict[str, str] = {}
         self._heads: EventSubscriber | None = None
         self._inputs: InputStream | None = None
+        self._preview = FeetPreview()
         self._head_came = asyncio.Event()
         self._head_known_s = 0.0
         # A picture takes some milliseconds, in which samples must go on.
@@ -100,6 +102,7 @@ class FeetService:
         """Listen to the head, declare what is recorded; a foot's key appears with its first pose."""
         self._heads = node.bus.events(HEAD_KEY)
         self._inputs = InputStream(node.bus, self._config.feet)
+        node.bus.queryable(f"rhot/preview/{CAMERA}", self._preview.answer, slow=True)
         node.status.include(self._counts)
         node.status.watch(self._figures)
         if self.owns_clock:
@@ -188,12 +191,14 @@ class FeetService:
         try:
             await grabber.open(partial(source.open, start.start_t_ns))
             grabber.start()
+            self._preview.begin()
             while (frame := await grabber.next_frame()) is not None:
                 self._works("depth camera")
                 if self._inputs is not None:
                     self._inputs.offer(frame)
                 await self._look(node, frame)
         finally:
+            self._preview.end()
             await grabber.stop()
 
     async def _look(self, node: Node, frame: DepthFrame) -> None:
@@ -206,9 +211,11 @@ class FeetService:
             view = stage.predict(frame)
             self._knows_head(known=view is not None)
             if view is None:
+                self._preview.offer(frame, None)
                 return
             seen = await asyncio.get_running_loop().run_in_executor(self._looking, stage.detect, view)
             stage.update(seen)
+            self._preview.offer(frame, seen)
         except (ValueError, ArithmeticError, cv2.error) as error:
             self._failed(node, error)
         status.latency("picture", time.perf_counter() - begun)

@@ -94,7 +94,9 @@ class ViewerService:
         self._problems = Problems()
         self._settings = CaptureSettings(rig.cameras)
         self._scene = RigScene(page, rig, self._inbox, marker_colors(rig))
-        pictures = PicturesPanel(page, self._scene, self._inbox, rig.cameras, own_paints(rig.config.markers))
+        pictures = PicturesPanel(
+            page, self._scene, self._inbox, rig.cameras, own_paints(rig.config.markers), rig.config.feet
+        )
         self._pictures = pictures.feed
         self._calibrate = CalibratePanel(
             page, self._scene, pictures.feed, StepContext(rig.path, bus_config), rig.config

@@ -7,7 +7,7 @@ together with how much it varies; that variation is what the depth stage can pro
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import Final, Literal
 
@@ -61,11 +61,13 @@ class DepthObservations:
         feet: foot to where it is.
         refused: foot to the reason why its blob was not believed.
         floor: the floor, where it is in sight.
+        points: foot to the points (N, 3) of its blob, metres, camera frame, believed or not.
     """
 
     feet: dict[Side, FootDepth]
     refused: dict[Side, DepthRefusal]
     floor: FloorPlane | None
+    points: dict[Side, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +197,7 @@ class DepthTracker:
                 refused[side] = verdict
             else:
                 feet[side] = FootDepth(frame.t_ns, blob.position, verdict, len(blob.points))
-        return DepthObservations(feet, refused, floor)
+        return DepthObservations(feet, refused, floor, {side: blob.points for side, blob in blobs.items()})
 
     def _rays(self, camera: CameraModel) -> PixelRays:
         if self._fine is None or self._fine.camera is not camera:

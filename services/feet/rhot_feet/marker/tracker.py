@@ -67,10 +67,12 @@ class MarkerObservations:
     Attributes:
         markers: foot to its believed marker.
         refused: foot to the reason why a detection was not believed.
+        found: all detections, believed or not.
     """
 
     markers: dict[Side, FootMarker]
     refused: dict[Side, Refusal]
+    found: tuple[MarkerDetection, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +156,7 @@ class MarkerTracker:
             refused.pop(side, None)
             markers[side] = self._marker(frame.t_ns, best, memory, expected.get(side))
             memory.seen_ns = frame.t_ns
-        return MarkerObservations(markers, refused)
+        return MarkerObservations(markers, refused, tuple(found))
 
     def _search(self, frame: DepthFrame, expected: Mapping[Side, FootPrediction]) -> list[MarkerDetection]:
         """Return the markers near the expected positions; everywhere, now and then, for a foot that is not expected."""

@@ -11,11 +11,12 @@ import viser
 
 from rhot.messages import MarkerFrame
 from rhot.rig.calibration import CameraCalibration
+from rhot.rig.feet_config import FeetConfig
 from rhot_viewer.browser.camera_layer import dark_picture, show_jpeg
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.rig_scene import RigScene
 from rhot_viewer.rig.inbox import Inbox
-from rhot_viewer.rig.picture_feed import Picture, PictureFeed
+from rhot_viewer.rig.picture_feed import FEET_CAMERA, Picture, PictureFeed
 
 ALL_MARKERS: Final = "all markers"
 _FRAME_AGE_S: Final = 1.0
@@ -25,6 +26,11 @@ _HELP: Final = (
     "<div style='padding:0.2em 0.8em;font-size:0.85em;opacity:0.75'>Look through a camera, then click a marker in its "
     "picture: its mask is shown, everything that its colour does not take in goes dark. A click beside all markers "
     "brings the markers back.</div>"
+)
+_FEET_HELP: Final = (
+    "<div style='padding:0.2em 0.8em;font-size:0.85em;opacity:0.75'>The feet: markers that are believed have the "
+    "foot's colour, others are red; a foot's shape in the depth picture is tinted; outside of its ellipse nothing is "
+    "taken for it.</div>"
 )
 
 
@@ -40,7 +46,18 @@ class PicturesPanel:
         inbox: Inbox,
         cameras: Mapping[str, CameraCalibration],
         markers: Iterable[str],
+        feet: FeetConfig | None = None,
     ) -> None:
+        """Prepare the tab.
+
+        Args:
+            page: an open page.
+            scene: shows the pictures, too.
+            inbox: what the cameras have found.
+            cameras: that look at hands.
+            markers: of the hands.
+            feet: `[feet]` of the rig; its camera moves with the head, so nobody can stand where it stands.
+        """
         self._page = page
         self._scene = scene
         self._inbox = inbox
@@ -49,21 +66,28 @@ class PicturesPanel:
         self._choice: viser.GuiDropdownHandle[Any] | None = None
         self._pictures: dict[str, viser.GuiImageHandle] = {}
         self._notes: dict[str, viser.GuiHtmlHandle] = {}
-        self.feed = PictureFeed(cameras, self.show)
+        self._sizes = {name: (camera.width, camera.height) for name, camera in cameras.items()}
+        if feet is not None:
+            self._sizes[FEET_CAMERA] = (feet.camera.width, feet.camera.height)
+        self.feed = PictureFeed(self._sizes, self.show)
         scene.on_picture_click(self._clicked)
 
     def build(self, gui: viser.GuiApi) -> None:
         """Add the choice, then picture after picture."""
-        self._choice = gui.add_dropdown(
-            "show", (ALL_MARKERS, *self._markers), hint="All markers, or the mask of one marker."
-        )
-        self._choice.on_update(self._page.on_loop(self._chosen))
-        gui.add_html(_HELP)
-        for name, camera in self._cameras.items():
-            look = gui.add_button(f"look through {name}", icon=viser.Icon.CAMERA)
-            look.on_click(self._page.on_loop(self._fly_to(name)))
-            self._page.for_everyone(look)
-            self._pictures[name] = gui.add_image(dark_picture(camera.width, camera.height), format="jpeg")
+        if self._cameras:
+            self._choice = gui.add_dropdown(
+                "show", (ALL_MARKERS, *self._markers), hint="All markers, or the mask of one marker."
+            )
+            self._choice.on_update(self._page.on_loop(self._chosen))
+            gui.add_html(_HELP)
+        for name, size in self._sizes.items():
+            if name in self._cameras:
+                look = gui.add_button(f"look through {name}", icon=viser.Icon.CAMERA)
+                look.on_click(self._page.on_loop(self._fly_to(name)))
+                self._page.for_everyone(look)
+            else:
+                gui.add_html(_FEET_HELP)
+            self._pictures[name] = gui.add_image(dark_picture(*size), format="jpeg")
             self._notes[name] = gui.add_html("")
 
     def update(self) -> None:
@@ -78,7 +102,7 @@ class PicturesPanel:
         )
         if picture.jpeg:
             show_jpeg(self._pictures[camera], picture.jpeg)
-            if self._scene.shown.cameras:
+            if self._scene.shown.cameras and camera in self._cameras:
                 self._scene.cameras.show_picture(camera, picture.jpeg)
 
     def select(self, marker: str | None) -> None:

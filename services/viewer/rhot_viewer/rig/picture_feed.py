@@ -10,6 +10,8 @@ from typing import Final
 from rhot.bus import Bus
 from rhot.errors import BusError
 
+FEET_CAMERA: Final = "feet"
+"""Name of the depth camera that looks at the feet, on the bus."""
 _TIMEOUT_S: Final = 0.8
 
 
@@ -30,7 +32,7 @@ class PictureFeed:
     """Asks every camera for its picture, with markers drawn in or with the mask of one marker.
 
     Attributes:
-        mask: marker whose mask is shown; None shows the markers.
+        mask: marker whose mask is shown; None shows the markers. The feet's camera always shows its own.
         held: camera to a JPEG that stands still instead of the live picture.
     """
 
@@ -81,11 +83,12 @@ class PictureFeed:
     async def _ask(self, bus: Bus, camera: str) -> Picture:
         if camera in self.held:
             return Picture(jpeg=self.held[camera])
-        what = "overlay=markers" if self.mask is None else f"mask={self.mask}"
+        what = "overlay=markers" if self.mask is None or camera == FEET_CAMERA else f"mask={self.mask}"
         try:
             replies = await bus.get(f"rhot/preview/{camera}?{what}", timeout_s=_TIMEOUT_S)
         except BusError as error:
             return Picture(problem=str(error))
         if not replies:
-            return Picture(problem=f"no answer; is `rhot capture --camera {camera}` running?")
+            service = "rhot feet" if camera == FEET_CAMERA else f"rhot capture --camera {camera}"
+            return Picture(problem=f"no answer; is `{service}` running?")
         return Picture(problem=replies[0].error) if replies[0].error else Picture(jpeg=replies[0].payload)
