@@ -24,6 +24,7 @@ ORDER: Final = {
     "hand": ("Hand", "pc"),
     "objects": ("Objects", "objects"),
     "stage": ("Floor", "pc"),
+    "headset": ("Headset", "feet"),
 }
 """Entry point to the step's title and the extra to install when it is missing, in the order of the path."""
 

@@ -64,11 +64,12 @@ from rhot_sim.walker.run import WalkerRun
 )
 @click.option(
     "--motion",
-    type=click.Choice(["script", "still", "crossing", "board", "desk_board", "touch"]),
+    type=click.Choice(["script", "still", "crossing", "board", "desk_board", "touch", "headset"]),
     default="script",
     show_default=True,
     help="What the cameras see: gestures and grasps, open hands that never move, two hands that touch and cross, a "
-    "chessboard to calibrate the cameras with, one that lies on the desk, or a finger that touches the faces of a box.",
+    "chessboard to calibrate the cameras with, one that lies on the desk, or a finger that touches the faces of a box; "
+    "or, with feet, a marker on the floor and a person who looks at it from all sides.",
 )
 @click.option(
     "--feet",
@@ -115,7 +116,7 @@ def sim(
     rate_hz: float,
     cameras: int,
     hands: str,
-    motion: Literal["script", "still", "crossing", "board", "desk_board", "touch"],
+    motion: Literal["script", "still", "crossing", "board", "desk_board", "touch", "headset"],
     feet: bool,
     walk: WalkProgram,
     height_m: float,
@@ -144,7 +145,8 @@ def sim(
     With --motion board, the cameras see a calibration chessboard in one position after the other, and the rig runs
     until Ctrl-C: try `rhot calibrate cameras --live` on it. With --motion desk_board it lies on the desk, for `rhot
     calibrate stage --live`. With --motion touch a finger touches the faces of a box, for `rhot calibrate objects
-    --touch cube`.
+    --touch cube`. With --motion headset somebody looks about over a marker on the floor, with a camera that sits askew
+    on the headset, for `rhot calibrate headset --live`.
 
     With --hands both --motion crossing, two hands touch and cross, which is what a tracker may mix up.
 
@@ -163,12 +165,19 @@ def sim(
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-sim-")))
         chosen = endpoint or free_endpoint(DEFAULT_ENDPOINT)
+        feet = feet or motion == "headset"
         if feet:
             rig = (
                 load_rig(rig_path)
                 if _is_given(context, "rig_path")
                 else write_walker_rig(
-                    work / "rig", endpoint=chosen, program=walk, seed=seed, height_m=height_m, rate_hz=rate_hz
+                    work / "rig",
+                    endpoint=chosen,
+                    program=walk,
+                    seed=seed,
+                    height_m=height_m,
+                    rate_hz=rate_hz,
+                    motion="headset" if motion == "headset" else "script",
                 )
             )
         elif not _is_given(context, "rig_path"):
@@ -191,8 +200,8 @@ def sim(
                 )
         if chosen != DEFAULT_ENDPOINT:
             console.print(f"The router listens on {chosen}: give the other commands --connect {chosen}", soft_wrap=True)
-        calibrating = not feet and (
-            rig.config.sim.motion in ("board", "desk_board", "touch") or bool(missing_calibration(rig))
+        calibrating = rig.config.sim.motion in ("board", "desk_board", "touch", "headset") or bool(
+            not feet and missing_calibration(rig)
         )
         pages = free_pages(page_port, grasp=not calibrating) if viewer and not headless else Pages()
         for line in pages.lines():

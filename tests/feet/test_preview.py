@@ -15,7 +15,7 @@ from rhot.errors import ConfigError, DeviceError
 from rhot_feet import preview
 from rhot_feet.depth.tracker import DepthObservations
 from rhot_feet.foot_stage import FootStage
-from rhot_feet.frames import DepthFrame
+from rhot_feet.frames import ColorImage, DepthFrame
 from rhot_feet.preview import COLORS, REFUSED, FeetPreview, draw
 from rhot_feet.view import FootDetections
 
@@ -98,7 +98,12 @@ def test_who_asks_waits_for_the_next_picture(
 ) -> None:
     frame, found = seen
     drawn: list[str] = []
-    monkeypatch.setattr(preview, "draw", lambda frame, found, overlay: drawn.append(overlay) or frame.color)
+
+    def drawn_plainly(frame: DepthFrame, found: FootDetections | None, overlay: str) -> ColorImage:
+        drawn.append(overlay)
+        return frame.color
+
+    monkeypatch.setattr(preview, "draw", drawn_plainly)
     monkeypatch.setattr(preview, "_WAIT_S", 60.0)
     monkeypatch.setattr(preview, "_PERIOD_S", 60.0)
     shown = FeetPreview()

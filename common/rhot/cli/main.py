@@ -71,6 +71,7 @@ _CALIBRATIONS: Final = {
     "hand": LazyCommand("Measure a hand: bone lengths and where its markers are.", extra="pc"),
     "objects": LazyCommand("Register the space of a tracking system to the rig.", extra="objects"),
     "stage": LazyCommand("Find the floor, from a board on the desk or a registered tracking system.", extra="pc"),
+    "headset": LazyCommand("Find where the feet's camera sits on the headset.", extra="feet"),
 }
 
 _EVALUATIONS: Final = {

@@ -191,6 +191,16 @@ class StageFile(CalibrationFile):
     desk_height_m: DeskHeight | None = None
 
 
+class HeadsetFile(CalibrationFile):
+    """`headset.json`: where the feet's depth camera sits on the headset; it holds in place of `[feet.camera]`'s pose.
+
+    Attributes:
+        T_head_camera: maps OpenCV's camera coordinates to the head's (x right, y up, −z forward).
+    """
+
+    T_head_camera: RigidTransform
+
+
 class RegistrationFile(CalibrationFile):
     """`registration.json`: tracker space to rig.
 

@@ -193,7 +193,8 @@ class SimConfig(FileModel):
         motion: `script` (gestures and grasps), `still` (open hands that never move), `crossing` (two hands touch and
             cross), `board` (no hands: a chessboard is held at one place after the other, for calibrating the cameras),
             `desk_board` (it lies on the desk, for finding the floor) or `touch` (a finger touches the faces of a box,
-            for finding where its tracker sits).
+            for finding where its tracker sits) or `headset` (a rig of feet: a marker lies on the floor, and the camera
+            sits askew on the headset).
         walk: what the person does whose feet are tracked, where the rig has [feet].
         board_columns, board_rows: inner corners of that chessboard.
         board_square_m: side of its squares.
@@ -209,7 +210,7 @@ class SimConfig(FileModel):
     clock_drift_ppm: Annotated[float, Field(ge=0.0, le=1e4)] = 40.0
     jitter_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0005
     phase_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.007
-    motion: Literal["script", "still", "crossing", "board", "desk_board", "touch"] = "script"
+    motion: Literal["script", "still", "crossing", "board", "desk_board", "touch", "headset"] = "script"
     walk: WalkProgram = "walk"
     board_columns: Annotated[int, Field(ge=3, le=60)] = 9
     board_rows: Annotated[int, Field(ge=3, le=60)] = 6

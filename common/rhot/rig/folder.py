@@ -11,12 +11,22 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from rhot.atomic_file import write_atomic
 from rhot.errors import CalibrationError, ConfigError, RhotError
 from rhot.messages import first_problem
-from rhot.rig.calibration import CameraCalibration, CamerasFile, HandFile, Matrix3, Matrix4, RegistrationFile, StageFile
+from rhot.rig.calibration import (
+    CameraCalibration,
+    CamerasFile,
+    HandFile,
+    HeadsetFile,
+    Matrix3,
+    Matrix4,
+    RegistrationFile,
+    StageFile,
+)
 from rhot.rig.config import CameraConfig, ObjectSource, RigConfig
 
 logger = logging.getLogger(__name__)
@@ -29,6 +39,7 @@ REGISTRATION_FILE = "registration.json"
 """Of all sources of tracked objects that have none of their own; earlier versions knew no other."""
 OBJECT_SOURCES: tuple[ObjectSource, ...] = get_args(ObjectSource)
 STAGE_FILE = "stage.json"
+HEADSET_FILE = "headset.json"
 
 _F = TypeVar("_F", bound=BaseModel)
 
@@ -48,6 +59,7 @@ class Rig:
         quality: what `cameras.json` says of itself; see `rhot.rig.quality`.
         stage: `stage.json`, where the floor is; None when it is not known.
         registrations: those of one source of tracked objects alone, `registration.<source>.json`.
+        headset: `headset.json`, where the feet's camera sits; None when only `rig.toml` says so.
     """
 
     path: Path
@@ -59,10 +71,18 @@ class Rig:
     quality: Any = None
     stage: StageFile | None = None
     registrations: Mapping[str, RegistrationFile] = field(default_factory=dict)
+    headset: HeadsetFile | None = None
 
     def registration_of(self, source: str) -> RegistrationFile:
         """Return where the space of a source of tracked objects (`steamvr`, …) lies in the rig."""
         return self.registrations.get(source, self.registration)
+
+    @property
+    def T_head_camera(self) -> NDArray[np.float64] | None:
+        """(4, 4) of the feet's depth camera, as calibrated, else as typed in; None in a rig without feet."""
+        if self.config.feet is None:
+            return None
+        return self.config.feet.camera.T_head_camera if self.headset is None else self.headset.T_head_camera.matrix
 
     @property
     def colors_path(self) -> Path:
@@ -93,7 +113,8 @@ def load_rig(path: Path) -> Rig:
     stage = _optional(path / STAGE_FILE, StageFile)
     own = {source: _optional(path / registration_name(source), RegistrationFile) for source in OBJECT_SOURCES}
     registrations: dict[str, RegistrationFile] = {source: file for source, file in own.items() if file is not None}
-    return Rig(path, config, cameras, calibrated, hand, registration, quality, stage, registrations)
+    headset = _optional(path / HEADSET_FILE, HeadsetFile)
+    return Rig(path, config, cameras, calibrated, hand, registration, quality, stage, registrations, headset)
 
 
 def registration_name(source: str) -> str:

@@ -104,11 +104,12 @@ class _Foot:
 class FootStage:
     """Follows all feet of a rig."""
 
-    def __init__(self, config: FeetConfig) -> None:
+    def __init__(self, config: FeetConfig, T_head_camera: FloatArray | None = None) -> None:
         """Prepare.
 
         Args:
             config: `[feet]` of the rig.
+            T_head_camera: (4, 4), see `rhot.rig.Rig.T_head_camera`; as `config` says when not given.
 
         Raises:
             ConfigError: the dictionary is unknown, or has no such marker.
@@ -117,7 +118,7 @@ class FootStage:
         depth_range_m = (camera.min_depth_m, camera.max_depth_m)
         up = np.array(config.up) / np.linalg.norm(config.up)
         self._up = up
-        self._T_head_camera = camera.T_head_camera
+        self._T_head_camera = camera.T_head_camera if T_head_camera is None else T_head_camera
         self._hold_ns = round(1e9 * config.hold_s)
         self._predict_ns = round(1e9 * config.predict_s)
         self._heads = HeadTrack()

@@ -48,9 +48,9 @@ class RecordedFeet:
             raise ConfigError(f"{rig.path / 'rig.toml'} names no feet; add [feet.left] or [feet.right] with marker_id")
         if folder is None:
             raise ConfigError(f"{recording.path}: holds no depth camera's pictures; `rhot record --frames` takes them")
-        self._stage = FootStage(feet)
+        self._stage = FootStage(feet, rig.T_head_camera)
         self._frames = load_depth_recording(folder, complete=recording.complete)
-        self._heads = _heads(folder / HEAD_FILE)
+        self._heads = recorded_heads(folder)
         self._sensors: dict[Side, ImuSamples] = {
             side: read_samples(folder / sensor_file(side))
             for side in feet.feet
@@ -123,7 +123,13 @@ class RecordedFeet:
         return self._heads[first:last]
 
 
-def _heads(file: Path) -> list[HeadPose]:
+def recorded_heads(folder: Path) -> list[HeadPose]:
+    """Return the head's poses beside a depth camera's pictures.
+
+    Raises:
+        ConfigError: there are none, or the file cannot be used.
+    """
+    file = folder / HEAD_FILE
     if not file.exists():
         raise ConfigError(
             f"{file} is not there: without the head's poses nobody knows where the camera was; `rhot objects`, or what "

@@ -19,6 +19,7 @@ from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.messages import Control, FootPose, HeadPose, Side
 from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig
+from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread
 from rhot.service.grabber import GrabberCounts
@@ -75,7 +76,8 @@ class FeetService:
         self._plan_sensors = sensors
         # Without hands there is no fusion, whose clock is the rig's otherwise.
         self.owns_clock = not rig.config.cameras
-        self._stage = FootStage(self._config)
+        self._T_head_camera = rig.T_head_camera
+        self._stage = FootStage(self._config, self._T_head_camera)
         sensors(rig, self._config)
         self._sensors: dict[Side, ImuSource] = {}
         self._failures: dict[Side, asyncio.Future[None]] = {}
@@ -128,7 +130,8 @@ class FeetService:
         """Read camera and sensors until cancelled; one that is absent does not hold up the others."""
         if self._heads is None:
             raise RuntimeError("run before attach")
-        self._stage = FootStage(self._config)
+        self._T_head_camera = latest_rig(self._rig).T_head_camera
+        self._stage = FootStage(self._config, self._T_head_camera)
         self._troubles.clear()
         self._head_known_s = asyncio.get_running_loop().time()
         heads, sources = self._heads, self._plan_sensors(self._rig, self._config)
@@ -277,4 +280,4 @@ class FeetService:
     def _failed(self, node: Node, error: Exception) -> None:
         """Begin afresh: what the core cannot digest costs its memory, never the service."""
         node.failed(error)
-        self._stage = FootStage(self._config)
+        self._stage = FootStage(self._config, self._T_head_camera)

@@ -19,7 +19,8 @@ FloatArray = NDArray[np.float64]
 
 HEAD_ROTATION_RAD: Final = float(np.radians(0.1))
 """Noise of the head's orientation, per axis; it swings the camera's line of sight."""
-_HEAD_POSITION_M: Final = 0.0005
+HEAD_POSITION_M: Final = 0.0005
+"""Noise of the head's position, per axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ class View:
         """Return the covariance (3, 3) in the rig frame of a position seen from a head whose own pose is noisy."""
         R = self.T_rig_camera[:3, :3]
         rotation = HEAD_ROTATION_RAD**2 * (float(position @ position) * np.eye(3) - np.outer(position, position))
-        rig: FloatArray = R @ (covariance + rotation) @ R.T + _HEAD_POSITION_M**2 * np.eye(3)
+        rig: FloatArray = R @ (covariance + rotation) @ R.T + HEAD_POSITION_M**2 * np.eye(3)
         return rig
 
 

@@ -36,6 +36,11 @@ _TOUCH_TEXT: Final = (
     "Now, in another terminal:\n\n"
     "  rhot start --connect {endpoint} && rhot calibrate objects --touch {object} --rig {path} --connect {endpoint}\n"
 )
+_HEADSET_TEXT: Final = (
+    "A marker lies on the floor, and somebody looks about over it. The camera sits askew on the headset.\n"
+    "rig folder: {path}\nNow, in another terminal:\n\n"
+    "  rhot calibrate headset --live --rig {path} --connect {endpoint}\n"
+)
 _PATH_TEXT: Final = (
     "This rig is not calibrated yet (no {missing}). In the page, the tab Calibrate leads through it; what stands "
     "before the simulated cameras is chosen there, too.\n"
@@ -68,7 +73,8 @@ async def run_for_calibration(
     Raises:
         RhotError: the router or a service did not come up, or one ended by itself.
     """
-    names = ["fusion", "ik", "truth", *(["objects"] if rig.config.objects else [])]
+    tracking = "fusion" if rig.config.cameras else "feet"
+    names = [tracking, "ik", "truth", *(["objects"] if rig.config.objects else [])]
     services = service_commands(rig, endpoint, names, pages)
     await with_processes(endpoint, services, work, partial(_stay, rig, endpoint, duration_s, console))
 
@@ -88,6 +94,8 @@ async def _stay(rig: Rig, endpoint: str, duration_s: float | None, console: Cons
     elif sim.motion == "touch":
         touched = next(name for name, item in rig.config.objects.items() if item.source == "simulated")
         text = _TOUCH_TEXT.format(object=touched, wait_s=WAIT_S, path=rig.path, endpoint=endpoint)
+    elif sim.motion == "headset":
+        text = _HEADSET_TEXT.format(path=rig.path, endpoint=endpoint)
     else:
         text = _PATH_TEXT.format(missing=missing_calibration(rig))
     ending = "Ctrl-C ends it." if duration_s is None else f"Ends after {duration_s:g} s."

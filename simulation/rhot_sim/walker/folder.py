@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from rhot.rig import Rig, RigidTransform, StageFile, load_rig, write_json_model
 from rhot.rig.calibration import today
@@ -43,6 +43,7 @@ rate_hz = 90.0
 [sim]
 seed = {seed}
 walk = "{program}"
+motion = "{motion}"
 """
 
 
@@ -56,6 +57,7 @@ def write_walker_rig(
     rate_hz: float = 60.0,
     pitch_deg: float = 20.0,
     imu_rate_hz: float = 100.0,
+    motion: Literal["script", "headset"] = "script",
 ) -> Rig:
     """Write the folder of a simulated walker's rig and return it loaded.
 
@@ -68,6 +70,7 @@ def write_walker_rig(
         rate_hz: of the camera.
         pitch_deg: how far the camera looks down from the head.
         imu_rate_hz: of both ankle sensors.
+        motion: `headset`: for finding where the camera sits, see `WalkerWorld`.
     """
     path.mkdir(parents=True, exist_ok=True)
     text = _TEMPLATE.format(
@@ -78,6 +81,7 @@ def write_walker_rig(
         rate_hz=rate_hz,
         pitch_deg=pitch_deg,
         imu_rate_hz=imu_rate_hz,
+        motion=motion,
     )
     write_text_atomic(path / RIG_FILE, text)
     # The walker's rig frame is the stage.

@@ -26,11 +26,17 @@ FloatArray = NDArray[np.float64]
 Bends = list[tuple[float, float, float]]
 
 _STATIONARY_S: Final = 30.0
+LOOK_AT_MARKER: Final = "look_at_marker"
+"""For `rhot calibrate headset`; nobody tracks feet meanwhile."""
+_LOOK_PERIODS_S: Final = (13.0, 9.0, 11.0, 8.0, 6.1, 4.3, 7.7, 10.0)
+"""Of drop, shift sideways and back, lean, yaw, pitch and roll of the head, and turn of the body: a person at ease."""
 
 
 def plan_program(program: str, body: BodyModel, sole: Sole, rng: np.random.Generator) -> Plan:
-    """Return what a person of these lengths does in a program, one of `PROGRAMS`."""
-    return PROGRAMS[program](body, Choreographer(sole, 1.15 * body.hip_width_m, rng))
+    """Return what a person of these lengths does in a program, one of `PROGRAMS` or `LOOK_AT_MARKER`."""
+    return {**PROGRAMS, LOOK_AT_MARKER: _look_at_marker}[program](
+        body, Choreographer(sole, 1.15 * body.hip_width_m, rng)
+    )
 
 
 def _still(body: BodyModel, steps: Choreographer) -> Plan:
@@ -73,6 +79,28 @@ def _head_moving(body: BodyModel, steps: Choreographer) -> Plan:
             held.head_rad + move[:, 4:7] * np.radians([12.0, 8.0, 7.0]),
             held.look,
             held.turn_rad,
+        )
+
+    return steps.plan(posture)
+
+
+def _look_at_marker(body: BodyModel, steps: Choreographer) -> Plan:
+    """The feet stand; the head nods, turns and tilts, the trunk leans to all sides and goes down, all of it slowly."""
+    steps.pause(_STATIONARY_S)
+    phases = steps.rng.uniform(0.0, 2.0 * np.pi, len(_LOOK_PERIODS_S))
+    rates = 2.0 * np.pi / (np.array(_LOOK_PERIODS_S) * steps.rng.uniform(0.9, 1.1, len(_LOOK_PERIODS_S)))
+
+    def posture(t: FloatArray) -> Posture:
+        held = Posture.upright(len(t))
+        begin = bump(t, 0.5, 1e9, 1.0)
+        wave = begin[:, None] * np.sin(t[:, None] * rates + phases)
+        return Posture(
+            0.12 * (begin + wave[:, 0]),
+            held.shift_m + wave[:, 1:3] * [0.09, 0.07] + [0.0, 0.04],
+            held.lean_rad + 0.2 + 0.12 * wave[:, 3],
+            held.head_rad + wave[:, 4:7] * np.radians([22.0, 12.0, 20.0]),
+            held.look,
+            held.turn_rad + np.radians(15.0) * wave[:, 7],
         )
 
     return steps.plan(posture)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.aruco_dictionary import marker_cells
 from rhot.errors import ConfigError
-from rhot.geometry.rotations import rotation_x
+from rhot.geometry.rotations import rotation_from_vector, rotation_x, rotation_y
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side, Truth
 from rhot.rig.feet_config import DepthCameraConfig, FeetConfig, FootConfig
@@ -31,6 +31,7 @@ from rhot_sim.walker.pictures.depth import DepthImage, DepthRenderer
 from rhot_sim.walker.pictures.disturbances import Disturbances, Mishaps
 from rhot_sim.walker.pictures.solids import CARD_SHARE, limbs_at
 from rhot_sim.walker.plan import SIDES
+from rhot_sim.walker.programs import LOOK_AT_MARKER
 from rhot_sim.world.motion import true_pose
 from rhot_sim.world.script import seeded
 
@@ -49,6 +50,11 @@ _MAX_MOMENTS: Final = 4
 _STILL_PX: Final = 0.4
 _PX_PER_MOMENT: Final = 2.0
 _STREAM: Final = 43
+_ASKEW_RAD: Final = float(np.radians(4.0))
+"""By how much a pose that somebody typed in is off, about each axis: a guess by eye."""
+_ASKEW_M: Final = 0.02
+_PAPER_M: Final = 0.001
+"""Height of a marker that lies on the floor."""
 
 DEFAULT_FEET: Final = FeetConfig(
     camera=DepthCameraConfig(source="simulated"), left=FootConfig(marker_id=0), right=FootConfig(marker_id=1)
@@ -66,6 +72,8 @@ class WalkerWorld:
         disturbances: of the pictures; hems alone when not given.
         imu_errors: of the ankle sensors; a BNO080's when not given.
         noise: scales the noise of colour and depth.
+        askew: the camera does not sit where `feet` says, by some degrees and centimetres that follow from the seed, and
+            the left foot's marker lies on the floor in front of the feet, which wear none.
     """
 
     def __init__(
@@ -78,6 +86,7 @@ class WalkerWorld:
         disturbances: Disturbances | None = None,
         imu_errors: ImuErrors | None = None,
         noise: float = 1.0,
+        askew: bool = False,
     ) -> None:
         self.seed = seed
         self.body = body
@@ -85,12 +94,21 @@ class WalkerWorld:
         self.person = Person(seed, body, program, np.radians(feet.camera.pitch_deg))
         self.intrinsics = intrinsics(feet.camera)
         self.T_head_camera = feet.camera.T_head_camera
+        if askew:
+            self.T_head_camera = self.T_head_camera @ _askew(seeded(seed, _STREAM, 4))
         self._mishaps = Mishaps(seed, disturbances or Disturbances())
         rng = seeded(seed, _STREAM)
         self._T_ankle_foot = {side: self._marker_on_foot(side, rng) for side in SIDES}
         self._noise = noise
         self._lamp_phase = rng.uniform(0.0, 2.0 * np.pi, 3)
         self._cells = {side: marker_cells(feet.dictionary, foot.marker_id) for side, foot in feet.feet.items()}
+        self.on_floor: list[Card] = []
+        if askew:
+            # Laid down by hand: anywhere there, at any angle.
+            yaw, x, z = seeded(seed, _STREAM, 5).uniform((-0.5, -0.08, -0.55), (0.5, 0.08, -0.4))
+            T_rig_marker = rigid(rotation_y(yaw), np.array([x, _PAPER_M, z]))
+            self.on_floor = [Card(T_rig_marker, next(iter(self._cells.values())), feet.marker_size_m)]
+            self._cells = {}
         self._imus = {
             side: AnkleImu(
                 seed,
@@ -133,7 +151,9 @@ class WalkerWorld:
         if config.feet is None:
             raise ConfigError(f"{rig.path / 'rig.toml'}: no [feet], so nobody walks; add [feet.left] with marker_id")
         body = person_of(BodyModel.from_config(config.body), config.sim.seed)
-        return cls(config.sim.seed, body, config.sim.walk, feet=config.feet)
+        askew = config.sim.motion == "headset"
+        program = LOOK_AT_MARKER if askew else config.sim.walk
+        return cls(config.sim.seed, body, program, feet=config.feet, askew=askew)
 
     def head(self, t_s: FloatArray) -> FloatArray:
         """Return T_rig_head (N, 4, 4) at times (N,)."""
@@ -245,7 +265,7 @@ class WalkerWorld:
     ) -> Scene:
         size_m = self.feet_config.marker_size_m
         cells = dict(self._cells)
-        litter = []
+        litter = [*self.on_floor]
         false = self._mishaps.false_marker(t_s, lambda side, at_s: self.feet(np.array([at_s]))[side][0])
         if false is not None and false.side in self._cells:
             if false.T_rig_foot is None:
@@ -279,6 +299,12 @@ class WalkerWorld:
             joints[f"{side}_ankle"] = ankle
             joints[f"{side}_foot"] = ball
         return joints
+
+
+def _askew(rng: np.random.Generator) -> FloatArray:
+    """Return how a camera sits against where a person thinks that it does, (4, 4)."""
+    turned = rng.uniform(-_ASKEW_RAD, _ASKEW_RAD, 3)
+    return rigid(rotation_from_vector(turned), rng.uniform(-_ASKEW_M, _ASKEW_M, 3))
 
 
 def _imu_rate_hz(feet: FeetConfig, side: Side) -> float:

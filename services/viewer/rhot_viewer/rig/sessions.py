@@ -8,10 +8,13 @@ from typing import Final
 from rhot.bus import Bus
 from rhot.calibration_step import StepContext
 from rhot.operation.control import broadcast, new_session
-from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, OBJECT_SOURCES, REGISTRATION_FILE, registration_name
+from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, HEADSET_FILE, OBJECT_SOURCES, REGISTRATION_FILE, registration_name
 from rhot.rig.kept_file import file_stamp
 
-_READ_AT_START: Final = (CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, *map(registration_name, OBJECT_SOURCES))
+_READ_AT_START: Final = (
+    *(CAMERAS_FILE, HAND_FILE, HEADSET_FILE, REGISTRATION_FILE),
+    *map(registration_name, OBJECT_SOURCES),
+)
 _CONNECT_S: Final = 2.0
 _CLOCK_S: Final = 2.0
 _DELAY_S: Final = 0.5

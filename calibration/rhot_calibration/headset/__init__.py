@@ -1,0 +1,1 @@
+"""Where the feet's depth camera sits on the headset."""

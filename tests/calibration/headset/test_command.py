@@ -1,0 +1,112 @@
+"""`rhot calibrate headset` over a recording of drawn pictures, and its step in the page."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from looked_at import looked_at, views_of
+from walked import record_walk
+
+from rhot.calibration_step import StepContext
+from rhot.errors import CalibrationError, ConfigError
+from rhot.rig import BusConfig, Rig, load_rig
+from rhot_calibration.headset import page_step
+from rhot_calibration.headset.collector import ViewCollector
+from rhot_calibration.headset.command import PREVIOUS_FILE, headset
+from rhot_calibration.headset.fit import mounting_error
+from rhot_calibration.headset.page_step import HeadsetStep
+from rhot_sim.walker.folder import write_walker_rig
+from rhot_sim.walker.world import WalkerWorld
+
+SECONDS = 20.0
+RATE_HZ = 5.0
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    return write_walker_rig(
+        tmp_path / "rig", endpoint="tcp/127.0.0.1:7", seed=1, motion="headset", rate_hz=RATE_HZ, imu_rate_hz=20.0
+    )
+
+
+def test_a_recording_tells_where_the_camera_sits(rig: Rig, tmp_path: Path) -> None:
+    record_walk(rig, tmp_path / "looked", SECONDS, depth=False)
+    arguments = [str(tmp_path / "looked"), "--rig", str(rig.path)]
+    dry = CliRunner().invoke(headset, [*arguments, "--dry-run"], catch_exceptions=False)
+    assert "nothing was written" in dry.output and load_rig(rig.path).headset is None
+    result = CliRunner().invoke(headset, arguments, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    found, true = load_rig(rig.path).T_head_camera, WalkerWorld.from_rig(rig).T_head_camera
+    assert found is not None and rig.T_head_camera is not None
+    angle_rad, distance_m = mounting_error(found, true)
+    typed_rad, typed_m = mounting_error(rig.T_head_camera, true)
+    assert np.degrees(angle_rad) < 0.5 < np.degrees(typed_rad)
+    assert distance_m < 0.01 < typed_m
+    for said in ("residual", "pitch", "at a foot", "the camera's pose so far was", "written: "):
+        assert said in result.output
+    CliRunner().invoke(headset, arguments, catch_exceptions=False)
+    assert (rig.path / PREVIOUS_FILE).exists()
+
+
+def test_what_cannot_be_is_said(rig: Rig, tmp_path: Path) -> None:
+    for arguments, message in (
+        ([], "give a folder of `rhot record --frames`, or --live"),
+        ([str(tmp_path)], "holds no camera"),
+        ([str(tmp_path), "--marker", "77"], "has the markers 0 to 31"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            CliRunner().invoke(headset, [*arguments, "--rig", str(rig.path)], catch_exceptions=False)
+
+
+async def test_the_page_looks_fits_tries_and_undoes(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = [10, 120]
+
+    async def collect(
+        config: BusConfig,
+        collector: ViewCollector,
+        *,
+        patience_s: float,
+        taken: Callable[[], None],
+        hint: Callable[[str], None],
+    ) -> None:
+        collector.camera = looked_at(1)[1]
+        collector.views += views_of(1, counts.pop(0))
+        hint(collector.hint)
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(page_step, "collect_views", collect)
+    step = HeadsetStep(StepContext(rig.path, BusConfig()))
+    assert step.view().state == "as typed into rig.toml" and step.view().enabled == {"start"}
+    values = {field.name: field.value for field in step.fields}
+    assert values == {"marker": "0", "size_mm": "60"}
+
+    async def look() -> None:
+        looking = asyncio.create_task(step.press("start", values))
+        async with asyncio.timeout(60.0):
+            while "views taken" not in "".join(remark.text for remark in step.view().remarks) or not step.view().share:
+                await asyncio.sleep(0.001)
+        assert "solve" in step.view().enabled
+        await step.press("solve", values)
+        await looking
+
+    with pytest.raises(CalibrationError, match="views of marker 0; 40 are the least"):
+        await look()
+    await look()
+    assert step.view().enabled == {"start", "try"}
+    await step.press("try", values)
+    assert load_rig(rig.path).headset is not None and step.view().state == "a new pose on trial"
+    await step.press("save", values)
+    assert step.view().done
+    assert [row[0] for row in step.view().tables[0].rows][:2] == ["residual", "position"]
+    with pytest.raises(ConfigError, match="write its number"):
+        await step.press("start", {**values, "marker": "x"})
+
+
+def test_a_rig_of_hands_has_nothing_to_do(rig_folder: Path) -> None:
+    step = HeadsetStep(StepContext(rig_folder, BusConfig()))
+    assert step.view().done and not step.fields and not step.view().enabled
