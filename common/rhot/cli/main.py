@@ -87,6 +87,7 @@ _EVALUATIONS: Final = {
     "feet": LazyCommand(
         "Track the feet of a simulated person, and compare with the 2021 thesis's tracker.", extra="bench"
     ),
+    "headset": LazyCommand("Find the feet's camera on simulated headsets, and compare with the truth.", extra="bench"),
     "steps": LazyCommand("Track feet on recordings of real sensors and cameras.", extra="bench"),
     "thesis": LazyCommand("Repeat the 2018 thesis's tables, with our figures beside them.", extra="bench"),
     "rig": LazyCommand("Measure your own rig: jitter, stage times, depth and grasping, as one report.", extra="bench"),
