@@ -45,13 +45,11 @@ class _Found:
 def headset(seeds: int, seconds: float) -> None:
     """Let simulated persons look at a marker on the floor, calibrate, and compare with where the camera truly sits.
 
-    Each has a camera that sits askew by up to 4 degrees and 2 cm about and along each axis. Pictures are drawn and coded
-    as recordings are; the head's poses have the noise of a Vive tracker: 0.3 mm and 0.1 degrees per axis.
+    Each has a camera that sits askew by up to 4 degrees and 2 cm about and along each axis. Pictures are drawn, and
+    coded as recordings are; the head's poses have the noise of a Vive tracker: 0.3 mm and 0.1 degrees per axis.
     """
-    found = []
     with Console(stderr=True).status("looking"), tempfile.TemporaryDirectory(prefix="rhot-headset-") as folder:
-        for seed in range(1, seeds + 1):
-            found.append(_calibrated(Path(folder) / f"{seed}", seed, seconds))
+        found = [_calibrated(Path(folder) / f"{seed}", seed, seconds) for seed in range(1, seeds + 1)]
     Console().print(_table(found))
 
 
