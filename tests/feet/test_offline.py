@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from walked import record_walk
+from headset_feet.walked import record_walk
 
 from rhot.cli.recordings.export import export
 from rhot.cli.recordings.process import process

@@ -225,7 +225,7 @@ def _levenberg(
         b = J.T @ (w * residual)
         A[_DELAY, _DELAY] += DELAY_SD_S**-2
         b[_DELAY] += state.delay_s * DELAY_SD_S**-2
-        step = -np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-12), b)
+        step = np.asarray(-np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-12), b), np.float64)
         moved = state.moved(step)
         then = scaled(moved)
         after = cost(then, moved)

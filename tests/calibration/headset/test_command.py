@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from looked_at import looked_at, views_of
-from walked import record_walk
+from headset_feet.looked_at import looked_at, views_of
+from headset_feet.walked import record_walk
 
 from rhot.calibration_step import StepContext
 from rhot.errors import CalibrationError, ConfigError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from looked_at import SIZE_M, corners_of, looked_at, views_of
+from headset_feet.looked_at import SIZE_M, corners_of, looked_at, views_of
 
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import FloatArray, rotation_from_vector, vector_from_rotation
