@@ -128,9 +128,9 @@ def test_building_takes_less_than_a_third_of_a_second(paints: dict[str, RgbColor
     colors = nominal_colors(paints).model_copy(update={"background": GaussianColor(components=(component,) * 20)})
     times = []
     for _ in range(3):
-        begun = time.perf_counter()
+        begun = time.process_time()  # others may have the processors
         build_color_table(colors, list(paints))
-        times.append(time.perf_counter() - begun)
+        times.append(time.process_time() - begun)
     assert min(times) < 0.3
 
 

@@ -82,7 +82,7 @@ def _measure(grids: Sequence[Grid]) -> list[Centre]:
     doubtful = [
         k
         for k, (painted, (m00, m10, m01)) in enumerate(totals)
-        if painted < _MIN_SHARE_OF_MASK * batch.area[k] or abs(m10) > x * m00 or abs(m01) > y * m00
+        if painted < _MIN_SHARE_OF_MASK * batch.area[k] or not _within(grids[k], m10 + x * m00, m01 + y * m00, m00)
     ]
     if doubtful:
         share[doubtful] = batch.insides[doubtful]
@@ -102,3 +102,9 @@ def _measure(grids: Sequence[Grid]) -> list[Centre]:
         # Local means reach over a few pixels: on a coarser grid too far.
         (centres[k],) = _measure([grid_of(grids[k].window, coarse=False)])
     return centres
+
+
+def _within(grid: Grid, m10: float, m01: float, m00: float) -> bool:
+    """Tell whether a centroid, by its moments about the first pixel, lies in the window: the batch may be larger."""
+    height, width = grid.mask.shape
+    return 0.0 <= m10 <= (width - 1) * m00 and 0.0 <= m01 <= (height - 1) * m00
