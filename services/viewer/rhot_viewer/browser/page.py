@@ -20,6 +20,7 @@ import viser
 from rhot.errors import DeviceError
 from rhot_viewer.browser.access import Access
 from rhot_viewer.browser.guard import Guard
+from rhot_viewer.browser.waking import wake_senders_safely
 
 logger = logging.getLogger(__name__)
 
@@ -56,6 +57,7 @@ class Page:
         self._browsers: set[int] = set()
         self._looked_at = asyncio.Event()
         _check_free(host, port)
+        wake_senders_safely()
         self.guard = Guard(access or Access())
         with _quiet(), self.guard.standing_in():
             self.server = viser.ViserServer(host=host, port=port, label="RHOT", verbose=False)

@@ -107,4 +107,4 @@ def _measure(grids: Sequence[Grid]) -> list[Centre]:
 def _within(grid: Grid, m10: float, m01: float, m00: float) -> bool:
     """Tell whether a centroid, by its moments about the first pixel, lies in the window: the batch may be larger."""
     height, width = grid.mask.shape
-    return 0.0 <= m10 <= (width - 1) * m00 and 0.0 <= m01 <= (height - 1) * m00
+    return bool(0.0 <= m10 <= (width - 1) * m00 and 0.0 <= m01 <= (height - 1) * m00)
