@@ -30,4 +30,4 @@ def test_a_wrong_file_is_no_reason_to_show_nothing(rig: Rig) -> None:
     assert marker_colors(rig) == made_up
     box = RgbBoxColor(low=(250.0, 0.0, 0.0), high=(250.0, 0.0, 0.0))
     write_json_model(rig.colors_path, ColorsFile(markers={"thumb": box, "toe": box}))
-    assert marker_colors(rig) == made_up | {"thumb": (250, 0, 0)}
+    assert marker_colors(rig) == made_up | {"thumb": (250, 0, 0), "left_ring": (250, 0, 0)}, "they share a paint"
