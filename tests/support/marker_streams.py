@@ -106,12 +106,17 @@ class StreamFigures:
     seconds_per_frame: float
 
 
-def replay_figures(rig: Rig, recording_path: Path, seen_bits: int) -> tuple[StreamFigures, FusionStage]:
-    """Run a recorded stream and measure it; `seen_bits` of masks.csv tell what was not truly seen."""
+def replay_figures(
+    rig: Rig, recording_path: Path, seen_bits: int, rows: int | None = None
+) -> tuple[StreamFigures, FusionStage]:
+    """Run a recorded stream and measure it; `seen_bits` of masks.csv tell what was not truly seen.
+
+    `rows` of that file end it sooner.
+    """
     recording = load_recording(recording_path)
     stage = FusionStage(rig)
-    frames = list(marker_track_frames(rig, recording))
-    masks = np.loadtxt(recording_path / "masks.csv", delimiter=",", skiprows=1, dtype=np.int64)
+    masks = np.loadtxt(recording_path / "masks.csv", delimiter=",", skiprows=1, dtype=np.int64)[:rows]
+    frames = [frame for frame in marker_track_frames(rig, recording) if frame.frame <= masks[-1, 0]]
     left = recording.cameras["left"]
     assert isinstance(left, MarkerTrack)
     start_ns = int(left.t_ns[0])
@@ -131,10 +136,11 @@ def replay_figures(rig: Rig, recording_path: Path, seen_bits: int) -> tuple[Stre
                 places[row, column] = point.position
                 state[row, column] = point.state == "measured"
     u = np.full((len(masks), len(MARKERS)), np.nan)
+    kept = left.frames <= masks[-1, 0]
     u[
-        [row_of[frame] for frame in left.frames.tolist()],
-        np.array([MARKERS.index(name) for name in left.markers])[left.marker],
-    ] = left.uv[:, 0]
+        [row_of[frame] for frame in left.frames[kept].tolist()],
+        np.array([MARKERS.index(name) for name in left.markers])[left.marker[kept]],
+    ] = left.uv[kept, 0]
     seen = (masks[:, 1:7] & seen_bits) == 0
     reported = np.isfinite(places[:, :, 2])
     steps = np.linalg.norm(np.diff(places, axis=0), axis=2).ravel() * 1e3
