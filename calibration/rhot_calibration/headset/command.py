@@ -11,13 +11,13 @@ from rich.console import Console
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
-from rhot.rig import BusConfig, HeadsetFile, load_rig, read_json_model, write_json_model
+from rhot.rig import BusConfig, HeadsetFile, load_rig, read_json_model
 from rhot.rig.folder import HEADSET_FILE
 from rhot_calibration.headset.checks import headset_file, judged, report_lines
 from rhot_calibration.headset.collector import WANTED, ViewCollector
 from rhot_calibration.headset.streams import collect_views, views_recorded
+from rhot_calibration.writing import write_found
 
-PREVIOUS_FILE: Final = "headset.previous.json"
 _PATIENCE_S: Final = 30.0
 _SAY_EVERY: Final = 25
 
@@ -79,13 +79,9 @@ def headset(
     for note in found.notes:
         console.print(f"note: {note}", style="yellow")
     file = rig_path / HEADSET_FILE
-    if dry_run:
-        console.print(f"nothing was written (--dry-run); {file} is as before")
-        return
-    if file.exists():
-        write_json_model(rig_path / PREVIOUS_FILE, read_json_model(file, HeadsetFile))
-    write_json_model(file, headset_file(found))
-    console.print(f"written: {file}; `rhot feet` takes it at the next start (`rhot start`)")
+    before = read_json_model(file, HeadsetFile) if file.exists() else None
+    then = "`rhot feet` takes it at the next start (`rhot start`)"
+    write_found(console, file, headset_file(found), before, dry_run=dry_run, then=then)
 
 
 def _look(bus: BusConfig, collector: ViewCollector) -> None:

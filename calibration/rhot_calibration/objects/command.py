@@ -14,7 +14,7 @@ from rich.console import Console
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.geometry.rotations import FloatArray
-from rhot.rig import BusConfig, RegistrationFile, Rig, load_rig, write_json_model
+from rhot.rig import BusConfig, RegistrationFile, Rig, load_rig
 from rhot.rig.config import ObjectSource
 from rhot.rig.folder import registration_name, registration_path
 from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
@@ -33,6 +33,7 @@ from rhot_calibration.objects.table import read_places
 from rhot_calibration.objects.touch.command import calibrate_by_touch
 from rhot_calibration.objects.touch.options import source_of, touch_options
 from rhot_calibration.objects.touch.streams import touch_task
+from rhot_calibration.writing import write_found
 
 _UNKNOWN_LEVER_SD_M: Final = 0.05
 """A marker sits on a tracker of 10 cm, somewhere."""
@@ -196,14 +197,9 @@ def objects(
     report(console, fit, prior)
     for note in filter(None, notes):
         console.print(f"note: {note}", style="yellow")
-    if dry_run:
-        console.print(f"nothing was written (--dry-run); {file} is as before")
-        return
-    if held is not None:
-        write_json_model(file.with_suffix(".previous.json"), before)
     written = registration_file(fit, places, before, object_id=shown.object_id, marker=shown.marker, prior=prior)
-    write_json_model(file, written)
-    console.print(f"written: {file}; `rhot objects` takes it when it is started again")
+    kept = None if held is None else before
+    write_found(console, file, written, kept, dry_run=dry_run, then="`rhot objects` takes it when it is started again")
 
 
 def _realign_prior(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import Final
 
 import click
 import numpy as np
@@ -14,7 +13,7 @@ from rhot.bus import Bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.geometry.camera import CameraModel
-from rhot.rig import Rig, StageFile, load_rig, read_json_model, write_json_model
+from rhot.rig import Rig, StageFile, load_rig, read_json_model
 from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
 from rhot.rig.folder import STAGE_FILE, registration_name, registration_path
 from rhot_calibration.cameras.board.boards import DEFAULT_DICTIONARY, parse_board
@@ -24,8 +23,7 @@ from rhot_calibration.cameras.solve.views import Board, ViewSet
 from rhot_calibration.stage.desk import DeskFit, fit_desk, residual_text
 from rhot_calibration.stage.floor import FORWARDS, Forward, desk_file, registration_stage
 from rhot_calibration.stage.live import look_at_desk
-
-PREVIOUS_FILE: Final = "stage.previous.json"
+from rhot_calibration.writing import write_found
 
 
 @click.command()
@@ -120,7 +118,10 @@ def stage(
         first = next(iter(cameras.values()))
         found = desk_file(fit, first, 1e-3 * desk_mm, 1e-3 * thickness_mm, forward)
     _tell(console, rig, found)
-    _write(console, rig.path, found, dry_run)
+    file = rig.path / STAGE_FILE
+    before = read_json_model(file, StageFile) if file.exists() else None
+    then = "a running rig publishes it on rhot/space/stage within a second"
+    write_found(console, file, found, before, dry_run=dry_run, then=then)
 
 
 async def _look(rig_path: Path, connect: tuple[str, ...], namespace: str | None, rig: Rig, board: Board) -> ViewSet:
@@ -145,14 +146,3 @@ def _tell(console: Console, rig: Rig, found: StageFile) -> None:
         console.print(
             f"camera {name:12s} {y:.0f} mm over the floor, {x:.0f} to the right, {-z:.0f} forward of the origin"
         )
-
-
-def _write(console: Console, rig_path: Path, found: StageFile, dry_run: bool) -> None:
-    file = rig_path / STAGE_FILE
-    if dry_run:
-        console.print(f"nothing was written (--dry-run); {file} is as before")
-        return
-    if file.exists():
-        write_json_model(rig_path / PREVIOUS_FILE, read_json_model(file, StageFile))
-    write_json_model(file, found)
-    console.print(f"written: {file}; a running rig publishes it on rhot/space/stage within a second")

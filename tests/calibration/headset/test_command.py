@@ -18,7 +18,7 @@ from rhot.rig import BusConfig, HeadsetFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import HEADSET_FILE
 from rhot_calibration.headset import command, page_step
 from rhot_calibration.headset.collector import ViewCollector
-from rhot_calibration.headset.command import PREVIOUS_FILE, headset
+from rhot_calibration.headset.command import headset
 from rhot_calibration.headset.fit import mounting_error
 from rhot_calibration.headset.page_step import HeadsetStep
 from rhot_sim.walker.folder import write_walker_rig
@@ -49,7 +49,7 @@ def test_a_recording_tells_where_the_camera_sits(rig: Rig, tmp_path: Path) -> No
     assert distance_m < 0.01 < typed_m
     for said in ("residual", "pitch", "at a foot", "the camera's pose so far was", "written: "):
         assert said in result.output
-    assert read_json_model(rig.path / PREVIOUS_FILE, HeadsetFile).date == "2026-01-01"
+    assert read_json_model(rig.path / "headset.previous.json", HeadsetFile).date == "2026-01-01"
 
 
 def test_a_dry_run_writes_nothing(rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

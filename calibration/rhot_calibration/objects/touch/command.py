@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_between
-from rhot.rig import BusConfig, Rig, write_json_model
+from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import registration_name, registration_path
 from rhot_calibration.objects.touch.checks import Judged, flesh_note, judged
 from rhot_calibration.objects.touch.collector import TouchCollector
@@ -22,6 +22,7 @@ from rhot_calibration.objects.touch.live import collect_touches
 from rhot_calibration.objects.touch.record import R_before, touched_registration
 from rhot_calibration.objects.touch.recording import touches_recorded
 from rhot_calibration.objects.touch.streams import TouchTask
+from rhot_calibration.writing import write_found
 
 _PATIENCE_S: Final = 15.0
 
@@ -52,13 +53,10 @@ def calibrate_by_touch(rig: Rig, task: TouchTask, source: BusConfig | Path, *, d
         console.print(f"note: {note}", style="yellow")
     file = rig.path / registration_name(task.source)
     held, before = registration_path(rig.path, task.source), rig.registration_of(task.source)
-    if dry_run:
-        console.print(f"nothing was written (--dry-run); {file} is as before")
-        return
-    if held is not None:
-        write_json_model(file.with_suffix(".previous.json"), before)
-    write_json_model(file, touched_registration(before, task, found, len(collector.touches)))
-    console.print(f"written: {file}; `rhot objects` takes it at the next start (`rhot start`)")
+    written = touched_registration(before, task, found, len(collector.touches))
+    kept = None if held is None else before
+    then = "`rhot objects` takes it at the next start (`rhot start`)"
+    write_found(console, file, written, kept, dry_run=dry_run, then=then)
 
 
 def report_lines(task: TouchTask, found: Judged) -> tuple[str, ...]:
