@@ -24,6 +24,8 @@ from rhot_sim.world.world import World
 
 START_NS = 1_790_000_000_000_000_000
 SECONDS = 1.5
+STREAM_FRAMES = 1800
+"""Of 4,762 frames of a real stream: thirty seconds show whether files become a hand; `tests/fusion` replays all of it."""
 
 
 def lines_of(rig: Path, recording: Path, out: Path, *options: str) -> list[dict[str, Any]]:
@@ -129,7 +131,12 @@ def real_stream(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     (folder / "rig").mkdir()
     (folder / "rig" / "rig.toml").write_text(rig_template(folder="rig", name="test"))
     stream = shared_data / "thesis_rig" / "recordings" / "hand_recovered"
-    return lines_of(folder / "rig", stream, folder / "out.jsonl")
+    for camera in ("left", "right"):
+        (folder / "stream" / camera).mkdir(parents=True)
+        heading, *rows = (stream / camera / "markers.csv").read_text().splitlines()
+        kept = [row for row in rows if int(row.split(",", 1)[0]) < STREAM_FRAMES]
+        (folder / "stream" / camera / "markers.csv").write_text("\n".join([heading, *kept]) + "\n")
+    return lines_of(folder / "rig", folder / "stream", folder / "out.jsonl")
 
 
 @pytest.mark.xdist_group("real stream")
