@@ -48,9 +48,9 @@ from rhot_capture.sources import Frame
 
 logger = logging.getLogger(__name__)
 
-pytestmark = [pytest.mark.integration, pytest.mark.real_time]
+pytestmark = pytest.mark.integration
 
-SESSION_S = 5.0
+SESSION_S = 4.0
 CONFIG = ("rhot/config/fusion/main", "application/json", b'{"hold_s": 0.5}')
 Sent = tuple[str, str, bytes]
 
@@ -84,8 +84,8 @@ async def said(process: asyncio.subprocess.Process, words: str) -> str:
 
 
 @contextlib.asynccontextmanager
-async def recording(router: BusConfig, file: Path, *options: str) -> AsyncIterator[None]:
-    """Record everything while the block runs, then end by Ctrl-C, which has to take less than two seconds."""
+async def recording(router: BusConfig, file: Path, *options: str, ends_within_s: float = 10.0) -> AsyncIterator[None]:
+    """Record everything while the block runs, then end by Ctrl-C."""
     process = await start("record", "--out", str(file), "--connect", router.connect[0], *options)
     try:
         await said(process, "recording to")
@@ -94,11 +94,11 @@ async def recording(router: BusConfig, file: Path, *options: str) -> AsyncIterat
         await asyncio.sleep(0.3)
         process.send_signal(signal.SIGINT)
         begun = time.monotonic()
-        output, errors = await asyncio.wait_for(process.communicate(), 10.0)
+        output, errors = await asyncio.wait_for(process.communicate(), PATIENCE_S)
         took_s = time.monotonic() - begun
         assert process.returncode == 0, errors.decode()
         assert "were lost" not in errors.decode(), errors.decode() + output.decode()
-        in_time(took_s, 2.0, "the end")
+        in_time(took_s, ends_within_s, "the end")
     finally:
         with contextlib.suppress(ProcessLookupError):
             process.kill()
@@ -171,8 +171,9 @@ def spacing_errors_ms(first: Sequence[RecordedSample], second: Sequence[Recorded
     return errors_ms
 
 
+@pytest.mark.real_time
 async def test_a_session_survives_recording_and_replay(router: BusConfig, tmp_path: Path) -> None:
-    async with recording(router, tmp_path / "live.mcap"):
+    async with recording(router, tmp_path / "live.mcap", ends_within_s=2.0):
         sent = await publish_session(router, SESSION_S)
     live = list(open_mcap(tmp_path / "live.mcap").samples())
     assert len(sent) > 600 * SESSION_S
@@ -206,6 +207,7 @@ async def test_a_session_survives_recording_and_replay(router: BusConfig, tmp_pa
     in_time(quick_s, 0.5 * SESSION_S, "ten times as fast")
 
 
+@pytest.mark.real_time
 async def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(router: BusConfig, tmp_path: Path) -> None:
     file = tmp_path / "killed.mcap"
     process = await start("record", "--out", str(file), "--connect", router.connect[0])
