@@ -25,7 +25,7 @@ from rhot_sim.world.world import World
 START_NS = 1_790_000_000_000_000_000
 SECONDS = 1.5
 STREAM_FRAMES = 1800
-"""Of 4,762 frames of a real stream: thirty seconds show whether files become a hand; `tests/fusion` replays all of it."""
+"""Of 4,762 frames of a real stream: thirty seconds show that files become a hand; tests/fusion replays all."""
 
 
 def lines_of(rig: Path, recording: Path, out: Path, *options: str) -> list[dict[str, Any]]:
