@@ -5,9 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import things
 
 from rhot.errors import ConfigError
-from rhot.messages import BoxShape, CylinderShape, MarkerFrame, ObjectPose, PointSet, SphereShape, decode, encode
+from rhot.messages import (
+    BoxShape,
+    CylinderShape,
+    MarkerFrame,
+    MeshShape,
+    ObjectPose,
+    PointSet,
+    SphereShape,
+    decode,
+    encode,
+)
 from rhot.offline import track_with
 from rhot.rig import Rig, load_rig
 from rhot_objects.assemble import plan_sources
@@ -59,6 +70,21 @@ def test_what_rig_toml_states_is_on_the_wire(
     assert decode(encode(pose), ObjectPose).shape == shape
 
 
+def test_a_mesh_is_on_the_wire_by_its_planes_and_a_bad_file_stops_the_start(tmp_path: Path) -> None:
+    things.save(things.mug(), tmp_path / "cup.glb")
+    cup = '[objects.cup]\nsource = "recorded"\npath = "cup.csv"\nshape = { kind = "mesh", file = "cup.glb" }\n'
+    rig = rig_with(tmp_path, cup)
+    (plan,) = plan_sources(rig)
+    level = PoseSample(1, Pose.from_arrays((0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)))
+    ((_, pose),) = plan.stage.feed({"cup": level}, 1)
+    shape = decode(encode(pose), ObjectPose).shape
+    assert isinstance(shape, MeshShape)
+    assert shape.size == pytest.approx((0.08, 0.095, 0.115), abs=1e-4)
+    (tmp_path / "cup.glb").write_bytes(b"no glTF any more")
+    with pytest.raises(ConfigError, match=r"cup\.glb: is no glTF"):
+        plan_sources(rig)
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -67,6 +93,8 @@ def test_what_rig_toml_states_is_on_the_wire(
         '{ kind = "sphere", radius = -0.04 }',
         '{ kind = "sphere", radius = 0.04, height = 0.1 }',
         '"cylinder"',
+        '{ kind = "mesh" }',
+        '{ kind = "mesh", file = "cup.glb", scale = 0 }',
     ],
 )
 def test_a_shape_that_is_none_is_refused_by_name(tmp_path: Path, text: str) -> None:

@@ -112,6 +112,7 @@ function begin() {
   const middle = apply(rig.T_stage_rig, hello.desk.middle);
   deskHeight = hello.desk.shown ? middle[1] : 0;
   stage.placeDesk(middle, hello.desk.shown);
+  stage.models.tell(hello.meshes);
   const at = add(middle, BALL_FROM_MIDDLE);
   ball = new VirtualThing({ p: [at[0], deskHeight + BALL.radius, at[2]], q: [0, 0, 0, 1] }, (q) => halfHeight(BALL, q));
   headset.published = hello.may_publish && hello.devices.length > 0;

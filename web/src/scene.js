@@ -3,6 +3,7 @@ import {
   BoxGeometry, CanvasTexture, CapsuleGeometry, Color, CylinderGeometry, DirectionalLight, Fog, Group, HemisphereLight,
   Mesh, MeshBasicMaterial, PlaneGeometry, Quaternion, RepeatWrapping, SRGBColorSpace, Scene, SphereGeometry, Vector3,
 } from "three";
+import { Models, tint } from "./models.js";
 import { UNKNOWN } from "./shapes.js";
 import { surface } from "./surfaces.js";
 
@@ -10,6 +11,7 @@ const BACKGROUND = 0x46525e;
 const TWIN = 0xd6a03c;
 const PREDICTED = 0x4f93e0;
 const VIRTUAL = 0xb06bd6;
+const LIT = 0x4a3a10;
 const LIMB = 0xb4bac2;
 const DESK_SIZE = [1.3, 0.03, 0.75];
 const FOOT = { size: [0.09, 0.06, 0.26], middle: [0, -0.04, 0.03] };
@@ -61,6 +63,9 @@ export function geometryOf(shape) {
   return new BoxGeometry(...shape.size);
 }
 
+/** What a thing's drawing depends on: the planes of a mesh are many, and its file and size tell it. */
+const keyOf = (shape) => (shape.kind === "mesh" ? `mesh ${shape.file} ${shape.size}` : JSON.stringify(shape));
+
 export class Stage {
   #things = new Map();
   #feet = new Map();
@@ -70,6 +75,7 @@ export class Stage {
 
   constructor(shadows) {
     this.scene = new Scene();
+    this.models = new Models(TWIN);
     this.background = new Color(BACKGROUND);
     this.scene.background = this.background;
     this.scene.fog = new Fog(BACKGROUND, 2.5, 7);
@@ -121,10 +127,11 @@ export class Stage {
       if (mesh) mesh.visible = false;
       return;
     }
-    const key = JSON.stringify(shape ?? UNKNOWN);
+    const model = shape?.kind === "mesh" ? this.models.of(name, shape) : null;
+    const key = (model ? "model " : "") + keyOf(shape ?? UNKNOWN);
     if (mesh?.userData.shape !== key) {
       if (mesh) this.#drop(mesh);
-      mesh = new Mesh(geometryOf(shape ?? UNKNOWN), surface({ roughness: 0.5, transparent: !shape && !virtual, opacity: !shape && !virtual ? 0.85 : 1 }));
+      mesh = model ?? new Mesh(geometryOf(shape ?? UNKNOWN), surface({ roughness: 0.5, transparent: !shape && !virtual, opacity: !shape && !virtual ? 0.85 : 1 }));
       mesh.castShadow = mesh.receiveShadow = true;
       mesh.userData.shape = key;
       this.#things.set(name, mesh);
@@ -133,14 +140,20 @@ export class Stage {
     mesh.visible = true;
     mesh.position.set(...at.p);
     mesh.quaternion.set(...at.q);
+    if (model) {
+      tint(model, predicted ? PREDICTED : null, lit ? LIT : 0);
+      return;
+    }
     mesh.material.color.set(virtual ? VIRTUAL : predicted ? PREDICTED : TWIN);
-    mesh.material.emissive.set(lit ? 0x4a3a10 : 0);
+    mesh.material.emissive.set(lit ? LIT : 0);
   }
 
-  #drop(mesh) {
-    this.root.remove(mesh);
-    mesh.geometry.dispose();
-    mesh.material.dispose();
+  #drop(thing) {
+    this.root.remove(thing);
+    thing.traverse((part) => {
+      part.geometry?.dispose();
+      part.material?.dispose();
+    });
   }
 
   /** A soft shadow on the desk, straight below: it tells how high a thing is, at the cost of two triangles. */

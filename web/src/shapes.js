@@ -6,6 +6,7 @@ const STEP = 1e-4;
 
 function local(shape, [x, y, z]) {
   if (shape.kind === "sphere") return Math.hypot(x, y, z) - shape.radius;
+  if (shape.kind === "mesh") return hull(shape.planes, x, y, z);
   let outside, inside;
   if (shape.kind === "cylinder") {
     // Its axis is z.
@@ -19,6 +20,31 @@ function local(shape, [x, y, z]) {
     inside = Math.min(Math.max(d[0], d[1], d[2]), 0);
   }
   return outside + inside;
+}
+
+/** Where a thing is further away than this, its edges do not matter, metres. */
+const EDGES_M = 0.05;
+
+/** Distance to the planes [x, y, z, d] around a mesh; beyond a corner that to the nearest edge's line. */
+function hull(planes, x, y, z) {
+  let most = -Infinity;
+  let first = null;
+  for (const plane of planes) {
+    const beyond = plane[0] * x + plane[1] * y + plane[2] * z - plane[3];
+    if (beyond > most) {
+      most = beyond;
+      first = plane;
+    }
+  }
+  if (most <= 0 || most > EDGES_M) return most;
+  let squared = most * most;
+  for (const plane of planes) {
+    const cosine = plane[0] * first[0] + plane[1] * first[1] + plane[2] * first[2];
+    const beside = plane[0] * x + plane[1] * y + plane[2] * z - plane[3] - cosine * most;
+    const sine2 = 1 - cosine * cosine;
+    if (beside > 0 && sine2 > 1e-6) squared = Math.max(squared, most * most + (beside * beside) / sine2);
+  }
+  return Math.sqrt(squared);
 }
 
 /** A body: a shape at a pose. */

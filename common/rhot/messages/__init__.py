@@ -29,7 +29,16 @@ from rhot.messages.codec import MAX_PAYLOAD_BYTES, decode, encode, encoding_of, 
 from rhot.messages.feet import BodyJoint, BodyPose, FootPose, LegAngles
 from rhot.messages.hand import FingerAngles, HandPose, Joint
 from rhot.messages.markers import Marker, MarkerFrame, Point, PointSet
-from rhot.messages.objects import BoxShape, CylinderShape, HeadPose, ObjectPose, ObjectShape, SphereShape
+from rhot.messages.objects import (
+    BoxShape,
+    CylinderShape,
+    FacedShape,
+    HeadPose,
+    MeshShape,
+    ObjectPose,
+    ObjectShape,
+    SphereShape,
+)
 from rhot.messages.services import ClockReply, Control, ServiceStatus
 from rhot.messages.spaces import Space
 from rhot.messages.truth import TruePose, Truth
@@ -44,6 +53,7 @@ __all__ = [
     "Control",
     "Count",
     "CylinderShape",
+    "FacedShape",
     "FingerAngles",
     "FootPose",
     "HandPose",
@@ -52,6 +62,7 @@ __all__ = [
     "LegAngles",
     "Marker",
     "MarkerFrame",
+    "MeshShape",
     "Message",
     "Name",
     "ObjectPose",

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rhot.errors import ConfigError
+from rhot.object_mesh import object_shape
 from rhot.plugins import load_simulated
 from rhot.rig import ObjectConfig, Rig
 from rhot_objects.registration import Registration
@@ -36,7 +37,7 @@ def plan_sources(rig: Rig) -> list[SourcePlan]:
     """Return the sources of a rig's objects: one SteamVR, one simulated world, one recording per recorded object.
 
     Raises:
-        ConfigError: two objects share a serial number.
+        ConfigError: two objects share a serial number, or the file of a shape cannot be used.
     """
     objects = rig.config.objects
     plans = []
@@ -66,7 +67,7 @@ def recorded_sources(rig: Rig) -> list[SourcePlan]:
 
 
 def _plan(rig: Rig, name: str, source: PoseSource, configs: Mapping[str, ObjectConfig]) -> SourcePlan:
-    shapes = {name: config.shape for name, config in rig.config.objects.items() if config.shape is not None}
+    shapes = {name: shape for name in rig.config.objects if (shape := object_shape(rig, name)) is not None}
     registration = Registration.from_file(rig.registration_of(source_kind(name)))
     rate_hz = max(config.rate_hz for config in configs.values())
     return SourcePlan(name, rate_hz, source, ObjectStage(registration, shapes=shapes))

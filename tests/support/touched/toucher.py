@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rhot.geometry.rotations import FloatArray, rotation_from_vector
-from rhot.messages import BoxShape, CylinderShape, ObjectShape, SphereShape
+from rhot.messages import BoxShape, CylinderShape, FacedShape, SphereShape
 from rhot_calibration.objects.touch.fit import TOUCH_SD_M, Touch
 
 BOX = BoxShape(size=(0.1, 0.06, 0.065))
@@ -21,7 +21,7 @@ _FACES = {"top": (1, 1), "bottom": (1, -1), "front": (2, 1), "back": (2, -1), "r
 _CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
 
-def surface(shape: ObjectShape, face: str, number: int, count: int) -> tuple[FloatArray, FloatArray]:
+def surface(shape: FacedShape, face: str, number: int, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the place (3,) of touch `number` of `count` on a face, and the way out there (3,), object axes."""
     out, place = np.zeros(3), np.zeros(3)
     first, second = _CORNERS[number % 4]
@@ -57,7 +57,7 @@ class Toucher:
         flesh_m: how far the tip stays off by more than its radius.
     """
 
-    shape: ObjectShape
+    shape: FacedShape
     seed: int = 1
     noise_m: float = TOUCH_SD_M
     flesh_m: float = 0.0005

@@ -23,8 +23,7 @@ from rhot_viewer.browser.access import Access, Role
 from rhot_viewer.browser.guard import Guard
 from rhot_viewer.grasp import files
 from rhot_viewer.grasp.newest import Newest
-from rhot_viewer.grasp.server import Browser, GraspServer
-from rhot_viewer.grasp.service import page_tls
+from rhot_viewer.grasp.server import Browser, GraspServer, page_tls
 
 TOKEN = "a-token-that-is-long-enough"
 DEVICES = {"type": "devices", "t_ms": 1.7e12, "head": {"position": [0, 1, 0], "orientation": [0, 0, 0, 1]}}
@@ -51,6 +50,7 @@ class Page:
             lambda: 1234.5,
             lambda _, told: self.heard.append(told),
             self.left.append,
+            {"cup": b"glTF"}.get,
         )
 
     def hello(self, role: Role) -> str:
@@ -208,11 +208,13 @@ async def test_files_of_the_bundle_and_no_others(page: Page, tmp_path: Path, mon
     (bundle / "grasp.js").write_text("1")
     assert await fetch(page, "/?token=x") == (200, b"<!doctype html>the page")
     assert await fetch(page, "/grasp.js") == (200, b"1")
+    assert await fetch(page, "/mesh.cup.glb") == (200, b"glTF"), "the surface of an object"
     for path in (
         "/../secret.js",
         "/%2e%2e/secret.js",
         "/..%2fsecret.js",
         "/none.js",
+        "/mesh.pot.glb",
         "/grasp.js/",
         "/.grasp.js",
         "//etc/passwd",

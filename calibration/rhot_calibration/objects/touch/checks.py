@@ -10,7 +10,7 @@ import numpy as np
 
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import FloatArray
-from rhot.messages import BoxShape, CylinderShape, ObjectShape
+from rhot.messages import BoxShape, CylinderShape, FacedShape
 from rhot_calibration.objects.touch.faces import faces_of, gaps
 from rhot_calibration.objects.touch.fit import OffsetFit, Touch, fit_offset
 
@@ -40,14 +40,14 @@ class Judged:
     kept: tuple[int, ...]
 
 
-def least_touches(shape: ObjectShape) -> int:
+def least_touches(shape: FacedShape) -> int:
     """Return how many touches determine the offset when they are well placed, one more than its unknowns."""
     if isinstance(shape, BoxShape):
         return 7
     return 6 if isinstance(shape, CylinderShape) else 5
 
 
-def missing_faces(shape: ObjectShape, faces: Sequence[str]) -> str:
+def missing_faces(shape: FacedShape, faces: Sequence[str]) -> str:
     """Return in words which faces must be touched, too; empty where those touched suffice."""
     there = set(faces)
     if isinstance(shape, BoxShape):
@@ -59,7 +59,7 @@ def missing_faces(shape: ObjectShape, faces: Sequence[str]) -> str:
     return ""
 
 
-def judged(shape: ObjectShape, touches: Sequence[Touch], R_before: FloatArray) -> Judged:
+def judged(shape: FacedShape, touches: Sequence[Touch], R_before: FloatArray) -> Judged:
     """Return the offset that touches tell.
 
     Args:
@@ -104,7 +104,7 @@ def flesh_note(fit: OffsetFit) -> str:
     return f"the finger keeps {much} distance than its radius says: do the sizes in rig.toml and hand.json hold?"
 
 
-def face_at(shape: ObjectShape, fit: OffsetFit, touch: Touch) -> str:
+def face_at(shape: FacedShape, fit: OffsetFit, touch: Touch) -> str:
     """Return the face on which a touch lies by an offset; empty where it lies on none."""
     q = fit.in_object(touch.tip_device)[None]
     off: dict[str, float] = {}
@@ -116,7 +116,7 @@ def face_at(shape: ObjectShape, fit: OffsetFit, touch: Touch) -> str:
 
 
 def _without_contradictions(
-    shape: ObjectShape, touches: Sequence[Touch], R_before: FloatArray
+    shape: FacedShape, touches: Sequence[Touch], R_before: FloatArray
 ) -> tuple[list[OffsetFit], tuple[int, ...]]:
     """Return the fits and the numbers of their touches after leaving out the few that contradict."""
     kept = list(range(len(touches)))
@@ -132,7 +132,7 @@ def _without_contradictions(
     return fits, tuple(kept)
 
 
-def _contradiction(shape: ObjectShape, touches: Sequence[Touch], fit: OffsetFit, R_before: FloatArray) -> str:
+def _contradiction(shape: FacedShape, touches: Sequence[Touch], fit: OffsetFit, R_before: FloatArray) -> str:
     """Return which face was mistaken, as far as the others can tell."""
     best: tuple[float, str] | None = None
     for face in dict.fromkeys(touch.face for touch in touches):
@@ -155,6 +155,6 @@ def _contradiction(shape: ObjectShape, touches: Sequence[Touch], fit: OffsetFit,
     )
 
 
-def _least_touched(shape: ObjectShape, touches: Sequence[Touch]) -> str:
+def _least_touched(shape: FacedShape, touches: Sequence[Touch]) -> str:
     counts = Counter(touch.face for touch in touches)
     return min(faces_of(shape), key=lambda face: counts[face])

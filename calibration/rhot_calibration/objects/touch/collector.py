@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhot.geometry.rotations import FloatArray, rotation_from_quaternion
-from rhot.messages import ObjectShape
+from rhot.messages import FacedShape
 from rhot_calibration.objects.stillness import LEAST_COVERED, covers, forget_old, held_pose
 from rhot_calibration.objects.touch.checks import LARGEST_OFF_M, face_at
 from rhot_calibration.objects.touch.faces import gaps, reach_m
@@ -54,7 +54,7 @@ class TouchCollector:
         rough: the offset by these touches, where somebody has worked it out; see `checks.judged`.
     """
 
-    def __init__(self, shape: ObjectShape, plan: Sequence[str], eye_rig: FloatArray | None = None) -> None:
+    def __init__(self, shape: FacedShape, plan: Sequence[str], eye_rig: FloatArray | None = None) -> None:
         self.shape = shape
         self.plan = tuple(plan)
         self.touches: list[Touch] = []

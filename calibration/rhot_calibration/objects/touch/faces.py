@@ -14,7 +14,7 @@ import numpy as np
 
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import FloatArray
-from rhot.messages import BoxShape, CylinderShape, ObjectShape
+from rhot.messages import BoxShape, CylinderShape, FacedShape
 
 _BOX_FACES: Final = {
     "top": (1, 1.0),
@@ -47,19 +47,19 @@ class Gaps:
     beside_slopes: FloatArray
 
 
-def faces_of(shape: ObjectShape) -> tuple[str, ...]:
+def faces_of(shape: FacedShape) -> tuple[str, ...]:
     """Return the names of a shape's faces, in the order in which they are asked for."""
     if isinstance(shape, BoxShape):
         return tuple(_BOX_FACES)
     return ("top", "side", "bottom") if isinstance(shape, CylinderShape) else ("anywhere",)
 
 
-def usual_faces(shape: ObjectShape) -> tuple[str, ...]:
+def usual_faces(shape: FacedShape) -> tuple[str, ...]:
     """Return the faces to touch unless somebody says otherwise: all but the one on which an object stands."""
     return tuple(face for face in faces_of(shape) if face != "bottom")
 
 
-def face_named(shape: ObjectShape, text: str) -> str:
+def face_named(shape: FacedShape, text: str) -> str:
     """Return a face by its name or its axis (such as `+x`).
 
     Raises:
@@ -75,14 +75,14 @@ def face_named(shape: ObjectShape, text: str) -> str:
     return word
 
 
-def free_rotations(shape: ObjectShape) -> tuple[int, ...]:
+def free_rotations(shape: FacedShape) -> tuple[int, ...]:
     """Return the object's axes about which a rotation changes nothing that a finger feels."""
     if isinstance(shape, BoxShape):
         return ()
     return (2,) if isinstance(shape, CylinderShape) else (0, 1, 2)
 
 
-def reach_m(shape: ObjectShape) -> float:
+def reach_m(shape: FacedShape) -> float:
     """Return the radius of the smallest ball about the shape's middle that holds all of it, metres."""
     if isinstance(shape, BoxShape):
         return 0.5 * float(np.linalg.norm(shape.size))
@@ -91,7 +91,7 @@ def reach_m(shape: ObjectShape) -> float:
     return shape.radius
 
 
-def gaps(shape: ObjectShape, face: str, q: FloatArray) -> Gaps:
+def gaps(shape: FacedShape, face: str, q: FloatArray) -> Gaps:
     """Return how points q (N, 3), metres, object axes, lie to a face of `faces_of`."""
     count = len(q)
     slopes = np.zeros((count, 2, 3))

@@ -28,7 +28,7 @@ from rhot.geometry.rotations import (
     rotation_from_quaternion,
     rotation_from_vector,
 )
-from rhot.messages import CylinderShape, ObjectShape, SphereShape
+from rhot.messages import CylinderShape, FacedShape, SphereShape
 from rhot_calibration.objects.touch.faces import free_rotations, gaps
 
 TOUCH_SD_M = 0.75e-3
@@ -117,7 +117,7 @@ class OffsetFit:
 class _Problem:
     """Touches by face, and their residuals with derivatives."""
 
-    def __init__(self, shape: ObjectShape, touches: Sequence[Touch]) -> None:
+    def __init__(self, shape: FacedShape, touches: Sequence[Touch]) -> None:
         self.shape = shape
         self.tips = np.array([touch.tip_device for touch in touches])
         self.radii = np.array([touch.radius_m for touch in touches])
@@ -153,7 +153,7 @@ class _Problem:
         return e, J
 
 
-def fit_offset(shape: ObjectShape, touches: Sequence[Touch], R_before: FloatArray) -> list[OffsetFit]:
+def fit_offset(shape: FacedShape, touches: Sequence[Touch], R_before: FloatArray) -> list[OffsetFit]:
     """Return the offsets that explain touches, the most probable one first; the others differ from it by far.
 
     Args:
@@ -256,7 +256,7 @@ def _described(problem: _Problem, state: _State, R_before: FloatArray) -> Offset
     return OffsetFit(R, p, flesh_m, residual, cost, ratio * covariance)
 
 
-def _with_free_part(shape: ObjectShape, R: FloatArray, R_before: FloatArray) -> FloatArray:
+def _with_free_part(shape: FacedShape, R: FloatArray, R_before: FloatArray) -> FloatArray:
     """Return R with what the shape leaves free turned as near to the earlier rotation as it can be."""
     if isinstance(shape, SphereShape):
         return R_before

@@ -11,8 +11,10 @@ from rhot.anatomy.skeleton import CHAINS, FINGERS
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import FloatArray
-from rhot.messages import HandPose, Message, ObjectPose, ObjectShape, Side
+from rhot.messages import FacedShape, HandPose, Message, ObjectPose, Side
+from rhot.object_mesh import mesh_file
 from rhot.rig import Rig
+from rhot.rig.shape_config import MeshConfig
 from rhot_calibration.objects.touch.collector import TouchCollector
 from rhot_calibration.objects.touch.faces import face_named, usual_faces
 from rhot_calibration.objects.touch.fit import Touch
@@ -44,7 +46,7 @@ class TouchTask:
 
     object_id: str
     source: str
-    shape: ObjectShape
+    shape: FacedShape
     side: Side
     finger: str
     plan: tuple[str, ...]
@@ -91,6 +93,13 @@ def touch_task(
         raise ConfigError(
             f"{toml}: [objects.{object_id}] has no shape, so nothing is known of its faces; measure it and add for "
             'instance  shape = { kind = "cylinder", radius = 0.04, height = 0.1 }'
+        )
+    if isinstance(shape, MeshConfig):
+        x, y, z = (round(edge, 4) for edge in mesh_file(rig.resolve(shape.file), shape.scale).shape.size)
+        raise ConfigError(
+            f"{toml}: [objects.{object_id}] is a mesh, which has no faces to name. Touch it as the box around it, "
+            f'which has the same frame (y up):  shape = {{ kind = "box", size = [{x}, {y}, {z}] }}  with --faces of '
+            "those that are flat; then put the mesh back"
         )
     sides = rig.config.sides
     if not sides:

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.messages.objects import BoxShape, CylinderShape, ObjectShape, SphereShape
+from rhot.geometry.hull import hull_surface
+from rhot.messages.objects import BoxShape, CylinderShape, MeshShape, ObjectShape, SphereShape
 
 FloatArray = NDArray[np.float64]
 
@@ -69,6 +70,8 @@ def mesh_of(shape: ObjectShape | None) -> Mesh:
             return _cylinder(shape.radius, shape.height)
         case SphereShape():
             return _sphere(shape.radius)
+        case MeshShape():
+            return Mesh(*hull_surface(np.array(shape.planes)))
         case _:
             return box(np.full(3, _UNKNOWN_M))
 

@@ -11,7 +11,8 @@
 Metres; quaternions x, y, z, w. Joints are the 26 of OpenXR's XR_EXT_hand_tracking in its order, x y z of the first,
 then of the second, …. `state` is `measured`, `predicted` or `kept` (not tracked any more); `weight` falls from 1 to 0
 while something fades. `shape` is `{"kind": "box", "size": [3]}`, `{"kind": "cylinder", "radius", "height"}`,
-`{"kind": "sphere", "radius"}`, or absent. What is not known is absent (`head`, `body`) or not in its list.
+`{"kind": "sphere", "radius"}`, `{"kind": "mesh", "file", "size": [3]}`, or absent. What is not known is absent
+(`head`, `body`) or not in its list.
 """
 
 from __future__ import annotations
@@ -95,4 +96,5 @@ def _thing(thing: Thing) -> str:
 
 
 def _shape(shape: ObjectShape | None) -> str:
-    return "" if shape is None else f',"shape":{shape.model_dump_json()}'
+    # The planes of a mesh are the rig's business: in a left-handed frame they would be mirrored ones.
+    return "" if shape is None else f',"shape":{shape.model_dump_json(exclude={"planes"})}'

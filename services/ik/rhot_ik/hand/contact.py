@@ -8,9 +8,10 @@ from typing import Protocol
 import numpy as np
 
 from rhot.arrays import FloatArray
+from rhot.geometry.hull import plane_distance
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.geometry.transforms import rigid
-from rhot.messages import BoxShape, CylinderShape, ObjectPose, ObjectShape
+from rhot.messages import BoxShape, CylinderShape, MeshShape, ObjectPose, ObjectShape
 
 
 class Shape(Protocol):
@@ -86,6 +87,25 @@ class Cylinder:
         return distance, axes @ R.T
 
 
+@dataclass(frozen=True, slots=True)
+class Hull:
+    """A convex body between planes, in place of a mesh.
+
+    Attributes:
+        T_rig_hull: (4, 4) pose of its middle.
+        planes: (K, 4) unit normal that leads out and distance from the middle, metres.
+    """
+
+    T_rig_hull: FloatArray
+    planes: FloatArray
+
+    def distance(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `Shape`."""
+        R = self.T_rig_hull[:3, :3]
+        distance, out = plane_distance(self.planes, (points - self.T_rig_hull[:3, 3]) @ R)
+        return distance, out @ R.T
+
+
 def shape_of(pose: ObjectPose) -> Shape | None:
     """Return the body that an object's pose and shape describe; none where its shape is not known."""
     if pose.shape is None:
@@ -100,6 +120,8 @@ def body_of(shape: ObjectShape, T_rig_object: FloatArray) -> Shape:
         return Box(T_rig_object, np.array(shape.size))
     if isinstance(shape, CylinderShape):
         return Cylinder(T_rig_object, shape.radius, shape.height)
+    if isinstance(shape, MeshShape):
+        return Hull(T_rig_object, np.array(shape.planes))
     return Sphere(T_rig_object[:3, 3], shape.radius)
 
 

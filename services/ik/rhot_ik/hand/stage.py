@@ -10,7 +10,7 @@ import numpy as np
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.explain import Explanation
-from rhot.messages import FingerAngles, HandPose, ObjectPose, Point, PointSet, Side
+from rhot.messages import FingerAngles, HandPose, ObjectPose, ObjectShape, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
 from rhot.stage import Output
 from rhot_ik.hand.contact import Shape, shape_of
@@ -43,7 +43,7 @@ class HandStage:
         self._problems: list[str] = []
         self._hold_s = rig.config.ik.hold_s
         # Messages do not say which object they are of; two of the very same shape count as one.
-        self._objects: dict[str, tuple[int, Shape]] = {}
+        self._objects: dict[ObjectShape, tuple[int, Shape]] = {}
         places = [np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values()]
         viewpoint = np.mean(places, axis=0) if places else None
         for side in rig.config.sides:
@@ -98,7 +98,7 @@ class HandStage:
         """Remember where an object is that hidden fingers may close round; one without a shape tells nothing."""
         shape = shape_of(pose)
         if shape is not None and pose.shape is not None and pose.frame == "rig":
-            self._objects[pose.shape.model_dump_json()] = pose.t_ns, shape
+            self._objects[pose.shape] = pose.t_ns, shape
 
     def explain(self) -> list[Explanation]:
         """Return what is known of each hand after the newest points, and why; see `rhot.explain`."""

@@ -16,6 +16,7 @@ from rhot.messages import BodyPose, FootPose, HandPose, HeadPose, ObjectPose, Po
 from rhot.rig import Rig
 from rhot_viewer.browser.camera_layer import CameraLayer, PictureClick
 from rhot_viewer.browser.layers import HandLayer, InstanceLayer
+from rhot_viewer.browser.mesh_layer import MeshLayer
 from rhot_viewer.browser.page import Page
 from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.truth_track import TruthTrack
@@ -98,6 +99,7 @@ class RigScene:
         self._boxes = InstanceLayer(scene, "/objects/boxes", unit_box())
         self._cylinders = InstanceLayer(scene, "/objects/cylinders", unit_rod())
         self._spheres = InstanceLayer(scene, "/objects/spheres", unit_ball())
+        self._meshes = MeshLayer(scene, "/objects/meshes")
         self._feet = InstanceLayer(scene, "/feet", unit_box())
         self._leg_joints = InstanceLayer(scene, "/legs/joints", unit_ball())
         self._leg_bones = InstanceLayer(scene, "/legs/bones", unit_rod())
@@ -230,6 +232,7 @@ class RigScene:
         self._boxes.show(copies.boxes)
         self._cylinders.show(copies.rods)
         self._spheres.show(copies.balls)
+        self._meshes.show(self._rig, objects)
         positions = {name: pose.position for name, pose in objects.items()}
         if head is not None:
             positions["head"] = head.position

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -22,9 +23,15 @@ _TYPES: Final = {
     ".js": "text/javascript; charset=utf-8",
     ".css": "text/css; charset=utf-8",
     ".svg": "image/svg+xml",
+    ".glb": "model/gltf-binary",
 }
-_POLICY: Final = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; base-uri 'none'"
-"""Nothing comes from elsewhere, and nothing goes there."""
+_POLICY: Final = (
+    "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; connect-src 'self' blob:; "
+    "base-uri 'none'"
+)
+"""Nothing comes from elsewhere, and nothing goes there; pictures on an object's surface come out of its own file."""
+MESHES: Final = "mesh."
+"""Before the name of an object in the address of its surface."""
 
 
 def is_built(bundle: Path = BUNDLE) -> bool:
@@ -32,9 +39,18 @@ def is_built(bundle: Path = BUNDLE) -> bool:
     return (bundle / INDEX).is_file()
 
 
-def answer(request: Request, bundle: Path = BUNDLE) -> Response | None:
-    """Return a file; None for what is none of the page's."""
+def answer(request: Request, meshes: Callable[[str], bytes | None], bundle: Path = BUNDLE) -> Response | None:
+    """Return a file; None for what is none of the page's.
+
+    Args:
+        request: of a browser.
+        meshes: the surface of an object, by its name.
+        bundle: folder of the page's files.
+    """
     name = request.path.partition("?")[0].lstrip("/") or INDEX
+    if name.startswith(MESHES) and name.endswith(".glb"):
+        content = meshes(name[len(MESHES) : -len(".glb")])
+        return None if content is None else _response(content, ".glb")
     if name == INDEX and not is_built(bundle):
         return _response(NOT_BUILT.encode(), ".html")
     # One flat folder: a name with a slash or a leading dot can be none of its files.

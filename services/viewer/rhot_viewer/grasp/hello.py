@@ -14,6 +14,7 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
+from rhot.object_mesh import ObjectMesh, known_mesh
 from rhot.rig import Rig
 from rhot.rig.folder import registration_path
 from rhot_viewer.grasp.text import space_text
@@ -56,12 +57,26 @@ def hello_text(rig: Rig, colors: Mapping[str, Rgb], other_page: str, may_publish
                 "height_m": round(floor_m, 4),
                 "shown": rig.config.feet is None,
             },
+            "meshes": {
+                name: {
+                    "middle": [round(float(x), 6) for x in mesh.middle],
+                    "scale": mesh.scale,
+                    "size": mesh.shape.size,
+                }
+                for name, mesh in meshes_of(rig).items()
+            },
             "other_page": other_page,
             "may_publish": may_publish,
             "devices": devices,
         },
         separators=(",", ":"),
     )
+
+
+def meshes_of(rig: Rig) -> dict[str, ObjectMesh]:
+    """Return the surfaces of the rig's objects, by their names, as far as their files can be used here."""
+    found = {name: known_mesh(rig, name) for name in rig.config.objects}
+    return {name: mesh for name, mesh in found.items() if mesh is not None}
 
 
 def stage_of(rig: Rig) -> tuple[FloatArray, str]:

@@ -7,13 +7,17 @@ import contextlib
 import logging
 import ssl
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from rhot.errors import DeviceError, WireError
+from rhot.errors import ConfigError, DeviceError, WireError
+from rhot.keys.folder import certificate_file, key_file
+from rhot.keys.roles import ROUTER
+from rhot.rig import BusConfig
 from rhot_viewer.browser.access import Role
 from rhot_viewer.browser.guard import Guard
 from rhot_viewer.grasp import files
@@ -85,6 +89,7 @@ class GraspServer:
         now_ms: Callable[[], float],
         heard: Callable[[Browser, Any], None],
         gone: Callable[[Browser], None],
+        meshes: Callable[[str], bytes | None],
     ) -> None:
         """Prepare.
 
@@ -95,6 +100,7 @@ class GraspServer:
             now_ms: rig clock; NaN while it is not known.
             heard: called with what a browser tells beyond what concerns its own frames.
             gone: called when a browser has left.
+            meshes: the surface of an object, glTF, by its name.
         """
         self.browsers: set[Browser] = set()
         self.rate_hz = 120.0
@@ -104,6 +110,7 @@ class GraspServer:
         self._now_ms = now_ms
         self._heard = heard
         self._gone = gone
+        self._meshes = meshes
         self._server: Server | None = None
 
     async def open(self, host: str, port: int, tls: ssl.SSLContext | None) -> int:
@@ -153,7 +160,7 @@ class GraspServer:
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
         def file(_: ServerConnection, asked: Request) -> Response | None:
             is_websocket = bool(asked.headers.get_all("Upgrade") or asked.headers.get_all("Sec-WebSocket-Key"))
-            return None if is_websocket else files.answer(asked)
+            return None if is_websocket else files.answer(asked, self._meshes)
 
         return self._guard.check(connection, request, file)
 
@@ -211,3 +218,21 @@ class GraspServer:
 
 def _number(value: float) -> str:
     return f"{value:.4f}" if value == value else "null"  # noqa: PLR0124  # NaN
+
+
+def page_tls(bus: BusConfig) -> ssl.SSLContext | None:
+    """Return what the page is served with over HTTPS: the rig's own certificate; None where there is none.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    folder = Path(bus.keys)
+    certificate, key = certificate_file(folder, ROUTER), key_file(folder, ROUTER)
+    if not certificate.exists():
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    try:
+        context.load_cert_chain(certificate, key)
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigError(f"{key}: cannot be used for https: {error}; `rhot keys make` makes it") from error
+    return context

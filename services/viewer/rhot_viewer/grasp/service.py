@@ -19,9 +19,8 @@ from pydantic import BaseModel, Field
 from rhot.bus import LatestSubscriber
 from rhot.clock import SystemClock
 from rhot.errors import BusError, ConfigError, WireError
-from rhot.keys.folder import certificate_file, key_file
-from rhot.keys.roles import ROUTER
 from rhot.messages import BodyPose, Control, FootPose, HandPose, HeadPose, Message, ObjectPose, Space, Truth, decode
+from rhot.object_mesh import known_mesh, known_shape
 from rhot.rig import BusConfig, Rig
 from rhot.rig.calibration import RigidTransform
 from rhot.rig.file_model import FileModel
@@ -101,7 +100,9 @@ class GraspService:
         self._hand_s = -math.inf
         self._wearer: Browser | None = None
         self._moved = False
-        self.server = GraspServer(self._guard, self._newest, self._hello, self._now_ms, self._heard, self._gone)
+        self.server = GraspServer(
+            self._guard, self._newest, self._hello, self._now_ms, self._heard, self._gone, self._mesh
+        )
 
     @property
     def config(self) -> GraspConfig:
@@ -211,6 +212,10 @@ class GraspService:
         rig = self._rig
         return hello_text(rig, marker_colors(rig), self._other_page, role == "control", self._devices)
 
+    def _mesh(self, name: str) -> bytes | None:
+        mesh = known_mesh(self._rig, name)
+        return None if mesh is None else mesh.content
+
     def _heard(self, browser: Browser, message: Any) -> None:
         if isinstance(message, Devices):
             if self._wearer is None:
@@ -245,29 +250,12 @@ class GraspService:
                 node.publish("rhot/head", head_pose(devices.head, devices.t_ms, T_rig_webxr))
             if devices.controller is not None and CONTROLLER in wanted:
                 fixed = registration.T_tracker_object.get(CONTROLLER, RigidTransform()).matrix
-                pose = controller_pose(devices.controller, devices.t_ms, T_rig_webxr, fixed)
-                shape = self._rig.config.objects[CONTROLLER].shape
-                node.publish(f"rhot/object/{CONTROLLER}", pose.model_copy(update={"shape": shape}))
+                pose = controller_pose(
+                    devices.controller, devices.t_ms, T_rig_webxr, fixed, known_shape(self._rig, CONTROLLER)
+                )
+                node.publish(f"rhot/object/{CONTROLLER}", pose)
         except ValueError:
             node.status.count("invalid")
-
-
-def page_tls(bus: BusConfig) -> ssl.SSLContext | None:
-    """Return what the page is served with over HTTPS: the rig's own certificate; None where there is none.
-
-    Raises:
-        ConfigError: it cannot be read.
-    """
-    folder = Path(bus.keys)
-    certificate, key = certificate_file(folder, ROUTER), key_file(folder, ROUTER)
-    if not certificate.exists():
-        return None
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    try:
-        context.load_cert_chain(certificate, key)
-    except (OSError, ssl.SSLError) as error:
-        raise ConfigError(f"{key}: cannot be used for https: {error}; `rhot keys make` makes it") from error
-    return context
 
 
 async def serve_grasp(

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from rhot.errors import WireError
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.geometry.transforms import rigid
-from rhot.messages import HeadPose, ObjectPose, first_problem
+from rhot.messages import HeadPose, ObjectPose, ObjectShape, first_problem
 from rhot.messages.base import Position, Quaternion, unit_quaternion, wire_position, wire_quaternion
 
 FloatArray = NDArray[np.float64]
@@ -140,11 +140,16 @@ def head_pose(device: DevicePose, t_ms: float, T_rig_webxr: FloatArray) -> HeadP
 
 
 def controller_pose(
-    device: DevicePose, t_ms: float, T_rig_webxr: FloatArray, T_device_object: FloatArray | None = None
+    device: DevicePose,
+    t_ms: float,
+    T_rig_webxr: FloatArray,
+    T_device_object: FloatArray | None = None,
+    shape: ObjectShape | None = None,
 ) -> ObjectPose:
     """Return the controller (its grip, or the object that is fixed to it) in the rig frame."""
     position, orientation = _to_rig(device, T_rig_webxr, T_device_object)
-    return ObjectPose(t_ns=round(t_ms * 1e6), frame="rig", position=position, orientation=orientation, state="measured")
+    t_ns = round(t_ms * 1e6)
+    return ObjectPose(t_ns=t_ns, frame="rig", position=position, orientation=orientation, state="measured", shape=shape)
 
 
 def _to_rig(

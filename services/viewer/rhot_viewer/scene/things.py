@@ -16,6 +16,7 @@ from rhot.messages import (
     CylinderShape,
     FootPose,
     HeadPose,
+    MeshShape,
     ObjectPose,
     PointSet,
     SphereShape,
@@ -66,7 +67,7 @@ class ObjectCopies:
 
 
 def object_copies(objects: Mapping[str, ObjectPose], head: HeadPose | None) -> ObjectCopies:
-    """Return objects by their shapes, and the headset as a box."""
+    """Return objects by their shapes, but those with a surface of their own, and the headset as a box."""
     boxes: list[_Placed] = []
     rods_: list[_Placed] = []
     balls_: list[_Placed] = []
@@ -78,6 +79,8 @@ def object_copies(objects: Mapping[str, ObjectPose], head: HeadPose | None) -> O
                 rods_.append((pose, (radius, radius, height), OBJECT_COLOR))
             case SphereShape(radius=radius):
                 balls_.append((pose, (radius, radius, radius), OBJECT_COLOR))
+            case MeshShape():
+                pass
             case None:
                 boxes.append((pose, OBJECT_SIZE_M, OBJECT_COLOR))
     if head is not None:

@@ -5,7 +5,7 @@ import pytest
 from touched.toucher import BOX, CYLINDER, SPHERE, Toucher
 
 from rhot.errors import CalibrationError, ConfigError
-from rhot.messages import BoxShape, ObjectShape
+from rhot.messages import BoxShape, FacedShape
 from rhot_calibration.objects.touch.checks import flesh_note, judged
 from rhot_calibration.objects.touch.faces import face_named, usual_faces
 from rhot_calibration.objects.touch.fit import Touch
@@ -14,7 +14,7 @@ BEFORE = np.eye(3)
 
 
 @pytest.mark.parametrize("shape", [BOX, CYLINDER, SPHERE])
-def test_good_touches_stand_whatever_was_before(shape: ObjectShape) -> None:
+def test_good_touches_stand_whatever_was_before(shape: FacedShape) -> None:
     touches = Toucher(shape).touches(usual_faces(shape), 4)
     found = judged(shape, touches, BEFORE)
     assert found.kept == tuple(range(len(touches)))
@@ -32,7 +32,7 @@ def test_good_touches_stand_whatever_was_before(shape: ObjectShape) -> None:
     ],
 )
 def test_too_few_touches_or_faces_are_refused(
-    shape: ObjectShape, faces: tuple[str, ...], per_face: int, says: str
+    shape: FacedShape, faces: tuple[str, ...], per_face: int, says: str
 ) -> None:
     with pytest.raises(CalibrationError, match=says):
         judged(shape, Toucher(shape).touches(faces, per_face), BEFORE)

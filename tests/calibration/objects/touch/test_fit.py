@@ -5,7 +5,7 @@ import pytest
 from touched.toucher import BOX, CYLINDER, P_DEVICE_OBJECT, R_DEVICE_OBJECT, SPHERE, Toucher
 
 from rhot.geometry.rotations import FloatArray, rotation_between, rotation_from_vector
-from rhot.messages import ObjectShape
+from rhot.messages import FacedShape
 from rhot_calibration.objects.touch.faces import faces_of, gaps, usual_faces
 from rhot_calibration.objects.touch.fit import OffsetFit, fit_offset
 
@@ -20,7 +20,7 @@ def off(fit: OffsetFit, axis_alone: bool = False) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("shape", [BOX, CYLINDER, SPHERE])
-def test_exact_touches_give_the_exact_offset(shape: ObjectShape) -> None:
+def test_exact_touches_give_the_exact_offset(shape: FacedShape) -> None:
     touches = Toucher(shape, noise_m=0.0, flesh_m=0.0).touches(usual_faces(shape), 4)
     fit = fit_offset(shape, touches, R_DEVICE_OBJECT)[0]
     off_mm, off_deg = off(fit)
@@ -31,7 +31,7 @@ def test_exact_touches_give_the_exact_offset(shape: ObjectShape) -> None:
 
 @pytest.mark.parametrize("shape", [BOX, CYLINDER, SPHERE])
 @pytest.mark.parametrize("seed", range(6))
-def test_with_the_noise_of_a_fingertip_the_offset_is_within_2_mm_and_1_degree(shape: ObjectShape, seed: int) -> None:
+def test_with_the_noise_of_a_fingertip_the_offset_is_within_2_mm_and_1_degree(shape: FacedShape, seed: int) -> None:
     toucher = Toucher(shape, seed)
     fit = fit_offset(shape, toucher.touches(faces_of(shape), 8), R_DEVICE_OBJECT)[0]
     off_mm, off_deg = off(fit, axis_alone=shape is CYLINDER)
@@ -56,7 +56,7 @@ def test_what_symmetry_leaves_free_stays_as_it_was() -> None:
 
 
 @pytest.mark.parametrize("shape", [BOX, CYLINDER, SPHERE])
-def test_slopes_are_the_derivatives_of_distances(shape: ObjectShape) -> None:
+def test_slopes_are_the_derivatives_of_distances(shape: FacedShape) -> None:
     rng = np.random.default_rng(2)
     step = 1e-7
     for face in faces_of(shape):
