@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import trimesh
 
+_rotation: Any = trimesh.transformations.rotation_matrix
+
 
 def lathe(profile_mm: list[tuple[float, float]]) -> Any:
     """Return what a profile of (radius, height) makes when it is turned about y."""
     turned: Any = trimesh.creation.revolve(np.array(profile_mm) / 1000.0, sections=32)
-    turned.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2.0, (1.0, 0.0, 0.0)))
+    turned.apply_transform(_rotation(-np.pi / 2.0, (1.0, 0.0, 0.0)))
     return turned
 
 
@@ -41,7 +43,7 @@ def brick() -> Any:
 
 def save(mesh: Any, file: Path, scale: float = 1.0) -> Path:
     """Write a mesh as binary glTF, `scale` units a metre, below a node of its own that moves and turns it."""
-    T = trimesh.transformations.rotation_matrix(np.pi / 2.0, (0.0, 1.0, 0.0))
+    T = _rotation(np.pi / 2.0, (0.0, 1.0, 0.0))
     T[:3, 3] = scale * np.array((0.3, 0.2, -0.1))
     scene: Any = trimesh.Scene()
     scaled = mesh.copy()

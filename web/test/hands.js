@@ -39,3 +39,15 @@ export function random(seed) {
     return ((t ^ (t >>> 14)) >>> 0) / 4294967296;
   };
 }
+
+/** A ball of `radius`, made slimmer by `slim` along x, between planes: what the rig sends of a mesh. */
+export function pebble(radius, slim, count = 64) {
+  const planes = [];
+  for (let k = 0; k < count; k++) {
+    const z = 1 - (2 * k + 1) / count;
+    const across = Math.sqrt(1 - z * z);
+    const n = [across * Math.cos(2.39996 * k), across * Math.sin(2.39996 * k), z];
+    planes.push([...n, radius * Math.hypot(slim * n[0], n[1], n[2])]);
+  }
+  return { kind: "mesh", file: "pebble.glb", size: [2 * slim * radius, 2 * radius, 2 * radius], planes };
+}

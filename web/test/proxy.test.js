@@ -4,13 +4,14 @@ import { makeSkin, skinned } from "../src/hand_skin.js";
 import { distance, qunit } from "../src/math.js";
 import { depthIn, restrained, YIELDS } from "../src/proxy.js";
 import { Body } from "../src/shapes.js";
-import { HANDS, bent, placed, radii, random, rest } from "./hands.js";
+import { HANDS, bent, pebble, placed, radii, random, rest } from "./hands.js";
 
 const SHAPES = [
   { kind: "box", size: [0.06, 0.06, 0.06] },
   { kind: "cylinder", radius: 0.035, height: 0.12 },
   { kind: "sphere", radius: 0.04 },
   { kind: "box", size: [0.2, 0.02, 0.15] },
+  pebble(0.045, 0.6),
 ];
 
 /** Hands that reach into a thing near the palm, as tracking errors and virtual things make them. */

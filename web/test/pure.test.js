@@ -38,6 +38,27 @@ test("distances to shapes are Euclidean outside and negative inside", () => {
   near(halfHeight({ kind: "box", size: [0.1, 0.2, 0.3] }, [0, 0, 0, 1]), 0.1, 1e-9);
 });
 
+test("a mesh is met at its planes", () => {
+  const half = [0.1, 0.2, 0.3];
+  const planes = half.flatMap((d, k) => [1, -1].map((side) => [0, 1, 2].map((axis) => (axis === k ? side : 0)).concat(d)));
+  const at = { p: [1, 2, 3], q: fromAxis([0, 1, 0], 0.4) };
+  const mesh = new Body({ kind: "mesh", file: "brick.glb", size: [0.2, 0.4, 0.6], planes }, at);
+  const box = new Body({ kind: "box", size: [0.2, 0.4, 0.6] }, at);
+  const next = random(5);
+  let edges = 0;
+  for (let i = 0; i < 300; i++) {
+    const local = half.map((h) => (next() < 0.5 ? h * (2 * next() - 1) : h + 0.03 * next()));
+    const beyond = local.filter((x, k) => Math.abs(x) > half[k]).length;
+    edges += beyond === 2;
+    const point = compose(at, { p: local, q: [0, 0, 0, 1] }).p;
+    // Beyond a corner it is the distance to the nearest edge's line: less than 1.23 times too small.
+    const [a, b] = [mesh.distance(point), box.distance(point)];
+    assert.ok(beyond < 3 ? Math.abs(a - b) < 1e-9 : a <= b && b < 1.23 * a, `${beyond} ${a} ${b}`);
+  }
+  assert.ok(edges > 50);
+  near(mesh.reach, Math.hypot(...half), 1e-9);
+});
+
 test("a steady motion is carried on to the display's time, and not further than trusted", () => {
   const track = new Track();
   const at = (t) => [{ p: [0.5e-3 * t, 0, 0], q: fromAxis([0, 1, 0], 1e-3 * t) }];
