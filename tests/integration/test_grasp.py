@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
+import things
 from numpy.typing import NDArray
 from page.browser import CHROMIUM, Browser, open_browser, wait_until
 from page.viewer_process import ViewerProcess
@@ -21,7 +23,8 @@ from rhot.bus import Bus
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
 from rhot.geometry.transforms import inverse, rigid
 from rhot.messages import HandPose, HeadPose, ObjectPose, decode
-from rhot.rig import BusConfig, RegistrationFile, write_json_model
+from rhot.object_mesh import mesh_file
+from rhot.rig import BusConfig, RegistrationFile, load_rig, write_json_model
 from rhot.rig.calibration import RigidTransform
 from rhot.rig.folder import REGISTRATION_FILE, RIG_FILE, registration_name
 from rhot.service.clock_sync import serve_clock
@@ -80,6 +83,11 @@ def stubbed(tmp_path: Path) -> Iterator[tuple[StubRig, str]]:
     write_simulated_rig(folder, endpoint=endpoint)
     with (folder / RIG_FILE).open("a") as file:
         file.writelines(f'\n[objects.{name}]\nsource = "webxr"\n' for name in ("head", "controller"))
+        file.write(
+            '\n[objects.cup]\nsource = "recorded"\npath = "cup.csv"\n'
+            'shape = { kind = "mesh", file = "cup.glb", scale = 0.001 }\n'
+        )
+    things.save(things.mug(), folder / "cup.glb", scale=1000.0)
     (folder / REGISTRATION_FILE).unlink(missing_ok=True)
     with StubThread(folder, endpoint) as stub:
         stub.still = True
@@ -180,6 +188,7 @@ async def test_the_hand_is_where_the_rig_says_on_desktop_and_in_a_headset(
         T_stage_rig = inverse(stage_of(stub.rig)[0])
         assert apart_m(drawn(browser), T_stage_rig, hand) < ALIKE_M
         assert browser.evaluate("document.getElementById('other').href") == "http://localhost:1/"
+        a_cup_is_drawn_to_scale(rig, browser)
         browser.evaluate("document.getElementById('truth').click()")
         browser.wait_for("/fingertips 2\\.0 mm from the truth/.test(document.getElementById('state').textContent)")
 
@@ -219,6 +228,17 @@ async def test_the_hand_is_where_the_rig_says_on_desktop_and_in_a_headset(
         assert apart_m(drawn(browser), inverse(T_rig_webxr), hand) < ALIKE_M
         assert [error for error in browser.errors if "ERR_CONNECTION_REFUSED" not in error] == []
     rig.stop()
+
+
+def a_cup_is_drawn_to_scale(rig: Rig, browser: Browser) -> None:
+    """Its surface comes from the rig folder's file, in millimetres and off its origin there."""
+    shape = mesh_file(rig.folder / "cup.glb", 0.001).shape
+    cup = {"state": "measured", "pose": [0.1, 0.0, 0.6, 0.0, 0.0, 0.0, 1.0], "shape": shape.model_dump()}
+    tell = f"rhot.rig.frame({{'rhot/object/cup': {{t: rhot.t, ...{json.dumps(cup)}}}}})"
+    drawn_cup = browser.wait_for(f"({tell}, rhot.drawnThing('cup')?.model && rhot.drawnThing('cup'))")
+    T_stage_rig = inverse(stage_of(load_rig(rig.folder))[0])
+    assert drawn_cup["middle"] == pytest.approx((T_stage_rig @ [0.1, 0.0, 0.6, 1.0])[:3], abs=1e-4)
+    assert drawn_cup["size"] == pytest.approx(np.abs(T_stage_rig[:3, :3]) @ shape.size, abs=2e-4)
 
 
 RECORD: Final = """(() => {

@@ -12,6 +12,7 @@ from rhot.messages import (
     CylinderShape,
     FootPose,
     HeadPose,
+    MeshShape,
     ObjectPose,
     ObjectShape,
     Point,
@@ -64,6 +65,8 @@ def test_objects_have_the_size_of_their_shapes() -> None:
         "book": BoxShape(size=(0.15, 0.2, 0.03)),
         "cup": CylinderShape(radius=0.04, height=0.1),
         "ball": SphereShape(radius=0.03),
+        # Drawn by `MeshLayer`.
+        "pot": MeshShape(file="pot.glb", size=(0.1, 0.1, 0.1), planes=((0, 0, 1, 0.05),) * 4),
     }
     middle = (0.1, 0.2, 0.8)
     objects = {

@@ -1,5 +1,5 @@
 // The page Grasp: from the rig's messages to the picture, on a desktop or in a headset.
-import { PCFSoftShadowMap, PerspectiveCamera, Vector2, Vector3, WebGLRenderer } from "three";
+import { Box3, PCFSoftShadowMap, PerspectiveCamera, Vector2, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { Grip, VirtualThing } from "./grasp.js";
 import { HandView } from "./hand_view.js";
@@ -63,6 +63,13 @@ const seen = (window.rhot = {
   get ball() { return ball?.at; },
   /** The 26 joints of a hand as they are drawn, in the space of desktop or headset. */
   bones: (side) => views.get(side)?.bones.map((bone) => bone.getWorldPosition(new Vector3()).toArray()),
+  /** Where a thing is drawn: its middle and its edges along the axes of desktop or headset; null while it is not. */
+  drawnThing(name) {
+    const mesh = stage.drawn(name);
+    if (!mesh) return null;
+    const box = new Box3().setFromObject(mesh);
+    return { middle: box.getCenter(new Vector3()).toArray(), size: box.getSize(new Vector3()).toArray(), model: mesh.isGroup ?? false };
+  },
   software: pace.software,
 });
 

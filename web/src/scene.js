@@ -148,6 +148,12 @@ export class Stage {
     mesh.material.emissive.set(lit ? LIT : 0);
   }
 
+  /** What is drawn of a thing; null where it is not shown. */
+  drawn(name) {
+    const mesh = this.#things.get(name);
+    return mesh?.visible ? mesh : null;
+  }
+
   #drop(thing) {
     this.root.remove(thing);
     thing.traverse((part) => {

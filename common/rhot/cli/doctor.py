@@ -22,13 +22,15 @@ from rhot.bus import Bus
 from rhot.cli.findings import Finding, check_bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.cli.stage_check import check_hands, check_stage
-from rhot.errors import BusError, RhotError
+from rhot.errors import BusError, ConfigError, RhotError
 from rhot.messages import ServiceStatus
+from rhot.object_mesh import mesh_file
 from rhot.operation.status import fetch_status
 from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.calibration import CalibrationFile
 from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE, registration_name, registration_path
 from rhot.rig.quality import epipolar_limit_px, figure, figures_with_units, pair_epipolar_p95_px
+from rhot.rig.shape_config import MeshConfig
 
 _MARK: Final = {"ok": "[green]ok  [/]", "note": "[blue]note[/]", "warn": "[yellow]warn[/]", "bad": "[red]BAD [/]"}
 _ROLES: Final = {
@@ -121,7 +123,7 @@ def _check_registrations(rig: Rig) -> Iterator[Finding]:
 
 
 def _check_sources(rig: Rig) -> Iterator[Finding]:
-    """Look for what the cameras read from on this machine."""
+    """Look for the files and devices that cameras and objects need on this machine."""
     for name, camera in rig.config.cameras.items():
         if camera.source == "v4l2":
             device = f"/dev/video{camera.device}" if isinstance(camera.device, int) else camera.device
@@ -129,6 +131,15 @@ def _check_sources(rig: Rig) -> Iterator[Finding]:
                 yield Finding("note", f"camera {name}: {device} is not on this machine")
         if camera.path and not rig.resolve(camera.path).exists():
             yield Finding("bad", f"camera {name}: {rig.resolve(camera.path)} does not exist", "correct path")
+    for name, thing in rig.config.objects.items():
+        if isinstance(thing.shape, MeshConfig):
+            try:
+                x, y, z = mesh_file(rig.resolve(thing.shape.file), thing.shape.scale).shape.size
+            except ConfigError as error:
+                yield Finding("bad", f"object {name}: {error}", "correct the file or its shape in rig.toml")
+            else:
+                told = " x ".join(f"{1e3 * edge:.0f}" for edge in (x, y, z))
+                yield Finding("ok", f"object {name}: {thing.shape.file}, {told} mm; measure it: is that its size?")
 
 
 def _check_cameras(rig: Rig) -> Finding:

@@ -98,7 +98,7 @@ _OBJECTS: Final = """
 # source = "steamvr"
 # serial = "LHR-12345678"
 # What fingers meet; the pose is that of its middle, z its axis. Or { kind = "box", size = [0.1, 0.06, 0.065] }, or
-# { kind = "sphere", radius = 0.04 }.
+# { kind = "sphere", radius = 0.04 }, or { kind = "mesh", file = "mug.glb" }, see docs/hand.md.
 # shape = { kind = "cylinder", radius = 0.04, height = 0.1 }
 """
 

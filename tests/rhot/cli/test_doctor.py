@@ -4,6 +4,7 @@ import datetime as dt
 from pathlib import Path
 
 import pytest
+import things
 from bus_watch import until_known
 
 from rhot.bus import Bus
@@ -35,6 +36,16 @@ def test_missing_calibrations_name_the_exact_command(rig_folder: Path) -> None:
         ("registration.steamvr.json", f"rhot calibrate objects --live --object cup --marker NAME --rig {rig_folder}"),
     ):
         assert remedy in about(findings, file).remedy
+
+
+def test_the_size_of_a_mesh_is_shown_and_a_bad_file_is_bad(rig_folder: Path) -> None:
+    with (rig_folder / "rig.toml").open("a") as file:
+        file.write('\n[objects.cup]\nserial = "LHR-1"\nshape = { kind = "mesh", file = "cup.glb" }\n')
+    _, findings = check_rig(rig_folder)
+    assert about(findings, "object cup").level == about(findings, "cannot be read").level == "bad"
+    things.save(things.mug(), rig_folder / "cup.glb")
+    _, findings = check_rig(rig_folder)
+    assert "cup.glb, 80 x 95 x 115 mm" in about(findings, "object cup").text
 
 
 def test_calibrations_are_shown_with_date_age_and_figures(rig_folder: Path) -> None:

@@ -14,12 +14,14 @@ from click.testing import CliRunner
 from exported import person
 from exported.foreign_programs import npm_packages
 from hand_messages import object_pose
+from things import mug, save
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.cli.recordings.export import export
 from rhot.export.gltf.scene import gltf_document
 from rhot.export.poses import motions
 from rhot.messages import BoxShape, CylinderShape, SphereShape
+from rhot.object_mesh import mesh_file
 
 _VALIDATE = """
 const validator = require("gltf-validator"), fs = require("fs");
@@ -38,7 +40,14 @@ def validated(poses_recording: Path, tmp_path_factory: pytest.TempPathFactory) -
     for source, name in ((poses_recording, "x.glb"), (poses_recording, "x.gltf"), (one, "one.glb")):
         written = CliRunner().invoke(export, [str(source), "--gltf", str(folder / name)])
         assert written.exit_code == 0, written.output
-    shapes = (BoxShape(size=(0.1, 0.2, 0.3)), CylinderShape(radius=0.04, height=0.12), SphereShape(radius=0.05), None)
+    mesh = mesh_file(save(mug(), folder / "mug.glb")).shape
+    shapes = (
+        BoxShape(size=(0.1, 0.2, 0.3)),
+        CylinderShape(radius=0.04, height=0.12),
+        SphereShape(radius=0.05),
+        mesh,
+        None,
+    )
     pose = object_pose(1, 0.0)
     things = [(f"rhot/object/{n}", pose.model_copy(update={"shape": shape})) for n, shape in enumerate(shapes)]
     (folder / "shapes.glb").write_bytes(gltf_document(list(motions(things).values()), "rig").binary())

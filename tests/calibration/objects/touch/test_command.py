@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import things
 from click.testing import CliRunner, Result
 from touched.take import take, touch_rig, write_take
 
@@ -114,4 +115,11 @@ def test_calls_that_cannot_work_say_why(rig: Rig, tmp_path: Path) -> None:
     text = (rig.path / "rig.toml").read_text()
     (rig.path / "rig.toml").write_text("\n".join(line for line in text.splitlines() if not line.startswith("shape")))
     with pytest.raises(ConfigError, match=r"\[objects.cube\] has no shape.*add for instance"):
+        run(rig, "--touch", "cube")
+    things.save(things.mug(), rig.path / "cup.glb")
+    toml = (rig.path / "rig.toml").read_text()
+    mesh = '[objects.cube]\nshape = { kind = "mesh", file = "cup.glb" }'
+    (rig.path / "rig.toml").write_text(toml.replace("[objects.cube]", mesh))
+    box = r'is a mesh, .*Touch it as the box .*shape = \{ kind = "box", size = \[0.08, 0.095, 0.115\] \}'
+    with pytest.raises(ConfigError, match=box):
         run(rig, "--touch", "cube")
