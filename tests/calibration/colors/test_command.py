@@ -50,7 +50,7 @@ def test_colours_are_written_and_reported(pictured: tuple[Path, Path, list[str]]
     ("arguments", "words"),
     [
         (["--pick", "thumb=12"], "--pick thumb=12: not NAME=U,V"),
-        (["--pick", "thumb=1,2@3"], "there is no picture 3; 1 given: hand"),
+        (["--pick", "thumb=1,2@3"], "there is no picture 3; say @1 = hand"),
         (["--pick", "thumb=1,2", "--pick", "thumb=3,4"], "thumb is picked twice"),
         (["--pick", "nose=1,2"], "pick nose: no such marker"),
         (["--pick", "thumb=700,2"], "outside picture 1, which is 640x480"),

@@ -97,5 +97,6 @@ def _number(option: str, picture: str | None, pictures: Sequence[str]) -> int:
             f"{option}: {len(named)} pictures are called {picture}; say @{named[0] + 1} or @{named[1] + 1} instead"
         )
     if not named:
-        raise ConfigError(f"{option}: there is no picture {picture}; {len(pictures)} given: {', '.join(pictures)}")
+        given = ", ".join(f"@{number} = {name}" for number, name in enumerate(pictures, 1))
+        raise ConfigError(f"{option}: there is no picture {picture}; say {given}")
     return named[0]
