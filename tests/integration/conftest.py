@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from rig_processes import Processes
+from running.rig_processes import Processes
 
 from rhot.bus import Bus
 from rhot.rig import BusConfig

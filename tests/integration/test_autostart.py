@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from bus_watch import PATIENCE_S
-from rig_processes import Processes
+from running.rig_processes import Processes
 
 from rhot.bus import Bus
 from rhot.operation.control import broadcast, newest_control

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rig_processes import processes_that_name
+from running.rig_processes import processes_that_name
 from wall_clock import figures_in_time, in_time
 
 from rhot_sim.running.run import free_endpoint

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import pytest
 from rich.console import Console
-from rig_processes import SERVICES, Processes, start_rig
+from running.rig_processes import SERVICES, Processes, start_rig
 from wall_clock import in_time
 
 from rhot.bus import Bus

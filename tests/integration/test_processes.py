@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import zenoh
 from bus_watch import PATIENCE_S, answers
-from rig_processes import Processes, hand_measured_after, next_message, start_rig
+from running.rig_processes import Processes, hand_measured_after, next_message, start_rig
 from wall_clock import in_time
 
 from rhot.anatomy.skeleton import FINGERS
@@ -236,7 +236,7 @@ async def throw_garbage(bus: Bus, good: dict[str, dict[str, object]]) -> int:
 
 
 def test_nothing_is_left_running(simulated_rig: tuple[Path, str]) -> None:
-    from rig_processes import processes_that_name
+    from running.rig_processes import processes_that_name
 
     assert list(processes_that_name(str(simulated_rig[0]))) == []
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from bus_watch import PATIENCE_S
-from rig_processes import Processes, hand_measured_after, start_rig
+from running.rig_processes import Processes, hand_measured_after, start_rig
 
 from rhot.bus import Bus
 from rhot.keys.making import add_holder, make_keys

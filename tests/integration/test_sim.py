@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from bus_watch import PATIENCE_S
-from rig_processes import processes_that_name
+from running.rig_processes import processes_that_name
 from wall_clock import figures_in_time, in_time
 
 from rhot_sim.running.run import free_endpoint

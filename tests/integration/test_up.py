@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from rig_processes import processes_that_name
+from running.rig_processes import processes_that_name
 from wall_clock import in_time
 
 from rhot.rig.template import rig_template
