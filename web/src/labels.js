@@ -34,7 +34,7 @@ export class Labels {
       tag.hidden = low || this.#at.z > 1 || Math.abs(this.#at.x) > 1 || Math.abs(this.#at.y) > 1;
       if (tag.hidden) continue;
       if (tag.textContent !== text) tag.textContent = text;
-      const x = Math.min(((this.#at.x + 1) / 2) * width + 12, width - 8 - tag.offsetWidth);
+      const x = Math.max(8, Math.min(((this.#at.x + 1) / 2) * width + 12, width - 8 - tag.offsetWidth));
       let y = ((1 - this.#at.y) / 2) * height - 10;
       // Labels do not cover one another.
       while (taken.some(([left, top]) => Math.abs(left - x) < 220 && Math.abs(top - y) < 24)) y += 24;

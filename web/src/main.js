@@ -21,6 +21,7 @@ const BALL = { kind: "sphere", radius: 0.028 };
 const BALL_FROM_MIDDLE = [-0.13, 0, -0.1];
 /** From the thumb's side, over the hand: thumb and fingers are both seen. */
 const VIEW_FROM = { hand: [-0.27, 0.25, 0.33], body: [1.6, 1.1, 2.6] };
+const WIDE = 0.8;
 const FOLLOW_S = 0.7;
 const GREEN = 0x62c987;
 const $ = (id) => document.getElementById(id);
@@ -99,9 +100,11 @@ function hear(message) {
   } else if (message.type === "frame") {
     rig.frame(message.keys);
     timing.came(message.bus);
-    fresh = true;
-    // Who draws seldom asks for the next pose when it is time: it is then as new as can be.
+    // Who draws seldom asks for the next pose when it is time, and again where it was late: it is as new as can be.
+    const age = message.bus === undefined || !link.clock.ready ? 0 : link.clock.rig(performance.now()) - message.bus;
+    fresh = !pace.software || !pace.stale(age, performance.now());
     if (!pace.software) link.taken();
+    else if (!fresh) askInTime();
   }
 }
 
@@ -134,7 +137,9 @@ function begin() {
     framed = true;
     const from = hello.desk.shown ? VIEW_FROM.hand : VIEW_FROM.body;
     controls.target.set(middle[0], hello.desk.shown ? middle[1] + 0.1 : 0.9, middle[2]);
-    camera.position.copy(controls.target).add(new Vector3(...from));
+    // A window that is higher than wide shows as much from further away.
+    const further = Math.min(2, Math.max(1, WIDE / (innerWidth / innerHeight)));
+    camera.position.copy(controls.target).add(new Vector3(...from).multiplyScalar(further));
   }
 }
 
@@ -195,7 +200,14 @@ function frame(nowMs, xrFrame) {
   const done = performance.now();
   pace.drawn(begun, done - begun);
   seen.frames++;
-  if (link.owes) setTimeout(() => link.taken(), pace.rest(done));
+  if (link.owes) askInTime();
+}
+
+let asking = null;
+/** Ask for the next pose so that it comes just before it is drawn. */
+function askInTime() {
+  clearTimeout(asking);
+  asking = setTimeout(() => link.taken(), pace.rest(performance.now()));
 }
 
 function update(t, displayMs, elapsed) {

@@ -19,6 +19,9 @@ const PATIENCE = 1.5;
 /** A question takes two milliseconds, and the screen comes round every 17. */
 const ASK_MS = 8;
 
+/** Answers take 2 to 10 ms, and poses come every 9 to 33: what is older has waited for the browser. */
+const OLD_MS = 50;
+
 export const isSoftware = (name) => /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 
 export class Pace {
@@ -46,6 +49,11 @@ export class Pace {
   /** How long to wait before asking for the next pose, so that it is new when it is drawn: milliseconds. */
   rest(ms) {
     return this.software ? Math.max(0, this.#last + 1000 / this.rate - ASK_MS - ms) : 0;
+  }
+
+  /** Whether a pose that came at `ms` should be asked for anew: it waited behind other work, or the picture is far off. */
+  stale(ageMs, ms) {
+    return ageMs > OLD_MS || this.rest(ms) > ASK_MS;
   }
 
   /** A frame was drawn: begun at `ms`, it took so long. */

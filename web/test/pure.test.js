@@ -121,6 +121,14 @@ test("who draws seldom asks just before a picture is due, and waits a little for
   assert.equal(new Pace(false).rest(0), 0, "with a graphics card every pose is taken at once");
 });
 
+test("a pose that came too late for its picture is asked for anew", () => {
+  const pace = new Pace(true);
+  pace.drawn(1000, 5);
+  assert.ok(!pace.stale(12, 1097), "asked for just before the picture, and answered");
+  assert.ok(pace.stale(12, 1010), "its answer came behind the picture that it was meant for");
+  assert.ok(pace.stale(400, 1500), "it waited while a picture was drawn");
+});
+
 test("the time from the bus to the picture is that of the newest pose, told once", () => {
   const timing = new Timing();
   timing.begins(0, 5000);

@@ -110,7 +110,7 @@ class RigScene:
             self._trails.colors({**dict.fromkeys(tips, UNKNOWN_COLOR), **_tip_colors(rig, colors)}, _BACKGROUND),
             thickness=0.0022,
         )
-        self._start_with(overview(rig))
+        self._start_with(close_up(rig, np.empty((0, 3))) if rig.config.feet is None else overview(rig))
 
     def _draw_desk(self, scene: viser.SceneApi) -> viser.LineSegmentsHandle:
         up = up_direction(self._rig)
