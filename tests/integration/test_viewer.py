@@ -159,6 +159,9 @@ def a_colour_is_set_by_a_click(browser: Browser, rig: StubRig, base: tuple[float
 def only_what_moves_changes(browser: Browser, rig: StubRig) -> None:
     """Two screenshots differ where the hand, its trail and the cameras' pictures are, and nowhere else."""
     width, height = canvas_size(browser)
+    browser.click_text("View", "[role=tab]")
+    browser.click_text("whole rig")
+    browser.click_text("Live", "[role=tab]")
     view = overview(rig.rig)
     corners = np.concatenate([PicturePlane.of(camera).corners for camera in rig.rig.cameras.values()])
     shape = (int(height), int(width))

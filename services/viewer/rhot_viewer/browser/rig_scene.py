@@ -25,7 +25,7 @@ from rhot_viewer.scene.instances import Rgb, turn_of_z, unit_ball, unit_box, uni
 from rhot_viewer.scene.limits import LINES, limit_lines
 from rhot_viewer.scene.things import UNKNOWN_COLOR, body_rods, foot_boxes, marker_balls, object_copies
 from rhot_viewer.scene.trails import Trails
-from rhot_viewer.scene.viewpoint import Viewpoint, close_up, desk_middle, overview, through, up_direction, volume_lines
+from rhot_viewer.scene.viewpoint import Viewpoint, close_up, desk_middle, first_view, overview, through, up_direction, volume_lines
 
 FloatArray = NDArray[np.float64]
 
@@ -110,7 +110,7 @@ class RigScene:
             self._trails.colors({**dict.fromkeys(tips, UNKNOWN_COLOR), **_tip_colors(rig, colors)}, _BACKGROUND),
             thickness=0.0022,
         )
-        self._start_with(close_up(rig, np.empty((0, 3))) if rig.config.feet is None else overview(rig))
+        self._start_with(first_view(rig))
 
     def _draw_desk(self, scene: viser.SceneApi) -> viser.LineSegmentsHandle:
         up = up_direction(self._rig)

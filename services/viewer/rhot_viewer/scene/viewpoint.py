@@ -83,6 +83,11 @@ def close_up(rig: Rig, hands: FloatArray) -> Viewpoint:
     return Viewpoint(target + distance_m * away / np.linalg.norm(away), target, seen.up, OVERVIEW_FOV_RAD)
 
 
+def first_view(rig: Rig) -> Viewpoint:
+    """Return the view that a page opens with: where hands will be, or the whole person in a rig that tracks feet."""
+    return close_up(rig, np.empty((0, 3))) if rig.config.feet is None else overview(rig)
+
+
 def through(plane: PicturePlane, aspect: float) -> Viewpoint:
     """Return the camera's own view, in which its picture fills a window of `aspect` (width over height)."""
     to_picture = float(np.linalg.norm(plane.center - plane.eye))
