@@ -25,7 +25,16 @@ from rhot_viewer.scene.instances import Rgb, turn_of_z, unit_ball, unit_box, uni
 from rhot_viewer.scene.limits import LINES, limit_lines
 from rhot_viewer.scene.things import UNKNOWN_COLOR, body_rods, foot_boxes, marker_balls, object_copies
 from rhot_viewer.scene.trails import Trails
-from rhot_viewer.scene.viewpoint import Viewpoint, close_up, desk_middle, first_view, overview, through, up_direction, volume_lines
+from rhot_viewer.scene.viewpoint import (
+    Viewpoint,
+    close_up,
+    desk_middle,
+    first_view,
+    overview,
+    through,
+    up_direction,
+    volume_lines,
+)
 
 FloatArray = NDArray[np.float64]
 
