@@ -5,7 +5,9 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import os
 import shutil
+import signal
 import subprocess
 import tempfile
 import time
@@ -57,13 +59,18 @@ class Browser:
         )
         self.errors: list[str] = []
         self._number = 0
-        self._socket = self._attached()
-        for domain in ("Page", "Runtime", "Log"):
-            self.command(f"{domain}.enable")
-        self.command(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
-        )
-        self.navigate(url)
+        try:
+            self._socket = self._attached()
+            for domain in ("Page", "Runtime", "Log"):
+                self.command(f"{domain}.enable")
+            self.command(
+                "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+            )
+            self.navigate(url)
+        except BaseException:
+            # Nobody else knows of it yet: it would draw on and slow everything after it.
+            self.close()
+            raise
 
     @property
     def pid(self) -> int:
@@ -80,7 +87,6 @@ class Browser:
                     page = next(target for target in json.load(answer) if target["type"] == "page")
                 return connect(page["webSocketDebuggerUrl"], max_size=None, compression=None)
             time.sleep(0.05)
-        self._process.kill()
         raise RuntimeError(f"Chromium did not come up within {_START_S:.0f} s")
 
     def command(self, method: str, **parameters: Any) -> dict[str, Any]:
@@ -159,7 +165,7 @@ class Browser:
         try:
             self._process.wait(timeout=5.0)
         except subprocess.TimeoutExpired:
-            self._process.kill()
+            os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
         self._folder.cleanup()
 
