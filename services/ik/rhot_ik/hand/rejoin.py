@@ -21,8 +21,8 @@ class RejoinSettings:
     """How fast a guess gives way to what is seen.
 
     Attributes:
-        step_m: a tip goes no further than this on the palm from one sample to the next; the ruler's limit for a step
-            beyond the true motion is 10 mm.
+        step_m: a tip's marker goes no further than this on the palm from one sample to the next; joints beside it go
+            up to a third further, and the ruler's limit for a step beyond the true motion is 10 mm.
         first_m, share: nor further than this much and this share of what is left of its way, so that it sets out and
             arrives gently.
         speed_m_s: and by the way of a finger that moves at this speed on top: closing hands take about half a second
@@ -33,7 +33,7 @@ class RejoinSettings:
         sure_m: a marker known no better than this, the worst way, has not come back yet: one camera sees it.
     """
 
-    step_m: float = 0.006
+    step_m: float = 0.0058
     first_m: float = 0.003
     share: float = 0.2
     speed_m_s: float = 0.05

@@ -111,7 +111,7 @@ class HandSolver:
         known[5] = base in model.marker_offsets_m
         self._evidence = EvidenceModel(outline, settings)
         self._kinematics = HandKinematics(self._geometry)
-        self._filter = HandFilter(self._geometry, base_offset, settings, known, viewpoint)
+        self._filter = HandFilter(self._geometry, base_offset, settings, known)
         eye = np.zeros(3) if viewpoint is None else viewpoint
         self._initialiser = HandInitialiser(self._filter, self._evidence, base_offset, eye)
         self._analytic = AnalyticFingers(self._geometry)
@@ -194,7 +194,7 @@ class HandSolver:
     def _continued(self, before: HandTrack, seen: HandObservation, shapes: Sequence[Shape]) -> HandTrack:
         dt_s = (seen.t_ns - before.t_ns) / 1e9
         measured = seen.tips_seen & seen.tips_measured
-        expected = self._filter.predict(before.state, dt_s, ~measured)
+        expected = self._filter.predict(before.state, dt_s, ~measured, holds=len(shapes) > 0)
         evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), before.corner_noise)
         state = self._filter.update(expected, evidence, shapes=shapes)
         state, lost_s = self._reinitialised_if_lost(before, state, seen, dt_s)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
@@ -12,7 +13,7 @@ from rhot.rig import HandFile
 from rhot_ik.hand.contact import Sphere
 from rhot_ik.hand.filter.evidence import CornerNoise, Evidence
 from rhot_ik.hand.filter.filter import HandFilter
-from rhot_ik.hand.filter.prior import angle_covariance, closed_angles, rest_angles
+from rhot_ik.hand.filter.prior import angle_covariance, closed_angles, hidden_angles, rest_angles
 from rhot_ik.hand.filter.process import ANGLES, HandState
 from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.geometry import FingerGeometry
@@ -112,15 +113,18 @@ def test_left_alone_the_angles_go_back_to_rest_and_doubt_grows_to_what_is_known_
     assert np.trace(state.P[ANGLES, ANGLES]) > 2.0 * before
 
 
-def test_fingers_that_nobody_sees_close() -> None:
+@pytest.mark.parametrize("holds", [False, True])
+def test_fingers_that_nobody_sees_close(holds: bool) -> None:
+    """Until they meet what they close round, or half of the way where nobody knows what that is."""
     hand = filter_of()
     model = HandModel.from_file(HandFile(), "right")
     state = hand.update(hand.start(R_TRUE, P_TRUE), evidence_of(hand, coupled(model, 20.0, 30.0)), steps=4)
     hidden = np.arange(5) == 2
     for _ in range(60):
-        state = hand.predict(state, 0.1, hidden)
+        state = hand.predict(state, 0.1, hidden, holds)
     bend = np.degrees(state.angles.reshape(5, 4))
-    assert np.allclose(bend[2], np.degrees(closed_angles(model).reshape(5, 4)[2]), atol=1.0)
+    closed = closed_angles(model) if holds else hidden_angles(model)
+    assert np.allclose(bend[2], np.degrees(closed.reshape(5, 4)[2]), atol=1.0)
     assert (bend[[1, 3, 4], 0] < 25.0).all()
 
 
@@ -135,7 +139,7 @@ def test_a_hidden_finger_ends_at_the_thing_that_it_closes_round() -> None:
     for shapes in ((), (ball,)):
         closing = state
         for _ in range(120):
-            expected = hand.predict(closing, 1 / 60, hidden)
+            expected = hand.predict(closing, 1 / 60, hidden, holds=True)
             closing = hand.update(expected, evidence_of(hand, angles, hidden=(2,)), shapes=shapes)
         tip = hand.tips(closing)[2]
         depth = ball.radius_m - np.linalg.norm(tip - held)

@@ -25,7 +25,7 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
 from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import Evidence, Rows, rows_of
-from rhot_ik.hand.filter.hidden_tips import HiddenTips
+from rhot_ik.hand.filter.hidden_tips import ContactOfHiddenTips
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.filter.prior import COUNT
 from rhot_ik.hand.filter.process import (
@@ -68,7 +68,6 @@ class HandFilter(HandProcess):
         base_offset: (3,) metres: where the model has the base marker, wrist frame.
         settings: numbers of the estimate.
         known: (6,) of which markers a calibration has measured where they sit.
-        viewpoint: (3,) metres, rig frame: where the cameras are; none when nothing is known of what hides a tip.
     """
 
     def __init__(
@@ -77,7 +76,6 @@ class HandFilter(HandProcess):
         base_offset: FloatArray,
         settings: HandSettings,
         known: BoolArray,
-        viewpoint: FloatArray | None = None,
     ) -> None:
         model = geometry.model
         super().__init__(model, settings, known)
@@ -89,7 +87,7 @@ class HandFilter(HandProcess):
         self._resting = geometry.marker_points(self._rest.reshape(5, 4))
         self._base_offset = base_offset
         self._model = model
-        self._hidden = HiddenTips(model, settings.contact_m, viewpoint)
+        self._contact = ContactOfHiddenTips(model, settings.contact_m)
         self._H = np.zeros((_ROWS, SIZE))
         self._H[:18, POSITION] = np.tile(_UNIT, (6, 1))
         self._H[18:, PATCH_TILT] = _UNIT
@@ -115,8 +113,8 @@ class HandFilter(HandProcess):
         at = prior
         wanted = np.empty((_ROWS, SIZE + 1))
         modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
-        if prior.dt_s > 0.0 and not rows.seen[:5].all():
-            self._hidden.expect(rows, prior, modelled[0], shapes)
+        if shapes and prior.dt_s > 0.0 and not rows.seen[:5].all():
+            self._contact.expect(rows, prior, modelled[0], shapes)
         far = self._is_far(prior, rows, modelled[0])
         if far:
             dx[ANGLES] = self._closed_form(prior, rows) - prior.angles

@@ -57,7 +57,8 @@ class HandInitialiser:
         points = self._evidence.assess(seen, None)
         tried = []
         for R in self._facing(guesses(direction), seen.base):
-            state = self._filter.update(self._filter.start(R, seen.base - R @ self._base_offset, None, person), points)
+            start = self._filter.start(R, seen.base - R @ self._base_offset, None, person, ~visible)
+            state = self._filter.update(start, points)
             tried.append((self.cost(state, points), state))
         refined = []
         for _, state in sorted(tried, key=lambda item: item[0])[:_REFINED]:

@@ -53,6 +53,14 @@ def closed_angles(model: HandModel) -> FloatArray:
     return _angles(model, CLOSED_DEG)
 
 
+def hidden_angles(model: HandModel) -> FloatArray:
+    """Return the mean of the angles of fingers that nobody sees, (20,) radians.
+
+    Each may have met what it closes round anywhere on its way from rest to closed, so its mean is half of the way.
+    """
+    return 0.5 * (rest_angles(model) + closed_angles(model))
+
+
 def _angles(model: HandModel, mean_deg: tuple[tuple[float, ...], ...]) -> FloatArray:
     mean = np.empty((len(FINGERS), 4))
     mean[:, :3] = np.radians(mean_deg)

@@ -20,7 +20,7 @@ import numpy as np
 from rhot.anatomy.hand import HandModel
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import orthonormal, rotation_from_vector
-from rhot_ik.hand.filter.prior import COUNT, angle_covariance, closed_angles, rest_angles
+from rhot_ik.hand.filter.prior import COUNT, angle_covariance, closed_angles, hidden_angles, rest_angles
 from rhot_ik.hand.filter.settings import HandSettings
 
 ROTATION: Final = slice(0, 3)
@@ -88,7 +88,7 @@ class HandProcess:
 
     def __init__(self, model: HandModel, settings: HandSettings, known: BoolArray) -> None:
         self.settings = settings
-        self._rest, self._closed = rest_angles(model), closed_angles(model)
+        self._rest, self._closed, self._unseen = rest_angles(model), closed_angles(model), hidden_angles(model)
         self._stationary = angle_covariance(model)
         shift = np.where(known[5], settings.known_m, settings.base_shift_m)
         tilt = np.full(3, settings.known_rad if known[5] else settings.patch_tilt_rad)
@@ -102,8 +102,12 @@ class HandProcess:
         p: FloatArray,
         angles: FloatArray | None = None,
         person: tuple[FloatArray, FloatArray] | None = None,
+        hidden: BoolArray | None = None,
     ) -> HandState:
-        """Return a state of which only the given is known: a turn to 30°, a place to 5 cm, angles as at rest."""
+        """Return a state of which only the given is known: a turn to 30°, a place to 5 cm, angles as at rest.
+
+        Fingers that are `hidden` (5,) start as such fingers usually stand.
+        """
         P = np.zeros((SIZE, SIZE))
         P[ROTATION, ROTATION] = np.eye(3) * np.radians(30.0) ** 2
         P[POSITION, POSITION] = np.eye(3) * 0.05**2
@@ -111,21 +115,27 @@ class HandProcess:
         P[VELOCITY, VELOCITY] = np.eye(3) * 0.5**2
         P[ANGLES, ANGLES] = self._stationary
         known, P[PERSON, PERSON] = (np.zeros(PERSON.stop - PERSON.start), self._person) if person is None else person
-        q = self._rest if angles is None else angles
+        q = self._expected(hidden, self._unseen) if angles is None else angles
         return HandState(R, p, np.zeros(3), np.zeros(3), q, known, P)
 
-    def predict(self, state: HandState, dt_s: float, hidden: BoolArray | None = None) -> HandState:
-        """Return the state `dt_s` later; fingers that nobody sees (5,) go on closing, those that are seen relax."""
+    def predict(self, state: HandState, dt_s: float, hidden: BoolArray | None = None, holds: bool = False) -> HandState:
+        """Return the state `dt_s` later.
+
+        Args:
+            state: of before.
+            dt_s: seconds.
+            hidden: (5,) fingers that nobody sees: they go on closing, those that are seen relax.
+            holds: whether it is known what they may close round, so that they go on until they meet it.
+        """
         if dt_s <= 0.0:
             return state
         settings = self.settings
         fades = math.exp(-dt_s / settings.speed_fades_s)
         path_s = settings.speed_fades_s * (1.0 - fades)
-        keeps, mean = np.full(COUNT, math.exp(-dt_s / settings.angles_rest_s)), self._rest
-        if hidden is not None and hidden.any():
-            closing = np.repeat(hidden, 4)
-            keeps = np.where(closing, math.exp(-dt_s / settings.closing_s), keeps)
-            mean = np.where(closing, self._closed, self._rest)
+        keeps = np.full(COUNT, math.exp(-dt_s / settings.angles_rest_s))
+        if hidden is not None:
+            keeps[np.repeat(hidden, 4)] = math.exp(-dt_s / settings.closing_s)
+        mean = self._expected(hidden, self._closed if holds else self._unseen)
         learned = math.exp(-dt_s / settings.person_s)
         forgets = math.exp(-dt_s / settings.angles_wander_s)
         spread = 1.0 - forgets * forgets
@@ -154,6 +164,10 @@ class HandProcess:
             dt_s,
             spread,
         )
+
+    def _expected(self, hidden: BoolArray | None, closing: FloatArray) -> FloatArray:
+        """Return the angles (20,) that seen fingers tend to, and of hidden ones (5,) those of `closing` (20,)."""
+        return self._rest if hidden is None else np.where(np.repeat(hidden, 4), closing, self._rest)
 
     def _process_noise(self) -> FloatArray:
         """Return what a prediction by t adds to P, (5, 43·43): factors of t³/3, t²/2, t, of angles and of person."""
