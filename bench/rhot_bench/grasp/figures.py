@@ -105,12 +105,12 @@ def _whole(
 
 
 def _phase(phase: str, session: GraspSession, found: GraspFigures, beside: GraspFigures | None) -> Section:
-    rows = _rows_of(phase, found)
+    rows = rows_of(phase, found)
     tips = list(TIPS)
     gaps = found.gaps[rows]
     deep = np.maximum(-gaps[:, flesh()], 0.0).max(axis=1) if len(rows) else np.zeros(0)
     truth = None
-    if beside is not None and len(true_rows := _rows_of(phase, beside)):
+    if beside is not None and len(true_rows := rows_of(phase, beside)):
         truth = beside.gaps[true_rows]
 
     def peer(value: float) -> str:
@@ -120,9 +120,9 @@ def _phase(phase: str, session: GraspSession, found: GraspFigures, beside: Grasp
         Row("fingers measured", 100.0 * _mean(session.measured[rows].astype(np.float64)), "%"),
         Row(
             "gap of thumb and nearest finger, median",
-            _MM * _median(_pinch(gaps)),
+            _MM * _median(pinch(gaps)),
             "mm",
-            peer="" if truth is None else peer(_MM * _median(_pinch(truth))),
+            peer="" if truth is None else peer(_MM * _median(pinch(truth))),
             note=_GAP,
         ),
         Row(
@@ -142,14 +142,14 @@ def _phase(phase: str, session: GraspSession, found: GraspFigures, beside: Grasp
     return Section(phase.capitalize(), tuple(figures))
 
 
-def _pinch(gaps: FloatArray) -> FloatArray:
+def pinch(gaps: FloatArray) -> FloatArray:
     """Return the larger gap (N,) of the thumb's and of the nearest other tip's."""
     tips = gaps[:, list(TIPS)]
     larger: FloatArray = np.maximum(tips[:, 0], tips[:, 1:].min(axis=1)) if len(tips) else np.zeros(0)
     return larger
 
 
-def _rows_of(phase: str, found: GraspFigures) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def rows_of(phase: str, found: GraspFigures) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     ranges = [each.phases()[phase] for each in found.pickups]
     parts = [np.arange(one.start, one.stop) for one in ranges]
     return np.concatenate(parts).astype(np.int64) if parts else np.zeros(0, dtype=np.int64)

@@ -97,7 +97,7 @@ def grasp_session(
         palm=hand_motion.rotations[inside, PALM],
         radii_m=hand_motion.radii_m,
         measured=np.array([fingers[moment] for moment in t_ns.tolist()]),
-        objects=_at(object_motion, t_ns),
+        objects=poses_at(object_motion, t_ns),
         shape=shape,
     )
 
@@ -114,7 +114,7 @@ def _chosen(found: dict[str, Motion], prefix: str, wanted: str | None, option: s
     return found[names[0]]
 
 
-def _at(motion: Motion, t_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FloatArray:
+def poses_at(motion: Motion, t_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FloatArray:
     """Return a rigid thing's poses (N, 4, 4) at times between its own, interpolated."""
     before = np.clip(np.searchsorted(motion.t_ns, t_ns, side="right") - 1, 0, len(motion.t_ns) - 2)
     span = motion.t_ns[before + 1] - motion.t_ns[before]

@@ -13,23 +13,22 @@ import click
 from rich.console import Console
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
-from rhot.errors import CalibrationError, ConfigError, RhotError
-from rhot.geometry.camera import CameraModel
+from rhot.errors import ConfigError, RhotError
 from rhot.offline import marker_frames, rig_timing, track
 from rhot.recording import MarkerTrack, load_recording
 from rhot.rig import BusConfig, Rig, load_rig
 from rhot.rig.colors import load_colors
 from rhot.rig.folder import write_text_atomic
 from rhot.rig.marker_config import own_paints
-from rhot_bench.grasp.figures import grasp_figures, grasp_sections
-from rhot_bench.grasp.session import grasp_session
 from rhot_bench.measures.html import html_report
 from rhot_bench.measures.rows import Section, check_output
 from rhot_bench.output import json_option, page_option, show
 from rhot_bench.rig.depth import depth_plot, depth_sections
+from rhot_bench.rig.grasps import grasps
 from rhot_bench.rig.heard import Heard, listen
 from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
 from rhot_bench.rig.session import depth_rows, pictures_of
+from rhot_bench.rig.simulated import simulated_truth
 from rhot_bench.rig.stages import stage_sections, stage_times, thread_section
 from rhot_capture.detection.color_table import ImageArray, build_color_table
 from rhot_capture.detection.detector import MarkerDetector
@@ -131,7 +130,7 @@ def rig(
                 heard = Heard() if guided else asyncio.run(listen(bus, seconds, lambda _: None))
                 if part == "depth":
                     rows = depth_rows(loaded, bus, heard, marker, places, 1e-3 * ruler_mm, console)
-                    sections += depth_sections(rows, _true_fb(loaded) if heard.truth else None)
+                    sections += depth_sections(rows, truth.fb if (truth := simulated_truth(loaded, heard)) else None)
                     plots.append(depth_plot(rows))
                 else:
                     _listened(part, loaded, heard, bus, sections, plots)
@@ -153,14 +152,15 @@ def rig(
 
 def _listened(part: str, rig: Rig, heard: Heard, bus: BusConfig, sections: list[Section], plots: list[str]) -> None:
     """Judge what was heard for one part other than depth."""
+    truth = simulated_truth(rig, heard)
     if part == "grasp":
-        session = grasp_session(heard.poses, None, None, None)
-        sections += grasp_sections(session, grasp_figures(session))
+        sections += grasps(rig, heard)
     elif part == "stages":
-        sections += stage_sections(heard, stage_times(heard))
+        times = stage_times(heard) if truth is None else stage_times(heard, truth.exposed_ns)
+        sections += stage_sections(heard, times)
         sections.append(_threads(rig, asyncio.run(pictures_of(bus, tuple(rig.cameras), _PICTURES))))
     else:
-        jitter = still_jitter(heard, rests_only=False)
+        jitter = still_jitter(heard, rests_only=False, cameras=None if truth is None else truth.cameras)
         sections += jitter_sections(jitter)
         plots += jitter_plots(jitter)
 
@@ -188,19 +188,6 @@ def _threads(rig: Rig, pictures: dict[str, list[ImageArray]]) -> Section:
     }
     cores = os.cpu_count() or 1
     return thread_section(pictures, detectors, sorted({1, 2, min(4, cores), cores}))
-
-
-def _true_fb(rig: Rig) -> float | None:
-    """Return f · B of a simulated rig's two true cameras, pixel metres; None where it has none."""
-    from rhot_sim.rig.folder import true_cameras  # noqa: PLC0415  # only simulated rigs have them
-
-    try:
-        first, second = list(true_cameras(rig).values())[:2]
-    except (CalibrationError, ConfigError, ValueError):
-        return None
-    # The second camera is turned into the first one's orientation, so its own does not matter.
-    K = CameraModel.from_calibration(next(iter(rig.cameras.values()))).K
-    return float(K[0, 0]) * abs(float(first.to_camera(second.center[None])[0, 0]))
 
 
 def _distances(text: str) -> Sequence[float]:

@@ -18,10 +18,12 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, Truth
 from rhot.report.svg import line_plot
 from rhot.rig import Rig
+from rhot.rig.quality import pair_epipolar_p95_px
 from rhot_bench.measures.rows import Row, Section
 from rhot_bench.rig.rows import figure_row, truth_row
 from rhot_bench.rig.statistics import COVERAGE, Figure, mean
-from rhot_calibration.depth.fit import PowerLaw, fit_physical_law, fit_power_law, relative_rms
+from rhot_calibration.depth.fit import PhysicalLaw, PowerLaw, fit_physical_law, fit_power_law, relative_rms
+from rhot_fusion.filter.settings import DEFAULT
 
 _CM: Final = 100.0
 _LEAST_SAMPLES: Final = 10
@@ -38,11 +40,15 @@ class DepthRow:
 
     Attributes:
         distance_m: measured with a ruler along the first camera's view.
-        disparity_px: mean over the time that the marker was held there; the interval includes the ruler's.
+        disparity_px: mean over the time that the marker was held there; the interval includes the ruler's, and the
+            calibration's.
+        off_px: how much of that interval is the ruler's and the calibration's: no time makes it less, and all distances
+            may be off alike.
     """
 
     distance_m: float
     disparity_px: Figure
+    off_px: float = 0.0
 
 
 def printed_table() -> tuple[FloatArray, FloatArray]:
@@ -85,8 +91,21 @@ def disparities(rig: Rig, frames: Sequence[MarkerFrame], marker: str) -> tuple[F
     return t_first[joined], (sign * float(first.K[0, 0]) * (x_first - other))[joined]
 
 
-def row_at(distance_m: float, disparity_px: FloatArray, ruler_m: float) -> DepthRow:
-    """Return a row of a marker held at a distance, which the ruler tells to within `ruler_m`.
+def calibration_px(rig: Rig) -> float:
+    """Return what the cameras' calibration may put a disparity off, pixels: what `fusion` takes it for."""
+    names = list(rig.cameras)[:2]
+    stated = pair_epipolar_p95_px(rig.quality, *names) if len(names) == 2 else None
+    return DEFAULT.systematic.doubt * (stated or DEFAULT.noise.calibration_px)
+
+
+def row_at(distance_m: float, disparity_px: FloatArray, ruler_m: float, calibration_px: float = 0.0) -> DepthRow:
+    """Return a row of a marker held at a distance.
+
+    Args:
+        distance_m: as measured.
+        disparity_px: (N,) of all frames.
+        ruler_m: what the distance may be off.
+        calibration_px: what the calibration may put a disparity off.
 
     Raises:
         ConfigError: both cameras saw it too rarely.
@@ -102,14 +121,12 @@ def row_at(distance_m: float, disparity_px: FloatArray, ruler_m: float) -> Depth
         one = _SIGMAS * float(disparity_px.std(ddof=1))
         found = replace(found, low=found.value - one, high=found.value + one)
     # A distance that is off by δ is a disparity that is off by d · δ / D.
-    by = abs(found.value) * ruler_m / distance_m
-    return DepthRow(distance_m, replace(found, low=found.low - by, high=found.high + by))
+    by = abs(found.value) * ruler_m / distance_m + calibration_px
+    return DepthRow(distance_m, replace(found, low=found.low - by, high=found.high + by), by)
 
 
-def rows_by_truth(
-    rig: Rig, frames: Sequence[MarkerFrame], truth: Sequence[Truth], marker: str, ruler_m: float
-) -> list[DepthRow]:
-    """Return rows whose ruler is the simulator's truth: the moving hand's way in depth, in equal stretches.
+def rows_by_truth(rig: Rig, frames: Sequence[MarkerFrame], truth: Sequence[Truth], marker: str) -> list[DepthRow]:
+    """Return rows whose ruler is the simulator's truth, without error: the moving hand's way in depth, in equal stretches.
 
     Each sample is brought to the middle of its stretch by what the truth says of the difference, so that a stretch may
     be wide; d · D is nearly constant.
@@ -128,27 +145,57 @@ def rows_by_truth(
         inside = (depth >= low) & (depth < high)
         if inside.sum() >= _LEAST_SAMPLES:
             middle = 0.5 * (low + high)
-            rows.append(row_at(float(middle), disparity[inside] * depth[inside] / middle, ruler_m))
+            rows.append(row_at(float(middle), disparity[inside] * depth[inside] / middle, 0.0, calibration_px(rig)))
     return rows
 
 
 def power_law_figures(rows: Sequence[DepthRow]) -> tuple[PowerLaw, Figure, Figure]:
     """Return the power law D = k · d^z through rows, and k (centimetres) and z with their intervals.
 
-    The law is a line through logarithms, so its intervals are those of linear regression (Student's t, n − 2).
+    The law is a line through logarithms, so its intervals are those of linear regression (Student's t, n − 2), wider by
+    what ruler and calibration may put it off.
     """
     distance, disparity = _columns(rows)
     law = fit_power_law(distance, disparity)
-    x, count = np.log(disparity), len(rows)
-    residual = np.log(distance) - np.log(law.k) - law.z * x
-    freedom = count - 2
-    variance = float(residual @ residual) / max(freedom, 1)
-    square = float(((x - x.mean()) ** 2).sum())
-    reach = float(student.ppf(0.5 + 0.5 * COVERAGE, max(freedom, 1)))
-    of_z = reach * np.sqrt(variance / square)
-    of_log_k = reach * np.sqrt(variance * (1.0 / count + x.mean() ** 2 / square))
+    x = np.log(disparity)
+    off = abs(law.z) * np.array([row.off_px for row in rows]) / disparity
+    of_log_k, of_z = _reaches(x, np.log(distance) - np.log(law.k) - law.z * x, off)
+    count = len(rows)
     k = Figure(_CM * law.k, _CM * law.k * np.exp(-of_log_k), _CM * law.k * np.exp(of_log_k), count, count)
     return law, k, Figure(law.z, law.z - of_z, law.z + of_z, count, count)
+
+
+def physical_law_figures(rows: Sequence[DepthRow]) -> tuple[PhysicalLaw, Figure, Figure]:
+    """Return the physical law D = a / (d − o) through rows, and a (pixel metres) and o (pixels) with their intervals.
+
+    Relative errors of depth are those of d · D, which by this law is the line a + o · D; see `power_law_figures`.
+    """
+    distance, disparity = _columns(rows)
+    law, count = fit_physical_law(distance, disparity), len(rows)
+    off = np.array([row.off_px for row in rows]) * distance
+    of_a, of_o = _reaches(distance, disparity * distance - law.a - law.offset_px * distance, off)
+    a = Figure(law.a, law.a - of_a, law.a + of_a, count, count)
+    return law, a, Figure(law.offset_px, law.offset_px - of_o, law.offset_px + of_o, count, count)
+
+
+def _reaches(x: FloatArray, residual: FloatArray, off: FloatArray) -> tuple[float, float]:
+    """Return how far the constant and the slope of a line through points (N,) may be off.
+
+    Args:
+        x: of the points.
+        residual: of the points from the line.
+        off: how far each point may be off that its residual does not show: all alike, or each on its own.
+    """
+    count, from_middle = len(x), x - x.mean()
+    square = float(from_middle @ from_middle)
+    freedom = max(count - 2, 1)
+    variance = float(residual @ residual) / freedom
+    reach = float(student.ppf(0.5 + 0.5 * COVERAGE, freedom))
+    slope = from_middle / square
+    constant = 1.0 / count - x.mean() * slope
+    by_scatter = reach * np.sqrt(variance * np.array([float(constant @ constant), float(slope @ slope)]))
+    by_off = [max(abs(float(weights @ off)), float(np.linalg.norm(weights * off))) for weights in (constant, slope)]
+    return float(by_scatter[0] + by_off[0]), float(by_scatter[1] + by_off[1])
 
 
 def depth_sections(rows: Sequence[DepthRow], true_fb: float | None = None) -> list[Section]:
@@ -161,7 +208,7 @@ def depth_sections(rows: Sequence[DepthRow], true_fb: float | None = None) -> li
     ordered = sorted(rows, key=lambda row: row.distance_m)
     distance, disparity = _columns(ordered)
     law, k, z = power_law_figures(ordered)
-    physical = fit_physical_law(distance, disparity)
+    physical, a, offset = physical_law_figures(ordered)
     printed = printed_table()
     theirs = fit_power_law(*printed)
     at = Section(
@@ -187,20 +234,23 @@ def depth_sections(rows: Sequence[DepthRow], true_fb: float | None = None) -> li
             "%",
             peer=f"thesis: {100.0 * relative_rms(theirs, *printed):.2f} %",
         ),
-        Row("a = f · B of D = a / (d − o)", physical.a, "px m", note=f"o = {physical.offset_px:.2f} px"),
+        figure_row("a = f · B of D = a / (d − o)", a, "px m", digits=4),
+        figure_row("o", offset, "px"),
         Row("relative depth error of that law", 100.0 * relative_rms(physical, distance, disparity), "%"),
     ]
     sections = [at, Section(f"Depth laws, rig.toml: depth_law = [{k.value:.1f}, {z.value:.4f}]", tuple(laws))]
     if true_fb is not None:
-        sections.append(_beside_truth(ordered, true_fb))
+        checks = [
+            truth_row(f"disparity at {_CM * row.distance_m:.1f} cm", row.disparity_px, true_fb / row.distance_m, "px")
+            for row in ordered
+        ]
+        checks += [truth_row("k", k, _CM * true_fb, ""), truth_row("z", z, -1.0, "")]
+        checks += [truth_row("a", a, true_fb, "px m"), truth_row("o", offset, 0.0, "px")]
+        sections.append(_beside_truth(checks))
     return sections
 
 
-def _beside_truth(rows: Sequence[DepthRow], true_fb: float) -> Section:
-    checks = [
-        truth_row(f"disparity at {_CM * row.distance_m:.1f} cm", row.disparity_px, true_fb / row.distance_m, "px")
-        for row in rows
-    ]
+def _beside_truth(checks: Sequence[Row]) -> Section:
     return Section("Disparity beside the simulator's truth (1: within its interval)", tuple(checks))
 
 

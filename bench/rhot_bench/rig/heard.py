@@ -10,8 +10,9 @@ from typing import Final
 
 from rhot.bus import Bus
 from rhot.errors import BusError, WireError
-from rhot.messages import HandPose, MarkerFrame, Message, ObjectPose, PointSet, ServiceStatus, Truth, decode
-from rhot.operation.live_rig import rig_clock
+from rhot.messages import Control, HandPose, MarkerFrame, Message, ObjectPose, PointSet, ServiceStatus, Truth, decode
+from rhot.operation.control import newest_control
+from rhot.operation.live_rig import measured_rig_clock
 from rhot.rig import BusConfig
 
 _CONNECT_S: Final = 5.0
@@ -35,6 +36,8 @@ class Heard:
         points, truth: as published; truth only by a simulated rig.
         poses: hands and objects with their keys.
         statuses: the newest of each service, by `service/instance`.
+        clock_s: bound of the error of the arrivals: half the round trip to the rig clock.
+        start_ns: rig time at which the session began, which is a simulated world's time 0; 0 = not known.
     """
 
     frames: list[MarkerFrame] = field(default_factory=list)
@@ -43,10 +46,15 @@ class Heard:
     truth: list[Truth] = field(default_factory=list)
     poses: list[tuple[str, Message]] = field(default_factory=list)
     statuses: dict[str, ServiceStatus] = field(default_factory=dict)
+    clock_s: float = 0.0
+    start_ns: int = 0
 
     def note(self, key: str, message: Message, arrived_ns: int | None = None) -> None:
         """Take one message."""
-        if isinstance(message, MarkerFrame):
+        if isinstance(message, Control):
+            # What starts all services is sent before they start; the newest is that of the session.
+            self.start_ns = message.start_t_ns if message.action == "start" else self.start_ns
+        elif isinstance(message, MarkerFrame):
             self.frames.append(message)
             if arrived_ns is not None:
                 self.arrived_ns.append(arrived_ns)
@@ -81,7 +89,10 @@ async def listen(bus_config: BusConfig, seconds: float, progress: Callable[[floa
     """
     heard = Heard()
     async with await Bus.open(bus_config, timeout_s=_CONNECT_S) as bus:
-        now_ns = await rig_clock(bus)
+        now_ns, heard.clock_s = await measured_rig_clock(bus)
+        control = await newest_control(bus)
+        if control is not None:
+            heard.note("", control)
         loop = asyncio.get_running_loop()
         begun = loop.time()
 

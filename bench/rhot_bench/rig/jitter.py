@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,12 +10,15 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from rhot.arrays import FloatArray
+from rhot.geometry.camera import CameraModel
 from rhot.report.svg import Bar, bar_plot
 from rhot_bench.measures.rows import Row, Section
 from rhot_bench.measures.streams import REST_FRAMES, REST_PX
 from rhot_bench.rig.heard import Heard
 from rhot_bench.rig.rows import figure_row, truth_row
 from rhot_bench.rig.statistics import Figure, deviation, mean_of_independent
+
+TimeArray = np.ndarray[tuple[int], np.dtype[np.int64]]
 
 THESIS_PX: Final = "thesis: 2–5 px"
 _LEAST_SAMPLES: Final = 30
@@ -30,30 +33,46 @@ class Jitter:
         pixels: camera to marker to the deviation of (u, v) together, pixels.
         sideways, depth: marker to the deviation across and along the first camera's view, metres.
         off_truth: marker to (sideways, depth) about what is true at each moment, metres; only of a simulated rig.
+        off_pixels: camera to marker to the deviation about the true projection, pixels; only of a simulated rig.
+        wandered: camera to how far a marker wandered at most, pixels: between the means of whole seconds.
     """
 
     pixels: Mapping[str, Mapping[str, Figure]]
     sideways: Mapping[str, Figure]
     depth: Mapping[str, Figure]
     off_truth: Mapping[str, tuple[float, float]]
+    off_pixels: Mapping[str, Mapping[str, float]]
+    wandered: Mapping[str, float]
 
 
-def still_jitter(heard: Heard, *, rests_only: bool) -> Jitter:
+def still_jitter(heard: Heard, *, rests_only: bool, cameras: Mapping[str, CameraModel] | None = None) -> Jitter:
     """Return the jitter of all markers.
 
     Args:
         heard: while a hand was held still, or with stretches of rest in it.
+        cameras: as they truly stand, of a simulated rig.
         rests_only: judge only stretches of half a second in which a view moves by no more than two pixels; a hand that
             is held still for a minute is judged as a whole, so that slow swaying counts.
     """
     spread = _rests if rests_only else deviation
-    views: dict[str, dict[str, list[tuple[float, float]]]] = {}
-    for frame in heard.frames:
-        for name, marker in frame.markers.items():
-            views.setdefault(frame.camera, {}).setdefault(name, []).append((marker.u, marker.v))
+    views = _views(heard)
     pixels = {
-        camera: {name: spread(np.array(uv)) for name, uv in sorted(markers.items()) if len(uv) >= _LEAST_SAMPLES}
-        for camera, markers in sorted(views.items())
+        camera: {name: spread(uv) for name, (_, uv) in markers.items() if len(uv) >= _LEAST_SAMPLES}
+        for camera, markers in views.items()
+    }
+    wandered = {
+        camera: max((_wander_px(t_ns, uv) for t_ns, uv in markers.values()), default=0.0)
+        for camera, markers in views.items()
+        if not rests_only
+    }
+    off_pixels = {
+        camera: {
+            name: float(np.sqrt(off.var(axis=0, ddof=1).sum()))
+            for name, (t_ns, uv) in markers.items()
+            if len(off := _off_projection(heard, cameras[camera], name, t_ns, uv)) >= _LEAST_SAMPLES
+        }
+        for camera, markers in views.items()
+        if cameras is not None and not rests_only
     }
     places: dict[str, list[tuple[int, float, float, float]]] = {}
     for points in heard.points:
@@ -74,7 +93,7 @@ def still_jitter(heard: Heard, *, rests_only: bool) -> Jitter:
         if true is not None:
             off = (xyz - true)[np.isfinite(true[:, 0])]
             off_truth[name] = (float(np.sqrt(off[:, :2].var(axis=0, ddof=1).sum())), float(off[:, 2].std(ddof=1)))
-    return Jitter(pixels, sideways, depth, off_truth)
+    return Jitter(pixels, sideways, depth, off_truth, off_pixels, wandered)
 
 
 def jitter_sections(jitter: Jitter) -> list[Section]:
@@ -87,12 +106,19 @@ def jitter_sections(jitter: Jitter) -> list[Section]:
         for camera, markers in jitter.pixels.items()
         if markers
     ]
+    if jitter.wandered:
+        sections.append(Section("Was it still?", tuple(_wander_row(*each) for each in jitter.wandered.items())))
     rows: list[Row] = []
     for name in jitter.sideways:
         rows.append(figure_row(f"{name}, sideways", jitter.sideways[name].scaled(_MM), "mm"))
         rows.append(figure_row(f"{name}, in depth", jitter.depth[name].scaled(_MM), "mm"))
     sections += [Section("Jitter in space", tuple(rows))] if rows else []
     beside = [
+        truth_row(f"{name} in the pictures of {camera}", jitter.pixels[camera][name], true, "px")
+        for camera, off_px in jitter.off_pixels.items()
+        for name, true in off_px.items()
+    ]
+    beside += [
         truth_row(f"{name}, {axis}", figure[name].scaled(_MM), _MM * true, "mm")
         for name, off in jitter.off_truth.items()
         for axis, figure, true in (("sideways", jitter.sideways, off[0]), ("in depth", jitter.depth, off[1]))
@@ -115,6 +141,44 @@ def jitter_plots(jitter: Jitter) -> list[str]:
     }
     plots = [bar_plot("Jitter of each marker in the pictures", "standard deviation [px]", in_pixels)] if names else []
     return plots + ([bar_plot("Jitter of each marker in space", "deviation [mm]", in_space)] if in_space else [])
+
+
+def _wander_row(camera: str, wandered_px: float) -> Row:
+    note = "between the means of whole seconds; more, and the jitter is how the hand moved: rest it on something"
+    return Row(f"{camera}, a marker wandered by at most", wandered_px, "px", most=REST_PX, note=note)
+
+
+def _views(heard: Heard) -> dict[str, dict[str, tuple[TimeArray, FloatArray]]]:
+    """Return times (N,), rig clock, and views (N, 2), pixels, by camera and marker."""
+    found: dict[str, dict[str, list[tuple[int, float, float]]]] = {}
+    for frame in heard.frames:
+        for name, marker in frame.markers.items():
+            t_ns = frame.t_ns if marker.t_ns is None else marker.t_ns
+            found.setdefault(frame.camera, {}).setdefault(name, []).append((t_ns, marker.u, marker.v))
+    return {
+        camera: {
+            name: (np.array([row[0] for row in rows], dtype=np.int64), np.array([row[1:] for row in rows]))
+            for name, rows in sorted(markers.items())
+        }
+        for camera, markers in sorted(found.items())
+    }
+
+
+def _wander_px(t_ns: TimeArray, uv: FloatArray) -> float:
+    """Return how far apart the means of whole seconds lie at most; seconds with few views tell nothing."""
+    second = (t_ns - t_ns[0]) // 1_000_000_000
+    means = np.array([uv[second == one].mean(axis=0) for one in np.unique(second) if (second == one).sum() >= 5])
+    return float(np.ptp(means, axis=0).max()) if len(means) > 1 else 0.0
+
+
+def _off_projection(heard: Heard, camera: CameraModel, name: str, t_ns: TimeArray, uv: FloatArray) -> FloatArray:
+    """Return how far views (N, 2) lie from where the marker truly was, pixels, for those within the truth's time."""
+    true = _true_places(heard, name, t_ns)
+    if true is None:
+        return np.empty((0, 2))
+    known = np.isfinite(true[:, 0])
+    off: FloatArray = uv[known] - camera.project(true[known])
+    return off
 
 
 def _bar(figure: Figure) -> Bar:
@@ -164,15 +228,13 @@ def _resting(xyz: FloatArray, heard: Heard, name: str) -> FloatArray:
     return np.array([xyz[begin : begin + REST_FRAMES] for begin in chosen]).reshape(-1, REST_FRAMES, 3)
 
 
-def _true_places(
-    heard: Heard, name: str, t_ns: Sequence[int] | np.ndarray[tuple[int], np.dtype[np.int64]]
-) -> FloatArray | None:
+def _true_places(heard: Heard, name: str, t_ns: TimeArray) -> FloatArray | None:
     """Return where a marker truly was (N, 3) at times, between the moments that the truth names; None without truth."""
     known = [(each.t_ns, each.points[name]) for each in heard.truth if name in each.points]
     if len(known) < 2:
         return None
     times = np.array([t for t, _ in known], dtype=np.int64)
-    wanted = (np.asarray(t_ns) - times[0]).astype(np.float64)
+    wanted = (t_ns - times[0]).astype(np.float64)
     places = np.array([place for _, place in known])
     since = (times - times[0]).astype(np.float64)
     return np.stack([np.interp(wanted, since, axis, np.nan, np.nan) for axis in places.T], axis=1)

@@ -13,7 +13,7 @@ from rich.console import Console
 from rhot.bus import Bus
 from rhot.errors import ConfigError
 from rhot.rig import BusConfig, Rig
-from rhot_bench.rig.depth import DepthRow, disparities, row_at, rows_by_truth
+from rhot_bench.rig.depth import DepthRow, calibration_px, disparities, row_at, rows_by_truth
 from rhot_bench.rig.heard import Heard, listen
 from rhot_calibration.colors.live import decoded
 from rhot_calibration.depth.fit import LEAST_ROWS
@@ -58,7 +58,7 @@ def depth_session(
                 break
             heard = asyncio.run(listen(bus, hold_s, lambda _: None))
             try:
-                row = row_at(0.01 * distance_cm, disparities(rig, heard.frames, marker)[1], ruler_m)
+                row = row_at(0.01 * distance_cm, disparities(rig, heard.frames, marker)[1], ruler_m, calibration_px(rig))
             except ConfigError as error:
                 console.print(f"{error}; try again", style="yellow")
                 continue
@@ -83,7 +83,7 @@ def depth_rows(
         ConfigError: the marker was seen at too few distances.
     """
     if heard.truth:
-        rows = rows_by_truth(rig, heard.frames, heard.truth, marker, ruler_m)
+        rows = rows_by_truth(rig, heard.frames, heard.truth, marker)
     else:
         rows = depth_session(rig, bus, marker, distances_cm, ruler_m, console)
     if len(rows) < LEAST_ROWS:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
 
 from rhot.arrays import FloatArray
+from rhot.messages import MarkerFrame
 from rhot_bench.measures.rows import Row, Section
 from rhot_bench.rig.heard import Heard
-from rhot_bench.rig.rows import figure_row
+from rhot_bench.rig.rows import figure_row, truth_row
 from rhot_bench.rig.statistics import Figure, deviation, mean
 from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.detection.detector import MarkerDetector
@@ -26,7 +27,8 @@ _ABOUT: Final = {
     "sending": "from the end of detection until the message is here: encoding, network, bus",
     "in all": "from mid-exposure until the message is here",
 }
-_ROUNDS: Final = 3
+_BY_BOTH_CLOCKS: Final = ("sending", "in all")
+_ROUNDS: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,29 +37,40 @@ class StageTimes:
 
     Attributes:
         stages: by name: (N,) seconds; `retrieval`, `detection`, and where arrivals were timed `sending` and `in all`.
-        clock_s: bound of the error of the camera's clock, which retrieval and sending share with opposite signs.
+            The first two are taken by the camera's clock alone, the others begin by it and end by the rig's.
+        clock_s: bound of the error between the two clocks.
+        stamped_late_s: (N,) how much later than it truly was each frame's stamp is; only of a simulated rig.
     """
 
     stages: Mapping[str, FloatArray]
     clock_s: float
+    stamped_late_s: FloatArray | None = None
 
 
-def stage_times(heard: Heard) -> dict[str, StageTimes]:
-    """Return the stages of each camera whose frames tell them."""
-    rows: dict[str, list[tuple[float, float, float]]] = {}
+def stage_times(heard: Heard, true_ns: Callable[[MarkerFrame], int | None] = lambda _: None) -> dict[str, StageTimes]:
+    """Return the stages of each camera whose frames tell them.
+
+    Args:
+        heard: frames of all cameras.
+        true_ns: when a frame's middle row was truly exposed, rig clock, where that is known.
+    """
+    rows: dict[str, list[tuple[float, float, float, float]]] = {}
     timed = len(heard.arrived_ns) == len(heard.frames)
     for number, frame in enumerate(heard.frames):
         if {"age", "detect"} <= frame.timing.keys():
             whole_s = 1e-9 * (heard.arrived_ns[number] - frame.t_ns) if timed else float("nan")
-            rows.setdefault(frame.camera, []).append((frame.timing["age"], frame.timing["detect"], whole_s))
+            truly = true_ns(frame)
+            late_s = float("nan") if truly is None else 1e-9 * (frame.t_ns - truly)
+            rows.setdefault(frame.camera, []).append((frame.timing["age"], frame.timing["detect"], whole_s, late_s))
     found = {}
     for camera, each in sorted(rows.items()):
-        age, detect, whole = np.array(each).T
+        age, detect, whole, late = np.array(each).T
         stages = {"retrieval": age, "detection": detect}
         if timed:
             stages |= {"sending": whole - age - detect, "in all": whole}
         status = heard.statuses.get(f"capture/{camera}")
-        found[camera] = StageTimes(stages, (status.clock_uncertainty_s if status is not None else None) or 0.0)
+        clock_s = ((status.clock_uncertainty_s if status is not None else None) or 0.0) + heard.clock_s
+        found[camera] = StageTimes(stages, clock_s, late if np.isfinite(late).all() else None)
     return found
 
 
@@ -67,14 +80,16 @@ def stage_sections(heard: Heard, times: Mapping[str, StageTimes]) -> list[Sectio
     for camera, of in times.items():
         rows: list[Row] = []
         for name, seconds in of.stages.items():
-            # What the clock may be off shifts a stage between two machines as a whole.
-            figure = _widened(mean(seconds), of.clock_s if name in ("retrieval", "sending", "in all") else 0.0)
+            figure = _mean_of(of, name)
             spread = deviation(seconds).scaled(_MS)
             rows.append(
                 figure_row(f"{name}, mean", figure.scaled(_MS), "ms", peer=_THESIS.get(name, ""), note=_ABOUT[name])
             )
             rows.append(figure_row(f"{name}, deviation", spread, "ms"))
         sections.append(Section(f"Stages of camera {camera}", tuple(rows)))
+    beside = [row for camera, of in times.items() for row in _beside_truth(camera, of)]
+    if beside:
+        sections.append(Section("Stages beside the simulator's truth (1: within its interval)", tuple(beside)))
     behind = [
         Row(f"{who}, {stage}, {share}", _MS * seconds, "ms", note="from the service's status: its last seconds")
         for who, status in sorted(heard.statuses.items())
@@ -115,5 +130,22 @@ def thread_section(
     return Section("Threads against time of a frame, on this machine", tuple(rows))
 
 
-def _widened(figure: Figure, by: float) -> Figure:
-    return Figure(figure.value, figure.low - by, figure.high + by, figure.independent, figure.samples)
+def _mean_of(of: StageTimes, name: str) -> Figure:
+    """Return the mean of a stage; what the clocks may be off shifts one that spans both as a whole."""
+    figure = mean(of.stages[name])
+    by = of.clock_s if name in _BY_BOTH_CLOCKS else 0.0
+    return replace(figure, low=figure.low - by, high=figure.high + by)
+
+
+def _beside_truth(camera: str, of: StageTimes) -> list[Row]:
+    """Return how the camera's stamps and the stages that begin with them stand to the simulated world's own time."""
+    if of.stamped_late_s is None:
+        return []
+    late_s = float(of.stamped_late_s.mean())
+    clock = Figure(0.0, -of.clock_s, of.clock_s, len(of.stamped_late_s), len(of.stamped_late_s))
+    rows = [truth_row(f"{camera}, its clock against the rig's", clock.scaled(_MS), _MS * late_s, "ms")]
+    for name in _BY_BOTH_CLOCKS:
+        if name in of.stages:
+            true_s = float((of.stages[name] + of.stamped_late_s).mean())
+            rows.append(truth_row(f"{camera}, {name}", _mean_of(of, name).scaled(_MS), _MS * true_s, "ms"))
+    return rows

@@ -18,7 +18,17 @@ _CLOCK_TRIES = 5
 
 
 async def rig_now_ns(bus: Bus, wait_s: float) -> int:
-    """Return rig time by asking its owner, the quickest of a few exchanges.
+    """Return rig time by asking its owner.
+
+    Raises:
+        BusError: nobody answers within `wait_s`.
+    """
+    best = await quickest_exchange(bus, wait_s)
+    return SystemClock().now_ns() + best.offset_ns
+
+
+async def quickest_exchange(bus: Bus, wait_s: float) -> Exchange:
+    """Ask the owner of rig time a few times and return the exchange whose round trip was the shortest.
 
     Raises:
         BusError: nobody answers within `wait_s`.
@@ -37,8 +47,7 @@ async def rig_now_ns(bus: Bus, wait_s: float) -> int:
             )
         else:
             await asyncio.sleep(0.1)
-    best = min(exchanges, key=lambda exchange: exchange.round_trip_ns)
-    return clock.now_ns() + best.offset_ns
+    return min(exchanges, key=lambda exchange: exchange.round_trip_ns)
 
 
 async def broadcast(bus: Bus, action: Literal["start", "stop"], session: str, delay_s: float, wait_s: float) -> Control:

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable
 
 from rhot.bus import Bus
 from rhot.errors import BusError
-from rhot.operation.control import broadcast, newest_control, rig_now_ns
+from rhot.operation.control import broadcast, newest_control, quickest_exchange
 from rhot.operation.status import fetch_status
 from rhot.service.clock_sync import serve_clock
 
@@ -19,12 +19,18 @@ _RUNNING_LIMIT_S = 5.0
 
 async def rig_clock(bus: Bus) -> Callable[[], int]:
     """Return a function that reads rig time; where nobody owns the rig clock, this process takes it over."""
+    now_ns, _ = await measured_rig_clock(bus)
+    return now_ns
+
+
+async def measured_rig_clock(bus: Bus) -> tuple[Callable[[], int], float]:
+    """Return what `rig_clock` does, and by how many seconds it may be off at most: half the quickest round trip."""
     try:
-        offset_ns = await rig_now_ns(bus, 0.0) - time.monotonic_ns()
+        best = await quickest_exchange(bus, 0.0)
     except BusError:
         serve_clock(bus)
-        return time.time_ns
-    return lambda: time.monotonic_ns() + offset_ns
+        return time.time_ns, 0.0
+    return lambda: time.monotonic_ns() + best.offset_ns, 0.5e-9 * best.round_trip_ns
 
 
 @contextlib.asynccontextmanager

@@ -32,6 +32,7 @@ from rhot_fusion.filter.settings import PaintSettings
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
 
 
 class Paint:
@@ -69,6 +70,8 @@ class Paint:
         self.changing: FloatArray = np.zeros((len(cameras), markers))
         self._slow: FloatArray = np.zeros((len(cameras), markers))
         self._seen_s: FloatArray = np.full((len(cameras), markers), -np.inf)
+        # Whether that width was told by the marker's own depth rather than by its hand's.
+        self._own: BoolArray = np.zeros((len(cameras), markers), dtype=np.bool_)
 
     def clear(self) -> None:
         """Forget all areas."""
@@ -106,6 +109,7 @@ class Paint:
         area_px: FloatArray,
         depth_m: FloatArray,
         period_s: float,
+        known: BoolArray,
     ) -> tuple[FloatArray, FloatArray]:
         """Return how far the middles of markers (N,) lie beside what is seen, and how sure that is.
 
@@ -114,13 +118,16 @@ class Paint:
             index: (N,) markers.
             t_s: when.
             area_px: (N,) visible, square pixels; 0 = not told.
-            depth_m: (N,) of the markers.
+            depth_m: (N,) of the markers; infinite = not known, and then nothing is told.
             period_s: of the camera's frames.
+            known: (N,) whose own depth is known well; how large the others are is not learnt.
 
         Returns:
             (N, 2) what to add to the views and (N,) its standard deviation, normalised units.
         """
         settings = self._settings
+        if not np.isfinite(depth_m).all():
+            return np.zeros((len(index), 2)), np.zeros(len(index))
         # Where all markers are seen, rows in place cost less than rows by their numbers.
         rows = slice(None) if len(index) == len(self._radius_m) else index
         side_px = np.sqrt(area_px)
@@ -129,28 +136,31 @@ class Paint:
         width_m = width * depth_m
         # Both cameras' widths lag by the same time: a marker that turns away shrinks in both.
         elapsed = np.maximum(t_s - self._seen_s[camera, rows], 0.0)
-        gain = np.where(elapsed > settings.compare_s, 1.0, -np.expm1(-elapsed / settings.settle_s))
+        afresh = (elapsed > settings.compare_s) | ~self._own[camera, rows]
+        gain = np.where(afresh, 1.0, -np.expm1(-elapsed / settings.settle_s))
         old = self._width[camera, rows]
         lagging = old + gain * (width_m - old)
         self._width[camera, rows] = lagging
         self.changing[camera, rows] = self._changing(camera, rows, elapsed, width_m)
         self._seen_s[camera, rows] = t_s
+        self._own[camera, rows] = known
         recent = self._seen_s[:, rows] >= t_s - settings.compare_s
         full = np.where(recent, self._width[:, rows], 0.0).max(axis=0)
-        known = self._largest[rows]
-        if not known.all():
+        told_full = np.where(recent & self._own[:, rows], self._width[:, rows], 0.0).max(axis=0)
+        before = self._largest[rows]
+        if not before.all():
             # The largest area is not known at first: half way between that of a finger bent as usual and that of paint
             # as long as it should be.
-            first = (full / self._usual) ** settings.seen_first * self._flat_m[rows] ** (1.0 - settings.seen_first)
-            known = np.where(known > 0.0, known, first)
-        largest = np.maximum(full, known)
-        self._largest[rows] = largest
-        share = np.square(full / np.maximum(largest, 1e-9))
-        told = area_px > 0.0
+            first = (told_full / self._usual) ** settings.seen_first * self._flat_m[rows] ** (1.0 - settings.seen_first)
+            before = np.where(before > 0.0, before, first)
+        largest = np.maximum(told_full, before)
+        self._largest[rows] = np.where(known, largest, self._largest[rows])
+        share = np.square(told_full / np.maximum(largest, 1e-9))
+        told = (area_px > 0.0) & known
         self.bend[rows] = np.where(told, np.interp(share, self._share, self._cosine), self.bend[rows])
         share = np.square(lagging / np.maximum(full, 1e-9))
         uneven = settings.uneven + settings.rim_px / np.maximum(side_px, 1.0)
-        hidden = np.where(told, np.minimum(np.maximum(1.0 - share - uneven, 0.0), 1.0), 0.0)
+        hidden = np.where(area_px > 0.0, np.minimum(np.maximum(1.0 - share - uneven, 0.0), 1.0), 0.0)
         size = hidden * full / depth_m
         doubt = np.hypot(settings.doubt * size, settings.wander * width)
         # Views that err alike tell as much together as one of them.

@@ -227,20 +227,29 @@ class FilterTracker:
         for hand in self._hands:
             here = rows_of(hand, sightings, alone=len(self._hands) == 1)
             index = sightings.index[here]
+            depth = self._depth(hand, camera, index)
+            # Views that begin a marker need it as much as those that move one: half of a patch is hidden when it comes
+            # out from behind the other hand, of another half in either camera.
+            local = hand.place_of[index]
+            known = hand.filter.state.alive[local]
+            sure = known & (np.array(hand.filter.spread_m2)[local] <= self._settings.track.loose_m**2)
+            shift, doubt = self._paint.correct(
+                camera, index, t_s, sightings.area_px[here], depth, self._schedule.period_s(camera), sure
+            )
             if again:
-                self._update(hand, sightings, here[hand.filter.state.alive[hand.place_of[index]]], None)
+                self._update(hand, sightings, here[known], None, shift[known], doubt[known])
                 continue
             if hand.record is not None:
                 hand.record.add(sightings, here)
             taken, markers = [], index.tolist()
-            doubt = self._paint.doubt_back(index, self._depth(hand, camera, index))
+            xy = sightings.xy[here] + shift
+            wide = (variance + doubt**2 + self._paint.doubt_back(index, depth) ** 2).tolist()
             times_s = sightings.times_s[here].tolist()
-            for row, marker, time_s, more in zip(here.tolist(), markers, times_s, doubt.tolist(), strict=True):
-                view = View(self._cameras[camera], time_s, sightings.xy[row], variance + more * more)
-                self._acquisition.add(marker, camera, view)
+            for row, (marker, time_s, each) in enumerate(zip(markers, times_s, wide, strict=True)):
+                self._acquisition.add(marker, camera, View(self._cameras[camera], time_s, xy[row], each))
                 if not self._acquisition.is_free(marker, camera, t_s):
                     taken.append(row)
-            self._update(hand, sightings, np.array(taken, dtype=np.intp), variance)
+            self._update(hand, sightings, here[taken], variance, shift[taken], doubt[taken])
             for marker in markers:
                 if self.tracks[marker].accepted_s[camera] != t_s:
                     self._acquisition.seek(marker, camera, t_s)
@@ -261,8 +270,13 @@ class FilterTracker:
         sightings: Sightings,
         here: IndexArray,
         variance: float | None,
+        shift: FloatArray,
+        doubt: FloatArray,
     ) -> None:
-        """Let views of known markers of a hand move its filter; a variance of None is for once more."""
+        """Let views of known markers of a hand move its filter; a variance of None is for once more.
+
+        `shift` (N, 2) and `doubt` (N,) are for the paint that is hidden, normalised units.
+        """
         if not len(here):
             return
         again = variance is None
@@ -270,17 +284,15 @@ class FilterTracker:
         local = hand.place_of[index]
         place, t_s = hand.filter.place, max(sightings.t_s, hand.filter.state.t_s)
         area_px = sightings.area_px[here]
-        depth = self._depth(hand, sightings.camera, index)
-        period_s = self._schedule.period_s(sightings.camera)
-        shift, doubt = self._paint.correct(sightings.camera, index, sightings.t_s, area_px, depth, period_s)
         if hand.base >= 0 and hand.filter.state.alive[hand.base]:
             along = self._paint.along(camera, index, place[local], hand.roots(place)[local])
             # Without areas it is not paint that is seen, or nobody knows how a finger bends.
-            shift += np.where(area_px[:, None] > 0.0, along, 0.0)
+            shift = shift + np.where(area_px[:, None] > 0.0, along, 0.0)
         variances = np.zeros((len(here), 2, 2))
         own = self.noise.variance(sightings.camera) if variance is None else variance
         variances[:, 0, 0] = variances[:, 1, 1] = own + doubt * doubt
         if self._time_variance:
+            depth = self._depth(hand, sightings.camera, index)
             pace = hand.filter.velocity[local] @ camera.R_camera_rig[:2].T / depth[:, None]
             variances += self._time_variance * pace[:, :, None] * pace[:, None, :]
         slack = self._paint.slack(sightings.camera, area_px)
