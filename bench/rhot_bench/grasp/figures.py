@@ -143,13 +143,14 @@ def _phase(phase: str, session: GraspSession, found: GraspFigures, beside: Grasp
 
 
 def pinch(gaps: FloatArray) -> FloatArray:
-    """Return the larger gap (N,) of the thumb's and of the nearest other tip's."""
+    """Return of gaps (N, 26) the larger one (N,) of the thumb's and of the nearest other tip's."""
     tips = gaps[:, list(TIPS)]
     larger: FloatArray = np.maximum(tips[:, 0], tips[:, 1:].min(axis=1)) if len(tips) else np.zeros(0)
     return larger
 
 
 def rows_of(phase: str, found: GraspFigures) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Return the poses of a phase, of all pick-ups."""
     ranges = [each.phases()[phase] for each in found.pickups]
     parts = [np.arange(one.start, one.stop) for one in ranges]
     return np.concatenate(parts).astype(np.int64) if parts else np.zeros(0, dtype=np.int64)

@@ -126,7 +126,7 @@ def row_at(distance_m: float, disparity_px: FloatArray, ruler_m: float, calibrat
 
 
 def rows_by_truth(rig: Rig, frames: Sequence[MarkerFrame], truth: Sequence[Truth], marker: str) -> list[DepthRow]:
-    """Return rows whose ruler is the simulator's truth, without error: the moving hand's way in depth, in equal stretches.
+    """Return rows whose ruler is the simulator's exact truth: the moving hand's way in depth, in equal stretches.
 
     Each sample is brought to the middle of its stretch by what the truth says of the difference, so that a stretch may
     be wide; d · D is nearly constant.

@@ -61,7 +61,9 @@ def grasps(rig: Rig, heard: Heard) -> list[Section]:
     )
     if true is not None:
         truly = grasp_figures(true)
-        rows = [Row("pick-ups found, of those that there were", len(found.pickups) / max(len(truly.pickups), 1), least=1)]
+        rows = [
+            Row("pick-ups found, of those that there were", len(found.pickups) / max(len(truly.pickups), 1), least=1)
+        ]
         for phase, gap in gaps.items():
             gap_m = pinch(truly.gaps[rows_of(phase, found)])
             value = float(np.median(gap_m)) if len(gap_m) else float("nan")

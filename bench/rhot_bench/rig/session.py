@@ -58,7 +58,9 @@ def depth_session(
                 break
             heard = asyncio.run(listen(bus, hold_s, lambda _: None))
             try:
-                row = row_at(0.01 * distance_cm, disparities(rig, heard.frames, marker)[1], ruler_m, calibration_px(rig))
+                row = row_at(
+                    0.01 * distance_cm, disparities(rig, heard.frames, marker)[1], ruler_m, calibration_px(rig)
+                )
             except ConfigError as error:
                 console.print(f"{error}; try again", style="yellow")
                 continue

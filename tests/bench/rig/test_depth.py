@@ -73,7 +73,7 @@ def test_by_the_truth_every_distance_and_the_law_agree(make_rig: MakeRig) -> Non
         )
         for t in np.arange(0.0, 6.0, 1.0 / 60.0).tolist()
     ]
-    rows = rows_by_truth(rig, seen, truth, "index", 0.001)
+    rows = rows_by_truth(rig, seen, truth, "index")
     assert len(rows) >= 8
     beside = depth_sections(rows, true_fb(rig))[-1].rows
     assert np.mean([row.value for row in beside]) >= 0.9

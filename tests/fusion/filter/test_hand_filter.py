@@ -232,15 +232,16 @@ def test_noise_is_learnt_from_innovations() -> None:
 
 def half_hidden(rate_hz: float) -> tuple[Paint, FloatArray, FloatArray]:
     """Return where one camera sees half of what the other does after a third of a second, and how sure that is."""
-    paint, one, depth, period_s = (
+    paint, one, depth, period_s, sure = (
         Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint),
         np.array([0]),
         np.array([0.8]),
         1.0 / rate_hz,
+        np.array([True]),
     )
     for number in range(round(rate_hz / 3.0)):
-        paint.correct(0, one, number * period_s, np.array([100.0]), depth, period_s)
-        shift, doubt = paint.correct(1, one, number * period_s + 0.005, np.array([50.0]), depth, period_s)
+        paint.correct(0, one, number * period_s, np.array([100.0]), depth, period_s, sure)
+        shift, doubt = paint.correct(1, one, number * period_s + 0.005, np.array([50.0]), depth, period_s, sure)
     return paint, shift, doubt
 
 
@@ -249,7 +250,7 @@ def test_hidden_paint_is_made_up_for_on_its_own_side() -> None:
     # A third or more of 10 px is hidden in the right camera: by something on its right.
     assert 1.0 < shift[0, 0] * FOCAL_PX < 2.5
     assert doubt[0] > 0.0
-    level, _ = paint.correct(0, np.array([0]), 1.0, np.array([100.0]), np.array([0.8]), 1.0 / 60.0)
+    level, _ = paint.correct(0, np.array([0]), 1.0, np.array([100.0]), np.array([0.8]), 1.0 / 60.0, np.array([True]))
     assert np.abs(level).max() == 0.0
 
 

@@ -16,6 +16,7 @@ it bends away from the camera is told by its visible area, which is
 What hides part of a marker is nearer than it, so it hides more of it in the camera on its own side: of two cameras the
 one that sees less paint sees the middle of that too far towards the other camera, by half of the strip that is hidden.
 With the share h that is hidden in one view and not in the fullest one, and w the marker's width, that is ½ h w.
+Of a patch, whose size is known, the strip is as high as the patch: what both views show of it says how wide.
 """
 
 from __future__ import annotations
@@ -66,6 +67,7 @@ class Paint:
         # In each camera's picture, the direction away from the other cameras.
         away = [camera.R_camera_rig[:2] @ (camera.center - self._middle) for camera in cameras]
         self._away: FloatArray = np.array([a / max(float(np.hypot(*a)), 1e-9) for a in away])
+        self._tips: BoolArray = radius_m > 0.0
         self._width: FloatArray = np.zeros((len(cameras), markers))
         self.changing: FloatArray = np.zeros((len(cameras), markers))
         self._slow: FloatArray = np.zeros((len(cameras), markers))
@@ -161,8 +163,13 @@ class Paint:
         share = np.square(lagging / np.maximum(full, 1e-9))
         uneven = settings.uneven + settings.rim_px / np.maximum(side_px, 1.0)
         hidden = np.where(area_px > 0.0, np.minimum(np.maximum(1.0 - share - uneven, 0.0), 1.0), 0.0)
-        size = hidden * full / depth_m
-        doubt = np.hypot(settings.doubt * size, settings.wander * width)
+        wide = np.where(self._tips[rows], full, np.square(full) / np.maximum(largest, 1e-9))
+        size = hidden * wide / depth_m
+        # What turning away does not explain is hidden from all cameras, nobody knows on which side.
+        seen = np.square(lagging / np.maximum(largest, 1e-9))
+        lost = np.where(self._tips[rows] | (area_px <= 0.0), 0.0, np.maximum(1.0 - seen / settings.most_turned, 0.0))
+        of_all = settings.shift * lost * largest / depth_m
+        doubt = np.sqrt(np.square(settings.doubt * size) + np.square(settings.wander * width) + np.square(of_all))
         # Views that err alike tell as much together as one of them.
         doubt *= math.sqrt(max(1.0, settings.lasts_s / period_s))
         return settings.shift * size[:, None] * self._away[camera], doubt

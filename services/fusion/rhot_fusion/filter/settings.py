@@ -159,6 +159,8 @@ class PaintSettings:
             `appears_s`: it is being hidden or comes out.
         seen_first: how far the largest area of a marker is taken from its first one rather than from how long paint
             should be: between 0 and 0.5 alike on rendered and simulated hands, 1 is worse by 0.4 mm on the latter.
+        most_turned: share of its area that a patch shows at least when it is turned away: that of 60 degrees, beyond
+            which the back of a hand is seen edge-on. What is missing beyond that is hidden.
         found: share of a tip's area that is found as its colour; the rim is mixed with what is behind.
         slack_px, slack: what a gate allows for beyond the filter's covariance, pixels and a share of the width: a tip
             that half hides within one frame.
@@ -180,6 +182,7 @@ class PaintSettings:
     first_bend: float = -0.45
     most_bend: float = -0.7
     seen_first: float = 0.25
+    most_turned: float = 0.5
     found: float = 0.9
     slack_px: float = 0.5
     slack: float = 0.05

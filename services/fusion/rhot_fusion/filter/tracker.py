@@ -117,6 +117,7 @@ class FilterTracker:
                 hand.record.clear()
         self._acquisition.clear()
         self._last_xy: FloatArray = np.full((len(self._cameras), self._count, 2), np.nan)
+        self._hand_depth: dict[tuple[int, int], float] = {}
         self._history.clear()
         self._schedule.clear()
         self.agreement.clear()
@@ -228,8 +229,7 @@ class FilterTracker:
             here = rows_of(hand, sightings, alone=len(self._hands) == 1)
             index = sightings.index[here]
             depth = self._depth(hand, camera, index)
-            # Views that begin a marker need it as much as those that move one: half of a patch is hidden when it comes
-            # out from behind the other hand, of another half in either camera.
+            # Views that begin a marker need it, too: what comes out from behind a hand is hidden unevenly.
             local = hand.place_of[index]
             known = hand.filter.state.alive[local]
             sure = known & (np.array(hand.filter.spread_m2)[local] <= self._settings.track.loose_m**2)
@@ -257,11 +257,14 @@ class FilterTracker:
             self._history.clear()
 
     def _depth(self, hand: Hand, camera: int, index: IndexArray) -> FloatArray:
-        """Return how far markers (N,) are from a camera; those that are not known are where their hand is."""
+        """Return how far markers (N,) are from a camera; those that are not known are where their hand is, or was."""
         model, alive = self._cameras[camera], hand.filter.state.alive
         depth: FloatArray = np.maximum(hand.filter.place @ model.R_camera_rig[2] + model.t_camera_rig[2], 0.1)
         if not alive.all():
-            depth[~alive] = float(depth[alive].mean()) if alive.any() else np.inf
+            key = hand.markers[0], camera
+            if alive.any():
+                self._hand_depth[key] = float(depth[alive].mean())
+            depth[~alive] = self._hand_depth.get(key, np.inf)
         return depth[hand.place_of[index]]
 
     def _update(
@@ -275,7 +278,7 @@ class FilterTracker:
     ) -> None:
         """Let views of known markers of a hand move its filter; a variance of None is for once more.
 
-        `shift` (N, 2) and `doubt` (N,) are for the paint that is hidden, normalised units.
+        `shift` (N, 2) and `doubt` (N,), normalised units, are for hidden paint.
         """
         if not len(here):
             return
