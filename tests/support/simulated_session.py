@@ -5,6 +5,9 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator
 
+import numpy as np
+
+from rhot.arrays import FloatArray
 from rhot.messages import Control, MarkerFrame, Message, ServiceStatus
 from rhot.offline import core, track_with
 from rhot.rig import Rig
@@ -26,11 +29,10 @@ _TRUTH_HZ = 60.0
 
 def simulated_session(rig: Rig, seconds: float, seed: int = 1) -> Heard:
     """Return what was heard of a simulated rig from its start on."""
-    world = world_of(rig)
-    frames = [_timed(frame) for frame in named_frames(rig, world, seconds, seed)]
+    world, rng, heard = world_of(rig), np.random.default_rng(seed), Heard()
+    frames = [_timed(frame, rng.normal(0.0, 2e-4, 2)) for frame in named_frames(rig, world, seconds, seed)]
     objects = PlayedObjects(plan_sources(rig), START_NS)
     tracked = track_with(core("fusion")(rig), core("ik")(rig), frames, objects)
-    heard = Heard()
     heard.note("rhot/control", Control(t_ns=START_NS, action="start", start_t_ns=START_NS))
     for name in rig.config.cameras:
         status = ServiceStatus(
@@ -42,18 +44,18 @@ def simulated_session(rig: Rig, seconds: float, seed: int = 1) -> Heard:
         arrived_ns = None
         if isinstance(message, MarkerFrame):
             true_ns = message.t_ns - round(1e9 * LATE_S[message.camera])
-            arrived_ns = true_ns + round(1e9 * (AGE_S + DETECT_S + SENDING_S))
+            arrived_ns = true_ns + round(1e9 * (sum(message.timing.values()) + SENDING_S + rng.normal(0.0, 2e-4)))
         heard.note(key, message, arrived_ns)
     return heard
 
 
-def _timed(frame: MarkerFrame) -> MarkerFrame:
+def _timed(frame: MarkerFrame, more_s: FloatArray) -> MarkerFrame:
     late_ns = round(1e9 * LATE_S[frame.camera])
     markers = {
         name: marker.model_copy(update={"t_ns": (marker.t_ns or frame.t_ns) + late_ns})
         for name, marker in frame.markers.items()
     }
-    timing = {"age": AGE_S, "detect": DETECT_S}
+    timing = {"age": AGE_S + abs(float(more_s[0])), "detect": DETECT_S + abs(float(more_s[1]))}
     return frame.model_copy(update={"t_ns": frame.t_ns + late_ns, "markers": markers, "timing": timing})
 
 

@@ -276,10 +276,7 @@ class FilterTracker:
         shift: FloatArray,
         doubt: FloatArray,
     ) -> None:
-        """Let views of known markers of a hand move its filter; a variance of None is for once more.
-
-        `shift` (N, 2) and `doubt` (N,), normalised units, are for hidden paint.
-        """
+        """Let views of known markers of a hand move its filter, corrected for hidden paint; no variance: once more."""
         if not len(here):
             return
         again = variance is None

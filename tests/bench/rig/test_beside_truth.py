@@ -1,0 +1,86 @@
+"""Every figure of a report about a simulated rig agrees with the truth within the uncertainty that it states."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+from simulated_session import LATE_S, simulated_session
+
+from rhot.rig import Rig
+from rhot_bench.measures.rows import Row, Section
+from rhot_bench.rig.depth import depth_sections, rows_by_truth
+from rhot_bench.rig.grasps import grasps
+from rhot_bench.rig.heard import Heard
+from rhot_bench.rig.jitter import jitter_sections, still_jitter
+from rhot_bench.rig.simulated import simulated_truth
+from rhot_bench.rig.stages import stage_sections, stage_times
+from rhot_sim.rig import folder
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
+    with pytest.MonkeyPatch.context() as patch:
+        # Blobs without pictures need no colours, and learning them takes five seconds.
+        patch.setattr(folder, "_calibrate_colors", lambda _: None)
+        return folder.write_simulated_rig(tmp_path_factory.mktemp("beside") / "rig", rate_hz=30.0)
+
+
+@pytest.fixture(scope="module")
+def moving(rig: Rig) -> Heard:
+    """A gesture, and a grasp from 6 to 12 s."""
+    return simulated_session(rig, 14.0)
+
+
+def checks(sections: list[Section]) -> list[Row]:
+    return [row for section in sections if "simulator's truth" in section.title for row in section.rows]
+
+
+def wrong(rows: list[Row]) -> list[str]:
+    return [f"{row.name}: {row.note}" for row in rows if row.value != 1.0]
+
+
+def test_depths_and_the_laws_through_them(rig: Rig, moving: Heard) -> None:
+    truth = simulated_truth(rig, moving)
+    assert truth is not None
+    rows = checks(depth_sections(rows_by_truth(rig, moving.frames, moving.truth, "index"), truth.fb))
+    assert {"k", "z", "a", "o"} < {row.name for row in rows}
+    assert len(rows) >= 10
+    assert wrong(rows) == []
+
+
+def test_grasps(rig: Rig, moving: Heard) -> None:
+    rows = checks(grasps(rig, moving))
+    assert [row.name for row in rows][1:] == ["gap, reach", "gap, close", "gap, carry", "gap, release"]
+    assert wrong(rows) == []
+
+
+def test_stages_and_clocks(rig: Rig, moving: Heard) -> None:
+    truth = simulated_truth(rig, moving)
+    assert truth is not None
+    rows = checks(stage_sections(moving, stage_times(moving, truth.exposed_ns)))
+    assert len(rows) == 6
+    assert wrong(rows) == []
+    # A clock that is further off than it says is told.
+    for name, status in list(moving.statuses.items()):
+        moving.statuses[name] = status.model_copy(update={"clock_uncertainty_s": 0.5 * abs(LATE_S["right"])})
+    rows = checks(stage_sections(moving, stage_times(moving, truth.exposed_ns)))
+    assert wrong(rows)
+
+
+def test_a_still_hand_and_one_that_is_not(rig: Rig, moving: Heard) -> None:
+    sim = rig.config.sim.model_copy(update={"motion": "still"})
+    still = dataclasses.replace(rig, config=rig.config.model_copy(update={"sim": sim}))
+    heard = simulated_session(still, 6.0)
+    truth = simulated_truth(still, heard)
+    assert truth is not None
+    jitter = still_jitter(heard, rests_only=False, cameras=truth.cameras)
+    rows = [row for row in checks(jitter_sections(jitter)) if not math.isnan(row.value)]
+    assert sum("pictures" in row.name for row in rows) >= 10
+    assert wrong(rows) == []
+    assert max(jitter.wandered.values()) < 0.5
+    (moved,) = [
+        part for part in jitter_sections(still_jitter(moving, rests_only=False)) if part.title == "Was it still?"
+    ]
+    assert {row.verdict for row in moved.rows} == {"missed"}
