@@ -139,8 +139,8 @@ def sim(
     rhot get 'rhot/**'
     rhot watch rhot/hand/right
 
-    With --rig, it uses a rig folder made by `rhot init RIG --sim` instead of a temporary one. What moves there is
-    `motion` under [sim] in its rig.toml.
+    With --rig, it uses a rig folder made by `rhot init RIG --sim` (or `--sim --feet`) instead of a temporary one. Its
+    rig.toml says what moves (`motion` and `walk` under [sim]), how often the cameras look, and with which seed.
 
     With --motion board, the cameras see a calibration chessboard in one position after the other, and the rig runs
     until Ctrl-C: try `rhot calibrate cameras --live` on it. With --motion desk_board it lies on the desk, for `rhot
@@ -165,22 +165,22 @@ def sim(
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-sim-")))
         chosen = endpoint or free_endpoint(DEFAULT_ENDPOINT)
-        feet = feet or motion == "headset"
-        if feet:
-            rig = (
-                load_rig(rig_path)
-                if _is_given(context, "rig_path")
-                else write_walker_rig(
-                    work / "rig",
-                    endpoint=chosen,
-                    program=walk,
-                    seed=seed,
-                    height_m=height_m,
-                    rate_hz=rate_hz,
-                    motion="headset" if motion == "headset" else "script",
-                )
+        if _is_given(context, "rig_path"):
+            rig = _simulated_rig(rig_path)
+            feet = rig.config.feet is not None and (feet or not rig.config.cameras)
+            _refuse_what_the_rig_says(context, rig)
+        elif feet or motion == "headset":
+            feet = True
+            rig = write_walker_rig(
+                work / "rig",
+                endpoint=chosen,
+                program=walk,
+                seed=seed,
+                height_m=height_m,
+                rate_hz=rate_hz,
+                motion="headset" if motion == "headset" else "script",
             )
-        elif not _is_given(context, "rig_path"):
+        else:
             with console.status("preparing the simulated rig: cameras, colours, hand"):
                 rig = write_simulated_rig(
                     work / "rig",
@@ -191,13 +191,6 @@ def sim(
                     endpoint=chosen,
                 )
             rig = with_motion(rig, motion)
-        else:
-            rig = _simulated_rig(rig_path)
-            if _is_given(context, "motion") and motion != rig.config.sim.motion:
-                raise ConfigError(
-                    f'--motion {motion}: {rig_path / RIG_FILE} says motion = "{rig.config.sim.motion}"; write '
-                    f'motion = "{motion}" under [sim] there, or leave --rig out'
-                )
         if chosen != DEFAULT_ENDPOINT:
             console.print(f"The router listens on {chosen}: give the other commands --connect {chosen}", soft_wrap=True)
         calibrating = rig.config.sim.motion in ("board", "desk_board", "touch", "headset") or bool(
@@ -230,6 +223,29 @@ def _is_given(context: click.Context, option: str) -> bool:
     return context.get_parameter_source(option) is not click.core.ParameterSource.DEFAULT
 
 
+def _refuse_what_the_rig_says(context: click.Context, rig: Rig) -> None:
+    """Refuse options that would change nothing, for every process reads the rig folder.
+
+    Raises:
+        ConfigError: one was given that differs from what stands there, or cannot hold beside it.
+    """
+    sim, file = rig.config.sim, rig.path / RIG_FILE
+    for option, says in (("motion", sim.motion), ("walk", sim.walk), ("seed", sim.seed)):
+        given = context.params[option]
+        if _is_given(context, option) and given != says:
+            wanted = given if option == "seed" else f'"{given}"'
+            raise ConfigError(
+                f"--{option} {given}: {file} says {option} = {says}; write {option} = {wanted} under [sim] there, or "
+                "leave --rig out"
+            )
+    elsewhere = {"rate_hz": "rate_hz of the cameras", "cameras": "the cameras", "hands": "the markers",
+                 "height_m": "height_m of [body]"}  # fmt: skip
+    for option, where in elsewhere.items():
+        if _is_given(context, option):
+            name = option.removesuffix("_hz").removesuffix("_m")
+            raise ConfigError(f"--{name}: {file} says that ({where}); change it there, or leave --rig out")
+
+
 async def _unless_interrupted(run: Coroutine[Any, Any, None]) -> bool:
     """Run to the end (False) or until somebody interrupts (True)."""
     stop = install_stop()
@@ -249,7 +265,10 @@ def _simulated_rig(path: Path) -> Rig:
     if not (path / RIG_FILE).exists():
         raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {path} --sim` makes a simulated rig")
     rig = load_rig(path)
-    real = [name for name, camera in rig.config.cameras.items() if camera.source != "simulated"]
+    sources = {name: camera.source for name, camera in rig.config.cameras.items()}
+    if rig.config.feet is not None and not sources:
+        sources["feet"] = rig.config.feet.camera.source
+    real = [name for name, source in sources.items() if source != "simulated"]
     if real:
         raise ConfigError(
             f"{path / RIG_FILE}: camera {', '.join(real)} is not simulated; `rhot init RIG --sim` makes a simulated "

@@ -10,7 +10,7 @@ import click
 from rich.console import Console
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
-from rhot.errors import ConfigError
+from rhot.errors import BusError, ConfigError
 from rhot.rig import BusConfig, HeadsetFile, load_rig, read_json_model
 from rhot.rig.folder import HEADSET_FILE
 from rhot_calibration.headset.checks import headset_file, judged, report_lines
@@ -106,7 +106,8 @@ def _look(bus: BusConfig, collector: ViewCollector) -> None:
                 bus, collector, patience_s=_PATIENCE_S, taken=taken, hint=lambda text: console.print(f"  … {text}")
             )
         )
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, BusError) as error:
+        # A rig that stops sending does not take with it what was seen; too few views are refused with what to do.
         if not collector.views:
             raise
-        console.print(f"ended with {len(collector.views)} views")
+        console.print(f"ended with {len(collector.views)} views{f': {error}' if str(error) else ''}")

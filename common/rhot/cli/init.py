@@ -38,11 +38,22 @@ def make_folder(path: Path) -> None:
     "--sim", "simulated", is_flag=True, help="Make a simulated rig, calibrated and ready to run on this machine."
 )
 @click.option("--uncalibrated", is_flag=True, help="With --sim: leave the rig uncalibrated, to try the calibration.")
-def init(path: Path, simulated: bool, uncalibrated: bool) -> None:
+@click.option(
+    "--feet",
+    is_flag=True,
+    help="With --sim: a simulated person whose feet are tracked, in place of a hand and cameras.",
+)
+def init(path: Path, simulated: bool, uncalibrated: bool, feet: bool) -> None:
     """Make a new rig folder RIG with a commented rig.toml for two cameras named left and right."""
     if uncalibrated and not simulated:
         raise ConfigError("--uncalibrated goes with --sim; a rig of your own begins without calibration anyway")
+    if feet and (uncalibrated or not simulated):
+        raise ConfigError("--feet goes with --sim alone; for feet of your own add [feet.camera], see docs/feet.md")
     make_folder(path)
+    if feet:
+        load_plugin("rhot.simulated", "walker_folder", "--sim --feet", "sim")(path)
+        click.echo(f"{path}: a simulated person. Run it with: rhot sim --rig {path}")
+        return
     if simulated:
         write_simulated_rig = load_plugin("rhot.simulated", "rig_folder", "--sim", "sim")
         with Console(stderr=True).status("preparing the simulated rig: cameras, colours, hand"):

@@ -122,6 +122,8 @@ _SIM: Final = """
 # The simulated world, the same for every process: with the time, the seed determines everything.
 [sim]
 seed = {seed}
+# What moves: script (gestures and grasps), still, crossing (two hands), board, desk_board, touch.
+motion = "script"
 """
 
 FINGERS: Final = ("thumb", "index", "middle", "ring", "little")

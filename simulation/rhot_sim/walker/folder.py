@@ -9,6 +9,7 @@ from rhot.rig import Rig, RigidTransform, StageFile, load_rig, write_json_model
 from rhot.rig.calibration import today
 from rhot.rig.feet_config import WalkProgram
 from rhot.rig.folder import RIG_FILE, STAGE_FILE, write_text_atomic
+from rhot_sim.rig.folder import DEFAULT_ENDPOINT
 
 _TEMPLATE: Final = """\
 # A simulated person whose feet are tracked from the head; the rig frame has y up and the floor at y = 0.
@@ -50,7 +51,7 @@ motion = "{motion}"
 def write_walker_rig(
     path: Path,
     *,
-    endpoint: str,
+    endpoint: str = DEFAULT_ENDPOINT,
     program: WalkProgram = "walk",
     seed: int = 1,
     height_m: float = 1.75,

@@ -13,7 +13,7 @@ from headset_feet.looked_at import looked_at, views_of
 from headset_feet.walked import record_walk
 
 from rhot.calibration_step import StepContext
-from rhot.errors import CalibrationError, ConfigError
+from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.rig import BusConfig, HeadsetFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import HEADSET_FILE
 from rhot_calibration.headset import command, page_step
@@ -61,6 +61,26 @@ def test_a_dry_run_writes_nothing(rig: Rig, tmp_path: Path, monkeypatch: pytest.
     arguments = [str(tmp_path), "--rig", str(rig.path), "--dry-run"]
     result = CliRunner().invoke(headset, arguments, catch_exceptions=False)
     assert "nothing was written" in result.output and load_rig(rig.path).headset is None
+
+
+def test_a_rig_that_falls_silent_does_not_take_the_views_with_it(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = [0, 10, 120]
+
+    async def collect_views(bus: BusConfig, collector: ViewCollector, **_: object) -> None:
+        collector.camera = looked_at(1)[1]
+        if count := counts.pop(0):
+            collector.views += views_of(1, count)
+        raise BusError("the feet's camera sends no pictures")
+
+    monkeypatch.setattr(command, "collect_views", collect_views)
+    arguments = ["--live", "--rig", str(rig.path)]
+    with pytest.raises(BusError, match="sends no pictures"):
+        CliRunner().invoke(headset, arguments, catch_exceptions=False)
+    with pytest.raises(CalibrationError, match="40 are the least"):
+        CliRunner().invoke(headset, arguments, catch_exceptions=False)
+    result = CliRunner().invoke(headset, arguments, catch_exceptions=False)
+    assert "ended with 114 views: the feet's camera sends no pictures" in result.stderr
+    assert load_rig(rig.path).headset is not None
 
 
 def test_what_cannot_be_is_said(rig: Rig, tmp_path: Path) -> None:
