@@ -265,7 +265,7 @@ def _simulated_rig(path: Path) -> Rig:
     if not (path / RIG_FILE).exists():
         raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {path} --sim` makes a simulated rig")
     rig = load_rig(path)
-    sources = {name: camera.source for name, camera in rig.config.cameras.items()}
+    sources: dict[str, str] = {name: camera.source for name, camera in rig.config.cameras.items()}
     if rig.config.feet is not None and not sources:
         sources["feet"] = rig.config.feet.camera.source
     real = [name for name, source in sources.items() if source != "simulated"]
