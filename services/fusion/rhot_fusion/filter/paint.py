@@ -165,10 +165,11 @@ class Paint:
         hidden = np.where(area_px > 0.0, np.minimum(np.maximum(1.0 - share - uneven, 0.0), 1.0), 0.0)
         wide = np.where(self._tips[rows], full, np.square(full) / np.maximum(largest, 1e-9))
         size = hidden * wide / depth_m
-        # What turning away does not explain is hidden from all cameras, nobody knows on which side.
+        # What turning away does not explain is hidden from all cameras, nobody knows on which side: the middle may be
+        # anywhere within half of that strip to either side, evenly.
         seen = np.square(lagging / np.maximum(largest, 1e-9))
         lost = np.where(self._tips[rows] | (area_px <= 0.0), 0.0, np.maximum(1.0 - seen / settings.most_turned, 0.0))
-        of_all = settings.shift * lost * largest / depth_m
+        of_all = settings.shift / math.sqrt(3.0) * lost * largest / depth_m
         doubt = np.sqrt(np.square(settings.doubt * size) + np.square(settings.wander * width) + np.square(of_all))
         # Views that err alike tell as much together as one of them.
         doubt *= math.sqrt(max(1.0, settings.lasts_s / period_s))
