@@ -252,6 +252,9 @@ class FootStage:
         unseen_s = max(0.0, 1e-9 * (t_ns - state.measured_ns))
         if isinstance(foot.filter, FootFilter) and foot.filter.aligned:
             error_m = SETTINGS.model_error_m + SETTINGS.drift_m_s * min(unseen_s, 1.0)
+        elif state.followed:
+            # Its covariance allows for the drift.
+            error_m = SETTINGS.model_error_m
         else:
             error_m = KINEMATIC.unseen_error_m(unseen_s)
         covariance = R @ state.covariance @ R.T + error_m**2 * np.eye(3)

@@ -7,6 +7,7 @@ import pytest
 from foot_walk import UP, Walk, ns
 from numpy.typing import NDArray
 
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_between, rotation_from_quaternion
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.kinematic import KINEMATIC
 from rhot_feet.filter.model import FootFilterSettings, FootState
@@ -20,8 +21,14 @@ def filter_of_a_standing_foot() -> FootFilter:
     return FootFilter(FootFilterSettings(up=(float(UP[0]), float(UP[1]), float(UP[2]))))
 
 
-def hidden_step(walk: Walk, until_s: float) -> tuple[list[FootState], FloatArray]:
-    """Return states and errors of a foot that stood in sight for a second and then steps unseen."""
+def hidden_step(walk: Walk, until_s: float, *, turned: bool = False) -> tuple[list[FootState], FloatArray]:
+    """Return states and errors of a foot that stood in sight for a second and then steps unseen.
+
+    Args:
+        walk: of the foot.
+        until_s: the end.
+        turned: its marker showed how it stood.
+    """
     foot, converter, random = filter_of_a_standing_foot(), FusedImuConverter(), np.random.default_rng(5)
     t = np.arange(-1.0, until_s, 0.01)
     accelerations, quaternions = walk.imu(t, 3)
@@ -29,9 +36,11 @@ def hidden_step(walk: Walk, until_s: float) -> tuple[list[FootState], FloatArray
     for k, now in enumerate(t.tolist()):
         row = slice(k, k + 1)
         foot.add_imu_samples(converter.convert(np.array([ns(now)]), accelerations[row], quaternions[row]))
-        position, _ = walk.foot(now)
+        position, R = walk.foot(now)
         if now < -0.05:
-            foot.update_marker(ns(now), position + random.normal(0.0, SIGMA_M, 3), SIGMA_M**2 * np.eye(3))
+            orientation = quaternion_from_rotation(R) if turned else None
+            seen = position + random.normal(0.0, SIGMA_M, 3)
+            foot.update_marker(ns(now), seen, SIGMA_M**2 * np.eye(3), orientation)
         elif now > 0.15:
             state = foot.state(ns(now))
             assert state is not None
@@ -50,6 +59,47 @@ def test_a_sensor_without_a_direction_tells_how_far_the_foot_went(stride_m: floa
     assert sigma_m[-1] < 1.3 * stride_m + 0.05
     # Without a sensor it might be a metre and a half away after a second.
     assert sigma_m[-1] < 0.7
+
+
+def test_a_lifted_heel_tells_where_an_unseen_foot_goes() -> None:
+    walk = Walk(stride_m=0.5, lever=(0.02, -0.05, 0.04))
+    states, error_m = hidden_step(walk, 1.05, turned=True)
+    sigma_m = np.array([state.sigma_m for state in states])
+    assert error_m[-1] < 0.3 * walk.stride_m
+    assert (error_m < 2.0 * sigma_m).all()
+    assert sigma_m[-1] < 0.4 * walk.stride_m
+    turn = rotation_between(rotation_from_quaternion(states[10].orientation_xyzw), walk.foot(0.26)[1])
+    assert np.linalg.norm(turn) < 0.3, "how it is turned is known, too"
+
+
+def test_lifted_toes_do_not_pass_for_a_lifted_heel() -> None:
+    walk = Walk(stride_m=0.5, pitch_rad=-0.9, height_m=0.0, lever=(0.0, 0.0, -0.07), mounting=(0.0, 0.0, 0.0))
+    states, error_m = hidden_step(walk, 1.05, turned=True)
+    assert error_m[-1] == pytest.approx(walk.stride_m, rel=0.3), "it stays, for the heel would say the opposite"
+    assert (error_m < 2.0 * np.array([state.sigma_m for state in states])).all()
+
+
+def test_how_high_a_foot_is_lifted_is_known_without_a_direction() -> None:
+    states, error_m = hidden_step(Walk(stride_m=0.0, height_m=0.3, pitch_rad=0.0), 0.3)
+    assert error_m[-1] < 0.03
+    assert states[-1].sigma_m < 0.05
+
+
+def test_what_is_seen_on_the_way_is_where_the_way_goes_on() -> None:
+    foot, converter, walk = filter_of_a_standing_foot(), FusedImuConverter(), Walk(stride_m=0.5)
+    t = np.arange(-1.0, 0.45, 0.01)
+    accelerations, quaternions = walk.imu(t, 3)
+    for k, now in enumerate(t.tolist()):
+        row = slice(k, k + 1)
+        foot.add_imu_samples(converter.convert(np.array([ns(now)]), accelerations[row], quaternions[row]))
+        if now < -0.05 or 0.2 < now < 0.25:
+            foot.update_marker(ns(now), walk.foot(now)[0], SIGMA_M**2 * np.eye(3))
+    state = foot.state(ns(0.44))
+    assert state is not None
+    assert not foot.aligned
+    unseen_m = np.linalg.norm(walk.foot(0.44)[0] - walk.foot(0.24)[0])
+    assert state.sigma_m < 1.2 * unseen_m + 0.05, "only what has come since is not known"
+    assert np.linalg.norm(state.position - walk.foot(0.44)[0]) < 2.0 * state.sigma_m
 
 
 def test_samples_that_are_missing_end_what_is_known() -> None:

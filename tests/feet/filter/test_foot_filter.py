@@ -244,11 +244,11 @@ def test_a_foot_that_is_elsewhere_says_nothing_against_a_sensor_that_does_not_ca
 def test_a_sensor_that_is_not_aligned_still_tells_that_the_foot_sets_off() -> None:
     """A foot that has stood for long is not trusted to stand on while its sensor is shaken."""
     sigmas = []
-    for force in (9.81, 25.0):
+    for force in (0.0, 23.0):
         foot = FootFilter()
         t_ns = np.array([ns(0.01 * k) for k in range(80)])
         forces = np.tile([0.0, 0.0, 9.81], (80, 1))
-        forces[72:, 2] = force
+        forces[72:, 0] = force
         upright = np.tile([0.0, 0.0, 0.0, 1.0], (80, 1))
         for k in range(80):
             foot.add_imu_samples(ImuSamples(t_ns[k : k + 1], forces[k : k + 1], np.zeros((1, 3)), upright[k : k + 1]))

@@ -54,7 +54,7 @@ class FootFilter:
         self._alignment = AlignmentEstimator(self._C, np.array(settings.sensor_m))
         self._previous_alignment: Alignment | None = None
         self._imu = ImuTrack(settings.zero_velocity, 2 * settings.horizon_ns)
-        self._displacement = UnseenDisplacement(np.array(settings.sensor_m))
+        self._displacement = UnseenDisplacement(self._C, np.array(settings.sensor_m))
         self._inertial_history: StateHistory[InertialState] | None = None
         self._kinematic_history: StateHistory[KinematicState] | None = None
         self._outliers = OutlierRun(settings.agreeing)
@@ -136,6 +136,7 @@ class FootFilter:
             stands,
             measured_ns,
             0.0 if followed else KINEMATIC.set_off_m(1e-9 * (t_ns - measured_ns)),
+            followed,
         )
 
     def _add_imu_sample(self, t_ns: int, force: FloatArray, rate: FloatArray, R_world: FloatArray) -> bool:
@@ -147,6 +148,8 @@ class FootFilter:
             self._handle_dropout(t_ns)
             return False
         self._displacement.add(interval, seen=self._stood_ns is not None)
+        if self._displacement.sets_off and self._kinematic_history is not None:
+            self._displacement.stood(self._seen_motion(self._kinematic_history, t_ns))
         if not interval.zero_velocity.still:
             self._stood_ns = None
         elif self._stood_ns is not None:
@@ -182,7 +185,10 @@ class FootFilter:
         if self._inertial_history is not None:
             return self._inertial.nis(self._inertial_history.at(observation.t_ns), observation)
         if self._kinematic_history is not None:
-            return self._kinematic.nis(self._kinematic_history.at(observation.t_ns), observation)
+            seen = self._seen_motion(self._kinematic_history, observation.t_ns)
+            moved = self._displacement.moved(observation.t_ns, seen)
+            position, rotation = self._kinematic.nis(self._kinematic_history.at(observation.t_ns), observation)
+            return position if moved is seen else moved.nis(observation), rotation
         return 0.0, 0.0
 
     def _decorrelated(self, observation: Observation) -> Observation:
@@ -199,8 +205,8 @@ class FootFilter:
         if self._inertial_history is not None:
             return
         interval = self._imu.at(observation.t_ns)
-        if interval is None or not interval.zero_velocity.still:
-            self._displacement.forget()
+        if self._kinematic_history is not None and (interval is None or not interval.zero_velocity.still):
+            self._displacement.see(observation.t_ns, self._seen_motion(self._kinematic_history, observation.t_ns))
         if observation.stage == "marker":
             sigma_m, rotation_sigma_rad = (
                 math.sqrt(float(np.trace(covariance)) / 3.0)
@@ -265,7 +271,7 @@ class FootFilter:
         stands = interval.zero_velocity.still
         if in_sight and not stands and alignment.yaw_sigma_rad > self.settings.moving_yaw_rad:
             return
-        motion = self._kinematic.motion(self._kinematic_history.at(observation.t_ns), _NO_RATE)
+        motion = self._seen_motion(self._kinematic_history, observation.t_ns)
         state = self._inertial.start(alignment, interval.R_world, motion, interval.rate, stands=stands)
         history = StateHistory(self._inertial, observation.t_ns, state, self.settings.horizon_ns)
         self._inertial_history, self._kinematic_history = self._replayed(history), None
@@ -297,9 +303,12 @@ class FootFilter:
             rate = _NO_RATE if interval is None else interval.rate
             return self._inertial.motion(self._inertial_history.at(t_ns), rate)
         if self._kinematic_history is not None:
-            motion = self._kinematic.motion(self._kinematic_history.at(t_ns), _NO_RATE)
-            return self._displacement.bounded(t_ns, motion)
+            return self._displacement.moved(t_ns, self._seen_motion(self._kinematic_history, t_ns))
         return None
+
+    def _seen_motion(self, history: StateHistory[KinematicState], t_ns: int) -> FootMotion:
+        """Return the foot at a moment by what was seen of it alone."""
+        return self._kinematic.motion(history.at(t_ns), _NO_RATE)
 
     def _stage(self, t_ns: int, *, stands: bool) -> Stage:
         if t_ns - self._observed_ns.get("marker", 0) <= self.settings.fresh_ns:

@@ -9,6 +9,7 @@ from typing import Literal, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.geometry.covariances import squared_distance
 from rhot_feet.filter.strapdown import InertialNoise
 from rhot_feet.imu.track import InertialStep
 from rhot_feet.imu.zero_velocity_detector import ZeroVelocitySettings
@@ -73,6 +74,7 @@ class FootState:
         stationary: the foot stands.
         measured_ns: when it was last seen, or until when it has stood since.
         set_off_m: how far it may have set off since, one sigma over all axes; nothing where a sensor would tell.
+        followed: a sensor has followed it since, aligned or not.
     """
 
     t_ns: int
@@ -85,6 +87,7 @@ class FootState:
     stationary: bool
     measured_ns: int
     set_off_m: float = 0.0
+    followed: bool = False
 
     @property
     def sigma_m(self) -> float:
@@ -130,6 +133,10 @@ class FootMotion:
     rotation: FloatArray
     covariance: FloatArray
     rotation_covariance: FloatArray
+
+    def nis(self, observation: Observation) -> float:
+        """Return the squared normalised innovation of an observed position; 3 degrees of freedom."""
+        return squared_distance(observation.position - self.position, self.covariance + observation.covariance)
 
 
 @dataclass(slots=True)
