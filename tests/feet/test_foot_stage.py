@@ -95,7 +95,7 @@ def test_a_foot_whose_sensor_is_shaken_is_not_held_where_it_was() -> None:
         stage.add_imu_samples("left", standing_samples(START_NS + k * FRAME_NS - 30_000_000, 3))
     last_ns = START_NS + 11 * FRAME_NS
     rest = standing_samples(last_ns, 25)
-    stage.add_imu_samples("left", replace(rest, specific_force=3.5 * rest.specific_force))
+    stage.add_imu_samples("left", replace(rest, specific_force=rest.specific_force + np.array([30.0, 0.0, 0.0])))
     soon, later = poses(stage, last_ns + 95_000_000), poses(stage, last_ns + 170_000_000)
     assert (soon["rhot/foot/left"].stage, soon["rhot/foot/left"].state) == ("marker", "predicted")
     assert set(later) == {"rhot/foot/right"}
