@@ -64,7 +64,7 @@ def reckon(
         force, rate = samples.specific_force[k], samples.angular_rate[k]
         measured = zero_velocity.add(h, force, rate) if still is None else _VERDICTS[bool(still[k])]
         state = model.predict(state, h, InertialStep(h, samples.specific_force[k - 1], force, h * rate))
-        state = zero_velocity_update(model, state, measured, h, gated=False)
+        state = zero_velocity_update(model, state, measured, rate, h, gated=False)
         positions[k] = state.position
     return positions
 

@@ -50,7 +50,8 @@ class FootStageSettings:
         measured_m: a position known worse than this is not called measured any more.
         lost_m, lost_moving_m: a foot whose position is known worse is searched for everywhere and not published; the
             second holds while its sensor works, for then it moved.
-        published_moving_m: the sigma up to which it is published while its sensor works.
+        published_moving_m: the sigma up to which it is published while its sensor works. Of a foot without one that is
+            known worse than `measured_m` nothing is known: it is published no longer.
         sensor_ns: a sensor works for so long after its last sample.
         contradicted_s: after markers were refused for so long because of the prediction, the prediction is dropped.
         model_error_m, drift_m_s: by how much a foot carried by its sensor is farther off than its filter states, and
@@ -239,7 +240,8 @@ class FootStage:
             has_sensor = t_ns - foot.imu_ns <= SETTINGS.sensor_ns
             lost_m = SETTINGS.lost_moving_m if has_sensor else SETTINGS.lost_m
             foot.lost = t_ns - max(foot.confirmed_ns, state.measured_ns) > self._hold_ns or state.sigma_m > lost_m
-            if not (foot.lost or (has_sensor and state.sigma_m > SETTINGS.published_moving_m)):
+            published_m = SETTINGS.published_moving_m if has_sensor else SETTINGS.measured_m
+            if not (foot.lost or state.sigma_m > published_m):
                 outputs.append((f"rhot/foot/{side}", _message(side, state, confirmed=confirmed)))
         return outputs
 

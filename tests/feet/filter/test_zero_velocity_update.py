@@ -3,22 +3,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rhot.geometry.rotations import rotation_z
+from rhot_feet.filter.inertial import InertialModel
 from rhot_feet.filter.kinematic import KinematicModel
+from rhot_feet.filter.strapdown import InertialNoise, InertialState, Strapdown
 from rhot_feet.filter.zero_velocity_update import ZUPT, zero_velocity_update
 from rhot_feet.imu.zero_velocity_detector import MOVING, ZeroVelocity
 
 STANDS = ZeroVelocity(still=True, speed_sigma=0.01, rate=None)
+NO_RATE = np.zeros(3)
 
 
 def test_a_standing_foot_loses_its_velocity_and_a_moving_one_keeps_it() -> None:
     model = KinematicModel()
     state = model.start(np.zeros(3), 1e-4 * np.eye(3), None)
     state.motion[3:6] = [0.3, 0.0, 0.0]
-    assert zero_velocity_update(model, state, MOVING, ZUPT.sample_s, gated=True) is state
-    stood = zero_velocity_update(model, state, STANDS, ZUPT.sample_s, gated=True)
+    assert zero_velocity_update(model, state, MOVING, NO_RATE, ZUPT.sample_s, gated=True) is state
+    stood = zero_velocity_update(model, state, STANDS, NO_RATE, ZUPT.sample_s, gated=True)
     assert np.linalg.norm(stood.motion[3:6]) < 0.001
     # Samples that follow each other four times as fast say half as much each.
-    often = zero_velocity_update(model, state, STANDS, ZUPT.sample_s / 4.0, gated=True)
+    often = zero_velocity_update(model, state, STANDS, NO_RATE, ZUPT.sample_s / 4.0, gated=True)
     assert np.sqrt(often.P[3, 3]) == pytest.approx(2.0 * np.sqrt(stood.P[3, 3]), rel=0.01)
 
 
@@ -27,5 +31,21 @@ def test_only_a_gated_update_is_refused() -> None:
     state = model.start(np.zeros(3), 1e-4 * np.eye(3), None)
     state.P[3:6, 3:6] = 0.01**2 * np.eye(3)
     state.motion[3:6] = [1.0, 0.0, 0.0]
-    assert zero_velocity_update(model, state, STANDS, ZUPT.sample_s, gated=True) is state
-    assert zero_velocity_update(model, state, STANDS, ZUPT.sample_s, gated=False).motion[3] < 0.9
+    assert zero_velocity_update(model, state, STANDS, NO_RATE, ZUPT.sample_s, gated=True) is state
+    assert zero_velocity_update(model, state, STANDS, NO_RATE, ZUPT.sample_s, gated=False).motion[3] < 0.9
+
+
+def test_a_foot_that_rolls_moves_about_where_it_touches_the_floor() -> None:
+    """A sensor 0.1 m above the floor, turned with its toes down at 0.8 rad/s, moves forwards at 0.08 m/s."""
+    model, zero = InertialModel(Strapdown(np.array([0.0, 0.0, -9.81]), InertialNoise()), np.eye(3)), np.zeros(3)
+    forwards, toes_down = np.array([0.0, 0.08, 0.0]), np.array([-0.8, 0.0, 0.0])
+    P = np.diag(np.repeat([1e-6, 0.04, 1e-4, 1e-6, 1e-8, 1e-6, 1e-6], 3))
+    # The sensor is worn turned by a quarter.
+    R = rotation_z(np.pi / 2.0)
+    state = InertialState(zero, forwards, R, zero, zero, zero, np.eye(3), P)
+    rolls = ZeroVelocity(still=False, speed_sigma=0.01, rate=None, rolls_m=0.1)
+    rate = R.T @ toes_down
+    rolled = zero_velocity_update(model, state, rolls, rate, ZUPT.sample_s, gated=True)
+    stopped = zero_velocity_update(model, state, STANDS, rate, ZUPT.sample_s, gated=True)
+    assert rolled.velocity == pytest.approx(forwards, abs=1e-9)
+    assert np.linalg.norm(stopped.velocity) < 0.001

@@ -185,12 +185,17 @@ class InertialModel:
         """Return the state after an observation of its moment."""
         return correct(state, *self._linearised(state, observation))
 
-    def zero_velocity_update(self, state: InertialState, speed_sigma: float, gate_nis: float | None) -> InertialState:
-        """Return the state after the sensor's velocity was measured to be zero; unchanged when its NIS is too high."""
+    def zero_velocity_update(
+        self, state: InertialState, speed_sigma: float, gate_nis: float | None, rolling: FloatArray | None = None
+    ) -> InertialState:
+        """Return the state after the sensor's velocity was measured; unchanged when its NIS is too high."""
         noise = speed_sigma**2 * _UNIT
-        if gate_nis is not None and squared_distance(state.velocity, state.P[VELOCITY, VELOCITY] + noise) > gate_nis:
+        residual = -state.velocity
+        if rolling is not None:
+            residual = residual + np.cross(state.R @ rolling, self._C[:, 2])
+        if gate_nis is not None and squared_distance(residual, state.P[VELOCITY, VELOCITY] + noise) > gate_nis:
             return state
-        return correct(state, _H_VELOCITY, -state.velocity, noise)
+        return correct(state, _H_VELOCITY, residual, noise)
 
     def zero_rate_update(self, state: InertialState, angular_rate: FloatArray, duration_s: float) -> InertialState:
         """Return the state after the sensor was measured not to rotate: its rate is its bias."""

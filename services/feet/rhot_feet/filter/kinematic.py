@@ -241,8 +241,13 @@ class KinematicModel:
             0.0,
         )
 
-    def zero_velocity_update(self, state: KinematicState, speed_sigma: float, gate_nis: float | None) -> KinematicState:
-        """Return the state after the sensor's velocity was measured to be zero; unchanged when its NIS is too high."""
+    def zero_velocity_update(
+        self, state: KinematicState, speed_sigma: float, gate_nis: float | None, rolling: FloatArray | None = None
+    ) -> KinematicState:
+        """Return the state after the sensor's velocity was measured to be zero; unchanged when its NIS is too high.
+
+        Where a foot rolls to is not known of a sensor that is not aligned.
+        """
         if speed_sigma > KINEMATIC.stands_m_s:
             return state
         S = state.P[3:6, 3:6] + speed_sigma**2 * _UNIT

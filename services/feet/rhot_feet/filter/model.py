@@ -176,13 +176,16 @@ class FootModel(Protocol[State]):
         """Return the state after an observation of its moment."""
         ...
 
-    def zero_velocity_update(self, state: State, speed_sigma: float, gate_nis: float | None) -> State:
-        """Return the state after the sensor's velocity was measured to be zero.
+    def zero_velocity_update(
+        self, state: State, speed_sigma: float, gate_nis: float | None, rolling: FloatArray | None = None
+    ) -> State:
+        """Return the state after the sensor's velocity was measured to be zero, or that of a foot that rolls.
 
         Args:
             state: before it.
             speed_sigma: of the velocity about zero, m/s.
             gate_nis: squared normalised innovation above which it is refused; None never refuses.
+            rolling: (3,) m/s, sensor frame: angular rate times how far below the sensor the foot touches the floor.
         """
         ...
 

@@ -93,7 +93,12 @@ class StateHistory(Generic[State]):
             return self._model.update(state, measurement)
         gated = measurement.t_ns - self._seen_ns < ZUPT.seen_ns
         return zero_velocity_update(
-            self._model, state, measurement.zero_velocity, measurement.step.duration_s, gated=gated
+            self._model,
+            state,
+            measurement.zero_velocity,
+            measurement.rate,
+            measurement.step.duration_s,
+            gated=gated,
         )
 
 

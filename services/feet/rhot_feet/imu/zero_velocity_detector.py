@@ -43,11 +43,13 @@ class ZeroVelocity:
         speed_sigma: standard deviation of the sensor's velocity about zero, m/s, for one sample of 5 ms; None while it
             moves.
         rate: (3,) rad/s, mean over the window, when the sensor has stood so long and evenly that this may be its bias.
+        rolls_m: the sensor does not stand: its foot rolls, about a point so far below it, so that it moves at ω x r.
     """
 
     still: bool
     speed_sigma: float | None
     rate: FloatArray | None
+    rolls_m: float = 0.0
 
 
 MOVING: Final = ZeroVelocity(still=False, speed_sigma=None, rate=None)
@@ -65,7 +67,9 @@ class ZeroVelocitySettings:
         memory_s: time constant of that mean.
         speed_sigma: of the velocity of a sensor that stands still, m/s.
         lever_m: a foot on the ground rolls, about a point so far below or before its sensor: a sensor with rate ω
-            moves at ω·lever. As the statistic T is at least (ω/σ_ω)², that is at most σ_ω·√T·lever.
+            moves at ω·lever. As the statistic T is at least (ω/σ_ω)², that is at most σ_ω·√T·lever. While T is above
+            `lowest`, where a foot is still in its gait, the filter expects that motion instead of none: called zero,
+            it makes each stride 2 to 3 % too short.
         alike_s: for so long the samples of a stance tell the same, so that n of them are worth one.
         hold_s: the foot counts as standing after so long below the lowest threshold.
         bias_s: its rate may be bias after so long, when it varies by less than `even_rad_s`.
@@ -148,7 +152,8 @@ class ZeroVelocityDetector:
         rolls = settings.lever_m * RATE_NOISE * math.sqrt(statistic * settings.alike_s / _SAMPLE_S)
         sigma = math.hypot(settings.speed_sigma, rolls) + settings.noticed_s * accelerates
         even = self._still_s >= settings.bias_s and unevenness < self._settings.even_rad_s
-        return ZeroVelocity(self._still_s >= settings.hold_s, sigma, rate if even else None)
+        rolls_m = settings.lever_m if statistic > settings.lowest else 0.0
+        return ZeroVelocity(self._still_s >= settings.hold_s, sigma, rate if even else None, rolls_m)
 
     def _accelerates(self, duration_s: float, mean: FloatArray) -> float:
         """Return by how much the mean over the window is larger than a standing sensor's may be, m/s²."""
