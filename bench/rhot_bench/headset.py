@@ -11,12 +11,12 @@ from typing import Final
 import click
 import cv2
 import numpy as np
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from rhot.recording.camera_picture import jpeg_of
 from rhot_bench.feet.heads import START_NS, Heads
+from rhot_bench.measures.rows import Row, Section, check_output
+from rhot_bench.output import counted, json_option, show
 from rhot_calibration.headset.checks import FOOT_M, judged
 from rhot_calibration.headset.collector import ViewCollector
 from rhot_calibration.headset.fit import HeadsetFit, mounting_error
@@ -24,6 +24,10 @@ from rhot_feet.frames import pinhole
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_sim.walker.world import WalkerWorld
 
+MM: Final = 1e3
+MOST_ROTATION_DEG: Final = 0.1
+MOST_FOOT_MM: Final = 3.0
+"""A camera must add less than the head's pose jitters by, and a thesis's marker stood within (docs/feet.md)."""
 _RATE_HZ: Final = 10.0
 _FROM_S: Final = 0.7
 _HEAD_AHEAD_S: Final = 0.05
@@ -42,15 +46,19 @@ class _Found:
 @click.command()
 @click.option("--seeds", type=click.IntRange(1, 100), default=8, show_default=True, help="Simulated persons.")
 @click.option("--seconds", type=click.FloatRange(10, 30), default=29.0, show_default=True, help="How long each looks.")
-def headset(seeds: int, seconds: float) -> None:
+@json_option
+def headset(seeds: int, seconds: float, json_path: Path | None) -> None:
     """Let simulated persons look at a marker on the floor, calibrate, and compare with where the camera truly sits.
 
     Each has a camera that sits askew by up to 4 degrees and 2 cm about and along each axis. Pictures are drawn, and
     coded as recordings are; the head's poses have the noise of a Vive tracker: 0.3 mm and 0.1 degrees per axis.
     """
-    with Console(stderr=True).status("looking"), tempfile.TemporaryDirectory(prefix="rhot-headset-") as folder:
-        found = [_calibrated(Path(folder) / f"{seed}", seed, seconds) for seed in range(1, seeds + 1)]
-    Console().print(_table(found))
+    check_output("--json", json_path)
+    console = Console(stderr=True, soft_wrap=True)
+    with counted(console) as progress, tempfile.TemporaryDirectory(prefix="rhot-headset-") as folder:
+        persons = progress.track(range(1, seeds + 1), description="persons")
+        found = [_calibrated(Path(folder) / f"{seed}", seed, seconds) for seed in persons]
+    show("evaluate headset", _sections(found), json_path, seeds=seeds, seconds=seconds)
 
 
 def _calibrated(folder: Path, seed: int, seconds: float) -> _Found:
@@ -76,29 +84,32 @@ def _calibrated(folder: Path, seed: int, seconds: float) -> _Found:
         len(collector.views),
         fit,
         float(np.degrees(angle_rad)),
-        1e3 * distance_m,
-        1e3 * float(np.linalg.norm(foot)),
+        MM * distance_m,
+        MM * float(np.linalg.norm(foot)),
     )
 
 
-def _table(found: Sequence[_Found]) -> Table:
-    table = Table(title="Camera on the headset: off by", title_justify="left", box=box.SIMPLE_HEAD, show_edge=False)
-    columns = (
-        "seed",
-        "views",
-        "rotation °",
-        "position mm",
-        f"foot at {FOOT_M:g} m, mm",
-        "stated foot sd, mm",
-        "residual px",
-    )
-    for column in columns:
-        table.add_column(column, justify="right")
-    for each in found:
-        stated_mm = 1e3 * each.fit.foot_sd_m(FOOT_M)
-        figures = (each.rotation_deg, each.position_mm, each.foot_mm, stated_mm, each.fit.rms_px)
-        table.add_row(f"{each.seed}", f"{each.views}", *(f"{value:.2f}" for value in figures))
-    rows = np.array([(each.rotation_deg, each.position_mm, each.foot_mm) for each in found])
-    for name, values in (("median", np.median(rows, axis=0)), ("worst", rows.max(axis=0))):
-        table.add_row(name, "", *(f"{value:.2f}" for value in values), "", "")
-    return table
+def _sections(found: Sequence[_Found]) -> list[Section]:
+    """Return the errors over all persons, and a table of each person."""
+    each = {
+        "rotation": ([one.rotation_deg for one in found], "°", MOST_ROTATION_DEG),
+        "position": ([one.position_mm for one in found], "mm", MOST_FOOT_MM),
+        f"a foot {FOOT_M:g} m away": ([one.foot_mm for one in found], "mm", MOST_FOOT_MM),
+    }
+    rows = []
+    for name, (values, unit, most) in each.items():
+        rows.append(Row(f"{name}, median", float(np.median(values)), unit))
+        rows.append(Row(f"{name}, worst", max(values), unit, most=most))
+    stated = [MM * one.fit.foot_sd_m(FOOT_M) for one in found]
+    rows.append(Row(f"a foot {FOOT_M:g} m away, as stated", float(np.median(stated)), "mm", note="one sd, median"))
+    persons = [
+        Row(
+            f"seed {one.seed}: a foot {FOOT_M:g} m away",
+            one.foot_mm,
+            "mm",
+            note=f"{one.views} views, {one.fit.rms_px:.2f} px residual, {one.rotation_deg:.2f}°, "
+            f"{one.position_mm:.1f} mm",
+        )
+        for one in found
+    ]
+    return [Section("Camera on the headset: off by", tuple(rows)), Section("Each person", tuple(persons))]

@@ -17,6 +17,7 @@ from rhot.errors import ConfigError
 from rhot_bench.measures.rows import Row, Section, check_output
 from rhot_bench.output import counted, json_option, show
 from rhot_bench.steps.dead_reckoning import faster, horizontal_error_m, reckon
+from rhot_bench.steps.held_out import Reckoned, held_out_rows, kind_rows, reckoned
 from rhot_bench.steps.markers import follow_marker, marker_figures, read_marker_test, tilt_figures
 from rhot_bench.steps.standard_detectors import ared, shoe
 from rhot_bench.steps.toes import NEAR_PX, ToeWalk, follow_toes, thesis_toes
@@ -38,6 +39,7 @@ _THRESHOLD: Final = 1e5
 _ARMSE: Final = "mean over time of the horizontal error per axis, turned into one heading: the published measure"
 _FASTER: Final = 1.6
 """No recording here runs: from the strides of a walk (about 1 s) to those of a jog (about 0.65 s)."""
+_HELD_OUT: Final = "raw200"
 _WINDOW: Final = {"raw200": 5, "bno100": 3}
 
 
@@ -59,7 +61,8 @@ def steps(data_path: Path, quick: bool, json_path: Path | None) -> None:
 
     Hidden swings: the filter sees the truth only while the foot stands; the figure is how far off the foot is when it
     comes down. Dead reckoning: no camera at all, from the first sample to the last; the same walks once more, played
-    faster, stand in for somebody who runs.
+    faster, stand in for somebody who runs. Leave one trial out: the detector's constants are chosen on all other
+    trials; how much each of them matters.
     """
     check_output("--json", json_path)
     tasks = _tasks(data_path, quick)
@@ -93,6 +96,8 @@ def _tasks(data: Path, quick: bool) -> list[_Task]:
         if files:
             tasks.append(_reckoning(name, form, files, published))
             tasks.append(_faster(name, files, form))
+        if files and form == _HELD_OUT and not quick:
+            tasks.append(_held_out(name, form, files, published))
     detections = sorted((data / _MARKERS).glob("*.csv"))
     if detections:
         most = 500 if quick else None
@@ -162,6 +167,7 @@ def _reckoning(name: str, form: str, files: Sequence[Path], published: dict[str,
                 off[detector].append(MM * horizontal_error_m(reckon(samples, still=still), truth))
             advance()
         most = round(_of(np.mean, off["published"]), 1)
+        motions = [published[file.stem.removesuffix(f"_{form}")].motion for file in files]
         rows = [Row(f"off on average, {len(files)} trials", _of(np.mean, off["ours"]), "mm", most=most, note=_ARMSE)]
         rows.append(Row("    its worst trial", _of(np.max, off["ours"]), "mm"))
         for text, key in (
@@ -171,9 +177,21 @@ def _reckoning(name: str, form: str, files: Sequence[Path], published: dict[str,
         ):
             rows.append(Row(text, _of(np.mean, off[key]), "mm"))
             rows.append(Row("    its worst trial", _of(np.max, off[key]), "mm"))
-        return rows
+        return rows + kind_rows(motions, off["ours"], off["published"])
 
     return _Task(f"Dead reckoning, {name}", len(files), make)
+
+
+def _held_out(name: str, form: str, files: Sequence[Path], published: dict[str, _Trial]) -> _Task:
+    def make(advance: Advance) -> list[Row]:
+        trials: list[Reckoned] = []
+        for file in files:
+            known = published[file.stem.removesuffix(f"_{form}")]
+            trials.append(reckoned(file, known.motion, known.error_m, _FASTER))
+            advance()
+        return held_out_rows(trials, _FASTER)
+
+    return _Task(f"Leave one trial out, {name}", len(files), make)
 
 
 def _faster(name: str, files: Sequence[Path], form: str) -> _Task:
