@@ -15,7 +15,7 @@ from still_feet import FEET, head, picture, standing_samples
 from rhot.bus import Bus
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError, DeviceError
-from rhot.messages import Control, FootPose, HeadPose, ServiceStatus, decode
+from rhot.messages import Control, FootPose, HeadPose, ServiceStatus, Side, decode
 from rhot.rig import BusConfig, Rig, load_rig
 from rhot.service import runner
 from rhot.service.runner import serve
@@ -98,9 +98,15 @@ class Head:
 
     async def hold(self, bus: Bus) -> None:
         publisher = bus.publisher("rhot/head", HeadPose)
+        told_ns = time.time_ns()
         while True:
-            if self.tracked:
-                publisher.put(head(time.time_ns() - round(1e9 * self.late_s)))
+            now_ns = time.time_ns() - round(1e9 * self.late_s)
+            # However seldom this task gets its turn, no pose is left out.
+            told_ns = max(told_ns, now_ns - 500_000_000)
+            while told_ns < now_ns:
+                told_ns += 15_000_000
+                if self.tracked:
+                    publisher.put(head(told_ns))
             await asyncio.sleep(0.015)
 
 
@@ -135,6 +141,18 @@ async def foot(bus: Bus, wanted: Callable[[FootPose], bool]) -> FootPose:
     raise AssertionError("no such foot")
 
 
+async def gone(bus: Bus, side: Side, besides: Side) -> None:
+    """Wait until one foot is published no longer, though the other one is, for half a second of their time."""
+    seen_ns = 0
+
+    def alone(pose: FootPose) -> bool:
+        nonlocal seen_ns
+        seen_ns = max(seen_ns, pose.t_ns) if pose.side == side or not seen_ns else seen_ns
+        return pose.side == besides and pose.t_ns > seen_ns + 500_000_000
+
+    await foot(bus, alone)
+
+
 async def status(bus: Bus, wanted: Callable[[ServiceStatus], bool]) -> ServiceStatus:
     async with asyncio.timeout(LIMIT_S):
         while True:
@@ -151,7 +169,7 @@ async def test_a_camera_that_is_pulled_out_comes_back(rig: Rig, router: BusConfi
         camera.plugged = False
         pose = await foot(bus, lambda pose: pose.side == "left" and pose.stage == "inertial")
         assert pose.state == "measured", "its sensor feels that it stands"
-        await foot(bus, lambda pose: pose.side == "right" and pose.state == "predicted")
+        await gone(bus, "right", besides="left")
         said = await status(bus, lambda status: "camera" in status.problem)
         assert said.counts["device_errors"] >= 1
         camera.plugged = True
@@ -206,9 +224,13 @@ async def test_what_a_driver_raises_costs_its_device_and_not_the_service(rig: Ri
         await status(bus, lambda status: not status.problem)
 
 
-async def test_a_picture_waits_for_a_head_that_is_told_late(rig: Rig, router: BusConfig) -> None:
+async def test_a_picture_waits_for_a_head_that_is_told_late(
+    rig: Rig, router: BusConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However long that takes on a busy machine: what counts is that a marker was used in the end."""
+    monkeypatch.setattr(feet_service, "_HEAD_LATE_S", LIMIT_S)
     async with running(rig, router, Camera(), Sensor(), Head(late_s=0.1)) as bus:
-        await foot(bus, lambda pose: pose.side == "right" and pose.state == "measured")
+        await status(bus, lambda status: status.counts.get("right_marker", 0) > 0)
 
 
 async def test_a_head_that_is_not_tracked_is_told_and_comes_back(rig: Rig, router: BusConfig) -> None:
