@@ -50,8 +50,7 @@ class FootStageSettings:
         measured_m: a position known worse than this is not called measured any more.
         lost_m, lost_moving_m: a foot whose position is known worse is searched for everywhere and not published; the
             second holds while its sensor works, for then it moved.
-        published_moving_m: the sigma up to which it is published while its sensor works. Of a foot without one that is
-            known worse than `measured_m` nothing is known: it is published no longer.
+        published_moving_m: the sigma up to which it is published while its sensor works; without one, `measured_m`.
         sensor_ns: a sensor works for so long after its last sample.
         contradicted_s: after markers were refused for so long because of the prediction, the prediction is dropped.
         model_error_m, drift_m_s: by how much a foot carried by its sensor is farther off than its filter states, and

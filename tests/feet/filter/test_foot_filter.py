@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from foot_follow import SIGMA_M, follow
-from foot_walk import Walk, ns
+from foot_walk import SIGMA_M, Walk, follow, ns
 from numpy.typing import NDArray
 
 from rhot_bench.thesis.foot_filter import ThesisFilter

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from foot_follow import LATE_S, SIGMA_M, follow
-from foot_walk import Walk, ns
+from foot_walk import LATE_S, SIGMA_M, Walk, follow, ns
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import (
