@@ -15,6 +15,7 @@ from typing import Final, Literal, Protocol
 
 from rhot.errors import ConfigError
 from rhot.rig.bus_config import BusConfig
+from rhot.rig.folder import load_config
 
 GROUP: Final = "rhot.page_steps"
 ORDER: Final = {
@@ -27,6 +28,8 @@ ORDER: Final = {
     "headset": ("Headset", "feet"),
 }
 """Entry point to the step's title and the extra to install when it is missing, in the order of the path."""
+WITHOUT_CAMERAS: Final = ("headset",)
+"""What is left of the path in a rig that tracks feet alone."""
 
 Tone = Literal["plain", "good", "warning", "wrong"]
 
@@ -189,13 +192,18 @@ class _Absent:
 
 
 def load_steps(context: StepContext) -> dict[str, CalibrationStep]:
-    """Return the steps of the path by title, in its order; importing them takes seconds.
+    """Return the steps of the path that a rig needs by title, in its order; importing them takes seconds.
 
     Raises:
         RhotError: the rig folder cannot be used.
     """
     found = {point.name: point.value for point in entry_points(group=GROUP)}
-    return {title: _loaded(found.get(name, ""), extra, context) for name, (title, extra) in ORDER.items()}
+    cameras = load_config(context.rig_path).cameras
+    return {
+        title: _loaded(found.get(name, ""), extra, context)
+        for name, (title, extra) in ORDER.items()
+        if cameras or name in WITHOUT_CAMERAS
+    }
 
 
 def _loaded(target: str, extra: str, context: StepContext) -> CalibrationStep:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig, FootConfig
+from rhot_viewer.grasp.hello import hello_text
 from rhot_viewer.scene.cameras import PicturePlane
 from rhot_viewer.scene.viewpoint import (
     Viewpoint,
     close_up,
     desk_middle,
+    first_view,
     overview,
     through,
     up_direction,
@@ -44,6 +49,15 @@ def test_the_overview_is_upright_and_shows_desk_and_cameras(rig: Rig) -> None:
     assert (seen[:-1, 1] > seen[-1, 1] + 0.8).all(), "the cameras above the desk"
 
 
+def test_a_rig_may_have_no_camera_but_the_one_on_the_head(rig: Rig) -> None:
+    feet = FeetConfig(left=FootConfig(marker_id=1), up=(0.0, 1.0, 0.0))
+    config = rig.config.model_copy(update={"feet": feet, "cameras": {}})
+    walking = replace(rig, config=config, cameras={})
+    assert desk_middle(walking).tolist() == [0.0, 0.0, 0.0]
+    assert np.isfinite(first_view(walking).position).all()
+    assert json.loads(hello_text(walking, {}, "", False, []))["desk"]["shown"] is False
+
+
 def test_a_rig_with_feet_says_what_is_up(rig: Rig) -> None:
     feet = FeetConfig(left=FootConfig(marker_id=1), up=(0.0, 2.0, 0.0))
     standing = Rig(
@@ -54,6 +68,20 @@ def test_a_rig_with_feet_says_what_is_up(rig: Rig) -> None:
     seen = on_screen(view, np.array([[0.0, 0.0, 0.0], [0.0, 1.8, 0.0]]))
     assert np.abs(seen).max() < 1.0, "a person from sole to crown"
     assert seen[1, 1] > seen[0, 1]
+
+
+def test_a_page_opens_where_hands_will_be(rig: Rig) -> None:
+    marker = next(iter(rig.config.markers.values()))
+    for markers, palms in (
+        (rig.config.markers, [[0.0, 0.0, -0.1]]),
+        (
+            {**rig.config.markers, "other": marker.model_copy(update={"hand": "left"})},
+            [[-0.15, 0, -0.1], [0.15, 0, -0.1]],
+        ),
+    ):
+        watched = replace(rig, config=rig.config.model_copy(update={"markers": markers}))
+        seen = on_screen(first_view(watched), desk_middle(rig) + np.array(palms))
+        assert np.abs(seen).max() < 0.6, "with room for the fingers"
 
 
 def test_hands_are_seen_from_near_by_however_far_apart(rig: Rig) -> None:

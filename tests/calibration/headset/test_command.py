@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from headset_feet.looked_at import looked_at, views_of
 from headset_feet.walked import record_walk
 
-from rhot.calibration_step import StepContext
+from rhot.calibration_step import StepContext, load_steps
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.rig import BusConfig, HeadsetFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import HEADSET_FILE
@@ -33,6 +33,13 @@ def rig(tmp_path: Path) -> Rig:
     return write_walker_rig(
         tmp_path / "rig", endpoint="tcp/127.0.0.1:7", seed=1, motion="headset", rate_hz=RATE_HZ, imu_rate_hz=20.0
     )
+
+
+def test_the_page_of_a_rig_without_cameras_has_this_step_alone(rig: Rig) -> None:
+    assert not rig.cameras
+    steps = load_steps(StepContext(rig.path, BusConfig()))
+    assert list(steps) == ["Headset"]
+    assert steps["Headset"].view().enabled == {"start"}
 
 
 def test_a_recording_tells_where_the_camera_sits(rig: Rig, tmp_path: Path) -> None:

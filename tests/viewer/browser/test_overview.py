@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from stub_rig import StubRig
 
-from rhot.messages import HandPose, ServiceStatus
-from rhot_viewer.browser.overview import Problems, hands_html, problems_html, services_html
+from rhot.messages import FootPose, HandPose, ServiceStatus
+from rhot_viewer.browser.overview import Problems, feet_html, hands_html, problems_html, services_html
 
 
 def status(error: str = "", problem: str = "") -> ServiceStatus:
@@ -35,6 +35,25 @@ def test_words_of_others_are_no_markup() -> None:
     html = problems_html(problems.newest) + services_html({"<b>"}, {"<i>": status()}) + hands_html({}, "<u>")
     assert not any(word in html for word in ("<script>", "<i>", "<u>", "<b>b"))
     assert "&lt;script&gt;" in html
+
+
+def test_feet_are_told_by_what_they_are_seen_with() -> None:
+    foot = FootPose(
+        t_ns=1,
+        side="left",
+        frame="rig",
+        position=(0.0, 0.0, 0.0),
+        orientation=(0.0, 0.0, 0.0, 1.0),
+        velocity=(0.0, 0.0, 0.0),
+        sigma=0.0042,
+        stage="depth",
+        state="measured",
+    )
+    html = feet_html({"right": foot.model_copy(update={"stage": "lost", "state": "predicted"}), "left": foot}, "")
+    assert html.index("Left foot") < html.index("by its shape in the depth picture, known to 4 mm")
+    assert html.index("depth picture") < html.index("Right foot") < html.index("predicted, not seen")
+    assert feet_html({}, "<i>").count("No foot") == 1
+    assert "<i>" not in feet_html({}, "<i>")
 
 
 def test_services_that_have_gone_and_that_have_not_spoken_yet() -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Final
 
-from rhot.messages import HandPose, ServiceStatus
+from rhot.messages import FootPose, HandPose, ServiceStatus
 from rhot_viewer.rig.history import latency_ms, lost, rate_hz
 
 _KEPT: Final = 12
@@ -70,6 +70,26 @@ def hands_html(hands: Mapping[str, HandPose], waiting_for: str) -> str:
         residual = sorted(pose.residual.values())
         fit = f", markers fit to {1e3 * residual[len(residual) // 2]:.1f} mm" if residual else ""
         lines.append(f"<b>{escape(side.capitalize())} hand</b><br>{escape(how)}{fit}")
+    return f"<div style='{_BOX}'>{'<br>'.join(lines)}</div>"
+
+
+_SEEN_BY: Final = {
+    "marker": "by its marker",
+    "depth": "by its shape in the depth picture",
+    "inertial": "by its sensor alone",
+    "lost": "not seen",
+}
+
+
+def feet_html(feet: Mapping[str, FootPose], waiting_for: str) -> str:
+    """Return a line per foot: what it is tracked by, and how well its position is known; without one, what is missing."""
+    if not feet:
+        return f"<div style='{_BOX}'><b>No foot</b><br>{escape(waiting_for)}</div>"
+    lines = [
+        f"<b>{escape(side.capitalize())} foot</b><br>{pose.state}, {_SEEN_BY[pose.stage]}, known to "
+        f"{1e3 * pose.sigma:.0f} mm"
+        for side, pose in sorted(feet.items())
+    ]
     return f"<div style='{_BOX}'>{'<br>'.join(lines)}</div>"
 
 

@@ -143,7 +143,7 @@ class RigScene:
 
     def _draw_limits(self, scene: viser.SceneApi, side: Side) -> viser.LineSegmentsHandle:
         nowhere = np.zeros((LINES, 2, 3), dtype=np.float32)
-        return scene.add_line_segments(f"/limits/{side}", nowhere, _LIMIT_COLOR, thickness=0.0008, visible=False)
+        return scene.add_line_segments(f"/limits/{side}", nowhere, _LIMIT_COLOR, thickness=0.0014, visible=False)
 
     def _start_with(self, view: Viewpoint) -> None:
         camera = self._page.server.initial_camera

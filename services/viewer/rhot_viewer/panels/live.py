@@ -6,12 +6,17 @@ from collections.abc import Mapping
 
 import viser
 
-from rhot.messages import ServiceStatus
-from rhot_viewer.browser.overview import Problems, hands_html, problems_html, services_html
+from rhot.messages import FootPose, ServiceStatus
+from rhot_viewer.browser.overview import Problems, feet_html, hands_html, problems_html, services_html
 from rhot_viewer.browser.rig_scene import RigScene
 from rhot_viewer.rig.inbox import Inbox
 
 STATUS_AGE_S = 5.0
+FOOT_AGE_S = 1.0
+_HANDS = ("capture", "fusion", "ik")
+_NO_HAND = "No marker is seen. Is the hand in the pictures? Do the masks in the tab Pictures show its colours?"
+_FEET = ("feet",)
+_NO_FOOT = "No foot is seen. Are the feet in the picture (tab Pictures), with their markers upwards?"
 
 
 class LivePanel:
@@ -20,7 +25,14 @@ class LivePanel:
     title = "Live"
 
     def __init__(
-        self, scene: RigScene, inbox: Inbox, problems: Problems, router: str, rates_hz: Mapping[str, float]
+        self,
+        scene: RigScene,
+        inbox: Inbox,
+        problems: Problems,
+        router: str,
+        rates_hz: Mapping[str, float],
+        *,
+        has_feet: bool,
     ) -> None:
         """Prepare the tab.
 
@@ -29,13 +41,15 @@ class LivePanel:
             inbox: what services say.
             problems: what went wrong.
             router: where the bus is, for people.
-            rates_hz: frames per second of each camera as configured.
+            rates_hz: frames per second of each camera as configured; empty in a rig that tracks feet alone.
+            has_feet: whether the rig tracks feet.
         """
         self._scene = scene
         self._inbox = inbox
         self._problems = problems
         self._router = router
         self._rates_hz = rates_hz
+        self._has_feet = has_feet
 
     def build(self, gui: viser.GuiApi) -> None:
         """Add three tables."""
@@ -48,15 +62,19 @@ class LivePanel:
     def update(self) -> None:
         """Write them anew; what has not changed is not sent."""
         statuses = self._inbox.all_newest("rhot/status/", ServiceStatus, STATUS_AGE_S)
-        self._hands.content = hands_html(self._scene.seen.hands, self._waiting_for(statuses))
+        feet = self._inbox.all_newest("rhot/foot/", FootPose, FOOT_AGE_S) if self._has_feet else {}
+        told = [feet_html(feet, self._waiting_for(statuses, _FEET, _NO_FOOT))] if self._has_feet else []
+        if self._rates_hz:
+            told.append(hands_html(self._scene.seen.hands, self._waiting_for(statuses, _HANDS, _NO_HAND)))
+        self._hands.content = "".join(told)
         self._services.content = services_html(self._inbox.alive, statuses)
         self._trouble.content = problems_html(self._problems.newest)
 
-    def _waiting_for(self, statuses: dict[str, ServiceStatus]) -> str:
+    def _waiting_for(self, statuses: dict[str, ServiceStatus], needed: tuple[str, ...], else_: str) -> str:
         alive = self._inbox.alive
         if not alive:
             return f"No service is there. Looking for the rig's router at {self._router}; `rhot up` starts it."
-        missing = [kind for kind in ("capture", "fusion", "ik") if not any(n.startswith(f"{kind}/") for n in alive)]
+        missing = [kind for kind in needed if not any(n.startswith(f"{kind}/") for n in alive)]
         if missing:
             return f"Not running: {', '.join(missing)}."
         if all(status.state == "waiting" for name, status in statuses.items() if not name.startswith("viewer/")):
@@ -69,4 +87,4 @@ class LivePanel:
         ]
         if slow:
             return f"Pictures a second are too few: {', '.join(slow)}. Is that machine overloaded?"
-        return "No marker is seen. Is the hand in the pictures? Do the masks in the tab Pictures show its colours?"
+        return else_

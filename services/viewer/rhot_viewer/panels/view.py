@@ -22,7 +22,8 @@ _KEY: Final = (
     "<div style='padding:0.2em 0.8em;font-size:0.9em;line-height:1.6'>"
     "<span style='color:#e2b896'>●</span> right hand, <span style='color:#c4b0d0'>●</span> left hand<br>"
     "<span style='color:#96beeb'>●</span> predicted, not seen at this moment<br>"
-    "<span style='color:#78cd8c'>●</span> truth (simulation only)</div>"
+    "<span style='color:#78cd8c'>●</span> truth (simulation only)<br>"
+    "<span style='color:#f0c85a'>●</span> how far each joint may bend (<i>joint limits</i>)</div>"
 )
 
 

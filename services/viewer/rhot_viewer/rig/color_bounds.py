@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -48,6 +49,25 @@ def sliders_of(settings: Mapping[str, Any], marker: str) -> BoundsSliders | None
         )
     except (KeyError, TypeError, ValueError, IndexError):
         return None
+
+
+def told(sliders: BoundsSliders) -> str:
+    """Return the bounds as numbers beside the colours that lie between them, HTML: the sliders show neither."""
+    (start, end), (dull, pure), (dark, bright) = sliders.hue_deg, sliders.saturation, sliders.value
+    stops = ", ".join(
+        _css(start + share * (end - start), dull + share * (pure - dull), dark + share * (bright - dark))
+        for share in (0.0, 0.25, 0.5, 0.75, 1.0)
+    )
+    return (
+        "<div style='padding:0.2em 0.8em;font-size:0.85em'>"
+        f"<div style='height:0.9em;border-radius:0.3em;background:linear-gradient(90deg, {stops})'></div>"
+        f"hue {start:.0f} to {end:.0f}°, saturation {dull:.2f} to {pure:.2f}, value {dark:.2f} to {bright:.2f}</div>"
+    )
+
+
+def _css(hue_deg: float, saturation: float, value: float) -> str:
+    rgb = colorsys.hsv_to_rgb(hue_deg % _TURN_DEG / _TURN_DEG, saturation, value)
+    return f"rgb({', '.join(str(round(255 * part)) for part in rgb)})"
 
 
 def change_to(marker: str, sliders: BoundsSliders) -> dict[str, Any]:

@@ -15,6 +15,8 @@ FloatArray = NDArray[np.float64]
 
 OVERVIEW_FOV_RAD: Final = float(np.radians(48.0))
 _CLOSE_M: Final = 0.45
+_HANDS_APART_M: Final = 0.3
+"""Palms of two hands at work before a person: about the width of the shoulders less the hands'."""
 _PERSON_M: Final = 1.0
 """Height of what is looked at in a rig that tracks feet, above the floor's origin."""
 
@@ -47,7 +49,12 @@ def up_direction(rig: Rig) -> FloatArray:
 
 
 def desk_middle(rig: Rig) -> FloatArray:
-    """Return the middle of the desk (3,), metres, rig frame: below the cameras; its distance is `[sim] desk_z_m`."""
+    """Return the middle of the desk (3,), metres, rig frame: below the cameras; its distance is `[sim] desk_z_m`.
+
+    A rig that has only a camera on the head has none; its origin stands for it, which lies on the floor.
+    """
+    if not rig.cameras:
+        return np.zeros(3)
     centers = np.array([np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values()])
     middle = centers.mean(axis=0)
     down = -up_direction(rig)
@@ -85,7 +92,12 @@ def close_up(rig: Rig, hands: FloatArray) -> Viewpoint:
 
 def first_view(rig: Rig) -> Viewpoint:
     """Return the view that a page opens with: where hands will be, or the whole person in a rig that tracks feet."""
-    return close_up(rig, np.empty((0, 3))) if rig.config.feet is None else overview(rig)
+    if rig.config.feet is not None:
+        return overview(rig)
+    over_desk = desk_middle(rig) + 0.1 * up_direction(rig)
+    aside = np.array([_HANDS_APART_M / 2.0, 0.0, 0.0])
+    hands = (over_desk - aside, over_desk + aside) if len(rig.config.sides) > 1 else (over_desk,)
+    return close_up(rig, np.array(hands))
 
 
 def through(plane: PicturePlane, aspect: float) -> Viewpoint:
