@@ -82,7 +82,7 @@ _SEEN_BY: Final = {
 
 
 def feet_html(feet: Mapping[str, FootPose], waiting_for: str) -> str:
-    """Return a line per foot: what it is tracked by, and how well its position is known; without one, what is missing."""
+    """Return a line per foot: what tracks it, and how well its position is known; without one, what is missing."""
     if not feet:
         return f"<div style='{_BOX}'><b>No foot</b><br>{escape(waiting_for)}</div>"
     lines = [
