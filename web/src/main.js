@@ -127,9 +127,12 @@ function begin() {
   ball = new VirtualThing({ p: [at[0], deskHeight + BALL.radius, at[2]], q: [0, 0, 0, 1] }, (q) => halfHeight(BALL, q));
   headset.published = hello.may_publish && hello.devices.length > 0;
   $("simulated").hidden = !hello.simulated;
+  const [what, by] = hello.desk.shown ? ["hand", "cameras"] : ["person's feet and legs", "the camera on the head"];
   $("tagline").textContent = hello.simulated
-    ? "a simulated hand, followed by the real tracker: each joint, as it moves"
-    : "a real hand, followed by cameras: each joint, as it moves";
+    ? `a simulated ${what}, followed by the real tracker: each joint, as it moves`
+    : `a real ${what}, followed by ${by}: each joint, as it moves`;
+  for (const part of document.querySelectorAll(".of-hands")) part.hidden = !hello.desk.shown;
+  for (const part of document.querySelectorAll(".of-feet")) part.hidden = hello.desk.shown;
   // Its address is that of the rig's own machine.
   $("other").hidden = !hello.other_page || !["localhost", "127.0.0.1", "[::1]"].includes(location.hostname);
   if (hello.other_page) $("other").href = hello.other_page;
@@ -319,7 +322,8 @@ function say(hands, t) {
   saidMs = performance.now();
   const parts = [];
   if (!hands.size && !rig.body) {
-    parts.push("no hand in view");
+    const feet = hello.desk.shown ? 0 : rig.thingsAt(rig.feet, t).size;
+    parts.push(hello.desk.shown ? "no hand in view" : feet ? `${feet === 1 ? "one foot" : "both feet"} followed` : "no foot in view");
   } else {
     for (const [side, { state, predicted, track }] of hands) {
       const age = Math.max(0, t - track.newest.t);

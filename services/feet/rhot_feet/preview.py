@@ -31,7 +31,11 @@ _AROUND: Final = ((-1, 0), (1, 0), (0, -1), (0, 1))
 _SHADOW: Final[Color] = (0, 0, 0)
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _FONT_SCALE: Final = 0.5
-_LINE_PX: Final = 16
+_LINE_SCALE: Final = 0.85
+"""The page shows the picture at half its width."""
+_LINE_PX: Final = 28
+_SHADED: Final = 0.35
+"""Share of the picture's light that is left behind the lines."""
 _QUALITY: Final = 85
 _TINT: Final = 0.55
 """Share of a foot's colour on the pixels of its blob."""
@@ -72,9 +76,19 @@ def draw(frame: DepthFrame, found: FootDetections | None, overlay: str = "marker
             _draw_gate(canvas, side, expected, frame.camera)
         _draw_markers(canvas, found.markers)
         lines += _lines(found)
+    if lines:
+        strip = canvas[-(_LINE_PX * len(lines) + 10) :]
+        strip[:] = (_SHADED * strip).astype(np.uint8)
     for row, (text, color) in enumerate(lines):
-        _write(canvas, text, (8, frame.camera.height - 10 - _LINE_PX * (len(lines) - 1 - row)), color)
+        place = (8, frame.camera.height - 12 - _LINE_PX * (len(lines) - 1 - row))
+        _write(canvas, text, place, color, _fitting(text, frame.camera.width - 16))
     return canvas
+
+
+def _fitting(text: str, width_px: int) -> float:
+    """Return the size of letters that is read best and still fits."""
+    (long_px, _), _ = cv2.getTextSize(text, _FONT, _LINE_SCALE, 1)
+    return _LINE_SCALE * min(1.0, width_px / max(long_px, 1))
 
 
 def _lines(found: FootDetections) -> list[tuple[str, Color]]:
@@ -162,10 +176,10 @@ def _outline(canvas: ColorImage, corners: FloatArray, color: Color, thickness: i
     cv2.polylines(canvas, [points], True, color, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _write(canvas: ColorImage, text: str, corner: tuple[int, int], color: Color) -> None:
+def _write(canvas: ColorImage, text: str, corner: tuple[int, int], color: Color, scale: float = _FONT_SCALE) -> None:
     # A thicker shadow would not do: OpenCV 5 spaces thick letters wider.
     for (du, dv), each in (*((shift, _SHADOW) for shift in _AROUND), ((0, 0), color)):
-        cv2.putText(canvas, text, (corner[0] + du, corner[1] + dv), _FONT, _FONT_SCALE, each, 1, cv2.LINE_AA)
+        cv2.putText(canvas, text, (corner[0] + du, corner[1] + dv), _FONT, scale, each, 1, cv2.LINE_AA)
 
 
 def _false_colors(frame: DepthFrame) -> ColorImage:

@@ -47,7 +47,8 @@ def hello_text(rig: Rig, colors: Mapping[str, Rgb], other_page: str, may_publish
         {
             "type": "hello",
             "rig": rig.config.name,
-            "simulated": any(camera.source == "simulated" for camera in rig.config.cameras.values()),
+            "simulated": any(camera.source == "simulated" for camera in rig.config.cameras.values())
+            or (rig.config.feet is not None and rig.config.feet.camera.source == "simulated"),
             "hands": {side: rest_hand(rig, side) for side in sides},
             "paint": {side: _paint(rig, colors, side) for side in sides},
             "stage": json.loads(space_text(T_rig_stage.tolist(), source)),
