@@ -11,6 +11,7 @@ import time
 from collections import deque
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -33,8 +34,10 @@ from rhot.messages import (
     TruePose,
     Truth,
 )
+from rhot.object_mesh import object_shape
 from rhot.rig import BusConfig, Rig, load_rig
 from rhot.rig.colors import ColorsFile, RgbBoxColor
+from rhot.service.clock_sync import serve_clock
 from rhot.service.configuration import changed, config_answer, digest, parse_change
 from rhot_capture.settings import CameraSettings
 from rhot_sim.rig.folder import true_cameras
@@ -55,12 +58,18 @@ class StubRig:
     Attributes:
         settings: of the cameras; `asked`: what previews were asked for; `newest`: what each camera sees. May be read
             from other threads.
-        still: the world stands still; may be set while it runs.
+        still: the world stands still, at `still_s`; both may be set while it runs.
         zero_ns: when the world began, rig clock.
     """
 
     def __init__(
-        self, rig: Rig, endpoint: str, *, predicted: tuple[str, ...] = ("little",), still: bool = False
+        self,
+        rig: Rig,
+        endpoint: str,
+        *,
+        predicted: tuple[str, ...] = ("little",),
+        still: bool = False,
+        clock: bool = False,
     ) -> None:
         self.rig = rig
         self.world = World.from_rig(rig)
@@ -74,6 +83,8 @@ class StubRig:
         }
         self.asked: list[str] = []
         self.still = still
+        self.still_s = 1.0
+        self._has_clock = clock
         self.zero_ns = 0
         self._predicted = predicted
         self._endpoint = endpoint
@@ -90,6 +101,8 @@ class StubRig:
             await Bus.open(BusConfig(mode="router", connect=(), listen=(self._endpoint,))),
             await Bus.open(BusConfig(connect=(self._endpoint,))) as bus,
         ):
+            if self._has_clock:
+                serve_clock(bus)
             for name in self.cameras:
                 bus.queryable(f"rhot/preview/{name}", partial(self._preview, name), slow=True)
                 bus.queryable(f"rhot/config/capture/{name}", partial(self._config, name), slow=True)
@@ -109,7 +122,7 @@ class StubRig:
             self.play_from(0.0)
             ticks = 0
             while True:
-                t_s = 1.0 if self.still else (time.time_ns() - self.zero_ns) * 1e-9
+                t_s = self.still_s if self.still else (time.time_ns() - self.zero_ns) * 1e-9
                 for key, message in self.messages(t_s, time.time_ns(), ticks).items():
                     publishers[key].put(message)
                 ticks += 1
@@ -151,7 +164,7 @@ class StubRig:
                 fingers={finger: self._state(finger) for finger in FINGERS},
                 state="measured",
             )
-        found |= {f"rhot/object/{name}": _object(pose, t_ns) for name, pose in truth.objects.items()}
+        found |= {f"rhot/object/{name}": _object(pose, t_ns, self.rig, name) for name, pose in truth.objects.items()}
         for name, camera in self.cameras.items():
             pixels = camera.project(np.array(list(truth.points.values())))
             markers = {
@@ -210,15 +223,18 @@ class StubRig:
         return config_answer(self.settings[camera], request)
 
 
-def _object(pose: TruePose, t_ns: int) -> ObjectPose:
-    return ObjectPose(t_ns=t_ns, frame="rig", position=pose.position, orientation=pose.orientation, state="measured")
+def _object(pose: TruePose, t_ns: int, rig: Rig, name: str) -> ObjectPose:
+    shape = object_shape(rig, name)
+    return ObjectPose(
+        t_ns=t_ns, frame="rig", position=pose.position, orientation=pose.orientation, state="measured", shape=shape
+    )
 
 
 class StubThread:
     """A stub rig on a thread with an event loop of its own, so that a test may wait for a browser meanwhile."""
 
-    def __init__(self, path: Path, endpoint: str) -> None:
-        self.rig = StubRig(load_rig(path), endpoint)
+    def __init__(self, path: Path, endpoint: str, **options: Any) -> None:
+        self.rig = StubRig(load_rig(path), endpoint, **options)
         self._loop = asyncio.new_event_loop()
         self._work = self._loop.create_task(self.rig.run())
         self._thread = threading.Thread(target=self._run, name="stub-rig")
