@@ -170,7 +170,7 @@ class Paint:
         seen = np.square(lagging / np.maximum(largest, 1e-9))
         lost = np.where(self._tips[rows] | (area_px <= 0.0), 0.0, np.maximum(1.0 - seen / settings.most_turned, 0.0))
         of_all = settings.shift / math.sqrt(3.0) * lost * largest / depth_m
-        doubt = np.sqrt(np.square(settings.doubt * size) + np.square(settings.wander * width) + np.square(of_all))
+        doubt = np.hypot(settings.doubt * size, of_all)
         # Views that err alike tell as much together as one of them.
         doubt *= math.sqrt(max(1.0, settings.lasts_s / period_s))
         return settings.shift * size[:, None] * self._away[camera], doubt

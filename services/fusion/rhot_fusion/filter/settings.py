@@ -100,8 +100,8 @@ class TrackSettings:
         loose_m: a marker whose place is less certain (standard deviation) is found anew by two views, metres: beyond it
             a depth is no longer linear in the pixels.
         lost_periods: one that nothing has shown for so many frame periods is not moved by a single view.
-        measured_m: a point is called measured up to this standard deviation (root of the covariance's trace), metres: a
-            fingertip that is further off belongs to the next finger.
+        measured_m: a point is called measured up to this standard deviation (root of the covariance's trace), metres:
+            two fingers' breadths; at 0.03 a hand's first frame at 30 fps (0.037) would not be measured any more.
         uncalibrated_measured_m: the same before cameras that are not calibrated: a pixel is 2 cm of depth there.
         lost_m: a marker is forgotten beyond this one, metres: that it is somewhere on its hand tells as much.
         replay_s: frames that come later than this after a newer one are used for nothing, seconds.
@@ -125,7 +125,7 @@ class TrackSettings:
     ray_reach_m: float = 0.2
     loose_m: float = 0.03
     lost_periods: float = 2.5
-    measured_m: float = 0.05
+    measured_m: float = 0.04
     uncalibrated_measured_m: float = 0.1
     lost_m: float = 0.12
     replay_s: float = 0.06
@@ -145,8 +145,6 @@ class PaintSettings:
         lasts_s: how long that error stays the same, seconds: a finger passes behind another, 15 mm at 0.15 m/s; without
             it a strip of paint that is left becomes depth and speed, however little one believes each frame. Between
             0.1 and 0.3 alike on eight even rigs of the ruler; smoothed pictures are worse by 1.5 mm at 0.3.
-        wander: how far the middle of the paint that is seen wanders, standard deviation as a share of the width; any of
-            it made the rendered pictures worse, for such errors stay for many frames.
         side: (π/4) ρ of `paint`.
         shaft: λ of `paint`: tips are painted over 15 to 20 mm and 6 to 7 mm thick.
         first_bend: c of a finger at ease, bent away from the camera by a quarter of a right angle or a little more.
@@ -156,7 +154,9 @@ class PaintSettings:
         appearing: standard deviation of where the middle of a marker is that comes out from behind something, as a
             share of its width: half of what one can see is hidden at the median; 0.1 to 0.25 alike.
         settled: a marker is not called measured while its visible paint has changed by more than this share within
-            `appears_s`: it is being hidden or comes out.
+            `appears_s`: it is being hidden or comes out. On the ruler's 15 even rigs 0.3 instead of 0.4 keeps one of
+            eight swapped points from being called measured, and one of eighty of all; at 0.25 coverage of the rendered
+            pictures falls below 95 %.
         seen_first: how far the largest area of a marker is taken from its first one rather than from how long paint
             should be: between 0 and 0.5 alike on rendered and simulated hands, 1 is worse by 0.4 mm on the latter.
         most_turned: share of its area that a patch shows at least when it is turned away: that of 60 degrees, beyond
@@ -173,10 +173,9 @@ class PaintSettings:
     shift: float = 0.5
     doubt: float = 0.25
     lasts_s: float = 0.1
-    wander: float = 0.0
     appears_s: float = 0.03
     appearing: float = 0.15
-    settled: float = 0.4
+    settled: float = 0.3
     side: float = 0.66
     shaft: float = 1.8
     first_bend: float = -0.45
