@@ -155,7 +155,7 @@ class PaintSettings:
             share of its width: half of what one can see is hidden at the median; 0.1 to 0.25 alike.
         settled: a marker is not called measured while its visible paint has changed by more than this share within
             `appears_s`: it is being hidden or comes out. On the ruler's 15 even rigs 0.3 instead of 0.4 keeps one of
-            eight swapped points from being called measured, and one of eighty of all; at 0.25 coverage of the rendered
+            ten swapped points from being called measured, and one of eighty of all; at 0.25 coverage of the rendered
             pictures falls below 95 %.
         seen_first: how far the largest area of a marker is taken from its first one rather than from how long paint
             should be: between 0 and 0.5 alike on rendered and simulated hands, 1 is worse by 0.4 mm on the latter.
