@@ -42,7 +42,8 @@ _WRONG_PX: Final = 14.0
     type=click.FloatRange(1, 3600),
     default=20.0,
     show_default=True,
-    help="Seconds of pictures; rendering takes about three times as long. 0.5 minutes show two cycles.",
+    help="Seconds of pictures. Each takes about three of computing: one to draw it and find markers, two to track it. "
+    "24 seconds show two cycles.",
 )
 @click.option(
     "--names-for",
