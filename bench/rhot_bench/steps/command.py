@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from rhot.errors import ConfigError
 from rhot_bench.measures.rows import Row, Section, check_output
 from rhot_bench.output import counted, json_option, show
 from rhot_bench.steps.dead_reckoning import faster, horizontal_error_m, reckon
+from rhot_bench.steps.heel import LEAST_LIFT_RAD, heel_directions
 from rhot_bench.steps.held_out import Reckoned, held_out_rows, kind_rows, reckoned
 from rhot_bench.steps.markers import follow_marker, marker_figures, read_marker_test, tilt_figures
 from rhot_bench.steps.standard_detectors import ared, shoe
@@ -90,6 +92,8 @@ def _tasks(data: Path, quick: bool) -> list[_Task]:
         longest_s = 15.0 if quick else np.inf
         name = "Swings that nobody sees"
         tasks.append(_Task(name, len(swings), lambda go: _swings(swings, published, longest_s, go)))
+        lifted = "Where a foot points, by its lifted heel"
+        tasks.append(_Task(lifted, len(swings), lambda go: _heels(swings, longest_s, go)))
     for form, name in _FORMS.items():
         files = [data / _SENSORS / f"{trial}_{form}.csv" for trial in published]
         files = [file for file in files if file.exists()][: 2 if quick else None]
@@ -147,6 +151,19 @@ def _swings(files: Sequence[Path], published: dict[str, _Trial], longest_s: floa
         ]
         advance()
     return rows
+
+
+def _heels(files: Sequence[Path], longest_s: float, advance: Advance) -> list[Row]:
+    off_deg = []
+    for file in files:
+        off_deg.append(np.degrees(heel_directions(read_step_trial(file, longest_s))))
+        advance()
+    walks = [(file.name.removesuffix(_SWINGS), off) for file, off in zip(files, off_deg, strict=True) if len(off)]
+    least = f"lifted by {math.degrees(LEAST_LIFT_RAD):g}° or more, on the way"
+    return [
+        Row(f"{name}, root mean square", math.sqrt(_of(np.mean, off**2)), "°", note=f"{len(off)} steps; heels {least}")
+        for name, off in walks
+    ]
 
 
 def _reckoning(name: str, form: str, files: Sequence[Path], published: dict[str, _Trial]) -> _Task:

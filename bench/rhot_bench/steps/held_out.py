@@ -98,13 +98,15 @@ def kind_rows(motions: Sequence[str], errors_mm: Sequence[float], published_mm: 
 
 def held_out_rows(trials: Sequence[Reckoned], times: float) -> list[Row]:
     """Return what each recording comes to with constants chosen on all others, and how much each constant matters."""
-    names, walks = list(CANDIDATES), [trial for trial in trials if trial.kind != _KINDS[1]]
+    names = list(CANDIDATES)
     rows = []
     if len(trials) > 1:
         chosen = _chosen([trial.error_m + trial.faster_m for trial in trials])
         own = [MM * float(trial.error_m[best]) for trial, best in zip(trials, chosen, strict=True)]
         rows += kind_rows([trial.motion for trial in trials], own, [MM * trial.published_m for trial in trials])
-        quick = [MM * float(trial.faster_m[k]) for trial, k in zip(trials, chosen, strict=True) if trial in walks]
+        quick = [
+            MM * float(trial.faster_m[k]) for trial, k in zip(trials, chosen, strict=True) if trial.kind != _KINDS[1]
+        ]
         if quick:
             often = max(set(chosen), key=chosen.count)
             note = f"chosen in {chosen.count(often)} of {len(chosen)}: constants {names[often]}"
