@@ -25,6 +25,8 @@ _REACH = 1.6
 _NOWHERE: tuple[float, ...] = (math.nan, math.nan, math.nan)
 _ANY: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 """Covariance, m², of a tip that is not there."""
+_DEPTH_SAMPLES = 16.0
+"""Samples that share one error of depth: a quarter of a second (`HandSettings.lasts_s`) at 60 a second."""
 
 
 class HandStage:
@@ -143,12 +145,20 @@ class HandStage:
 
 
 def _covariance(point: Point) -> tuple[float, ...]:
-    """Return the covariance of a point's error, m², row by row; alike in all directions where none is stated."""
+    """Return the covariance of a point's error, m², row by row; alike in all directions where none is stated.
+
+    The depth of what one camera sees is fusion's guess from the rest of the hand. It errs alike for many samples, so it
+    counts as one of them.
+    """
     if point.covariance is None:
         variance = point.sigma**2 / 3.0
         return (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
     xx, xy, xz, yy, yz, zz = point.covariance
-    return (xx, xy, xz, xy, yy, yz, xz, yz, zz)
+    if point.state != "one_view":
+        return (xx, xy, xz, xy, yy, yz, xz, yz, zz)
+    C = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    # C·C over its trace is next to nothing but along the ray.
+    return tuple((C + (_DEPTH_SAMPLES - 1.0) / max(xx + yy + zz, 1e-12) * (C @ C)).reshape(9).tolist())
 
 
 def hand_pose(points: PointSet, model: HandModel, solution: HandSolution) -> HandPose:

@@ -134,7 +134,7 @@ def test_a_hidden_finger_ends_at_the_thing_that_it_closes_round() -> None:
     angles = coupled(model, 25.0, 30.0)
     state = hand.update(hand.start(R_TRUE, P_TRUE), evidence_of(hand, angles), steps=4)
     held = R_TRUE @ np.array([0.0, -0.055, -0.11]) + P_TRUE
-    ball = Sphere(held, 0.03)
+    ball = Sphere(held, 0.034)
     hidden = np.array([False, False, True, False, False])
     for shapes in ((), (ball,)):
         closing = state

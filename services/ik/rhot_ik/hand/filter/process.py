@@ -6,7 +6,6 @@ p + δp, ω + δω, v + δv, q + δq, c + δc, in this order (`ROTATION` … `PE
 
 The wrist turns and moves on, disturbed by random accelerations, its speed fading; the angles are the Ornstein–Uhlenbeck
 process of `rhot_ik.hand.filter.prior`: what moves one finger moves its neighbours too, and left alone the hand relaxes.
-Its mean goes slower than its doubt grows: a hand that holds something stays as it is, but nobody knows for how long.
 """
 
 from __future__ import annotations
@@ -132,12 +131,12 @@ class HandProcess:
         settings = self.settings
         fades = math.exp(-dt_s / settings.speed_fades_s)
         path_s = settings.speed_fades_s * (1.0 - fades)
-        keeps = np.full(COUNT, math.exp(-dt_s / settings.angles_rest_s))
-        if hidden is not None:
+        forgets = math.exp(-dt_s / settings.angles_s)
+        keeps = np.full(COUNT, forgets)
+        if hidden is not None and holds:
             keeps[np.repeat(hidden, 4)] = math.exp(-dt_s / settings.closing_s)
         mean = self._expected(hidden, self._closed if holds else self._unseen)
         learned = math.exp(-dt_s / settings.person_s)
-        forgets = math.exp(-dt_s / settings.angles_wander_s)
         spread = 1.0 - forgets * forgets
         turn = rotation_from_vector(state.angular_velocity * path_s)
         # F is block diagonal but for the speeds' part in the pose, so a few rows and columns are all there is to do.

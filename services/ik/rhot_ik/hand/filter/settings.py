@@ -14,10 +14,10 @@ class HandSettings:
             some 0.1 s (design.md); fusion has smoothed the points already, so the wrist is to follow them.
         turn_acceleration: the same of its rotation, rad/s² per √Hz: 50 rad/s² for 0.1 s.
         speed_fades_s: an unseen wrist stops in this time: voluntary movements are bells of about half a second.
-        angles_rest_s: time constant with which an unseen hand relaxes; people hold a thing for several seconds.
-        closing_s: time constant with which a finger that nobody sees closes: in front of cameras that see a hand's
-            back, fingers vanish under it because they close round something, which takes about half a second.
-        angles_wander_s: in this time an unseen finger may come to be anywhere that fingers are.
+        angles_s: time constant with which an unseen finger comes to be anywhere that fingers are: people hold a thing,
+            or a posture, for some seconds.
+        closing_s: the same of one that closes round a known thing: in front of cameras that see a hand's back, fingers
+            vanish under it because they close, which takes about half a second.
         most_activity: fingers that move faster than they usually do get up to this many times their diffusion. A
             finger turns at most at some 20 rad/s, usually at 2 to 4.
         person_s: in this time what was learned of a person fades: somebody may have changed places or repainted.
@@ -33,9 +33,9 @@ class HandSettings:
             model's: nothing that is seen tells these apart, and both are as likely (8 mm each in
             base_shift_m).
         patch_tilt_rad: by how much the skin under the patch is tilted against the palm, each axis.
-        finger_share: how much longer or shorter than the model's a finger is up to its marker: 4 mm of 80 mm for the
-            length of the paint, 5 to 8 % for bones of people whose hands have one length (Buryanov & Kotiuk 2010,
-            tables 1 to 3: standard deviations of each bone).
+        finger_share: how much longer or shorter than the model's a finger is up to its marker: 2 to 3 mm of 80 mm for
+            the length of the paint, and 3 to 4 % for three bones in a row, each 5 to 8 % by itself in people whose
+            hands have one length (Buryanov & Kotiuk 2010, tables 1 to 3: standard deviations of each bone).
         known_m, known_rad, known_share: the same three where `rhot calibrate hand` has measured them, as its quality
             states them.
         model_m: by how much any marker departs from a rigid model for reasons that come and go, each axis: skin slides
@@ -63,9 +63,8 @@ class HandSettings:
     acceleration: float = 6.0
     turn_acceleration: float = 15.0
     speed_fades_s: float = 0.2
-    angles_rest_s: float = 5.0
+    angles_s: float = 2.0
     closing_s: float = 0.8
-    angles_wander_s: float = 1.5
     most_activity: float = 30.0
     person_s: float = 60.0
     lasts_s: float = 0.25
@@ -74,7 +73,7 @@ class HandSettings:
     base_shift_m: tuple[float, float, float] = (0.005, 0.004, 0.011)
     palm_share: float = 0.5
     patch_tilt_rad: float = 0.09
-    finger_share: float = 0.08
+    finger_share: float = 0.05
     known_m: float = 0.001
     known_rad: float = 0.02
     known_share: float = 0.005
