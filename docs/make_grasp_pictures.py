@@ -103,6 +103,8 @@ def some_frames(browser: Browser) -> None:
     frames = browser.evaluate("rhot.frames")
     wait_until(lambda: browser.evaluate("rhot.frames") > frames + 6, "some frames")
     time.sleep(1.0)
+    # On a busy machine the poses may just have been too old, and the hand not drawn.
+    browser.wait_for("rhot.drawn.right")
 
 
 if __name__ == "__main__":
