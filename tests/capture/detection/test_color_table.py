@@ -139,3 +139,20 @@ def test_more_markers_than_labels_are_refused() -> None:
     with pytest.raises(ConfigError, match="at most 255"):
         build_color_table(ColorsFile(markers={}), names)
     assert len(build_color_table(ColorsFile(markers={}), names[:255]).labels) == TABLE_SIZE
+
+
+def test_a_faint_colour_is_likelier_paint_than_skin_or_background_and_no_longer_typical() -> None:
+    def one(rgb: RgbColor) -> GaussianColor:
+        return GaussianColor(components=(ColorComponent(rgb=rgb, sigma=(0.07, 0.07, 0.25)),))
+
+    def faint(colors: ColorsFile, rgb: RgbColor) -> int:
+        packed = np.asarray(cv2.cvtColor(np.array([[rgb[::-1]]], np.uint8), cv2.COLOR_BGR2BGR565)).view(np.uint16)
+        return int(build_color_table(colors, ["ring"]).faint[packed[0, 0, 0]])
+
+    paint, skin = (200, 60, 60), (200, 160, 130)
+    mixed = (200, 95, 85)
+    alone = ColorsFile(markers={"ring": one(paint)})
+    known = alone.model_copy(update={"skin": one(skin), "background": one((30, 30, 30))})
+    assert label_of(build_color_table(known, ["ring"]), mixed) == ""
+    assert [faint(known, each) for each in (paint, mixed, skin, (30, 30, 30), (60, 200, 60))] == [1, 1, 0, 0, 0]
+    assert faint(alone, mixed) == 0, "without skin and background nothing tells what is mixed"

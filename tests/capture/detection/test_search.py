@@ -26,7 +26,7 @@ def test_whatever_holds_three_by_three_pixels_is_found_and_held(
 ) -> None:
     size = (107 + odd, 87)
     image = painted(size, [("ring", left, top, width, height)], paints)
-    ((label, region),) = find_regions(image, table)
+    ((label, region),) = find_regions(image, table.labels)
     assert label == 1 + list(paints).index("ring")
     assert region.left <= max(left - 6, 0)
     assert region.top <= max(top - 6, 0)
@@ -36,7 +36,7 @@ def test_whatever_holds_three_by_three_pixels_is_found_and_held(
 
 def test_each_colour_has_its_own_regions_also_where_they_touch(table: ColorTable, paints: Any) -> None:
     boxes = [("ring", 20, 20, 10, 10), ("index", 30, 20, 10, 10), ("ring", 120, 90, 8, 8)]
-    found = find_regions(painted((160, 120), boxes, paints), table)
+    found = find_regions(painted((160, 120), boxes, paints), table.labels)
     names = list(paints)
     assert sorted(label for label, _ in found) == sorted([1 + names.index(name) for name, *_ in boxes])
     (index_region,) = (region for label, region in found if label == 1 + names.index("index"))
@@ -45,11 +45,11 @@ def test_each_colour_has_its_own_regions_also_where_they_touch(table: ColorTable
 
 def test_parts_near_one_another_are_one_region(table: ColorTable, paints: Any) -> None:
     boxes = [("ring", 20, 20, 10, 10), ("ring", 33, 20, 10, 10)]
-    assert len(find_regions(painted((160, 120), boxes, paints), table)) == 1
+    assert len(find_regions(painted((160, 120), boxes, paints), table.labels)) == 1
 
 
 def test_an_empty_picture_has_no_region(table: ColorTable) -> None:
-    assert find_regions(np.full((120, 160, 3), CLOTH, np.uint8), table) == []
+    assert find_regions(np.full((120, 160, 3), CLOTH, np.uint8), table.labels) == []
 
 
 def test_speckle_everywhere_hides_no_marker_and_stays_bounded(table: ColorTable, paints: Any) -> None:
@@ -57,6 +57,6 @@ def test_speckle_everywhere_hides_no_marker_and_stays_bounded(table: ColorTable,
     rng = np.random.default_rng(3)
     speckle = rng.random((480, 640)) < 0.02
     image[speckle] = paints["ring"][::-1]
-    regions = [region for label, region in find_regions(image, table) if label == 1 + list(paints).index("ring")]
+    regions = [region for label, region in find_regions(image, table.labels) if label == 1 + list(paints).index("ring")]
     assert len(regions) <= 6
     assert any(one.left <= 294 and one.right >= 326 and one.top <= 194 and one.bottom >= 226 for one in regions)

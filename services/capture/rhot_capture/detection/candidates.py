@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
 import cv2
@@ -25,6 +26,9 @@ _TYPICAL_SOLIDITY: Final = 0.85
 _MAX_ADJACENCY: Final = 0.4
 _CLING_RATIO: Final = 1.5
 _SLIVER_SCORE: Final = 0.5
+_LEAST_TYPICAL: Final = 0.5
+"""Of a faint blob, as a share of the marker's smallest area: with fewer pixels of its typical colour it may be where
+two other colours mix."""
 _BOX_3: Final = np.ones((3, 3), np.uint8)
 _BOX_5: Final = np.ones((5, 5), np.uint8)
 
@@ -65,7 +69,14 @@ class Refusal(NamedTuple):
 
 
 def judge(
-    cutouts: Cutouts, blob: Blob, label: int, least_px: float, track: MarkerTrack, alone: bool
+    cutouts: Cutouts,
+    blob: Blob,
+    label: int,
+    least_px: float,
+    track: MarkerTrack,
+    alone: bool,
+    *,
+    faint: bool = False,
 ) -> Candidate | Refusal:
     """Return a blob as candidate for a marker, or why it is none.
 
@@ -76,6 +87,7 @@ def judge(
         least_px: smallest area of the marker, square pixels.
         track: of the marker.
         alone: whether it is the only one; its plausibility may then be stated too low, as long as it is enough.
+        faint: whether it was found by faint colours; what speaks for it are its pixels of typical colour then.
     """
     window = blob.cut
     own, own_pixels = blob.seen, int(blob.area)
@@ -95,7 +107,11 @@ def judge(
     surrounded = cutouts.foreign_pixels > larger and cutouts.foreign_in(window) > larger
     if surrounded and clings(blob, cutouts.labels[window], label):
         return Refusal(blob, "rim", fill)
-    colour = min(1.0, cv2.mean(cutouts.likelihoods[window], own)[0] / (255.0 * _TYPICAL_LIKELIHOOD))
+    if faint:
+        typical, least_typical = cv2.countNonZero(cutouts.typical[window] & own), _LEAST_TYPICAL * least_px
+        colour = typical / (typical + least_typical) if typical >= least_typical else 0.0
+    else:
+        colour = min(1.0, cv2.mean(cutouts.likelihoods[window], own)[0] / (255.0 * _TYPICAL_LIKELIHOOD))
     size = blob.area / (blob.area + least_px)
     # A sliver is all rim: none of its pixels is pure paint.
     pure = colour * (_SLIVER_SCORE if thin else 1.0)
@@ -111,6 +127,28 @@ def judge(
     if plausibility <= 0.0:
         return Refusal(blob, "unlike", fill)
     return Candidate(blob, plausibility, Evidence(math.log(pure), -blob.border_share, 0.0), fill)
+
+
+def likeliest(candidates: Sequence[Candidate], track: MarkerTrack) -> Candidate | None:
+    """Return the candidate that is most surely a marker; None where none is surely enough.
+
+    Args:
+        candidates: for the marker, at least one.
+        track: of it.
+    """
+    best = candidates[0]
+    if len(candidates) > 1:
+        # How much it is like the marker, times how well it continues the track, times area.
+        weights = [
+            one.plausibility * track.preference(*one.blob.middle, one.blob.area) * one.blob.area for one in candidates
+        ]
+        first, second = sorted(range(len(candidates)), key=weights.__getitem__, reverse=True)[:2]
+        share = weights[first] / (weights[first] + weights[second])
+        best = candidates[first]
+        best = best._replace(
+            plausibility=best.plausibility * share, evidence=best.evidence._replace(alone=math.log(share))
+        )
+    return best if best.plausibility >= MIN_PLAUSIBILITY else None
 
 
 def _has_core(blob: Blob, own: ImageArray, own_pixels: int) -> bool:

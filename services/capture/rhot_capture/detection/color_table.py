@@ -2,6 +2,10 @@
 
 A frame becomes a 16-bit 5-6-5 picture; each of its 65,536 possible colours has one entry here. The label of a
 colour is the position of its marker in the list, counted from 1; 0 is nobody's colour.
+
+Paint that is seen from its edge, in shade or smeared is mixed with what lies beside it in every pixel, and so is that
+of a strip two pixels wide, as cameras store colour more coarsely than light. A second table names the marker of such
+faint colours too: those that are likelier paint than skin or background, if no longer typical of it.
 """
 
 from __future__ import annotations
@@ -28,6 +32,9 @@ from rhot.rig.colors import (
 ImageArray = NDArray[np.uint8]
 
 TABLE_SIZE: Final = 1 << 16
+_FAINT: Final = 2.0
+"""How many times as far from a paint as its limit a faint colour may be. What is half paint and half skin lies about
+there: skin and paints are 8 to 12 standard deviations apart in rendered and in real pictures, limits at 3.5."""
 _BOX_EDGE: Final = 3.0
 """The limit of a box or range counts as this many standard deviations when a likelihood is wanted."""
 
@@ -41,11 +48,14 @@ class ColorTable:
         labels: (65536,) uint8, label of each 5-6-5 colour, 0 = none.
         likelihoods: (65536,) uint8, how typical the colour is of its label: 255 at the centre of the class, falling
             to about 0 at its limit.
+        faint: (65536,) uint8, the same as `labels` with faint colours beside them; where nothing is known of skin or
+            background, or of how a paint varies, there are none.
     """
 
     names: tuple[str, ...]
     labels: ImageArray
     likelihoods: ImageArray
+    faint: ImageArray
 
     def classify(self, image: ImageArray) -> tuple[ImageArray, NDArray[np.uint16]]:
         """Return the label of every pixel and the 5-6-5 picture.
@@ -83,19 +93,28 @@ def build_color_table(colors: ColorsFile, names: Sequence[str]) -> ColorTable:
     rgb = table_colors()
     labels = np.zeros(TABLE_SIZE, np.uint8)
     distances = np.full(TABLE_SIZE, np.inf)
-    _assign_statistical(colors, names, rgb, labels, distances)
+    faint = np.zeros(TABLE_SIZE, np.uint8)
+    _assign_statistical(colors, names, rgb, labels, distances, faint)
     _assign_boxes(colors, names, rgb, labels, distances)
     likelihoods = np.where(labels > 0, np.round(255.0 * np.exp(-0.5 * distances**2)), 0.0).astype(np.uint8)
-    labels.setflags(write=False)
-    likelihoods.setflags(write=False)
-    return ColorTable(tuple(names), labels, likelihoods)
+    faint = np.where(labels > 0, labels, faint)
+    for table in (labels, likelihoods, faint):
+        table.setflags(write=False)
+    return ColorTable(tuple(names), labels, likelihoods, faint)
 
 
 def _assign_statistical(
-    colors: ColorsFile, names: Sequence[str], rgb: FloatArray, labels: ImageArray, distances: FloatArray
+    colors: ColorsFile,
+    names: Sequence[str],
+    rgb: FloatArray,
+    labels: ImageArray,
+    distances: FloatArray,
+    faint: ImageArray,
 ) -> None:
     features = log_ratio(rgb)
     best = np.full(TABLE_SIZE, -np.inf)
+    likeliest = np.full(TABLE_SIZE, -np.inf)
+    reach = 1.0 if colors.skin is None or colors.background is None else _FAINT
     for label, name in enumerate(names, start=1):
         color = colors.markers.get(name)
         if not isinstance(color, GaussianColor):
@@ -106,10 +125,14 @@ def _assign_statistical(
         labels[wins] = label
         best[wins] = log_likelihood[wins]
         distances[wins] = np.sqrt(squared[wins]) * (_BOX_EDGE / limit)
+        near = (squared <= (reach * limit) ** 2) & (log_likelihood > likeliest)
+        faint[near] = label
+        likeliest[near] = log_likelihood[near]
     for counter in (colors.skin, colors.background):
         if counter is not None:
             log_likelihood, _ = mixture_fit(counter, features)
             labels[log_likelihood > best] = 0
+            faint[log_likelihood > likeliest] = 0
 
 
 def mixture_fit(color: GaussianColor, features: FloatArray) -> tuple[FloatArray, FloatArray]:

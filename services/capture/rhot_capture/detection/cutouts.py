@@ -56,18 +56,23 @@ class Cutouts:
     Attributes:
         parts: the regions, from top to bottom.
         labels: (H, W) uint8, label of every pixel.
-        own: (H, W) uint8, 1 where a pixel and most of its neighbours have the label that is looked for there.
+        own: (H, W) uint8, 1 where a pixel and most of its neighbours have the label that is looked for there, of faint
+            colours too if they were asked for.
+        typical: (H, W) uint8, 1 where a pixel has that label by its typical colour.
         foreign_pixels: how many pixels have the label of another marker.
         likelihoods: (H, W) uint8, how typical each colour is of its label, see `ColorTable`.
     """
 
-    def __init__(self, image: ImageArray, table: ColorTable, looks: Sequence[tuple[int, Region]]) -> None:
+    def __init__(
+        self, image: ImageArray, table: ColorTable, looks: Sequence[tuple[int, Region]], *, faint: bool = False
+    ) -> None:
         """Cut out and classify.
 
         Args:
             image: (H, W, 3) uint8 BGR.
             table: colours of the labels.
             looks: label and region of each part, at least one.
+            faint: whether faint colours count as a marker's own.
         """
         self.parts: list[Cutout] = []
         row, width = _GAP_PX, 0
@@ -85,14 +90,17 @@ class Cutouts:
             wanted[row : end + _GAP_PX] = label
         self.labels, packed = table.classify(pixels)
         self.likelihoods: ImageArray = np.asarray(cv2.LUT(packed, table.likelihoods), dtype=np.uint8)
-        matching = self.labels == wanted
-        self.own: ImageArray = _of_most(matching.view(np.uint8))
-        self._matching = matching.view(np.uint8)
-        self.foreign_pixels: int = cv2.countNonZero(self.labels) - cv2.countNonZero(self._matching)
+        self.typical: ImageArray = (self.labels == wanted).view(np.uint8)
+        matching = self.typical
+        if faint:
+            labels = np.asarray(cv2.LUT(packed, table.faint), dtype=np.uint8).reshape(self.labels.shape)
+            matching = (labels == wanted).view(np.uint8)
+        self.own: ImageArray = _of_most(matching)
+        self.foreign_pixels: int = cv2.countNonZero(self.labels) - cv2.countNonZero(self.typical)
 
     def foreign_in(self, window: tuple[slice, slice]) -> int:
         """Return how many pixels of a window have the label of another marker."""
-        return cv2.countNonZero(self.labels[window]) - cv2.countNonZero(self._matching[window])
+        return cv2.countNonZero(self.labels[window]) - cv2.countNonZero(self.typical[window])
 
 
 def marker_mask(image: ImageArray, table: ColorTable, marker: str) -> ImageArray:

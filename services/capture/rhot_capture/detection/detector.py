@@ -2,14 +2,14 @@
 
 While every marker is where it was expected, only these windows are searched. As soon as one is not there, and every
 `_SURVEY_FRAMES` frames anyway, the whole frame is searched, so a lost marker is found again wherever it turns up; where
-a marker was before only decides between several blobs of its colour. Either way all windows are classified together
-and measured alike.
+a marker was before only decides between several blobs of its colour. What is missing even then is looked for once more
+by fainter colours, near the other markers of its hand (`reach`). Either way all windows are classified together and
+measured alike.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,10 +19,11 @@ from rhot.errors import ConfigError
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import own_paints, worn_paints
 from rhot_capture.detection.blob import Blob, Outsized, blobs_of
-from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Reason, Refusal, judge
+from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Reason, Refusal, judge, likeliest
 from rhot_capture.detection.color_table import ColorTable, ImageArray
 from rhot_capture.detection.corners import find_corners
 from rhot_capture.detection.cutouts import Cutouts, Region
+from rhot_capture.detection.reach import HandReach
 from rhot_capture.detection.score import probability
 from rhot_capture.detection.search import find_regions
 from rhot_capture.detection.sharing import SharedPaints, spot_of
@@ -94,13 +95,14 @@ class MarkerDetector:
         self._labels = {name: self._names.index(paint) + 1 for name, paint in worn_paints(markers).items()}
         self._gates = [(markers[name].min_area_px, markers[name].max_area_px) for name in self._names]
         self._sharing = SharedPaints(markers)
+        self._reach = HandReach(markers)
         self._size = (height, width)
         self._tracks = {name: MarkerTrack() for name in markers}
         # Corners of patches in the last frame, from their centres.
         self._shapes: dict[str, list[tuple[float, float]]] = {}
         self._image: ImageArray = np.zeros((height, width, 3), np.uint8)
         self._since_survey = 0
-        self._looks: Sequence[tuple[int, Region]] = ()
+        self._looks: list[tuple[int, Region]] = []
         self._judged: list[tuple[str, Candidate | Refusal]] = []
         self._outsized: list[Outsized] = []
         self._chosen: Mapping[str, Candidate] = {}
@@ -137,6 +139,7 @@ class MarkerDetector:
         """Forget where the markers were."""
         self._shapes.clear()
         self._sharing.clear()
+        self._reach.clear()
         self._tracks = {name: MarkerTrack() for name in self._markers}
 
     def detect(self, image: ImageArray) -> dict[str, Detection]:
@@ -193,6 +196,7 @@ class MarkerDetector:
                 return None
             regions[label] = region
             looks.append((label, region))
+        self._forget_decisions()
         candidates = self._candidates(looks, every=True) if looks else {}
         if candidates is None or len(candidates) < len(regions):
             return None
@@ -202,20 +206,31 @@ class MarkerDetector:
     def _survey(self) -> dict[str, Candidate]:
         """Look for every marker in the whole frame."""
         self._since_survey = 0
-        looks = find_regions(self._image, self._table)
-        self._looks, self._judged, self._outsized = looks, [], []
-        return self._best(self._candidates(looks, every=False) or {}) if looks else self._best({})
+        self._forget_decisions()
+        looks = find_regions(self._image, self._table.labels)
+        chosen = self._best((self._candidates(looks, every=False) or {}) if looks else {})
+        missing = {name: label for name, label in self._labels.items() if name not in chosen}
+        if looks := self._reach.looks(self._image, self._table, missing, chosen):
+            found = self._candidates(looks, every=False, faint=True) or {}
+            self._chosen = chosen = chosen | self._likeliest(found, missing)
+        return chosen
 
-    def _candidates(self, looks: Sequence[tuple[int, Region]], every: bool) -> dict[str, list[Candidate]] | None:
+    def _forget_decisions(self) -> None:
+        self._looks, self._judged, self._outsized = [], [], []
+
+    def _candidates(
+        self, looks: Sequence[tuple[int, Region]], every: bool, *, faint: bool = False
+    ) -> dict[str, list[Candidate]] | None:
         """Return the candidates for each marker in some regions of the frame; markers without one are absent.
 
         Args:
             looks: label and region.
             every: return None as soon as some blob is not wholly in its region.
+            faint: whether faint colours count.
         """
-        cutouts = Cutouts(self._image, self._table, looks)
+        cutouts = Cutouts(self._image, self._table, looks, faint=faint)
         candidates: dict[str, list[Candidate]] = {}
-        self._looks, self._judged, self._outsized = looks, [], []
+        self._looks += looks
         gates = [self._gates[label - 1] for label, _ in looks]
         found = blobs_of(cutouts.own, cutouts.parts, gates, self._size, self._outsized)
         count = [0] * (len(self._names) + 1)
@@ -231,7 +246,8 @@ class MarkerDetector:
                     self._judged.append((name, Refusal(blob, "cut")))
                     continue
                 track = self._track_at(name, blob)
-                verdict = judge(cutouts, blob, cutout.label, self._gates[cutout.label - 1][0], track, alone)
+                least_px = self._gates[cutout.label - 1][0]
+                verdict = judge(cutouts, blob, cutout.label, least_px, track, alone, faint=faint)
                 self._judged.append((name, verdict))
                 if isinstance(verdict, Candidate):
                     candidates.setdefault(name, []).append(verdict)
@@ -246,27 +262,19 @@ class MarkerDetector:
 
     def _best(self, candidates: Mapping[str, list[Candidate]]) -> dict[str, Candidate]:
         """Return for each marker the candidate that is most surely it; none where none is surely enough."""
-        chosen: dict[str, Candidate] = {}
-        for name in self._names:
-            each = candidates.get(name)
-            if each is None or name in self._sharing.wearers:
-                continue
-            best = each[0]
-            if len(each) > 1:
-                track = self._tracks[name]
-                # How much it is like the marker, times how well it continues the track, times area.
-                weights = [
-                    one.plausibility * track.preference(*one.blob.middle, one.blob.area) * one.blob.area for one in each
-                ]
-                first, second = sorted(range(len(each)), key=weights.__getitem__, reverse=True)[:2]
-                share = weights[first] / (weights[first] + weights[second])
-                best = each[first]
-                best = best._replace(
-                    plausibility=best.plausibility * share, evidence=best.evidence._replace(alone=math.log(share))
-                )
-            if best.plausibility >= MIN_PLAUSIBILITY:
-                chosen[name] = best
+        chosen = self._likeliest(candidates, self._names)
         self._chosen = chosen = chosen | self._share(candidates, chosen)
+        return chosen
+
+    def _likeliest(self, candidates: Mapping[str, list[Candidate]], names: Iterable[str]) -> dict[str, Candidate]:
+        """Return the same for some paints of one wearer."""
+        chosen: dict[str, Candidate] = {}
+        for name in names:
+            each = candidates.get(name)
+            if each is not None and name not in self._sharing.wearers:
+                best = likeliest(each, self._tracks[name])
+                if best is not None:
+                    chosen[name] = best
         return chosen
 
     def _share(

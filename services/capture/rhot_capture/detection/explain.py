@@ -45,7 +45,7 @@ _REASONS: Final[dict[Reason, str]] = {
     "hollow": f"hollow: own colour on {{fill:.0f}} %, at least {100 * MIN_FILL:.0f} %",
     "thin": "thin: no core of pure colour, and not where the marker just was",
     "rim": "rim of another marker: it hangs on a larger blob of that colour",
-    "unlike": "not like the marker: nothing of its colour is typical, or all of its rim is on the border",
+    "unlike": "not like the marker: hardly any of its colour is typical, or all of its rim is on the border",
     "cut": "cut: it goes on beyond the region that was searched",
 }
 

@@ -12,7 +12,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rhot_capture.detection.color_table import ColorTable, ImageArray
+from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.detection.cutouts import Region
 
 _STEP: Final = 3
@@ -27,19 +27,19 @@ _MOST_REGIONS: Final = 6
 """For one label; the largest are kept."""
 
 
-def find_regions(image: ImageArray, table: ColorTable) -> list[tuple[int, Region]]:
+def find_regions(image: ImageArray, labels_of: ImageArray) -> list[tuple[int, Region]]:
     """Return label and bounds of every region that may hold a marker.
 
     Args:
         image: (H, W, 3) uint8 BGR.
-        table: colours of the labels.
+        labels_of: (65536,) uint8, the label of each 5-6-5 colour.
 
     Returns:
         regions; those of one label do not touch, and hold all that is of its colour, but for speckle where there is
         more than can be looked at.
     """
     height, width = image.shape[:2]
-    labels = _sampled_labels(image, table)
+    labels = _sampled_labels(image, labels_of)
     contours, _ = cv2.findContours(labels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     if len(contours) > _MOST_CONTOURS:
         contours = sorted(contours, key=cv2.contourArea, reverse=True)[:_MOST_CONTOURS]
@@ -76,12 +76,12 @@ def _labels_in(part: ImageArray) -> list[tuple[int, int, Sequence[int]]]:
     ]
 
 
-def _sampled_labels(image: ImageArray, table: ColorTable) -> ImageArray:
+def _sampled_labels(image: ImageArray, labels_of: ImageArray) -> ImageArray:
     """Return the labels of every third pixel of every third row, (H/3, W/3)."""
     packed = np.asarray(cv2.cvtColor(image[_FIRST::_STEP], cv2.COLOR_BGR2BGR565)).view(np.uint16)[..., 0]
     # Columns are left out only now: two bytes with a step are copied ten times as fast as three.
     sampled = np.ascontiguousarray(packed[:, _FIRST::_STEP])
-    return np.asarray(cv2.LUT(sampled, table.labels), dtype=np.uint8).reshape(sampled.shape)
+    return np.asarray(cv2.LUT(sampled, labels_of), dtype=np.uint8).reshape(sampled.shape)
 
 
 def _joined(sized: list[tuple[int, Region]]) -> list[Region]:

@@ -187,6 +187,14 @@ class Paint:
         change: FloatArray = 1.0 - np.square(low / np.maximum(high, 1e-9)) - settings.uneven
         return np.where(width > 0.0, np.minimum(np.maximum(change, 0.0), 1.0), 0.0)
 
+    @property
+    def unlike(self) -> FloatArray:
+        """Share (M,) of the paint in the fullest of the newest views that the poorest of them does not show, 0 to 1."""
+        recent = self._seen_s >= self._seen_s.max(axis=0) - self._settings.compare_s
+        full = np.where(recent, self._width, 0.0).max(axis=0)
+        least = np.where(recent, self._width, np.inf).min(axis=0)
+        return np.where(full > 0.0, 1.0 - np.square(np.minimum(least / np.maximum(full, 1e-9), 1.0)), 0.0)
+
     def doubt_back(self, index: IndexArray, depth_m: FloatArray) -> FloatArray:
         """Return how far what is seen of markers (N,) may be off their middles when they come back: normalised units.
 

@@ -157,6 +157,9 @@ class PaintSettings:
             `appears_s`: it is being hidden or comes out. On the ruler's 15 even rigs 0.3 instead of 0.4 keeps one of
             ten swapped points from being called measured, and one of eighty of all; at 0.25 coverage of the rendered
             pictures falls below 95 %.
+        unlike: nor while one camera shows less of its paint than another by more than this share: they see different
+            parts, whose middles are a fifth of its width apart, and that is more than its width in depth where cameras
+            stand less than a fifth of their distance apart.
         seen_first: how far the largest area of a marker is taken from its first one rather than from how long paint
             should be: between 0 and 0.5 alike on rendered and simulated hands, 1 is worse by 0.4 mm on the latter.
         most_turned: share of its area that a patch shows at least when it is turned away: that of 60 degrees, beyond
@@ -176,6 +179,7 @@ class PaintSettings:
     appears_s: float = 0.03
     appearing: float = 0.15
     settled: float = 0.3
+    unlike: float = 0.4
     side: float = 0.66
     shaft: float = 1.8
     first_bend: float = -0.45
