@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rhot.errors import ConfigError
+from rhot.offline import track
 from rhot.recording import load_recording
 from rhot.rig import Rig
 from rhot_bench.motion.references.plain_ekf import plain_ekf
@@ -20,7 +21,7 @@ from rhot_bench.pictures.rendered import (
     read_marker_frames,
     require_pictures,
 )
-from rhot_bench.pictures.scoring import score_estimates
+from rhot_bench.pictures.scoring import score_estimates, score_messages
 
 
 @pytest.fixture(scope="module")
@@ -65,4 +66,6 @@ def test_kept_markers_are_read_again_as_they_were_and_score(pictures: Path, kept
     # Limits as wide as a change of the detector may move them; the plain filter gave 1.24 mm and 96.8 %.
     assert score.median_mm < 2.0
     assert score.coverage > 90.0
-    assert score.swaps == 0
+    # The plain filter knows nothing of paint that is hidden: a strip of a fingertip takes it 25 mm away. Ours is not.
+    ours = score_messages(pictures, "G1", track(at_rate_of(rig, load_recording(pictures / "G1")), iter(found)))
+    assert ours.swaps == ours.hallucinations == 0
