@@ -257,7 +257,7 @@ def test_hidden_paint_is_made_up_for_on_its_own_side() -> None:
 def test_views_that_show_unlike_shares_of_the_paint_do_not_measure_it() -> None:
     paint = half_hidden(60.0)[0]
     assert paint.unlike[0] == pytest.approx(0.5, abs=0.01)
-    assert paint.unlike[0] > DEFAULT.paint.settled
+    assert paint.unlike[0] > DEFAULT.paint.unlike
     # A view that is a tenth of a second old is compared with nothing.
     paint.correct(0, np.array([0]), 1.0, np.array([100.0]), np.array([0.8]), 1.0 / 60.0, np.array([True]))
     assert paint.unlike[0] == 0.0

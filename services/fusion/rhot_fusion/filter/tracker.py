@@ -152,7 +152,7 @@ class FilterTracker:
         shown = [track.views(newest_s, fresh) if track.belief is Belief.BELIEVED else nobody for track in self.tracks]
         seen = np.array(shown, dtype=bool).reshape(-1, cameras).T
         settled = np.where(seen, self._paint.changing, 0.0).max(axis=0) <= self._settings.paint.settled
-        settled &= self._paint.unlike <= self._settings.paint.settled
+        settled &= self._paint.unlike <= self._settings.paint.unlike
         outcome = outcome_of(then_s, position, covariance, seen, self._systematic, settled, self._settings.track)
         self._counts["measured"] += sum(outcome.measured)
         return outcome
