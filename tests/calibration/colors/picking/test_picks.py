@@ -25,7 +25,7 @@ def test_the_middle_of_a_box_is_the_middle_of_its_pixels() -> None:
     [
         (["thumb"], [], "--pick thumb: not NAME=U,V"),
         ([], ["thumb=1,2"], "--box thumb=1,2: not NAME=U,V,W,H"),
-        (["thumb=1,2@0"], [], "no picture 0; 3 given: left, right, right"),
+        (["thumb=1,2@0"], [], "no picture 0; say @1 = left, @2 = right, @3 = right"),
         (["thumb=1,2@top"], [], "no picture top"),
         (["thumb=1,2@right"], [], "2 pictures are called right; say @2 or @3"),
         (["thumb=1,2"], ["thumb=1,2,9,9@left"], r"picked twice in picture 1 \(left\)"),
