@@ -52,6 +52,7 @@ def test_a_strip_of_paint_beside_the_other_markers_is_found_at_its_middle(marker
     found = detector(markers, table_of()).detect(image)
     assert set(found) == {STRIP, *PLACES}
     assert np.hypot(found[STRIP].u - 49.5, found[STRIP].v - 68.0) < 1.0
+    assert 6 < np.count_nonzero(found[STRIP].blob.mask) < found[STRIP].blob.area, "pure paint says what half paint is"
     strict = detector(markers, table_of(counters=False)).detect(image)
     assert STRIP not in strict, "not faint: the test would show nothing"
     assert found[STRIP].score < found["base"].score

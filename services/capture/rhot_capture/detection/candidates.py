@@ -24,6 +24,8 @@ _TYPICAL_LIKELIHOOD: Final = 0.35
 """Mean of exp(−d²/2) over samples of a three-dimensional normal distribution: 2^(−3/2)."""
 _TYPICAL_SOLIDITY: Final = 0.85
 _MAX_ADJACENCY: Final = 0.4
+_MAX_FAINT_ADJACENCY: Final = 0.1
+"""The same of a faint blob: between another paint and skin lies a whole seam of colours that are neither's."""
 _CLING_RATIO: Final = 1.5
 _SLIVER_SCORE: Final = 0.5
 _LEAST_TYPICAL: Final = 0.5
@@ -103,12 +105,16 @@ def judge(
     if thin and not track.continues(*blob.middle):
         return Refusal(blob, "thin", fill)
     # In most frames the first of these decides.
+    adjacency = _MAX_ADJACENCY
     larger = _CLING_RATIO * blob.area
+    if faint:
+        typical = cv2.countNonZero(cutouts.typical[window] & own)
+        adjacency, larger = _MAX_FAINT_ADJACENCY, _CLING_RATIO * typical
     surrounded = cutouts.foreign_pixels > larger and cutouts.foreign_in(window) > larger
-    if surrounded and clings(blob, cutouts.labels[window], label):
+    if surrounded and clings(blob, cutouts.labels[window], label, adjacency, larger):
         return Refusal(blob, "rim", fill)
     if faint:
-        typical, least_typical = cv2.countNonZero(cutouts.typical[window] & own), _LEAST_TYPICAL * least_px
+        least_typical = _LEAST_TYPICAL * least_px
         colour = typical / (typical + least_typical) if typical >= least_typical else 0.0
     else:
         colour = min(1.0, cv2.mean(cutouts.likelihoods[window], own)[0] / (255.0 * _TYPICAL_LIKELIHOOD))
@@ -126,6 +132,9 @@ def judge(
         return Refusal(blob, "ragged", fill)
     if plausibility <= 0.0:
         return Refusal(blob, "unlike", fill)
+    if faint and blob.seen.shape == blob.mask.shape:
+        # Pure paint says how much of the mixed pixels beside it is paint; they themselves would say all of it is.
+        blob = blob._replace(mask=255 * (cutouts.typical[window] & own))
     return Candidate(blob, plausibility, Evidence(math.log(pure), -blob.border_share, 0.0), fill)
 
 
@@ -159,18 +168,20 @@ def _has_core(blob: Blob, own: ImageArray, own_pixels: int) -> bool:
     return cv2.countNonZero(cv2.erode(own, _BOX_3, borderType=cv2.BORDER_CONSTANT, borderValue=0)) > 0
 
 
-def clings(blob: Blob, labels: ImageArray, label: int) -> bool:
+def clings(blob: Blob, labels: ImageArray, label: int, adjacency: float, larger: float) -> bool:
     """Tell whether a blob hangs on a larger blob of another marker, as the stained rim of that marker does.
 
     Args:
         blob: it.
         labels: (h, w) uint8, label of every pixel in its window, as far as it is seen.
         label: of its marker.
+        adjacency: share of its outline that the other one takes at least.
+        larger: pixels that the other one has at least.
     """
     ring = labels[(cv2.dilate(blob.seen, _BOX_5) > 0) & (blob.seen == 0)]
     counts = np.bincount(ring, minlength=label + 1)
     counts[0] = counts[label] = 0
     other = int(np.argmax(counts))
-    if counts[other] <= _MAX_ADJACENCY * len(ring):
+    if counts[other] <= adjacency * len(ring):
         return False
-    return bool(np.count_nonzero(labels == other) > _CLING_RATIO * blob.area)
+    return bool(np.count_nonzero(labels == other) > larger)
