@@ -123,7 +123,7 @@ _SIM: Final = """
 [sim]
 seed = {seed}
 # What moves: script (gestures and grasps), still, crossing (two hands), board, desk_board, touch.
-motion = "script"
+# motion = "script"
 """
 
 FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
