@@ -64,7 +64,7 @@ def object_shape(rig: Rig, name: str) -> ObjectShape | None:
     config = rig.config.objects[name].shape
     if not isinstance(config, MeshConfig):
         return config
-    return mesh_file(rig.resolve(config.file), config.scale).shape
+    return configured_mesh(rig, config).shape
 
 
 def known_shape(rig: Rig, name: str) -> ObjectShape | None:
@@ -82,11 +82,20 @@ def known_mesh(rig: Rig, name: str) -> ObjectMesh | None:
     if thing is None or not isinstance(thing.shape, MeshConfig):
         return None
     try:
-        return mesh_file(rig.resolve(thing.shape.file), thing.shape.scale)
+        return configured_mesh(rig, thing.shape)
     except ConfigError as error:
         if _said.due(str(error)) is not None:
             logger.warning("the surface of %s is not used: %s", name, error)
         return None
+
+
+def configured_mesh(rig: Rig, config: MeshConfig) -> ObjectMesh:
+    """Return the surface that `rig.toml` names.
+
+    Raises:
+        ConfigError: its file cannot be used.
+    """
+    return mesh_file(rig.resolve(config.file), config.scale)
 
 
 def mesh_file(file: Path, scale: float = 1.0) -> ObjectMesh:

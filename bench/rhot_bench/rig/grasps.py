@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,7 @@ from rhot_bench.grasp.figures import GraspFigures, grasp_figures, grasp_sections
 from rhot_bench.grasp.session import TIPS, GraspSession, grasp_session
 from rhot_bench.grasp.truth import true_session
 from rhot_bench.measures.rows import Row, Section
+from rhot_bench.motion.estimates import covariance_of
 from rhot_bench.rig.heard import Heard
 from rhot_bench.rig.rows import figure_row, truth_row
 from rhot_bench.rig.statistics import Figure
@@ -115,10 +117,8 @@ def gap_figure(found: GraspFigures, doubt_m: FloatArray, phase: str) -> Figure:
     return Figure(value, value - reach, value + reach, float(len(found.pickups)), len(rows))
 
 
-def _deviation(point: Point, along: Iterable[float]) -> float:
+def _deviation(point: Point, along: FloatArray) -> float:
     if point.covariance is None:
         return point.sigma
-    xx, xy, xz, yy, yz, zz = point.covariance
-    x, y, z = along
-    variance = xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z)
-    return float(np.sqrt(max(variance, 0.0)))
+    variance = float(along @ covariance_of(point) @ along)
+    return math.sqrt(max(variance, 0.0))

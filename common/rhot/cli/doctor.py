@@ -24,7 +24,7 @@ from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.cli.stage_check import check_hands, check_stage
 from rhot.errors import BusError, ConfigError, RhotError
 from rhot.messages import ServiceStatus
-from rhot.object_mesh import mesh_file
+from rhot.object_mesh import configured_mesh
 from rhot.operation.status import fetch_status
 from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.calibration import CalibrationFile
@@ -134,7 +134,7 @@ def _check_sources(rig: Rig) -> Iterator[Finding]:
     for name, thing in rig.config.objects.items():
         if isinstance(thing.shape, MeshConfig):
             try:
-                x, y, z = mesh_file(rig.resolve(thing.shape.file), thing.shape.scale).shape.size
+                x, y, z = configured_mesh(rig, thing.shape).shape.size
             except ConfigError as error:
                 yield Finding("bad", f"object {name}: {error}", "correct the file or its shape in rig.toml")
             else:

@@ -12,7 +12,7 @@ from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import FloatArray
 from rhot.messages import FacedShape, HandPose, Message, ObjectPose, Side
-from rhot.object_mesh import mesh_file
+from rhot.object_mesh import configured_mesh
 from rhot.rig import Rig
 from rhot.rig.shape_config import MeshConfig
 from rhot_calibration.objects.touch.collector import TouchCollector
@@ -95,7 +95,7 @@ def touch_task(
             'instance  shape = { kind = "cylinder", radius = 0.04, height = 0.1 }'
         )
     if isinstance(shape, MeshConfig):
-        x, y, z = (round(edge, 4) for edge in mesh_file(rig.resolve(shape.file), shape.scale).shape.size)
+        x, y, z = (round(edge, 4) for edge in configured_mesh(rig, shape).shape.size)
         raise ConfigError(
             f"{toml}: [objects.{object_id}] is a mesh, which has no faces to name. Touch it as the box around it, "
             f'which has the same frame (y up):  shape = {{ kind = "box", size = [{x}, {y}, {z}] }}  with --faces of '

@@ -154,9 +154,10 @@ def _covariance(point: Point) -> tuple[float, ...]:
         variance = point.sigma**2 / 3.0
         return (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
     xx, xy, xz, yy, yz, zz = point.covariance
+    stated = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
     if point.state != "one_view":
-        return (xx, xy, xz, xy, yy, yz, xz, yz, zz)
-    C = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return stated
+    C = np.array(stated).reshape(3, 3)
     # C·C over its trace is next to nothing but along the ray.
     return tuple((C + (_DEPTH_SAMPLES - 1.0) / max(xx + yy + zz, 1e-12) * (C @ C)).reshape(9).tolist())
 
