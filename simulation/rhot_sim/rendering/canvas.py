@@ -103,22 +103,18 @@ def paint_groups(
         scale: canvas pixels to a picture's pixel.
     """
     middle = points.mean(axis=1, keepdims=True)
-    radius = np.abs(points - middle).mean(axis=(1, 2))[:, None, None] * (np.pi / 2.0)
-    fixed: dict[float, IntArray] = {1.0: on_canvas(points, window, scale)}
+    spread = points - middle
+    radius = np.abs(spread).mean(axis=(1, 2))[:, None, None] * (np.pi / 2.0)
+    widths = {stroke.width for group in groups for stroke in group.strokes}
+    shares = np.array(list(widths))[:, None, None, None]
+    lit = middle + shares * spread + (1.0 - shares) * radius * np.array(_LIGHT)
+    fixed = dict(zip(widths, on_canvas(lit, window, scale), strict=True))
     for group in groups:
-        depth = max(len(part.shades) for part in group.parts)
-        for layer in range(depth):
-            for part in group.parts:
-                if layer >= len(part.shades):
-                    continue
-                width, brightness = part.shades[layer]
-                if width not in fixed:
-                    lit = middle + width * (points - middle) + (1.0 - width) * radius * np.array(_LIGHT)
-                    fixed[width] = on_canvas(lit, window, scale)
-                outline = fixed[width][part.rings, :].reshape(-1, 1, 2)
-                # A single ring is convex as it is.
-                hull = outline if len(part.rings) == 1 else cv2.convexHull(outline)
-                cv2.fillConvexPoly(canvas, hull, colors[part.paint, brightness], cv2.LINE_AA, FIXED_BITS)
+        for stroke in group.strokes:
+            outline = fixed[stroke.width].take(stroke.rings, axis=0).reshape(-1, 1, 2)
+            # A single ring is convex as it is.
+            hull = outline if len(stroke.rings) == 1 else cv2.convexHull(outline)
+            cv2.fillConvexPoly(canvas, hull, colors[stroke.color], cv2.LINE_AA, FIXED_BITS)
 
 
 def on_canvas(points: FloatArray, window: Window, scale: int) -> IntArray:

@@ -115,9 +115,9 @@ class Renderer:
             groups = far_to_near(groups, paths.distances)
             moments = self._moments(paths, exposure, span)
             drawn = [row_timed(paths, moment, exposure, readout, self.camera.height) for moment in moments]
-            shades = {(part.paint, shade[1]) for group in groups for part in group.parts for shade in part.shades}
+            shades = {stroke.color for group in groups for stroke in group.strokes}
             colors = {(paint, shade): self._color(paint, shade * light) for paint, shade in shades}
-            windows = self._windows(drawn, groups)
+            windows = self._windows(drawn)
             for window in disjoint(windows.values()):
                 area = (slice(window.top, window.bottom), slice(window.left, window.right))
                 here = [group for group in groups if group.owner in windows and windows[group.owner].overlaps(window)]
@@ -154,14 +154,11 @@ class Renderer:
         moved_px = float(np.abs(paths.end - paths.start).max(axis=-1)[seen].max(initial=0.0)) * exposure_s / span_s
         return _shares_of_exposure(moved_px)
 
-    def _windows(self, drawn: list[FloatArray], groups: list[Group]) -> dict[str, Window]:
+    def _windows(self, drawn: list[FloatArray]) -> dict[str, Window]:
         """Return the window around each hand and object that is in the picture."""
-        members: dict[str, set[int]] = {}
-        for group in groups:
-            members.setdefault(group.owner, set()).update(ring for part in group.parts for ring in part.rings)
         windows: dict[str, Window] = {}
-        for owner, rings in members.items():
-            points = np.stack([points[sorted(rings)] for points in drawn])
+        for owner, rings in self._body.owner_rings.items():
+            points = np.concatenate([points[rings] for points in drawn])
             window = Window.around(points, self.camera.width, self.camera.height)
             if window is not None:
                 windows[owner] = window

@@ -9,8 +9,9 @@ that no desk shines through the seam.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -50,18 +51,46 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
+class Stroke:
+    """One convex outline filled with one colour.
+
+    Attributes:
+        rings: (r,) numbers of the rings whose hull it is.
+        width: share of the rings' full width.
+        color: paint and brightness.
+    """
+
+    rings: NDArray[np.intp]
+    width: float
+    color: tuple[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Group:
     """Parts that are drawn together, in their order.
 
     Attributes:
-        parts: rims first, then their lit middles, so that joints leave no dark lines.
+        parts: of one body, that touch.
+        strokes: how they are drawn: all rims first, then their lit middles, so that joints leave no dark lines.
         anchors: numbers of the rings whose mean distance decides when the group is drawn.
         owner: the hand's side or the object's id.
     """
 
     parts: tuple[Part, ...]
+    strokes: tuple[Stroke, ...]
     anchors: tuple[int, ...]
     owner: str
+
+    @classmethod
+    def of(cls, parts: Sequence[Part], anchors: tuple[int, ...], owner: str) -> Group:
+        """Return the group of parts."""
+        strokes = tuple(
+            Stroke(np.array(part.rings, dtype=np.intp), part.shades[layer][0], (part.paint, part.shades[layer][1]))
+            for layer in range(max((len(part.shades) for part in parts), default=0))
+            for part in parts
+            if layer < len(part.shades)
+        )
+        return cls(tuple(parts), strokes, anchors, owner)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,17 +129,17 @@ class Body:
     def __init__(self, world: World) -> None:
         self._objects = world.objects
         self._hands = {side: _HandBody(side, hand, world.markers) for side, hand in world.hands.items()}
-        self._offsets: dict[str, int] = {}
+        self.owner_rings: dict[str, slice] = {}
+        """Hand's side or object's id to its rings."""
+        sizes: dict[str, int] = {side: hand_body.ring_count for side, hand_body in self._hands.items()}
+        sizes |= dict.fromkeys(self._objects, 8)
         count = 0
-        for side, hand_body in self._hands.items():
-            self._offsets[side] = count
-            count += hand_body.ring_count
-        for name in self._objects:
-            self._offsets[name] = count
-            count += 8
+        for owner, size in sizes.items():
+            self.owner_rings[owner] = slice(count, count + size)
+            count += size
         self.ring_count = count
         self.marker_rings: dict[str, tuple[int, ...]] = {
-            name: tuple(self._offsets[side] + ring for ring in rings)
+            name: tuple(self.owner_rings[side].start + ring for ring in rings)
             for side, hand_body in self._hands.items()
             for name, rings in hand_body.marker_rings.items()
         }
@@ -133,9 +162,9 @@ class Body:
         )
         groups: list[Group] = []
         for side, hand_body in self._hands.items():
-            groups += hand_body.place(sample.joints[side], camera_center, rings, self._offsets[side])
+            groups += hand_body.place(sample.joints[side], camera_center, rings, self.owner_rings[side].start)
         for name in self._objects:
-            groups += _place_box(name, sample.objects[name], camera_center, rings, self._offsets[name])
+            groups += _place_box(name, sample.objects[name], camera_center, rings, self.owner_rings[name].start)
         return rings, groups
 
 
@@ -164,8 +193,10 @@ class _HandBody:
         share = behind / hand.bones[:, 2]
         self._cut_m = behind
         self._cut_radius = radii[:, 3] + share * (radii[:, 2] - radii[:, 3])
+        # A hand shows few of its sides, and for many frames the same: the parts of each are put together once.
+        self._groups = lru_cache(maxsize=256)(self._groups_of)
 
-    def place(self, joints: HandJoints, camera: FloatArray, rings: Rings, first: int) -> list[Group]:
+    def place(self, joints: HandJoints, camera: FloatArray, rings: Rings, first: int) -> tuple[Group, ...]:
         hand = self._hand
         centers, axes = rings.centers[:, first:], rings.axes[:, first:]
         extents, kinds = rings.extents[first:], rings.kinds[first:]
@@ -206,14 +237,14 @@ class _HandBody:
             joint = JOINTS.index(self._markers[name].joint)
             centers[:, place] = joints.positions[:, joint]
             extents[place] = hand.radii[joint] * 1.03
-        facing = [
+        facing = tuple(
             name
             for place, name in enumerate(self._patches)
             if (camera - centers[middle, FIXED_RINGS + place])
             @ joints.rotation(self._markers[name].joint)[middle, :, 1]
             > 0.0
-        ]
-        return self._groups(first, skin_in_front, facing)
+        )
+        return self._groups(first, tuple(skin_in_front.tolist()), facing)
 
     def _place_arm(self, joints: HandJoints, centers: FloatArray, extents: FloatArray) -> None:
         """Set two balls at the wrist, two at the forearm's end and one in the web of the thumb."""
@@ -231,7 +262,7 @@ class _HandBody:
         centers[:, 34] = base + 0.68 * (knuckle - base)
         extents[34] = 0.75 * self._radii[1, 0]
 
-    def _groups(self, first: int, skin_in_front: NDArray[np.bool_], patches: list[str]) -> list[Group]:
+    def _groups_of(self, first: int, skin_in_front: tuple[bool, ...], patches: tuple[str, ...]) -> tuple[Group, ...]:
         def part(rings: tuple[int, ...], paint: str) -> Part:
             shades = SKIN_SHADES if paint == "skin" else PAINT_SHADES
             return Part(tuple(first + ring for ring in rings), paint, shades)
@@ -243,27 +274,26 @@ class _HandBody:
         )
         back = (first + 31, first + 8)
         groups = [
-            Group(palm, back, self._side),
+            Group.of(palm, back, self._side),
             # After the palm, whose distance it shares; equal distances keep their order.
-            Group(patch_parts, back, self._side),
-            Group((part((0, 1, 34, inner), "skin"), part((0, 1), "skin")), (first, first + 1), self._side),
+            Group.of(patch_parts, back, self._side),
+            Group.of((part((0, 1, 34, inner), "skin"), part((0, 1), "skin")), (first, first + 1), self._side),
         ]
         for finger in range(5):
             mcp, pip, dip, tip = (4 * finger + joint for joint in range(4))
             cut, under, hinge = 20 + finger, 25 + finger, 35 + finger
             bones = ((pip, dip),) if finger == 0 else ((mcp, pip), (pip, dip))
-            groups.append(
-                Group(tuple(part(bone, "skin") for bone in bones), (first + pip, first + bones[0][0]), self._side)
-            )
+            skin = [part(bone, "skin") for bone in bones]
+            groups.append(Group.of(skin, (first + pip, first + bones[0][0]), self._side))
             if skin_in_front[finger]:
                 halves = (part((tip, cut, under), self._caps[finger]), part((hinge, cut), "skin"))
             else:
                 halves = (part((hinge, cut, under), "skin"), part((tip, cut), self._caps[finger]))
             # One group each: a lit middle of the hidden half must not be drawn over the other half.
-            groups += [Group((half,), (first + dip, first + tip), self._side) for half in halves]
+            groups += [Group.of((half,), (first + dip, first + tip), self._side) for half in halves]
         for place, name in enumerate(self._bands, start=FIXED_RINGS + len(self._patches)):
-            groups.append(Group((part((place,), name),), (first + place,), self._side))
-        return groups
+            groups.append(Group.of((part((place,), name),), (first + place,), self._side))
+        return tuple(groups)
 
 
 _CORNERS: Final[FloatArray] = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -288,4 +318,4 @@ def _place_box(name: str, T: FloatArray, camera: FloatArray, rings: Rings, first
         if sign * float(to_camera @ middle[:3, axis]) > OBJECT_SIZE_M[axis] / 2.0:
             shades = ((0.85, _FACE_BRIGHTNESS[axis, sign]),)
             parts.append(Part(tuple(first + corner for corner in corners), "object", shades))
-    return [Group((part,), tuple(range(first, first + 8)), name) for part in parts]
+    return [Group.of((part,), tuple(range(first, first + 8)), name) for part in parts]

@@ -70,6 +70,7 @@ class ScriptedMotion:
             side: lru_cache(maxsize=32)(self._table_builder(side)) for side in self._sides
         }
         self._spot = lru_cache(maxsize=32)(self._random_spot)
+        self._lying = lru_cache(maxsize=32)(self._lying_pose)
 
     def sample(self, t_s: FloatArray) -> MotionSample:
         """Return the motion at times (N,), seconds since the world's start."""
@@ -100,12 +101,16 @@ class ScriptedMotion:
         held = mine & (phase >= GRAB_S) & (phase < RELEASE_S)
         poses = np.empty((len(t), 4, 4))
         for number in np.unique(moved):
-            poses[moved == number] = lying_pose(self._spot(place, int(number)), self._desk_z_m)
+            poses[moved == number] = self._lying(place, int(number))
         if held.any():
             T = wrists[self._sides[0]][held]
             poses[held] = T
             poses[held, :3, 3] = T[:, :3, 3] + T[:, :3, :3] @ GRIP_M
         return poses
+
+    def _lying_pose(self, place: int, number: int) -> FloatArray:
+        """Return the pose (4, 4) of an object on the desk after `number` grasps."""
+        return lying_pose(self._spot(place, number), self._desk_z_m)
 
     def _random_spot(self, place: int, number: int) -> FloatArray:
         """Return where an object lies after `number` grasps: x, y (metres) and yaw (radians)."""

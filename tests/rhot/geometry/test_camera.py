@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -69,6 +70,17 @@ def test_pose_comes_back_from_the_model(pose: tuple[float, ...]) -> None:
     np.testing.assert_allclose(camera.to_camera(center[None]), 0.0, atol=1e-12)
     ahead = (center + R @ np.array([0.0, 0.0, 2.0]))[None]
     np.testing.assert_allclose(camera.to_camera(ahead), [[0.0, 0.0, 2.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [4, 5, 8, 12])
+def test_lens_bends_as_opencv_says(count: int) -> None:
+    rng = np.random.default_rng(count)
+    distortion = rng.uniform(-0.2, 0.2, count)
+    K = np.array([[512.5, 0.0, 324.9], [0.0, 511.3, 247.0], [0.0, 0.0, 1.0]])
+    camera = CameraModel.from_arrays(640, 480, K, distortion, np.eye(4))
+    points = rng.uniform((-0.4, -0.3, 0.5), (0.4, 0.3, 1.5), (50, 3))
+    theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, distortion)
+    np.testing.assert_allclose(camera.project(points), theirs.reshape(-1, 2), atol=1e-9)
 
 
 def test_pinhole_by_hand() -> None:
