@@ -15,7 +15,7 @@ import click
 from click.core import ParameterSource
 
 _PACKAGES: Final = ("rhot", "numpy", "opencv-python-headless", "eclipse-zenoh", "scipy")
-_OUTPUTS: Final = ("json_path", "page_path", "as_json")
+_OUTPUTS: Final = ("json_path", "page_path", "as_json", "keep_path")
 """Options that say where figures go, not how they are measured."""
 
 

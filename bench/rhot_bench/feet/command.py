@@ -16,6 +16,7 @@ from rhot.messages import Side
 from rhot.report.svg import line_plot
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import write_text_atomic
+from rhot_bench.feet.kept import key_of, load_played, make_folder, save_played
 from rhot_bench.feet.runs import SIDES, Played, Run, play
 from rhot_bench.feet.sections import EXTRA_TASKS, MM, feet_sections
 from rhot_bench.feet.stages import CELLS, cell_plots
@@ -24,6 +25,7 @@ from rhot_bench.measures.html import html_report
 from rhot_bench.measures.rows import check_output
 from rhot_bench.output import counted, json_option, page_option, show
 from rhot_bench.processes import each
+from rhot_bench.provenance import provenance
 from rhot_sim.walker.folder import write_walker_rig
 
 HEIGHTS_M: Final = (1.50, 1.60, 1.75, 1.90, 2.00)
@@ -75,6 +77,12 @@ _WITHOUT: Final[dict[str, tuple[Side, ...]]] = {"left": ("left",), "right": ("ri
     show_default=True,
     help="Foot that wears no sensor in the thesis's walking tasks; the thesis had one on the right foot alone.",
 )
+@click.option(
+    "--keep",
+    "keep_path",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for finished runs: the same command goes on there after an interruption.",
+)
 @json_option
 @page_option("--html")
 @click.option(
@@ -89,6 +97,7 @@ def feet(
     duration_s: float,
     jobs: int,
     without_imu: str,
+    keep_path: Path | None,
     json_path: Path | None,
     page_path: Path | None,
     rig_path: Path | None,
@@ -109,19 +118,22 @@ def feet(
     """
     check_output("--json", json_path)
     check_output("--html", page_path)
+    if keep_path is not None:
+        make_folder(keep_path)
     chosen = [_bare(run, _WITHOUT[without_imu]) for run in _chosen(runs)]
     console = Console(stderr=True, soft_wrap=True)
-    done: dict[str, list[Played]] = {}
+    done: dict[str, list[Played]] = {run.name: [] for run in chosen}
+    kept = None if keep_path is None else _Kept(keep_path, provenance()["commit"])
     with counted(console) as progress, tempfile.TemporaryDirectory() as folder:
         rig = _rig(rig_path, Path(folder) / "rig")
         tasks = [
-            _Task(run, rig, seed, duration_s * _LONGER.get(run.name, 1.0))
-            for run in chosen
+            _Task(run, rig, seed, duration_s * _LONGER.get(run.name, 1.0), kept)
             for seed in range(1, seeds + 1)
+            for run in chosen
         ]
         bar = progress.add_task(f"{jobs} at once", total=len(tasks))
         for task, played in zip(tasks, each(_play, tasks, jobs), strict=True):
-            done.setdefault(task.run.name, []).append(played)
+            done[task.run.name].append(played)
             progress.update(bar, advance=1, description=f"{task.run.name}, {task.seed} of {seeds}")
     sections = feet_sections(done)
     layout = table_5_1(done)
@@ -138,15 +150,32 @@ def feet(
 
 
 @dataclass(frozen=True, slots=True)
+class _Kept:
+    """Where finished runs are kept, and of which version of the code they are."""
+
+    folder: Path
+    commit: str | None
+
+
+@dataclass(frozen=True, slots=True)
 class _Task:
     run: Run
     rig: Rig
     seed: int
     seconds: float
+    kept: _Kept | None
 
 
 def _play(task: _Task) -> Played:
-    return play(task.run, task.rig, task.seed, task.seconds)
+    if task.kept is None:
+        return play(task.run, task.rig, task.seed, task.seconds)
+    file = task.kept.folder / f"{task.run.name}-{task.seed}.npz"
+    key = key_of(task.run, task.rig, task.seed, task.seconds, task.kept.commit)
+    played = load_played(file, key, task.run, task.seed)
+    if played is None:
+        played = play(task.run, task.rig, task.seed, task.seconds)
+        save_played(file, key, played)
+    return played
 
 
 def _chosen(names: str | None) -> list[Run]:

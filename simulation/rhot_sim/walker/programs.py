@@ -223,7 +223,7 @@ def _squat(body: BodyModel, steps: Choreographer) -> Plan:
         kneel = sum((depth * bump(t, start, end, 0.9) for start, end, depth in kneels), np.zeros(len(t)))
         # The weight goes backwards over the heels, and the trunk leans forward against it.
         shift = held.shift_m + np.stack([np.zeros(len(t)), 0.35 * squat], axis=-1)
-        return replace(held, drop_m=squat + kneel, shift_m=shift, lean_rad=1.3 * squat + 0.4 * kneel)
+        return replace(held, drop_m=squat + kneel, shift_m=shift, lean_rad=held.lean_rad + 0.6 * squat)
 
     return steps.plan(posture)
 

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
 from rhot_bench.feet.command import RUNS, feet
+from rhot_bench.feet.kept import key_of, load_played, make_folder, save_played
 from rhot_bench.feet.runs import SIDES, STAGES, Played, Run, Track, play
 from rhot_bench.feet.sections import feet_sections
 from rhot_bench.feet.stages import CELLS, cell_plots
 from rhot_bench.feet.table_5_1 import PRINTED_M, TASKS, table_5_1
+from rhot_bench.provenance import provenance
 from rhot_sim.walker.folder import write_walker_rig
 
 
@@ -171,6 +173,46 @@ def test_a_foot_without_sensor_is_sent_no_samples(tmp_path: Path) -> None:
     assert (played.ours["right"].stage[dark] == inertial).all()
     assert not (played.ours["left"].stage[dark] == inertial).any()
     assert (played.thesis["left"].stage[dark] == lost).all()
+
+
+def test_a_finished_run_is_kept_for_the_same_run_alone(tmp_path: Path) -> None:
+    rig = write_walker_rig(tmp_path / "rig", endpoint="tcp/127.0.0.1:1")
+    run, file = replace(RUNS["task_line"], without_imu=("left",)), tmp_path / "task_line-1.npz"
+    error_m = np.linspace(0.0, 0.2, 400)
+    error_m[7] = np.nan
+    dark = np.array([[0.0, 1.0]])
+    played = replace(
+        made_up(run, error_m, measured=error_m < 0.1), blackouts=dark, blackout_sides=["left"], counts={"pictures": 3}
+    )
+    key = key_of(run, rig, 1, 8.0, "abc")
+    assert load_played(file, key, run, 1) is None
+    save_played(file, key, played)
+    again = load_played(file, key, run, 1)
+    assert again is not None
+    before, after = (table_5_1({run.name: [each]}).rows for each in (played, again))
+    assert before == after
+    assert rows_of(again) == pytest.approx(rows_of(played), nan_ok=True)
+    assert (again.blackout_sides, again.counts, again.run) == (["left"], {"pictures": 3}, run)
+    for other in (
+        key_of(run, rig, 1, 9.0, "abc"),
+        key_of(run, rig, 1, 8.0, "abd"),
+        key_of(RUNS["still"], rig, 1, 8.0, "abc"),
+    ):
+        assert load_played(file, other, run, 1) is None
+    file.write_bytes(file.read_bytes()[:100])
+    assert load_played(file, key, run, 1) is None
+
+
+def test_an_interrupted_evaluation_goes_on_where_it_was(tmp_path: Path) -> None:
+    command = ["--runs", "still", "--seeds", "1", "--duration", "5", "--jobs", "1", "--keep", str(tmp_path / "kept")]
+    rig = write_walker_rig(tmp_path / "rig", endpoint="tcp/127.0.0.1:1")
+    key = key_of(RUNS["still"], rig, 1, 5.0, provenance()["commit"])
+    make_folder(tmp_path / "kept")
+    save_played(
+        tmp_path / "kept" / "still-1.npz", key, made_up(run, np.full(500, 0.0125), measured=np.ones(500, np.bool_))
+    )
+    result = CliRunner().invoke(feet, [*command, "--rig", str(tmp_path / "rig")], catch_exceptions=False)
+    assert "12.5 mm" in result.output
 
 
 def test_an_unknown_run_is_named() -> None:

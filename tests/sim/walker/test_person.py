@@ -123,6 +123,38 @@ def test_one_foot_is_on_the_floor_at_all_times(person: MakePerson, program: str)
     assert on_floor.all()
 
 
+@pytest.mark.parametrize("program", ["still", "bend_knees", "turn_body", "squat"])
+def test_who_stands_on_both_feet_has_the_weight_over_the_middle_of_the_soles(person: MakePerson, program: str) -> None:
+    """Nobody stands with the weight over the outer fifths of the soles (King et al. 1994: 60 % of the foot)."""
+    walker = person(program, 3)
+    t = times(walker, 0.05)
+    sample = walker.sample(t)
+    ankles = (sample.ankles["left"] + sample.ankles["right"]) / 2.0
+    forward = -ankles[:, :3, 2]
+    apart = sample.ankles["left"][:, :3, 3] - sample.ankles["right"][:, :3, 3]
+    side_by_side = np.abs((apart * forward).sum(axis=1)) < 0.1
+    standing = side_by_side & walker.flat("left", t) & walker.flat("right", t)
+    before_m = ((centre_of_mass(sample) - ankles[:, :3, 3]) * forward).sum(axis=1)[standing]
+    ball_m, heel_m = -float(walker.body.ball_m[2]), walker.body.heel_m
+    edge_m = 0.2 * (ball_m + heel_m)
+    assert standing.mean() > 0.2
+    assert edge_m - heel_m < before_m.min()
+    assert before_m.max() < ball_m - edge_m
+
+
+def centre_of_mass(sample: PersonSample) -> FloatArray:
+    """Return (N, 3): segments' masses and centres of de Leva 1996 (men), arms hanging, feet left out."""
+    hips, trunk = sample.hips[:, :3, 3], sample.neck - sample.hips[:, :3, 3]
+    mass = 43.5 + 6.9 + 9.9
+    weighted = mass * hips + (43.5 * 0.55 + 6.9 * 1.15 + 9.9 * 0.5) * trunk
+    for side in SIDES:
+        knee, ankle = sample.legs[side].knee, sample.ankles[side][:, :3, 3]
+        hip = sample.hip_joints[side]
+        weighted = weighted + 14.2 * (hip + 0.41 * (knee - hip)) + 4.3 * (knee + 0.44 * (ankle - knee))
+        mass += 14.2 + 4.3
+    return weighted / mass
+
+
 def test_a_moment_is_the_same_in_any_company(person: MakePerson) -> None:
     walker, again = person("curve", 7), person("curve", 7)
     t = np.array([31.7, 0.4, 5.5, 5.5])
