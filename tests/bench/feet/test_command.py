@@ -209,7 +209,9 @@ def test_an_interrupted_evaluation_goes_on_where_it_was(tmp_path: Path) -> None:
     key = key_of(RUNS["still"], rig, 1, 5.0, provenance()["commit"])
     make_folder(tmp_path / "kept")
     save_played(
-        tmp_path / "kept" / "still-1.npz", key, made_up(run, np.full(500, 0.0125), measured=np.ones(500, np.bool_))
+        tmp_path / "kept" / "still-1.npz",
+        key,
+        made_up(RUNS["still"], np.full(500, 0.0125), measured=np.ones(500, np.bool_)),
     )
     result = CliRunner().invoke(feet, [*command, "--rig", str(tmp_path / "rig")], catch_exceptions=False)
     assert "12.5 mm" in result.output
