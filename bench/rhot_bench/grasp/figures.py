@@ -49,7 +49,7 @@ def grasp_figures(session: GraspSession, settings: GraspSettings | None = None) 
         pickups,
         gaps,
         held,
-        np.array([_drift_m(session, each.carry) for each in pickups]),
+        np.array([drift_m(session, each.carry) for each in pickups]),
         np.array([_recover_s(session, each) for each in pickups]),
         (held >= settings.held).astype(np.float64),
     )
@@ -164,7 +164,8 @@ def _middle(session: GraspSession, carry: slice) -> slice:
     return slice(first, last) if last - first > 2 else carry
 
 
-def _drift_m(session: GraspSession, carry: slice) -> float:
+def drift_m(session: GraspSession, carry: slice) -> float:
+    """Return how far the object wanders about its middle place in the palm while it is carried, 95th percentile."""
     rows = _middle(session, carry)
     off = session.objects[rows, :3, 3] - session.joints[rows, 0]
     local = np.einsum("nij,ni->nj", session.palm[rows], off)

@@ -14,8 +14,10 @@ from rich.console import Console
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError, RhotError
+from rhot.export.source import RecordedMessages
 from rhot.offline import marker_frames, rig_timing, track
 from rhot.recording import MarkerTrack, load_recording
+from rhot.recording.mcap.beside import pictures_beside
 from rhot.rig import BusConfig, Rig, load_rig
 from rhot.rig.colors import load_colors
 from rhot.rig.folder import write_text_atomic
@@ -89,12 +91,13 @@ def rig(
 ) -> None:
     """Measure your own rig: jitter, stage times, threads, depth and grasping, with uncertainties, as one report.
 
-    Either on the running rig, part by part (it says what to do), or on a RECORDING of pictures or marker tracks:
+    Either on the running rig, part by part (it says what to do), or on a RECORDING: an MCAP file of `rhot record`, or a
+    folder of pictures or marker tracks:
 
     \b
     rhot evaluate rig --rig RIG --live still --live stages --report rig.html
     rhot evaluate rig --rig RIG --live depth --distances 40,50,60,70,80,90
-    rhot evaluate rig --rig RIG take --report take.html
+    rhot evaluate rig --rig RIG take.mcap --report take.html
 
     \b
     still   jitter of each marker, in pixels and millimetres, while the hand rests
@@ -166,13 +169,21 @@ def _listened(part: str, rig: Rig, heard: Heard, bus: BusConfig, sections: list[
 
 
 def _recorded(rig: Rig, path: Path, sections: list[Section], plots: list[str]) -> None:
-    """Judge a recording: jitter where the hand rests, and threads where there are pictures."""
-    recording = load_recording(path, rig_timing(rig))
-    heard = Heard.of(track(rig, marker_frames(rig, recording)))
+    """Judge a recording: jitter where the hand rests, stages that it tells, and threads where there are pictures."""
+    if path.is_file():
+        # What was published is in it: nothing is tracked again.
+        heard, recording = Heard.of(RecordedMessages(path)), pictures_beside(path)
+    else:
+        recording = load_recording(path, rig_timing(rig))
+        heard = Heard.of(track(rig, marker_frames(rig, recording)))
+    if not heard.frames:
+        raise ConfigError(f"{path}: no camera's markers are in it; record with `rhot record`, or name a folder")
     jitter = still_jitter(heard, rests_only=True)
     sections += jitter_sections(jitter)
     plots += jitter_plots(jitter)
-    tracks = {name: each for name, each in recording.cameras.items() if not isinstance(each, MarkerTrack)}
+    sections += stage_sections(heard, stage_times(heard))
+    cameras = {} if recording is None else recording.cameras
+    tracks = {name: each for name, each in cameras.items() if not isinstance(each, MarkerTrack)}
     if tracks:
         sections.append(
             _threads(rig, {name: list(islice(read_pictures(each), _PICTURES)) for name, each in tracks.items()})

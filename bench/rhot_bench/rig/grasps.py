@@ -11,9 +11,9 @@ import numpy as np
 from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
-from rhot.messages import HandPose, ObjectPose, Point, PointSet
+from rhot.messages import HandPose, ObjectPose, Point, PointSet, Side
 from rhot.rig import Rig
-from rhot_bench.grasp.figures import GraspFigures, grasp_figures, grasp_sections, pinch, rows_of
+from rhot_bench.grasp.figures import GraspFigures, drift_m, grasp_figures, grasp_sections, pinch, rows_of
 from rhot_bench.grasp.session import TIPS, GraspSession, grasp_session
 from rhot_bench.grasp.truth import true_session
 from rhot_bench.measures.rows import Row, Section
@@ -21,6 +21,8 @@ from rhot_bench.motion.estimates import covariance_of
 from rhot_bench.rig.heard import Heard
 from rhot_bench.rig.rows import figure_row, truth_row
 from rhot_bench.rig.statistics import Figure
+
+TimeArray = np.ndarray[tuple[int], np.dtype[np.int64]]
 
 _MM: Final = 1e3
 _SIGMAS: Final = 2.0
@@ -55,12 +57,17 @@ def grasps(rig: Rig, heard: Heard) -> list[Section]:
     doubt_m = tip_deviations(session, heard.points, markers)
     sections = grasp_sections(session, found, true)
     gaps = {phase: gap_figure(found, doubt_m, phase) for phase in _PHASES}
-    sections.append(
+    drift = drift_figure(session, found, hand_deviations(heard.points, rig, side))
+    sections += [
         Section(
             "Gap of thumb and nearest finger, and what it may be off",
             tuple(figure_row(phase, gap.scaled(_MM), "mm") for phase, gap in gaps.items()),
-        )
-    )
+        ),
+        Section(
+            "Drift between hand and held object, and what it may be off",
+            (figure_row("worst pick-up", drift.scaled(_MM), "mm"),),
+        ),
+    ]
     if true is not None:
         truly = grasp_figures(true)
         rows = [
@@ -70,6 +77,8 @@ def grasps(rig: Rig, heard: Heard) -> list[Section]:
             gap_m = pinch(truly.gaps[rows_of(phase, found)])
             value = float(np.median(gap_m)) if len(gap_m) else float("nan")
             rows.append(truth_row(f"gap, {phase}", gap.scaled(_MM), _MM * value, "mm"))
+        drifted_m = max(drift_m(true, each.carry) for each in found.pickups)
+        rows.append(truth_row("drift, worst pick-up", drift.scaled(_MM), _MM * drifted_m, "mm"))
         sections.append(Section("Grasping beside the simulator's truth (1: within its interval)", tuple(rows)))
     return sections
 
@@ -115,6 +124,52 @@ def gap_figure(found: GraspFigures, doubt_m: FloatArray, phase: str) -> Figure:
     value = float(np.median(pinch(found.gaps[rows])))
     reach = _SIGMAS * float(np.median(doubt[told])) if 2 * told.sum() > len(rows) else float("nan")
     return Figure(value, value - reach, value + reach, float(len(found.pickups)), len(rows))
+
+
+def hand_deviations(points: Sequence[PointSet], rig: Rig, side: Side) -> tuple[TimeArray, FloatArray]:
+    """Return times (N,), rig clock, and what fusion says that a marker of a hand may be off, metres (N,).
+
+    It is the middle one of the hand's markers, each along its worst axis; NaN where none was measured.
+    """
+    names = [name for name, marker in rig.config.markers.items() if marker.hand == side]
+    doubt_m = [
+        [_worst_deviation(each.points[name]) for name in names if name in each.points and _measured(each.points[name])]
+        for each in points
+    ]
+    times = np.array([each.t_ns for each in points], dtype=np.int64)
+    return times, np.array([float(np.median(each)) if each else float("nan") for each in doubt_m])
+
+
+def drift_figure(session: GraspSession, found: GraspFigures, doubt: tuple[TimeArray, FloatArray]) -> Figure:
+    """Return how far the object drifts in the palm in the worst pick-up, metres, and where it lies.
+
+    The palm is known from the hand's markers, no worse than one of them. Errors move an object that rests in the hand,
+    so that a drift is never below zero and may all be error. Neighbouring moments err alike and tell no more than one.
+
+    Args:
+        session: hand and object.
+        found: its figures.
+        doubt: as `hand_deviations`.
+    """
+    if not len(found.drift_m):
+        return Figure(float("nan"), float("nan"), float("nan"), 0.0, 0)
+    worst = int(np.argmax(found.drift_m))
+    carry, value = found.pickups[worst].carry, float(found.drift_m[worst])
+    times, doubt_m = doubt
+    within = (times >= session.t_ns[carry.start]) & (times <= session.t_ns[carry.stop - 1])
+    told = doubt_m[within & np.isfinite(doubt_m)]
+    reach = _SIGMAS * float(np.median(told)) if 2 * len(told) > within.sum() else float("nan")
+    return Figure(value, value - min(reach, value), value + reach, float(len(found.pickups)), carry.stop - carry.start)
+
+
+def _measured(point: Point) -> bool:
+    return point.state == "measured"
+
+
+def _worst_deviation(point: Point) -> float:
+    if point.covariance is None:
+        return point.sigma
+    return math.sqrt(max(float(np.linalg.eigvalsh(covariance_of(point))[-1]), 0.0))
 
 
 def _deviation(point: Point, along: FloatArray) -> float:

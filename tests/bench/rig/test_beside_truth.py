@@ -5,17 +5,21 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 from simulated_session import LATE_S, simulated_session
 
 from rhot.rig import Rig
+from rhot_bench.grasp.figures import grasp_figures
+from rhot_bench.grasp.session import grasp_session
 from rhot_bench.measures.rows import Row, Section
 from rhot_bench.rig.depth import depth_sections, rows_by_truth
-from rhot_bench.rig.grasps import grasps
+from rhot_bench.rig.grasps import drift_figure, grasps, hand_deviations
 from rhot_bench.rig.heard import Heard
 from rhot_bench.rig.jitter import jitter_sections, still_jitter
 from rhot_bench.rig.simulated import simulated_truth
 from rhot_bench.rig.stages import stage_sections, stage_times
+from rhot_bench.rig.statistics import Figure
 from rhot_sim.rig import folder
 
 
@@ -52,8 +56,35 @@ def test_depths_and_the_laws_through_them(rig: Rig, moving: Heard) -> None:
 
 def test_grasps(rig: Rig, moving: Heard) -> None:
     rows = checks(grasps(rig, moving))
-    assert [row.name for row in rows][1:] == ["gap, reach", "gap, close", "gap, carry", "gap, release"]
+    assert [row.name for row in rows][1:] == [
+        "gap, reach",
+        "gap, close",
+        "gap, carry",
+        "gap, release",
+        "drift, worst pick-up",
+    ]
     assert wrong(rows) == []
+
+
+def test_a_drift_may_be_error_alone_but_not_one_that_is_larger_than_that(rig: Rig, moving: Heard) -> None:
+    session = grasp_session(moving.poses)
+    found = grasp_figures(session)
+    value_m = float(found.drift_m.max())
+
+    def judged(doubt_m: float, known: float = 1.0) -> Figure:
+        said = np.full(len(session.t_ns), doubt_m)
+        said[round(known * len(said)) :] = np.nan
+        return drift_figure(session, found, (session.t_ns, said))
+
+    assert judged(value_m).value == pytest.approx(value_m)
+    assert judged(value_m).holds(0.0)
+    assert judged(value_m).holds(2.9 * value_m)
+    assert not judged(0.25 * value_m).holds(0.4 * value_m)
+    assert not judged(0.25 * value_m).holds(1.6 * value_m)
+    # Where the hand was mostly hidden nobody knows.
+    assert math.isnan(judged(value_m, known=0.1).high)
+    _, doubt_m = hand_deviations(moving.points, rig, "right")
+    assert 1e-3 < np.nanmedian(doubt_m) < 15e-3
 
 
 def test_stages_and_clocks(rig: Rig, moving: Heard) -> None:

@@ -10,7 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from rhot.cli.main import main
-from rhot.messages import MarkerFrame, Message, Point, PointSet, ServiceStatus, Truth
+from rhot.messages import MarkerFrame, Message, Point, PointSet, ServiceStatus, Truth, encode, encoding_of
+from rhot.recording.mcap.writer import McapWriter
 from rhot.report.svg import Bar, bar_plot
 from rhot_bench.rig.heard import Heard
 from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
@@ -152,6 +153,27 @@ def test_a_recording_of_marker_tracks_gives_a_report(rig_folder: Path, tmp_path:
         "Jitter in the pictures of camera right",
         "Jitter in space",
     ]
+
+
+def test_a_recording_of_rhot_record_gives_jitter_and_stages(rig_folder: Path, tmp_path: Path) -> None:
+    heard, take, figures = still(), tmp_path / "take.mcap", tmp_path / "rig.json"
+    sent: list[tuple[str, Message]] = [(f"rhot/markers/{frame.camera}", frame) for frame in heard.frames]
+    sent += [("rhot/points", points) for points in heard.points]
+    with McapWriter(take, now_ns=START_NS) as writer:
+        for seq, (key, message) in enumerate(sorted(sent, key=lambda each: each[1].t_ns)):
+            writer.write(key, encoding_of(type(message)), encode(message), message.t_ns, seq, message.t_ns + 20_000_000)
+    result = CliRunner().invoke(
+        main, ["evaluate", "rig", str(take), "--rig", str(rig_folder), "--json", str(figures)], catch_exceptions=False
+    )
+    assert result.exit_code == 0, result.output
+    sections = {
+        section["title"]: {row["name"]: row["value"] for row in section["rows"]}
+        for section in json.loads(figures.read_text())["sections"]
+    }
+    assert sections["Jitter in the pictures of camera left"]["index"] == pytest.approx(0.3 * np.sqrt(2.0), rel=0.1)
+    assert sections["Jitter in space"]["index, in depth"] == pytest.approx(2.0, rel=0.2)
+    assert sections["Stages of camera right"]["detection, mean"] == pytest.approx(3.0, abs=0.1)
+    assert "sending, mean" not in sections["Stages of camera right"], "nobody timed the arrival by the rig's clock"
 
 
 def test_what_to_measure_must_be_said(rig_folder: Path) -> None:
