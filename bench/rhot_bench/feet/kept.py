@@ -17,7 +17,6 @@ import numpy as np
 
 from rhot.atomic_file import write_atomic
 from rhot.errors import ConfigError
-from rhot.messages import Side
 from rhot.rig import Rig
 from rhot_bench.feet.runs import SIDES, Played, Run, Track
 
@@ -72,12 +71,10 @@ def load_played(file: Path, key: str, run: Run, seed: int) -> Played | None:
 
 
 def _played(stored: dict[str, Any], run: Run, seed: int) -> Played:
-    tracks: dict[str, dict[Side, Track]] = {
-        tracker: {
+    values: dict[str, Any] = {name: stored[name] for name in _ARRAYS} | json.loads(str(stored["values"]))
+    for tracker in _TRACKERS:
+        values[tracker] = {
             side: Track(**{part.name: stored[f"{tracker} {side} {part.name}"] for part in fields(Track)})
             for side in SIDES
         }
-        for tracker in _TRACKERS
-    }
-    arrays = {name: stored[name] for name in _ARRAYS}
-    return Played(run=run, seed=seed, **arrays, **json.loads(str(stored["values"])), **tracks)
+    return Played(run=run, seed=seed, **values)
