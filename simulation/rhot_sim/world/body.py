@@ -3,8 +3,7 @@
 Every part is the convex hull of rings: a ball's silhouette, a disc's rim or a patch's edge. A finger bone is the hull
 of two balls (a tapered capsule); a fingertip is cut in two by the plane where the paint ends. Of two convex bodies on
 both sides of a plane the one on the camera's side hides the other, so a fingertip's painted and bare halves are drawn
-in that order, exactly; everything else is drawn by distance. The hidden half reaches a little under the other one, so
-that no desk shines through the seam.
+in that order, exactly; everything else is drawn by distance. The hidden half reaches under the seam: no desk shines in.
 """
 
 from __future__ import annotations
