@@ -15,14 +15,31 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import marker_streams
+from running.simulated_colors import copy_or_learn
 from wall_clock import ForeignLoad, excuse
 
 from rhot.bus import Bus
 from rhot.rig import BusConfig, Rig
 from rhot.rig.template import rig_template
+from rhot_sim.rig import folder as simulated_rig_folder
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LOAD = pytest.StashKey[ForeignLoad]()
+REAL_TIME = (REPOSITORY / "tests" / "integration", REPOSITORY / "tests" / "faults")
+"""Where `make test` looks for tests that want the machine to themselves."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Refuse a test of the real-time phase that stands where that phase would not find it.
+
+    Raises:
+        pytest.UsageError: there is one.
+    """
+    for item in items:
+        alone = item.get_closest_marker("integration") and item.get_closest_marker("real_time")
+        if alone and not any(item.path.is_relative_to(folder) for folder in REAL_TIME):
+            where = " or ".join(str(folder.relative_to(REPOSITORY)) for folder in REAL_TIME)
+            raise pytest.UsageError(f"{item.nodeid}: tests that are integration and real_time belong into {where}")
 
 
 @pytest.hookimpl(wrapper=True)
@@ -46,6 +63,18 @@ def pytest_runtest_makereport(
         if report.failed and call.excinfo is not None and (reason := excuse(call.excinfo.value, others)):
             report.outcome, report.longrepr = "skipped", (str(item.path), item.location[1] or 0, reason)
     return report
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _colors_learnt_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Simulated rigs that are alike share the colours that the first of them has learnt, in whichever worker."""
+    own = tmp_path_factory.getbasetemp()
+    kept = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "colors"
+    kept.mkdir(exist_ok=True)
+    with pytest.MonkeyPatch.context() as patch:
+        learn = partial(copy_or_learn, simulated_rig_folder._calibrate_colors, kept)
+        patch.setattr(simulated_rig_folder, "_calibrate_colors", learn)
+        yield
 
 
 @pytest.fixture(scope="session")

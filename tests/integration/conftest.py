@@ -17,11 +17,15 @@ from rhot_sim.running.run import free_endpoint
 
 @pytest.fixture(scope="session")
 def simulated_rig(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> tuple[Path, str]:
-    """A simulated rig folder and its router's endpoint; with the parameter `still` its hand never moves."""
+    """A simulated rig folder and its router's endpoint.
+
+    With the parameter `still` its hand never moves; with `slow` its cameras leave the machine to other tests.
+    """
     endpoint = free_endpoint("tcp/127.0.0.1:0")
     path = tmp_path_factory.mktemp("rig")
-    write_simulated_rig(path, endpoint=endpoint)
-    if getattr(request, "param", None) == "still":
+    kind = getattr(request, "param", None)
+    write_simulated_rig(path, endpoint=endpoint, rate_hz=15.0 if kind == "slow" else 60.0)
+    if kind == "still":
         rig_file = path / RIG_FILE
         text = rig_file.read_text()
         assert text.count("[sim]\n") == 1

@@ -16,7 +16,7 @@ from wall_clock import figures_in_time, in_time
 
 from rhot_sim.running.run import free_endpoint
 
-pytestmark = [pytest.mark.integration, pytest.mark.real_time]
+pytestmark = pytest.mark.integration
 
 _COMMAND = [sys.executable, "-m", "rhot", "sim", "--feet", "--headless", "--rate", "15"]
 
@@ -39,6 +39,7 @@ def too_slow(report: dict[str, Any]) -> list[str]:
     return [f"{name} {report[name]:.3g}, limit {limit}" for name, limit in limits.items() if not report[name] > limit]
 
 
+@pytest.mark.real_time
 def test_feet_and_knees_of_a_standing_person(tmp_path: Path) -> None:
     """All limits hold in one and the same run; something else on the machine may spoil a run, not all."""
     for _ in range(3):

@@ -23,7 +23,7 @@ from rhot_calibration.cameras.live.live import collect
 from rhot_calibration.cameras.solve.views import Board
 from rhot_sim.running.run import free_endpoint
 
-pytestmark = [pytest.mark.integration, pytest.mark.real_time]
+pytestmark = pytest.mark.integration
 
 BOARD = Board(9, 6, 0.025)
 ENOUGH = 4
@@ -39,7 +39,10 @@ def board_rig(simulated_rig: tuple[Path, str], folder: Path) -> tuple[Path, BusC
     return folder, BusConfig(connect=(own,))
 
 
-async def test_collects_views_of_a_board(simulated_rig: tuple[Path, str], tmp_path: Path) -> None:
+@pytest.mark.real_time
+async def test_collects_views_of_a_board(
+    simulated_rig: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig, config = board_rig(simulated_rig, tmp_path / "rig")
     processes, out = Processes(rig, tmp_path), tmp_path / "recording"
     said = io.StringIO()
@@ -54,6 +57,7 @@ async def test_collects_views_of_a_board(simulated_rig: tuple[Path, str], tmp_pa
             views = await collect(config, ["left", "right"], BOARD, out, Console(file=said), enough=ENOUGH)
         took_s = time.monotonic() - begun
         # A lonely camera is named, at once and in the end.
+        monkeypatch.setattr("rhot_calibration.cameras.live.live._ALL_THERE_S", 1.0)
         with pytest.raises(BusError, match="third: nobody answers"):
             await collect(config, ["left", "third"], BOARD, tmp_path / "other", Console(file=said), enough=1)
     finally:

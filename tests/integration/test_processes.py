@@ -22,7 +22,7 @@ from rhot.messages import HandPose, MarkerFrame, Message, ServiceStatus, decode
 from rhot.rig import load_rig
 from rhot_sim.world.world import World
 
-pytestmark = [pytest.mark.integration, pytest.mark.real_time]
+pytestmark = pytest.mark.integration
 
 UP_S = 20.0
 BACK_S = 3.0
@@ -39,6 +39,7 @@ async def run_rhot(*arguments: str) -> tuple[int, str, str]:
     return process.returncode, output.decode(), errors.decode()
 
 
+@pytest.mark.real_time
 async def test_any_order_any_death(processes: Processes, rig_bus: Bus) -> None:
     """Services find each other whatever comes first; each may be killed and the hand is back within three seconds."""
     for name in ("ik", "capture right", "truth", "objects"):
@@ -60,11 +61,12 @@ async def test_any_order_any_death(processes: Processes, rig_bus: Bus) -> None:
         in_time(time.monotonic() - begun, BACK_S, f"the hand is back after {name} was killed")
 
 
-async def all_up(processes: Processes, bus: Bus) -> None:
+async def all_up(processes: Processes, bus: Bus) -> float:
+    """Start everything; return the seconds from the start of the session to the first hand."""
     for name in ("fusion", "ik", "capture left", "capture right", "objects", "truth"):
         await processes.start(name)
     control = await start_rig(bus)
-    in_time(await hand_measured_after(bus, control.start_t_ns), UP_S, "the first hand")
+    return await hand_measured_after(bus, control.start_t_ns)
 
 
 KEYS = {
@@ -82,6 +84,7 @@ KEYS = {
 }
 
 
+@pytest.mark.parametrize("simulated_rig", ["slow"], indirect=True)
 async def test_every_key_can_be_looked_at(
     processes: Processes, rig_bus: Bus, simulated_rig: tuple[Path, str], tmp_path: Path
 ) -> None:
@@ -110,14 +113,19 @@ async def test_every_key_can_be_looked_at(
     assert set(text) >= KEYS
     assert all(json.loads(value) is not None for value in text.values())
 
-    code, output, _ = await run_rhot("status", "--rig", str(rig))
+    status, watched, doctor = await asyncio.gather(
+        run_rhot("status", "--rig", str(rig)),
+        run_rhot("watch", "rhot/hand/right", "--count", "3", "--rig", str(rig)),
+        run_rhot("doctor", "--rig", str(rig)),
+    )
+    code, output, _ = status
     assert code == 0
     assert "capture/left" in output
     assert "fusion/main" in output
-    code, output, _ = await run_rhot("watch", "rhot/hand/right", "--count", "3", "--rig", str(rig))
+    code, output, _ = watched
     assert code == 0
     assert [json.loads(line)["key"] for line in output.splitlines()] == ["rhot/hand/right"] * 3
-    code, output, errors = await run_rhot("doctor", "--rig", str(rig))
+    code, output, _ = doctor
     assert code == 0, output
     assert "services are alive" in output
 
@@ -128,20 +136,25 @@ async def test_every_key_can_be_looked_at(
     (refused,) = await answers(rig_bus, "rhot/preview/left?mask=toe")
     assert "thumb" in refused.error, "names the masks that there are"
 
-    code, output, errors = await run_rhot("config", "capture/left", "exposure_s=5", "--rig", str(rig))
+    wrong, right = await asyncio.gather(
+        run_rhot("config", "capture/left", "exposure_s=5", "--rig", str(rig)),
+        run_rhot("config", "fusion/main", "hold_s=0.3", "--rig", str(rig)),
+    )
+    code, _, errors = wrong
     assert code == 2
     assert "exposure_s" in errors
-    code, output, errors = await run_rhot("config", "fusion/main", "hold_s=0.3", "--rig", str(rig))
+    code, output, errors = right
     assert code == 0, errors
     assert json.loads(output)["hold_s"] == 0.3
 
 
+@pytest.mark.real_time
 # A hand at rest: how much of its way a moving one makes between two frames is the machine's doing, not the garbage's.
 @pytest.mark.parametrize("simulated_rig", ["still"], indirect=True)
 async def test_garbage_on_every_key_leaves_the_hand_alone(
     processes: Processes, rig_bus: Bus, simulated_rig: tuple[Path, str]
 ) -> None:
-    await all_up(processes, rig_bus)
+    in_time(await all_up(processes, rig_bus), UP_S, "the first hand")
     world = World.from_rig(load_rig(simulated_rig[0]))
     reply = (await answers(rig_bus, "rhot/control"))[0]  # every service knows it
     start_t_ns = msgpack.unpackb(reply.payload)["start_t_ns"]
@@ -235,12 +248,14 @@ async def throw_garbage(bus: Bus, good: dict[str, dict[str, object]]) -> int:
     return time.time_ns()
 
 
+@pytest.mark.real_time
 def test_nothing_is_left_running(simulated_rig: tuple[Path, str]) -> None:
     from running.rig_processes import processes_that_name
 
     assert list(processes_that_name(str(simulated_rig[0]))) == []
 
 
+@pytest.mark.real_time
 async def test_a_camera_runs_without_colours_and_takes_them_over(processes: Processes, rig_bus: Bus) -> None:
     """Colours are calibrated from the running camera's own pictures, so it has to run before there are any."""
     path = processes.rig / "colors.json"

@@ -29,7 +29,8 @@ SERVICES = ("router", "capture left", "capture right", "fusion", "ik")
 async def secured(tmp_path: Path, free_port: int) -> AsyncIterator[Processes]:
     """A simulated rig with keys, whose services run."""
     folder = tmp_path / "rig"
-    write_simulated_rig(folder)
+    # Slow cameras leave the machine to other tests.
+    write_simulated_rig(folder, rate_hz=15.0)
     make_keys(folder, ["127.0.0.1"], free_port)
     add_holder(folder, "tablet", Holder(role="tool"))
     change_rig_file(folder, {("bus",): {"listen": [f"tls/127.0.0.1:{free_port}"]}})

@@ -15,7 +15,7 @@ from wall_clock import in_time
 from rhot.rig.template import rig_template
 from rhot_sim.running.run import free_endpoint
 
-pytestmark = [pytest.mark.integration, pytest.mark.real_time]
+pytestmark = pytest.mark.integration
 
 
 def make_rig(folder: Path, cameras: tuple[str, ...]) -> Path:
@@ -33,6 +33,7 @@ def make_rig(folder: Path, cameras: tuple[str, ...]) -> Path:
     return folder
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("wait_for", ["routing on", "session"])
 def test_ctrl_c_ends_all_of_it_at_once_whatever_it_is_doing(tmp_path: Path, wait_for: str) -> None:
     rig = make_rig(tmp_path / "rig", ("left", "right"))
@@ -53,6 +54,7 @@ def test_ctrl_c_ends_all_of_it_at_once_whatever_it_is_doing(tmp_path: Path, wait
     in_time(took_s, 2.0, "the end")
 
 
+@pytest.mark.real_time
 def test_a_service_that_cannot_run_ends_it_with_its_reason(tmp_path: Path) -> None:
     rig = make_rig(tmp_path / "rig", ("left",))
     begun = time.monotonic()

@@ -23,6 +23,9 @@ from rhot_bench.pictures.rendered import (
 )
 from rhot_bench.pictures.scoring import score_estimates, score_messages
 
+# In one worker: what they share takes seconds.
+pytestmark = pytest.mark.xdist_group("rendered pictures")
+
 
 @pytest.fixture(scope="module")
 def pictures(shared_data: Path) -> Path:

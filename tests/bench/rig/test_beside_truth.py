@@ -22,6 +22,9 @@ from rhot_bench.rig.stages import stage_sections, stage_times
 from rhot_bench.rig.statistics import Figure
 from rhot_sim.rig import folder
 
+# In one worker: what they share takes seconds.
+pytestmark = pytest.mark.xdist_group("beside truth")
+
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:

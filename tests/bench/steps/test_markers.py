@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import cv2
@@ -69,10 +70,14 @@ def test_recorded_detections_against_motion_capture(shared_data: Path, name: str
     assert figures.rms_m < 0.7 * figures.first_rms_m
 
 
-@pytest.mark.parametrize("name", ["test0.csv", "test4.csv"])
-def test_what_is_said_to_be_clear_is_right_at_every_tilt(shared_data: Path, name: str) -> None:
-    """A square that is seen head-on has two poses that nobody tells apart: it must say so, and only then."""
-    test = read_marker_test(shared_data / "aruco" / "d435_qualisys" / name)
+@pytest.mark.parametrize(("name", "begin"), [("test0.csv", 3500), ("test4.csv", 0)])
+def test_what_is_said_to_be_clear_is_right_at_every_tilt(shared_data: Path, name: str, begin: int) -> None:
+    """A square that is seen head-on has two poses that nobody tells apart: it must say so, and only then.
+
+    These 1500 detections of each test show every tilt, and are hard; `rhot evaluate steps` tells of all.
+    """
+    whole = read_marker_test(shared_data / "aruco" / "d435_qualisys" / name)
+    test = MarkerTest(*(getattr(whole, each.name)[begin : begin + 1500] for each in fields(whole)))
     figures = tilt_figures(test, follow_marker(test))
     assert len(figures) >= 5
     assert max(figure.clear_wrong for figure in figures) <= 0.02

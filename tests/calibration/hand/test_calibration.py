@@ -58,6 +58,7 @@ def errors_mm(truth: HandFile, found: HandFile, rig: Rig) -> list[tuple[str, flo
     return rows
 
 
+@pytest.mark.xdist_group("measured hands")
 def test_measured_lengths_are_within_two_millimetres(measured: list[tuple[HandFile, HandFile]], rig: Rig) -> None:
     rows = [row for truth, found in measured for row in errors_mm(truth, found, rig)]
     errors = [abs(error) for _, error, _, is_measured in rows if is_measured]
@@ -67,12 +68,14 @@ def test_measured_lengths_are_within_two_millimetres(measured: list[tuple[HandFi
     assert sources <= {"measured", "roughly measured"}
 
 
+@pytest.mark.xdist_group("measured hands")
 def test_uncertainties_cover_the_errors(measured: list[tuple[HandFile, HandFile]], rig: Rig) -> None:
     rows = [row for truth, found in measured for row in errors_mm(truth, found, rig)]
     inside = np.mean([abs(error) <= 2.0 * sd for _, error, sd, _ in rows])
     assert 0.90 <= inside < 0.999
 
 
+@pytest.mark.xdist_group("measured hands")
 def test_fingers_are_known_better_than_from_proportions(measured: list[tuple[HandFile, HandFile]], rig: Rig) -> None:
     """An average hand of the right length would miss them by 2.5 mm, one of average length by more."""
     rows = [row for truth, found in measured for row in errors_mm(truth, found, rig)]

@@ -10,7 +10,8 @@ import pytest
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import STAGE_FILE
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.folder import true_cameras, with_motion, write_simulated_rig
+from rhot_sim.rig import folder
+from rhot_sim.rig.folder import true_cameras, with_motion
 from rhot_sim.world.world import World
 
 
@@ -18,7 +19,10 @@ from rhot_sim.world.world import World
 def desk_pictures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Rig, Path]:
     """Return the rig, without a floor, and a folder of pictures of its desk."""
     path, pictures = tmp_path_factory.mktemp("rig"), tmp_path_factory.mktemp("pictures")
-    rig = with_motion(write_simulated_rig(path, seed=4), "desk_board")
+    with pytest.MonkeyPatch.context() as patch:
+        # A board on a desk needs no colours, and learning them takes four seconds.
+        patch.setattr(folder, "_calibrate_colors", lambda _: None)
+        rig = with_motion(folder.write_simulated_rig(path, seed=4), "desk_board")
     (path / STAGE_FILE).unlink()
     world = World.from_rig(rig)
     for index, (name, camera) in enumerate(true_cameras(rig).items()):

@@ -13,6 +13,9 @@ from rhot_bench.speed.simulated import Cameras, Moment, moments, world_of
 from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.detection.explain import PictureExplainer
 
+# In one worker: what they share takes seconds.
+pytestmark = pytest.mark.xdist_group("explained pictures")
+
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:

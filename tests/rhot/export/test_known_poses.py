@@ -96,6 +96,10 @@ def read_bvh(recording: Path, folder: Path) -> At:
 READERS = {"bvh": read_bvh, "trc": read_trc, "c3d": read_c3d, "glb": read_gltf(".glb"), "gltf": read_gltf(".gltf")}
 
 
+# In one worker: what they share takes seconds.
+pytestmark = pytest.mark.xdist_group("known poses")
+
+
 @pytest.fixture(params=list(READERS), scope="module")
 def at(request: pytest.FixtureRequest, poses_recording: Path, tmp_path_factory: pytest.TempPathFactory) -> At:
     return READERS[request.param](poses_recording, tmp_path_factory.mktemp(request.param))

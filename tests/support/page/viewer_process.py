@@ -37,7 +37,8 @@ class ViewerProcess:
         assert self._process is not None
         self._process.send_signal(signal.SIGINT)
         assert self._process.wait(timeout=30.0) == 130, self._log.read_text()
-        assert "Traceback" not in self._log.read_text()
+        said = self._log.read_text()
+        assert "Traceback" not in said, said
 
     def kill(self) -> None:
         """End it, whatever it does."""
