@@ -17,6 +17,7 @@ from rhot_ik.hand.contact import Shape, shape_of
 from rhot_ik.hand.explain import solver_tables
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.fingers.geometry import base_marker
+from rhot_ik.hand.repeated_guesses import RepeatedGuesses
 from rhot_ik.hand.solver import HandSolution, HandSolver
 
 _ANGLES = tuple(FingerAngles.model_fields)
@@ -25,8 +26,6 @@ _REACH = 1.6
 _NOWHERE: tuple[float, ...] = (math.nan, math.nan, math.nan)
 _ANY: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 """Covariance, m², of a tip that is not there."""
-_DEPTH_SAMPLES = 16.0
-"""Samples that share one error of depth: a quarter of a second (`HandSettings.lasts_s`) at 60 a second."""
 
 
 class HandStage:
@@ -44,6 +43,7 @@ class HandStage:
         self._volume_m = rig.config.fusion.volume_m
         self._problems: list[str] = []
         self._hold_s = rig.config.ik.hold_s
+        self._guesses = RepeatedGuesses()
         # Messages do not say which object they are of; two of the very same shape count as one.
         self._objects: dict[ObjectShape, tuple[int, Shape]] = {}
         places = [np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values()]
@@ -118,7 +118,7 @@ class HandStage:
                 self._counts["not_of_this_hand"] += 1
                 continue
             tips[place] = point.position
-            covariances[place] = _covariance(point)
+            covariances[place] = self._guesses.covariance(solver.geometry.markers[finger], point)
             measured[place] = point.state != "predicted"
         return HandObservation(
             t_ns=points.t_ns,
@@ -127,7 +127,7 @@ class HandStage:
             corners=None if base is None or base.corners is None else np.array(base.corners),
             tips=np.array(tips),
             tips_measured=np.array(measured),
-            base_covariance=None if base is None else np.array(_covariance(base)).reshape(3, 3),
+            base_covariance=None if base is None else np.array(self._guesses.covariance(base_name, base)).reshape(3, 3),
             tip_covariances=np.array(covariances).reshape(-1, 3, 3),
         )
 
@@ -142,24 +142,6 @@ class HandStage:
             return point
         self._counts["outside"] += 1
         return None
-
-
-def _covariance(point: Point) -> tuple[float, ...]:
-    """Return the covariance of a point's error, m², row by row; alike in all directions where none is stated.
-
-    The depth of what one camera sees is fusion's guess from the rest of the hand. It errs alike for many samples, so it
-    counts as one of them.
-    """
-    if point.covariance is None:
-        variance = point.sigma**2 / 3.0
-        return (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
-    xx, xy, xz, yy, yz, zz = point.covariance
-    stated = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
-    if point.state != "one_view":
-        return stated
-    C = np.array(stated).reshape(3, 3)
-    # C·C over its trace is next to nothing but along the ray.
-    return tuple((C + (_DEPTH_SAMPLES - 1.0) / max(xx + yy + zz, 1e-12) * (C @ C)).reshape(9).tolist())
 
 
 def hand_pose(points: PointSet, model: HandModel, solution: HandSolution) -> HandPose:

@@ -1,0 +1,43 @@
+"""How much a point that is partly a guess tells of a hand: less each time that the same guess is sent again.
+
+Where no camera, or only one, sees a marker, fusion goes on with what it knew: a `predicted` point is where the last
+movement would have led, and the depth of a `one_view` point follows from the rest of the hand. Both err, and they err
+alike sample after sample, for it is one guess that is sent again and again. The filter takes the errors of samples for
+independent, so the k-th sample of a guess counts as 1/k of one: its covariance is k times as large. That grows with
+the logarithm of their number, whatever the frame rate is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rhot.messages import Point, PointState
+
+
+class RepeatedGuesses:
+    """Knows, of each marker, for how many samples running it has been the same kind of guess."""
+
+    def __init__(self) -> None:
+        self._running: dict[str, tuple[PointState, int]] = {}
+
+    def covariance(self, name: str, point: Point) -> tuple[float, ...]:
+        """Return the covariance that a marker's newest point counts with, m², row by row; 3x3.
+
+        It is alike in all directions where the point states none.
+        """
+        state, before = self._running.get(name, (point.state, 0))
+        times = before + 1 if state == point.state else 1
+        self._running[name] = point.state, times
+        if point.covariance is None:
+            variance = point.sigma**2 / 3.0
+            stated = (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
+        else:
+            xx, xy, xz, yy, yz, zz = point.covariance
+            stated = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
+        if point.state == "measured" or times == 1:
+            return stated
+        if point.state == "predicted":
+            return tuple(times * value for value in stated)
+        C = np.array(stated).reshape(3, 3)
+        # C·C over its trace is next to nothing but along the ray.
+        return tuple((C + (times - 1) / max(float(np.trace(C)), 1e-12) * (C @ C)).reshape(9).tolist())
