@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rhot.explain import Explanation, ExplanationRow
+from rhot_fusion.filter.joint import squared_distance
 from rhot_fusion.filter.settings import DEFAULT
+from rhot_fusion.filter.state import ROUND
 from rhot_fusion.filter.tracker import FilterTracker
 from rhot_fusion.filter.tracks import Belief
 from rhot_fusion.views.sightings import Tracker
@@ -34,9 +36,9 @@ def _gates(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str
     rows = []
     for camera, (index, innovation, slack) in sorted(tracker.gates.items()):
         focal_px = tracker.focal_px(camera)
-        S = innovation.S + np.square(slack)[:, None, None] * np.eye(2)
-        sigma_px = np.sqrt(S[:, [0, 1], [0, 1]]) * focal_px
-        distance2 = (innovation.y * np.linalg.solve(S, innovation.y[:, :, None])[:, :, 0]).sum(axis=1)
+        S = innovation.S + np.square(slack)[:, None] * ROUND
+        sigma_px = np.sqrt(S[:, (0, 2)]) * focal_px
+        distance2, _ = squared_distance(S, innovation.y)
         for marker, y, sigma, nis, accepted in zip(
             index.tolist(), innovation.y * focal_px, sigma_px, distance2.tolist(), innovation.accepted, strict=True
         ):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import replace
 from itertools import islice
 from statistics import median
 
@@ -214,8 +213,7 @@ class FusionStage:
         """Return the sightings at which the camera's lens model has an inverse."""
         there = np.isfinite(seen.xy).all(axis=1)
         self.counts["outside"] += int(np.count_nonzero(~there))
-        index, times, xy, area = seen.index[there], seen.times_s[there], seen.xy[there], seen.area_px[there]
-        return replace(seen, index=index, times_s=times, xy=xy, area_px=area)
+        return seen.chosen(there)
 
     def _make_tracker(self, config: FusionConfig) -> Tracker:
         if config.method == "filter":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from rhot_fusion.filter.tracks import Belief, Track
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.sightings import BoolArray, FloatArray, IndexArray, Sightings
+from rhot_fusion.views.vectors import Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +33,7 @@ class Hand:
     Attributes:
         index: (H,) of them among all markers.
         markers: the same as plain numbers.
-        place_of: (M,) where each marker of the rig is among those H; only those of this hand have one.
+        place_of: where each of those markers of the rig is among those H.
         base: which of those H is the patch on its back; −1 = none.
         across: which of those H are the tips of the little and of the index finger; none without either.
         beside_m: (H,) how far the knuckle of each fingertip is beside the patch, towards the index finger, metres.
@@ -41,28 +43,31 @@ class Hand:
 
     index: IndexArray
     markers: list[int]
-    place_of: IndexArray
+    place_of: dict[int, int]
     base: int
     across: tuple[int, int] | None
-    beside_m: FloatArray
+    beside_m: list[float]
     filter: JointFilter
     record: HandRecord | None
 
-    def roots(self, place: FloatArray) -> FloatArray:
-        """Return where the fingers of its markers at places (H, 3) begin (H, 3), across the hand; needs the patch.
+    def of(self, sightings: Sightings, *, alone: bool) -> Sightings:
+        """Return what a frame shows of this hand: all of it where it is the only one."""
+        return sightings if alone else sightings.chosen(np.isin(sightings.index, self.index))
+
+    def roots(self, places: Sequence[Vector]) -> Sequence[Vector]:
+        """Return where the fingers of its markers at places (H,) begin (H,), across the hand; needs the patch.
 
         Fingers run side by side from their knuckles, so from there they point the same way however far they bend.
         """
-        base = place[self.base]
-        if self.across is None:
-            return np.broadcast_to(base, place.shape)
-        little, first = self.across
+        x, y, z = base = places[self.base]
         alive = self.filter.state.alive
-        if not (alive[little] and alive[first]):
-            return np.broadcast_to(base, place.shape)
-        along = place[first] - place[little]
-        roots: FloatArray = base + self.beside_m[:, None] * (along / max(float(np.sqrt(along @ along)), 1e-6))
-        return roots
+        if self.across is None or not (alive[self.across[0]] and alive[self.across[1]]):
+            return [base] * len(places)
+        (x0, y0, z0), (x1, y1, z1) = (places[k] for k in self.across)
+        i, j, k = x1 - x0, y1 - y0, z1 - z0
+        scale = 1.0 / max(math.sqrt(i * i + j * j + k * k), 1e-6)
+        sides = [scale * beside for beside in self.beside_m]
+        return [(x + side * i, y + side * j, z + side * k) for side in sides]
 
 
 class Acquisition:
@@ -91,7 +96,7 @@ class Acquisition:
         self.tracks = [Track(len(cameras)) for _ in self.hand_of]
         self.begun = 0
         self._hands, self._cameras, self._schedule, self._settings = list(hands), list(cameras), schedule, settings
-        self._candidates = Candidates(len(self.tracks), coherence, schedule, settings, counts)
+        self._candidates = Candidates(cameras, len(self.tracks), coherence, schedule, settings, counts)
 
     def clear(self) -> None:
         """Forget all markers."""
@@ -99,9 +104,11 @@ class Acquisition:
             track.end(len(self._cameras))
         self._candidates.clear()
 
-    def add(self, marker: int, camera: int, view: View) -> None:
-        """Take a camera's newest view of a marker."""
-        self._candidates.add(marker, camera, view)
+    def add(
+        self, camera: int, markers: Sequence[int], times_s: Sequence[float], xy: FloatArray, variances: Sequence[float]
+    ) -> None:
+        """Take a camera's newest views; see `Candidates`."""
+        self._candidates.add(camera, markers, times_s, xy, variances)
 
     def is_free(self, marker: int, camera: int, t_s: float) -> bool:
         """Tell whether a filter cannot take a camera's view of a marker: it is not known, or was put in place by it."""
@@ -159,17 +166,13 @@ class Acquisition:
 
     def forget(self, t_s: float) -> None:
         """End markers that nothing has shown for a while, that may be anywhere by now, or that left the volume."""
-        low, high = np.array(self.config.volume_m)
+        (x0, y0, z0), (x1, y1, z1) = self.config.volume_m
         hold_s, lost_m2 = self.config.hold_s, self._settings.lost_m**2
         for hand in self._hands:
-            place, alive = hand.filter.place, hand.filter.state.alive.tolist()
-            outside = ((place < low) | (place > high)).any(axis=1).tolist()
-            spread_m2 = hand.filter.spread_m2
-            for k, marker in enumerate(hand.markers):
-                if not alive[k]:
-                    continue
-                lost = spread_m2[k] > lost_m2
-                if lost or outside[k] or t_s - self.tracks[marker].seen_s > hold_s:
+            columns = hand.markers, hand.filter.state.alive.tolist(), hand.filter.place.tolist(), hand.filter.spread_m2
+            for marker, alive, (x, y, z), spread_m2 in zip(*columns, strict=True):
+                inside = x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1
+                if alive and (not inside or spread_m2 > lost_m2 or t_s - self.tracks[marker].seen_s > hold_s):
                     self.end(marker)
 
     def _begin(self, marker: int, birth: Birth, t_s: float, views: dict[int, View]) -> None:
@@ -200,11 +203,6 @@ class Acquisition:
         return known, alive
 
 
-def rows_of(hand: Hand, sightings: Sightings, *, alone: bool) -> IndexArray:
-    """Return which views (N,) are of a hand's markers: all of them where it is the only one."""
-    return np.arange(len(sightings.index)) if alone else np.flatnonzero(np.isin(sightings.index, hand.index))
-
-
 def hands_of(rig: Rig, cameras: Sequence[CameraModel], settings: FilterSettings, *, record: bool) -> list[Hand]:
     """Return the hands of a rig; `record` keeps their frames."""
     names, markers = list(rig.config.markers), list(rig.config.markers.values())
@@ -217,7 +215,7 @@ def hands_of(rig: Rig, cameras: Sequence[CameraModel], settings: FilterSettings,
         joints = [markers[m].joint for m in index.tolist()]
         ends = ("little_tip", "index_tip")
         across = (joints.index(ends[0]), joints.index(ends[1])) if set(ends) <= set(joints) else None
-        beside_m = np.zeros(len(index))
+        beside_m = [0.0] * len(index)
         if base >= 0:
             model = HandModel.from_file(rig.hand, markers[int(index[0])].hand)
             patch = model.marker_offset(names[int(index[base])], markers[int(index[base])])
@@ -225,9 +223,8 @@ def hands_of(rig: Rig, cameras: Sequence[CameraModel], settings: FilterSettings,
             fingers = {f"{name}_tip": row for row, name in enumerate(FINGERS)}
             for k, name in enumerate(joints):
                 if name in fingers:
-                    beside_m[k] = sense * (model.knuckles[fingers[name], 0] - patch[0])
-        place_of = np.zeros(len(sides), dtype=np.intp)
-        place_of[index] = np.arange(len(index))
+                    beside_m[k] = float(sense * (model.knuckles[fingers[name], 0] - patch[0]))
+        place_of = {marker: k for k, marker in enumerate(index.tolist())}
         kept = HandRecord(index, cameras) if record else None
         hands.append(Hand(index, index.tolist(), place_of, base, across, beside_m, joint, kept))
     return hands

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
+from rhot.geometry.camera import CameraModel
 from rhot.messages import Position
 from rhot_fusion.filter.birth import Birth, View, from_views
 from rhot_fusion.filter.settings import TrackSettings
@@ -19,6 +21,7 @@ class Candidates:
 
     def __init__(
         self,
+        cameras: Sequence[CameraModel],
         markers: int,
         coherence: HandCoherence,
         schedule: Schedule,
@@ -26,23 +29,32 @@ class Candidates:
         counts: Counter[str],
     ) -> None:
         """Begin without views; of counts it takes `behind_cameras` and `gated`."""
+        self._cameras = list(cameras)
         self._coherence, self._schedule, self._settings, self._counts = coherence, schedule, settings, counts
-        self._newest: list[dict[int, View]] = [{} for _ in range(markers)]
+        # By camera: time, normalised coordinates and their variance.
+        self._newest: list[dict[int, tuple[float, FloatArray, float]]] = [{} for _ in range(markers)]
 
     def clear(self) -> None:
         """Forget all views."""
         for newest in self._newest:
             newest.clear()
 
-    def add(self, marker: int, camera: int, view: View) -> None:
-        """Take a camera's newest view of a marker."""
-        self._newest[marker][camera] = view
+    def add(
+        self, camera: int, markers: Sequence[int], times_s: Sequence[float], xy: FloatArray, variances: Sequence[float]
+    ) -> None:
+        """Take a camera's newest views (N, 2) of markers (N,), of these times and variances (N,)."""
+        for marker, *view in zip(markers, times_s, xy, variances, strict=True):
+            self._newest[marker][camera] = tuple(view)
 
     def near(self, marker: int, t_s: float) -> dict[int, View]:
         """Return, by camera, the newest views of a marker that were taken about a moment."""
         settings = self._settings
         reach_s = min(settings.pair_s, settings.pair_periods * self._schedule.longest_period_s)
-        return {camera: view for camera, view in self._newest[marker].items() if abs(t_s - view.t_s) <= reach_s}
+        return {
+            camera: View(self._cameras[camera], seen_s, xy, variance)
+            for camera, (seen_s, xy, variance) in self._newest[marker].items()
+            if abs(t_s - seen_s) <= reach_s
+        }
 
     def together(
         self,

@@ -19,15 +19,14 @@ values, weighed by how well each foretells the observations, and forgotten withi
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot_fusion.filter.settings import MotionSettings
-from rhot_fusion.filter.state import SHARED, BoolArray
-
-FloatArray = NDArray[np.float64]
+from rhot_fusion.filter.state import SHARED, BoolArray, FloatArray
 
 _EYE: FloatArray = np.eye(3)
 _SERIES = 0.05
@@ -36,65 +35,76 @@ _SERIES = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The motion of markers at given places, as matrices of a state (6 M + 6) for any time.
+    """The motion of markers at given places, as matrices of a state (n = 6 M + 6) for any time.
 
     Attributes:
         place: (M, 3) metres, of the markers.
         alive: (M,) which of them there are.
+        settings: shares and time constants.
         transitions: (6, n²) what the coefficients of `transition` multiply.
         noises: (9, n²) what those of `noise` multiply.
     """
 
     place: FloatArray
     alive: BoolArray
+    settings: MotionSettings
     transitions: FloatArray
     noises: FloatArray
 
-    def transition(self, dt: float, settings: MotionSettings) -> FloatArray:
+    def transition(self, dt: float) -> FloatArray:
         """Return F (n, n) over a time, seconds."""
-        tau = settings.persists_s
-        share, fade = -math.expm1(-dt / settings.joining_s), math.exp(-dt / tau)
+        tau = self.settings.persists_s
+        share, fade = -math.expm1(-dt / self.settings.joining_s), math.exp(-dt / tau)
         gained = -tau * math.expm1(-dt / tau)
-        coefficients = np.array((1.0, dt, share, tau * (dt - gained), gained, fade))
-        return _combined(coefficients, self.transitions)
+        return _combined((1.0, dt, share, fade, tau * (dt - gained), gained), self.transitions)
 
-    def noise(self, dt: float, settings: MotionSettings) -> FloatArray:
+    def noise(self, dt: float) -> FloatArray:
         """Return Q (n, n) over a time, seconds, for the scale 1."""
-        white = (dt**3 / 3.0, dt**2 / 2.0, dt)
-        return _combined(np.array((*white, *_singer(dt, settings.persists_s))), self.noises)
+        pp, pv, vv = dt**3 / 3.0, dt**2 / 2.0, dt
+        s_pp, s_pv, s_pz, s_vv, s_vz, s_zz = _singer(dt, self.settings.persists_s)
+        white = self.settings.abrupt**2
+        shared = (s_pp + white * pp, s_pv + white * pv, s_vv + white * vv, s_pz, s_vz)
+        return _combined((pp, pv, vv, s_zz, *shared), self.noises)
 
 
 def motion_of(place: FloatArray, alive: BoolArray, settings: MotionSettings) -> Motion:
     """Return the motion of those markers at places (M, 3) that are alive (M,)."""
-    count = len(place)
-    half, n = 3 * count, 6 * count + SHARED
-    there = np.flatnonzero(alive)
-    rows = (there[:, None] * 3 + np.arange(3)).ravel()
+    half = 3 * len(place)
+    p, v, z = slice(half), slice(half, 2 * half), slice(2 * half, None)
+    F, Q = (constant.copy() for constant in _wherever(tuple(alive.tolist()), settings))
     B = np.zeros((half, SHARED))
-    B[rows] = lever(place[there], settings)
-    p, v, z = slice(0, half), slice(half, 2 * half), slice(2 * half, n)
-    F = np.zeros((6, n, n))
-    F[0][np.arange(2 * half), np.arange(2 * half)] = 1.0
-    F[1][rows, half + rows] = 1.0
-    if len(there) > 1:
-        mean = np.kron(np.full((len(there), len(there)), 1.0 / len(there)), _EYE)
-        F[2][np.ix_(half + rows, half + rows)] = mean - np.eye(len(rows))
-    F[3][p, z] = B
-    F[4][v, z] = B
-    F[5][z, z] = np.eye(SHARED)
-    D = np.repeat(np.square([settings.common, settings.turning]), 3)
-    shared = (B * D) @ B.T
-    white = settings.abrupt**2 * shared
-    white[rows, rows] += settings.own**2
-    Q = np.zeros((9, n, n))
-    Q[0][p, p] = Q[2][v, v] = white
-    Q[1][p, v] = Q[1][v, p] = white
-    Q[3][p, p] = Q[6][v, v] = shared
-    Q[4][p, v] = Q[4][v, p] = shared
-    Q[5][p, z], Q[7][v, z] = B * D, B * D
-    Q[5][z, p], Q[7][z, v] = (B * D).T, (B * D).T
-    Q[8][z, z] = np.diag(D)
-    return Motion(place, alive, F.reshape(6, -1), Q.reshape(9, -1))
+    B[np.repeat(alive, 3)] = lever(place[alive], settings)
+    F[4, p, z] = F[5, v, z] = B
+    BD = B * _power(settings)
+    Q[4, p, p] = Q[5, p, v] = Q[5, v, p] = Q[6, v, v] = BD @ B.T
+    Q[7, p, z] = Q[8, v, z] = BD
+    Q[7, z, p] = Q[8, z, v] = BD.T
+    return Motion(place, alive, settings, F.reshape(6, -1), Q.reshape(9, -1))
+
+
+@lru_cache
+def _wherever(alive: tuple[bool, ...], settings: MotionSettings) -> tuple[FloatArray, FloatArray]:
+    """Return transitions (6, n, n) and noises (9, n, n) without what depends on where the markers are."""
+    there, number = np.repeat(alive, 3), sum(alive)
+    half = len(there)
+    n = 2 * half + SHARED
+    p, v, z = slice(half), slice(half, 2 * half), slice(2 * half, None)
+    F, Q = np.zeros((6, n, n)), np.zeros((9, n, n))
+    F[0, p, p] = F[0, v, v] = np.eye(half)
+    F[1, p, v] = np.diag(there)
+    if number > 1:
+        mean = np.tile(np.eye(3) / number, (number, number))
+        F[2, v, v][np.ix_(there, there)] = mean - np.eye(3 * number)
+    F[3, z, z] = np.eye(SHARED)
+    own = settings.own**2 * np.diag(there)
+    Q[0, p, p] = Q[1, p, v] = Q[1, v, p] = Q[2, v, v] = own
+    Q[3, z, z] = np.diag(_power(settings))
+    return F, Q
+
+
+def _power(settings: MotionSettings) -> FloatArray:
+    """Return that (6,) of what the hand shares."""
+    return np.repeat(np.square([settings.common, settings.turning]), 3)
 
 
 def lever(place: FloatArray, settings: MotionSettings) -> FloatArray:
@@ -135,7 +145,7 @@ def _singer(dt: float, tau: float) -> tuple[float, ...]:
     )
 
 
-def _combined(coefficients: FloatArray, matrices: FloatArray) -> FloatArray:
-    combined: FloatArray = coefficients @ matrices
+def _combined(coefficients: Sequence[float], matrices: FloatArray) -> FloatArray:
+    combined: FloatArray = np.array(coefficients) @ matrices
     n = math.isqrt(len(combined))
     return combined.reshape(n, n)

@@ -66,7 +66,7 @@ class CameraNoise:
         pixels2 = self._focal_px[camera] ** 2
         count, derivative, curvature = 0, 0.0, 0.0
         columns = (innovation.accepted, innovation.y, innovation.S, innovation.nis)
-        for taken, (y0, y1), ((a, b), (_, c)), nis in zip(*(column.tolist() for column in columns), strict=True):
+        for taken, (y0, y1), (a, b, c), nis in zip(*(column.tolist() for column in columns), strict=True):
             if not taken:
                 continue
             count += 1

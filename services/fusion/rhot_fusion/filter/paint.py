@@ -22,195 +22,249 @@ Of a patch, whose size is known, the strip is as high as the patch: what both vi
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import CAP_LENGTH_M
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import PaintSettings
+from rhot_fusion.filter.state import FloatArray
+from rhot_fusion.views.vectors import Vector, vector
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.intp]
-BoolArray = NDArray[np.bool_]
+
+@dataclass(slots=True)
+class _Shown:
+    """What one camera has shown of a marker's paint.
+
+    Attributes:
+        t_s: when last, seconds; −∞ = never.
+        width_m: root of the visible area, lagging by `settle_s`.
+        slow_m: the same, lagging by `appears_s`.
+        own: whether that width was told by the marker's own depth rather than by its hand's.
+        changing: share by which the visible paint has grown or shrunk of late, 0 to 1.
+    """
+
+    t_s: float = -math.inf
+    width_m: float = 0.0
+    slow_m: float = 0.0
+    own: bool = False
+    changing: float = 0.0
 
 
 class Paint:
-    """What C cameras see of the paint of M markers.
+    """What C cameras see of the paint of M markers. Plain numbers: there are too few of them for numpy.
 
     Attributes:
         bend: (M,) c of each fingertip by its area, −1 to 0.
-        changing: (C, M) share by which the paint that is visible has grown or shrunk of late, 0 to 1.
     """
 
     def __init__(self, cameras: Sequence[CameraModel], radius_m: FloatArray, settings: PaintSettings) -> None:
         """Begin with the radii (M,) of fingertips, metres; 0 for a marker that is none."""
         self._settings = settings
-        self._radius_m = radius_m
-        markers = len(radius_m)
-        self._cosine: FloatArray = np.linspace(-1.0, 0.0, 64)
-        shaft = 2.0 * settings.shaft
-        end = 0.5 * np.pi
-        self._share: FloatArray = (shaft * np.sqrt(1.0 - self._cosine**2) + end * (1.0 + self._cosine)) / (shaft + end)
+        self._radius_m: list[float] = radius_m.tolist()
+        cosine = np.linspace(-1.0, 0.0, 64)
+        shaft, end = 2.0 * settings.shaft, 0.5 * np.pi
+        share = (shaft * np.sqrt(1.0 - cosine**2) + end * (1.0 + cosine)) / (shaft + end)
+        self._bend_of = list(pairwise(zip(share.tolist(), cosine.tolist(), strict=True)))
+        self._share: list[float] = share.tolist()
         # What a finger bent as usual shows of its width when seen from the side.
-        self._usual = float(np.sqrt(np.interp(settings.first_bend, self._cosine, self._share)))
-        self._largest: FloatArray = np.zeros(markers)
+        self._usual = float(np.sqrt(np.interp(settings.first_bend, cosine, share)))
         # Root of the area of a tip seen from the side, painted over `CAP_LENGTH_M`; the rim of it is mixed with what is
         # behind.
         flat = 2.0 * radius_m * np.maximum(CAP_LENGTH_M - radius_m, 0.0) + end * radius_m**2
-        self._flat_m: FloatArray = np.sqrt(settings.found * flat)
-        self.bend: FloatArray = np.full(markers, settings.first_bend)
+        self._flat_m: list[float] = np.sqrt(settings.found * flat).tolist()
         self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
-        centers = np.stack([camera.center for camera in cameras])
-        self._middle: FloatArray = centers.mean(axis=0)
-        # In each camera's picture, the direction away from the other cameras.
-        away = [camera.R_camera_rig[:2] @ (camera.center - self._middle) for camera in cameras]
-        self._away: FloatArray = np.array([a / max(float(np.hypot(*a)), 1e-9) for a in away])
-        self._tips: BoolArray = radius_m > 0.0
-        self._width: FloatArray = np.zeros((len(cameras), markers))
-        self.changing: FloatArray = np.zeros((len(cameras), markers))
-        self._slow: FloatArray = np.zeros((len(cameras), markers))
-        self._seen_s: FloatArray = np.full((len(cameras), markers), -np.inf)
-        # Whether that width was told by the marker's own depth rather than by its hand's.
-        self._own: BoolArray = np.zeros((len(cameras), markers), dtype=np.bool_)
+        middle = np.stack([camera.center for camera in cameras]).mean(axis=0)
+        # In each camera's frame, where the middle of the cameras is, and in its picture the direction away from that.
+        self._middle: list[Vector] = [vector(camera.to_camera(middle[None])[0]) for camera in cameras]
+        self._away: FloatArray = np.array([[-x, -y] for x, y, _ in self._middle])
+        self._away /= np.maximum(np.hypot(*self._away.T), 1e-9)[:, None]
+        self._cameras = range(len(cameras))
+        self.clear()
 
     def clear(self) -> None:
         """Forget all areas."""
-        self._seen_s[:] = -np.inf
-        self._slow[:] = 0.0
-        self._largest[:] = 0.0
-        self.bend[:] = self._settings.first_bend
+        markers = range(len(self._radius_m))
+        self._shown = [[_Shown() for _ in self._cameras] for _ in markers]
+        self._largest_m = [0.0 for _ in markers]
+        self.bend = [self._settings.first_bend for _ in markers]
 
-    def along(self, camera: CameraModel, index: IndexArray, tip: FloatArray, base: FloatArray) -> FloatArray:
-        """Return what to add to a camera's views (N, 2) of fingertips for the side that it sees, normalised units.
+    def along(
+        self,
+        camera: int,
+        markers: Sequence[int],
+        areas_px: Sequence[float],
+        tips: Sequence[Vector],
+        bases: Sequence[Vector],
+    ) -> list[tuple[float, float]]:
+        """Return what to add to a camera's views (N,) of fingertips for the side that it sees, normalised units.
 
         Args:
             camera: that sees them.
-            index: (N,) markers.
-            tip: (N, 3) where they are, metres, rig frame.
-            base: (N, 3) where their fingers begin.
+            markers: (N,) that it sees.
+            areas_px: (N,) visible, square pixels; 0 = not told.
+            tips: (N,) where they are, metres, camera frame.
+            bases: (N,) where their fingers begin, metres, camera frame.
         """
-        c = np.maximum(self.bend[index], self._settings.most_bend)[:, None]
-        sight = _unit(self._middle - tip)
-        finger = tip - base
-        d = c * sight + np.sqrt(1.0 - c * c) * _unit(finger - np.vecdot(finger, sight)[:, None] * sight)
-        own = _unit(camera.center - tip)
-        c = np.vecdot(d, own)[:, None]
-        offset = self._settings.side * self._radius_m[index][:, None] * c * _unit(d - c * own)
-        local, offset = tip @ camera.R_camera_rig.T + camera.t_camera_rig, offset @ camera.R_camera_rig.T
-        depth = np.maximum(local[:, 2:], 0.05)
-        shift: FloatArray = (offset[:, :2] - local[:, :2] / depth * offset[:, 2:]) / depth
-        return shift
+        settings, middle = self._settings, self._middle[camera]
+        shifts = []
+        for marker, area, tip, base in zip(markers, areas_px, tips, bases, strict=True):
+            if area <= 0.0 or self._radius_m[marker] <= 0.0:
+                shifts.append((0.0, 0.0))
+                continue
+            c = max(self.bend[marker], settings.most_bend)
+            sight = _unit((middle[0] - tip[0], middle[1] - tip[1], middle[2] - tip[2]))
+            finger = (tip[0] - base[0], tip[1] - base[1], tip[2] - base[2])
+            across = _unit(_beside(finger, sight))
+            s = math.sqrt(1.0 - c * c)
+            d = (c * sight[0] + s * across[0], c * sight[1] + s * across[1], c * sight[2] + s * across[2])
+            # The camera stands at the origin.
+            own = _unit((-tip[0], -tip[1], -tip[2]))
+            x, y, z = _unit(_beside(d, own))
+            size = settings.side * self._radius_m[marker] * _dot(d, own)
+            depth = max(tip[2], 0.05)
+            shifts.append((size * (x - tip[0] / depth * z) / depth, size * (y - tip[1] / depth * z) / depth))
+        return shifts
 
     def correct(
         self,
         camera: int,
-        index: IndexArray,
+        markers: Sequence[int],
         t_s: float,
-        area_px: FloatArray,
-        depth_m: FloatArray,
+        areas_px: Sequence[float],
+        depths_m: Sequence[float],
         period_s: float,
-        known: BoolArray,
+        known: Sequence[bool],
     ) -> tuple[FloatArray, FloatArray]:
         """Return how far the middles of markers (N,) lie beside what is seen, and how sure that is.
 
         Args:
             camera: that sees them.
-            index: (N,) markers.
+            markers: (N,) that it sees.
             t_s: when.
-            area_px: (N,) visible, square pixels; 0 = not told.
-            depth_m: (N,) of the markers; infinite = not known, and then nothing is told.
+            areas_px: (N,) visible, square pixels; 0 = not told.
+            depths_m: (N,) of the markers; infinite = not known, and then nothing is told.
             period_s: of the camera's frames.
             known: (N,) whose own depth is known well; how large the others are is not learnt.
 
         Returns:
             (N, 2) what to add to the views and (N,) its standard deviation, normalised units.
         """
-        settings = self._settings
-        if not np.isfinite(depth_m).all():
-            return np.zeros((len(index), 2)), np.zeros(len(index))
-        # Where all markers are seen, rows in place cost less than rows by their numbers.
-        rows = slice(None) if len(index) == len(self._radius_m) else index
-        side_px = np.sqrt(area_px)
-        width = side_px / self._focal_px[camera]
-        # Widths in metres: how far the cameras are from the marker makes no difference.
-        width_m = width * depth_m
-        # Both cameras' widths lag by the same time: a marker that turns away shrinks in both.
-        elapsed = np.maximum(t_s - self._seen_s[camera, rows], 0.0)
-        afresh = (elapsed > settings.compare_s) | ~self._own[camera, rows]
-        gain = np.where(afresh, 1.0, -np.expm1(-elapsed / settings.settle_s))
-        old = self._width[camera, rows]
-        lagging = old + gain * (width_m - old)
-        self._width[camera, rows] = lagging
-        self.changing[camera, rows] = self._changing(camera, rows, elapsed, width_m)
-        self._seen_s[camera, rows] = t_s
-        self._own[camera, rows] = known
-        recent = self._seen_s[:, rows] >= t_s - settings.compare_s
-        full = np.where(recent, self._width[:, rows], 0.0).max(axis=0)
-        told_full = np.where(recent & self._own[:, rows], self._width[:, rows], 0.0).max(axis=0)
-        before = self._largest[rows]
-        if not before.all():
-            # The largest area is not known at first: half way between that of a finger bent as usual and that of paint
-            # as long as it should be.
-            first = (told_full / self._usual) ** settings.seen_first * self._flat_m[rows] ** (1.0 - settings.seen_first)
-            before = np.where(before > 0.0, before, first)
-        largest = np.maximum(told_full, before)
-        self._largest[rows] = np.where(known, largest, self._largest[rows])
-        share = np.square(told_full / np.maximum(largest, 1e-9))
-        told = (area_px > 0.0) & known
-        self.bend[rows] = np.where(told, np.interp(share, self._share, self._cosine), self.bend[rows])
-        share = np.square(lagging / np.maximum(full, 1e-9))
-        uneven = settings.uneven + settings.rim_px / np.maximum(side_px, 1.0)
-        hidden = np.where(area_px > 0.0, np.minimum(np.maximum(1.0 - share - uneven, 0.0), 1.0), 0.0)
-        wide = np.where(self._tips[rows], full, np.square(full) / np.maximum(largest, 1e-9))
-        size = hidden * wide / depth_m
+        sizes, doubts = [], []
+        for marker, area, depth, sure in zip(markers, areas_px, depths_m, known, strict=True):
+            if math.isinf(depth):
+                size, doubt = 0.0, 0.0
+            else:
+                size, doubt = self._hidden(camera, marker, t_s, area, depth, sure)
+            sizes.append(size)
+            doubts.append(doubt)
+        # Views that err alike tell as much together as one of them.
+        alike = math.sqrt(max(1.0, self._settings.lasts_s / period_s))
+        return np.array(sizes)[:, None] * (self._settings.shift * self._away[camera]), alike * np.array(doubts)
+
+    def _hidden(
+        self, camera: int, marker: int, t_s: float, area_px: float, depth_m: float, known: bool
+    ) -> tuple[float, float]:
+        """Return how wide the strip is that is hidden, and the standard deviation of what it shifts, normalised."""
+        settings, every = self._settings, self._shown[marker]
+        side_px, tip = math.sqrt(area_px), self._radius_m[marker] > 0.0
+        self._watch(every[camera], t_s, side_px / self._focal_px[camera] * depth_m, known)
+        newest = [shown for shown in every if shown.t_s >= t_s - settings.compare_s]
+        full = max(shown.width_m for shown in newest)
+        told_full = max((shown.width_m for shown in newest if shown.own), default=0.0)
+        # The largest area is not known at first: half way between that of a finger bent as usual and that of paint as
+        # long as it should be.
+        largest = self._largest_m[marker] or (
+            (told_full / self._usual) ** settings.seen_first * self._flat_m[marker] ** (1.0 - settings.seen_first)
+        )
+        largest = max(told_full, largest)
+        if known:
+            self._largest_m[marker] = largest
+            if area_px > 0.0:
+                self.bend[marker] = self._bend((told_full / max(largest, 1e-9)) ** 2)
+        if area_px <= 0.0:
+            return 0.0, 0.0
+        width = every[camera].width_m
+        uneven = settings.uneven + settings.rim_px / max(side_px, 1.0)
+        hidden = min(max(1.0 - (width / max(full, 1e-9)) ** 2 - uneven, 0.0), 1.0)
+        if tip:
+            strip = hidden * full / depth_m
+            return strip, settings.doubt * strip
+        strip = hidden * full**2 / max(largest, 1e-9) / depth_m
         # What turning away does not explain is hidden from all cameras, nobody knows on which side: the middle may be
         # anywhere within half of that strip to either side, evenly.
-        seen = np.square(lagging / np.maximum(largest, 1e-9))
-        lost = np.where(self._tips[rows] | (area_px <= 0.0), 0.0, np.maximum(1.0 - seen / settings.most_turned, 0.0))
+        lost = max(1.0 - (width / max(largest, 1e-9)) ** 2 / settings.most_turned, 0.0)
         of_all = settings.shift / math.sqrt(3.0) * lost * largest / depth_m
-        doubt = np.hypot(settings.doubt * size, of_all)
-        # Views that err alike tell as much together as one of them.
-        doubt *= math.sqrt(max(1.0, settings.lasts_s / period_s))
-        return settings.shift * size[:, None] * self._away[camera], doubt
+        return strip, math.hypot(settings.doubt * strip, of_all)
 
-    def _changing(self, camera: int, rows: IndexArray | slice, elapsed: FloatArray, width: FloatArray) -> FloatArray:
-        """Return by what share (N,) of it the visible paint has grown or shrunk of late, 0 to 1."""
+    def _watch(self, shown: _Shown, t_s: float, width_m: float, known: bool) -> None:
+        """Take the width, metres, of what a camera shows of a marker: its place and distance make no difference."""
         settings = self._settings
+        elapsed = max(t_s - shown.t_s, 0.0)
         lost = elapsed > settings.compare_s
+        # Both cameras' widths lag by the same time: a marker that turns away shrinks in both.
+        gain = 1.0 if lost or not shown.own else -math.expm1(-elapsed / settings.settle_s)
+        shown.width_m += gain * (width_m - shown.width_m)
         # What comes back is as it was, or comes out from behind something.
-        old = np.where(np.isinf(elapsed), width, self._slow[camera, rows])
-        slow = old - np.expm1(-np.where(lost, 0.0, elapsed) / settings.appears_s) * (width - old)
-        self._slow[camera, rows] = slow
-        low, high = np.minimum(slow, width), np.maximum(slow, width)
-        change: FloatArray = 1.0 - np.square(low / np.maximum(high, 1e-9)) - settings.uneven
-        return np.where(width > 0.0, np.minimum(np.maximum(change, 0.0), 1.0), 0.0)
+        slow = width_m if math.isinf(elapsed) else shown.slow_m
+        if not lost:
+            slow -= math.expm1(-elapsed / settings.appears_s) * (width_m - slow)
+        shown.slow_m = slow
+        change = 1.0 - (min(slow, width_m) / max(slow, width_m, 1e-9)) ** 2 - settings.uneven
+        shown.changing = max(change, 0.0) if width_m > 0.0 else 0.0
+        shown.t_s, shown.own = t_s, known
 
-    @property
-    def unlike(self) -> FloatArray:
-        """Share (M,) of the paint in the fullest of the newest views that the poorest of them does not show, 0 to 1."""
-        recent = self._seen_s >= self._seen_s.max(axis=0) - self._settings.compare_s
-        full = np.where(recent, self._width, 0.0).max(axis=0)
-        least = np.where(recent, self._width, np.inf).min(axis=0)
-        return np.where(full > 0.0, 1.0 - np.square(np.minimum(least / np.maximum(full, 1e-9), 1.0)), 0.0)
+    def _bend(self, share: float) -> float:
+        """Return c of a finger that shows a share of its largest area."""
+        (low, first), (high, last) = self._bend_of[
+            min(max(bisect_right(self._share, share) - 1, 0), len(self._bend_of) - 1)
+        ]
+        return first + min(max((share - low) / (high - low), 0.0), 1.0) * (last - first)
 
-    def doubt_back(self, index: IndexArray, depth_m: FloatArray) -> FloatArray:
-        """Return how far what is seen of markers (N,) may be off their middles when they come back: normalised units.
+    def is_settled(self, marker: int, seen: Sequence[bool]) -> bool:
+        """Tell whether what cameras that see a marker (C,) show of it neither changes nor differs much."""
+        shown = self._shown[marker]
+        changing = max(one.changing if sees else 0.0 for one, sees in zip(shown, seen, strict=True))
+        return changing <= self._settings.settled and self.unlike(marker) <= self._settings.unlike
+
+    def unlike(self, marker: int) -> float:
+        """Return what share of the paint in the fullest of a marker's newest views the poorest does not show, 0 to 1."""
+        every = self._shown[marker]
+        since_s = max(shown.t_s for shown in every) - self._settings.compare_s
+        widths = [shown.width_m for shown in every if shown.t_s >= since_s]
+        full = max(widths)
+        return 1.0 - (min(widths) / max(full, 1e-9)) ** 2 if full > 0.0 else 0.0
+
+    def doubt_back(self, marker: int, depth_m: float) -> float:
+        """Return how far what is seen of a marker may be off its middle when it comes back: normalised units.
 
         Of what is seen for the first time nothing tells that it was hidden.
         """
-        whole = np.where(self._largest[index] > 0.0, 2.0 * self._radius_m[index], 0.0)
-        doubt: FloatArray = self._settings.appearing * whole / depth_m
-        return doubt
+        if not self._largest_m[marker]:
+            return 0.0
+        return self._settings.appearing * 2.0 * self._radius_m[marker] / depth_m
 
-    def slack(self, camera: int, area_px: FloatArray) -> FloatArray:
+    def slack(self, camera: int, areas_px: Sequence[float]) -> FloatArray:
         """Return how far views of markers (N,) may be off for what hides them, normalised units."""
-        slack: FloatArray = (self._settings.slack_px + self._settings.slack * np.sqrt(area_px)) / self._focal_px[camera]
-        return slack
+        settings, focal_px = self._settings, self._focal_px[camera]
+        return np.array([(settings.slack_px + settings.slack * math.sqrt(area)) / focal_px for area in areas_px])
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
-    """Return vectors (N, 3) of length 1."""
-    unit: FloatArray = vectors / np.maximum(np.sqrt(np.vecdot(vectors, vectors)), 1e-6)[:, None]
-    return unit
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _beside(a: Vector, unit: Vector) -> Vector:
+    """Return what of a vector is across a direction."""
+    along = _dot(a, unit)
+    return a[0] - along * unit[0], a[1] - along * unit[1], a[2] - along * unit[2]
+
+
+def _unit(a: Vector) -> Vector:
+    """Return a vector of length 1."""
+    scale = 1.0 / max(math.sqrt(_dot(a, a)), 1e-6)
+    return scale * a[0], scale * a[1], scale * a[2]

@@ -10,7 +10,7 @@ import numpy as np
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import FilterSettings
 from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
-from rhot_fusion.filter.state import Innovation, Views
+from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import outcome_of
 from rhot_fusion.views.sightings import FloatArray, IndexArray, Outcome, Sightings
@@ -37,15 +37,15 @@ class HandRecord:
         """Forget all frames."""
         self._frames.clear()
 
-    def add(self, sightings: Sightings, here: IndexArray) -> None:
-        """Take a frame, of which the views `here` (N,) are of this hand."""
-        count = len(here)
+    def add(self, sightings: Sightings) -> None:
+        """Take a frame's views of this hand."""
+        count = len(sightings.index)
         views = Views(
             self._cameras[sightings.camera],
-            np.searchsorted(self.index, sightings.index[here]),
-            sightings.times_s[here] - sightings.t_s,
-            sightings.xy[here].copy(),
-            np.zeros((count, 2, 2)),
+            np.searchsorted(self.index, sightings.index),
+            sightings.times_s - sightings.t_s,
+            sightings.xy.copy(),
+            np.zeros((count, 3)),
             np.zeros(count),
         )
         self._frames.append(Frame(sightings.t_s, sightings.camera, views, np.zeros(count, dtype=bool), []))
@@ -57,7 +57,7 @@ class HandRecord:
         frame.taken[rows] = innovation.accepted
         frame.views.xy[rows] = views.xy
         # What the camera's own proves to be is known in the end; paint that is hidden and stamps that err stay.
-        frame.views.variance[rows] = views.variance - camera_variance * np.eye(2)
+        frame.views.variance[rows] = views.variance - camera_variance * ROUND
 
     def note(self, event: Event) -> None:
         """Note that a marker began or ended after the newest frame."""
@@ -68,7 +68,7 @@ class HandRecord:
         """Return the smoothed nodes at all frames, in order of time, with the noise of each camera's views."""
         frames = sorted(self._frames, key=lambda frame: frame.t_s)
         for frame in frames:
-            own = frame.views.variance + variance_of(frame.camera) * np.eye(2)
+            own = frame.views.variance + variance_of(frame.camera) * ROUND
             frame.views = replace(frame.views, variance=own)
         self._frames = []
         return smooth(frames, len(self.index), settings)
@@ -97,7 +97,7 @@ def outcomes(
             covariance[index] = nodes[place].covariance[:, :3, :3]
             for camera, sides in enumerate(around):
                 seen[camera, index] = _shown(nodes, place, sides[place], _NEAR * periods_s[camera])
-        found.append(outcome_of(node.t_s, position, covariance, seen, systematic))
+        found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), systematic))
     return found
 
 

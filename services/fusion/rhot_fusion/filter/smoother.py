@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rhot_fusion.filter.birth import Birth
-from rhot_fusion.filter.joint import JointFilter
+from rhot_fusion.filter.joint import JointFilter, squared_distance
 from rhot_fusion.filter.settings import FilterSettings
 from rhot_fusion.filter.state import SHARED, BoolArray, FloatArray, IndexArray, State, Step, Views
 
@@ -99,7 +99,7 @@ def smooth(frames: Sequence[Frame], count: int, settings: FilterSettings) -> lis
         states = _backward(steps)
         if last < _PASSES:
             variance = [
-                own * np.maximum(1.0, _distance2(frame.views, state) / _DOUBT)[:, None, None]
+                own * np.maximum(1.0, _off_path2(frame.views, state) / _DOUBT)[:, None]
                 for frame, state, own in zip(frames, states, variance, strict=True)
             ]
         else:
@@ -180,15 +180,14 @@ def _rows(alive: BoolArray) -> IndexArray:
     return np.flatnonzero(np.concatenate([np.tile(np.repeat(alive, 3), 2), np.ones(SHARED, dtype=bool)]))
 
 
-def _distance2(views: Views, state: State) -> FloatArray:
+def _off_path2(views: Views, state: State) -> FloatArray:
     """Return the squared Mahalanobis distance (N,) of views from a smoothed path; 0 where there is none."""
     count = len(state.alive)
     mean = state.mean.reshape(2, count, 3)[:, views.index]
     R = views.camera.R_camera_rig
     local = (mean[0] + views.delta_s[:, None] * mean[1]) @ R.T + views.camera.t_camera_rig
     residual = views.xy - local[:, :2] / np.maximum(local[:, 2:], 0.05)
-    distance2 = np.einsum("ni,nij,nj->n", residual, np.linalg.inv(views.variance), residual)
-    return np.where(state.alive[views.index], distance2, 0.0)
+    return np.where(state.alive[views.index], squared_distance(views.variance, residual)[0], 0.0)
 
 
 def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
@@ -199,7 +198,7 @@ def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
     P = state.covariance.reshape(2, count, 3, 2, count, 3)[:, diagonal, :, :, diagonal].reshape(count, 6, 6)
     shown = np.zeros(count, dtype=bool)
     views = frame.views
-    shown[views.index] = state.alive[views.index] & (_distance2(views, state) <= settings.track.gate)
+    shown[views.index] = state.alive[views.index] & (_off_path2(views, state) <= settings.track.gate)
     return Node(state.t_s, place, velocity, P, shown, frame.camera)
 
 

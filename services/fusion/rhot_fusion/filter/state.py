@@ -15,6 +15,8 @@ IndexArray = NDArray[np.intp]
 
 SHARED = 6
 """Numbers of a state beside the markers': linear and angular acceleration of the hand."""
+ROUND: FloatArray = np.array([1.0, 0.0, 1.0])
+"""xx, xy and yy of a covariance of 1 in every direction of a picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +28,7 @@ class Views:
         index: (N,) markers, ascending.
         delta_s: (N,) time of each after the frame's.
         xy: (N, 2) normalised image coordinates.
-        variance: (N, 2, 2) of them.
+        variance: (N, 3) xx, xy and yy of their covariances.
         slack: (N,) standard deviation beyond that which the gate allows for, normalised units.
         back: (N,) whether the camera has not shown the marker for a while; none when not given.
     """
@@ -90,7 +92,7 @@ class Innovation:
 
     Attributes:
         y: (N, 2) innovation, normalised units.
-        S: (N, 2, 2) its covariance.
+        S: (N, 3) xx, xy and yy of its covariance.
         nis: (N,) its squared Mahalanobis distance.
         accepted: (N,) whether it passed the gate.
         evidence: (K,) logarithm of the likelihood of each scale, but for a constant.

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, compress
+from statistics import fmean
 
 import numpy as np
 
@@ -13,14 +15,13 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import HandPose
 from rhot.rig import FusionConfig, Rig
 from rhot.rig.quality import pair_epipolar_p95_px
-from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of, rows_of
+from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of
 from rhot_fusion.filter.agreement import CameraAgreement
-from rhot_fusion.filter.birth import View
 from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.record import outcomes
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
-from rhot_fusion.filter.state import Innovation, State, Views
+from rhot_fusion.filter.state import ROUND, Innovation, State, Views
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import Belief, Track, outcome_of
 from rhot_fusion.schedule import Schedule
@@ -150,9 +151,8 @@ class FilterTracker:
             position[markers] = state.mean[0].reshape(-1, 3)[places]
             covariance[markers] = hand.filter.own(state)[places]
         shown = [track.views(newest_s, fresh) if track.belief is Belief.BELIEVED else nobody for track in self.tracks]
-        seen = np.array(shown, dtype=bool).reshape(-1, cameras).T
-        settled = np.where(seen, self._paint.changing, 0.0).max(axis=0) <= self._settings.paint.settled
-        settled &= self._paint.unlike <= self._settings.paint.unlike
+        settled = [self._paint.is_settled(marker, sees) for marker, sees in enumerate(shown)]
+        seen = [list(column) for column in zip(*shown, strict=True)]
         outcome = outcome_of(then_s, position, covariance, seen, self._systematic, settled, self._settings.track)
         self._counts["measured"] += sum(outcome.measured)
         return outcome
@@ -198,9 +198,7 @@ class FilterTracker:
             depth = max(float(place @ camera.R_camera_rig[2] + camera.t_camera_rig[2]), 0.1)
             pace = camera.R_camera_rig[:2] @ velocity / depth
             held[row] = float(np.hypot(*pace)) * self.focal_px(sightings.camera) >= self._settings.track.moving_px_s
-        keep = ~held
-        columns = (sightings.index, sightings.times_s, sightings.xy, sightings.area_px)
-        return Sightings(sightings.camera, sightings.t_s, *(column[keep] for column in columns))
+        return sightings.chosen(~held)
 
     def _in_order(self, sightings: Sightings) -> None:
         """Take a frame; where newer ones were taken, go back and take them again."""
@@ -225,95 +223,90 @@ class FilterTracker:
         self._history.append((sightings, [hand.filter.state for hand in self._hands]))
         begun = self._acquisition.begun
         camera, t_s = sightings.camera, sightings.t_s
-        variance = self.noise.variance(camera)
+        variance, period_s = self.noise.variance(camera), self._schedule.period_s(camera)
+        loose_m2 = self._settings.track.loose_m**2
         for hand in self._hands:
-            here = rows_of(hand, sightings, alone=len(self._hands) == 1)
-            index = sightings.index[here]
-            depth = self._depth(hand, camera, index)
+            mine = hand.of(sightings, alone=len(self._hands) == 1)
+            markers = mine.index.tolist()
+            if hand.record is not None and not again:
+                hand.record.add(mine)
+            depths = self._depths(hand, camera, markers)
             # Views that begin a marker need it, too: what comes out from behind a hand is hidden unevenly.
-            local = hand.place_of[index]
-            known = hand.filter.state.alive[local]
-            sure = known & (np.array(hand.filter.spread_m2)[local] <= self._settings.track.loose_m**2)
-            shift, doubt = self._paint.correct(
-                camera, index, t_s, sightings.area_px[here], depth, self._schedule.period_s(camera), sure
-            )
+            alive, spread_m2 = hand.filter.state.alive.tolist(), hand.filter.spread_m2
+            known = [alive[hand.place_of[marker]] for marker in markers]
+            sure = [is_known and spread_m2[hand.place_of[m]] <= loose_m2 for m, is_known in zip(markers, known)]
+            shift, doubt = self._paint.correct(camera, markers, t_s, mine.area_px.tolist(), depths, period_s, sure)
+            mine, own = replace(mine, xy=mine.xy + shift), doubt * doubt + variance
             if again:
-                self._update(hand, sightings, here[known], None, shift[known], doubt[known])
+                self._update(hand, mine, own, known, again=True)
                 continue
-            if hand.record is not None:
-                hand.record.add(sightings, here)
-            taken, markers = [], index.tolist()
-            xy = sightings.xy[here] + shift
-            wide = (variance + doubt**2 + self._paint.doubt_back(index, depth) ** 2).tolist()
-            times_s = sightings.times_s[here].tolist()
-            for row, (marker, time_s, each) in enumerate(zip(markers, times_s, wide, strict=True)):
-                self._acquisition.add(marker, camera, View(self._cameras[camera], time_s, xy[row], each))
-                if not self._acquisition.is_free(marker, camera, t_s):
-                    taken.append(row)
-            self._update(hand, sightings, here[taken], variance, shift[taken], doubt[taken])
+            wide = [
+                each + self._paint.doubt_back(marker, depth) ** 2
+                for marker, depth, each in zip(markers, depths, own.tolist(), strict=True)
+            ]
+            self._acquisition.add(camera, markers, mine.times_s.tolist(), mine.xy, wide)
+            taken = [not self._acquisition.is_free(marker, camera, t_s) for marker in markers]
+            self._update(hand, mine, own, taken)
             for marker in markers:
                 if self.tracks[marker].accepted_s[camera] != t_s:
                     self._acquisition.seek(marker, camera, t_s)
         if self._acquisition.begun > begun:
             self._history.clear()
 
-    def _depth(self, hand: Hand, camera: int, index: IndexArray) -> FloatArray:
+    def _depths(self, hand: Hand, camera: int, markers: Sequence[int]) -> list[float]:
         """Return how far markers (N,) are from a camera; those that are not known are where their hand is, or was."""
-        model, alive = self._cameras[camera], hand.filter.state.alive
-        depth: FloatArray = np.maximum(hand.filter.place @ model.R_camera_rig[2] + model.t_camera_rig[2], 0.1)
-        if not alive.all():
+        model, alive = self._cameras[camera], hand.filter.state.alive.tolist()
+        away = (hand.filter.place @ model.R_camera_rig[2] + model.t_camera_rig[2]).tolist()
+        depths = [max(depth, 0.1) for depth in away]
+        if not all(alive):
             key = hand.markers[0], camera
-            if alive.any():
-                self._hand_depth[key] = float(depth[alive].mean())
-            depth[~alive] = self._hand_depth.get(key, np.inf)
-        return depth[hand.place_of[index]]
+            if any(alive):
+                self._hand_depth[key] = fmean(compress(depths, alive))
+            of_hand = self._hand_depth.get(key, math.inf)
+            depths = [depth if known else of_hand for depth, known in zip(depths, alive, strict=True)]
+        return [depths[hand.place_of[marker]] for marker in markers]
 
     def _update(
-        self,
-        hand: Hand,
-        sightings: Sightings,
-        here: IndexArray,
-        variance: float | None,
-        shift: FloatArray,
-        doubt: FloatArray,
+        self, hand: Hand, sightings: Sightings, variance: FloatArray, taken: list[bool], *, again: bool = False
     ) -> None:
-        """Let views of known markers of a hand move its filter, corrected for hidden paint; no variance: once more."""
-        if not len(here):
+        """Let the taken (N,) ones of a hand's views, corrected for hidden paint, move its filter; `again`: once more."""
+        if not any(taken):
             return
-        again = variance is None
-        camera, index = self._cameras[sightings.camera], sightings.index[here]
-        local = hand.place_of[index]
-        place, t_s = hand.filter.place, max(sightings.t_s, hand.filter.state.t_s)
-        area_px = sightings.area_px[here]
+        if not all(taken):
+            chosen = np.array(taken)
+            sightings, variance = sightings.chosen(chosen), variance[chosen]
+        camera, markers = self._cameras[sightings.camera], sightings.index.tolist()
+        places, areas_px = [hand.place_of[marker] for marker in markers], sightings.area_px.tolist()
+        local, t_s, xy = np.array(places), max(sightings.t_s, hand.filter.state.t_s), sightings.xy
         if hand.base >= 0 and hand.filter.state.alive[hand.base]:
-            along = self._paint.along(camera, index, place[local], hand.roots(place)[local])
+            tips = camera.to_camera(hand.filter.place).tolist()
+            roots = hand.roots(tips)
             # Without areas it is not paint that is seen, or nobody knows how a finger bends.
-            shift = shift + np.where(area_px[:, None] > 0.0, along, 0.0)
-        variances = np.zeros((len(here), 2, 2))
-        own = self.noise.variance(sightings.camera) if variance is None else variance
-        variances[:, 0, 0] = variances[:, 1, 1] = own + doubt * doubt
+            xy = xy + self._paint.along(
+                sightings.camera, markers, areas_px, [tips[k] for k in places], [roots[k] for k in places]
+            )
+        variances = variance[:, None] * ROUND
         if self._time_variance:
-            depth = self._depth(hand, sightings.camera, index)
-            pace = hand.filter.velocity[local] @ camera.R_camera_rig[:2].T / depth[:, None]
-            variances += self._time_variance * pace[:, :, None] * pace[:, None, :]
-        slack = self._paint.slack(sightings.camera, area_px)
-        delta_s = sightings.times_s[here] - t_s
-        xy = sightings.xy[here] + shift
-        lost_s = sightings.t_s - self._settings.track.lost_periods * self._schedule.longest_period_s
+            depths = np.array(self._depths(hand, sightings.camera, markers))
+            pace = hand.filter.velocity[local] @ camera.R_camera_rig[:2].T / depths[:, None]
+            variances += self._time_variance * pace[:, (0, 0, 1)] * pace[:, (0, 1, 1)]
+        slack = self._paint.slack(sightings.camera, areas_px)
         back = None
         if self._calibrated and not again:
-            back = np.array([self.tracks[m].accepted_s[sightings.camera] < lost_s for m in index.tolist()])
-        views = Views(camera, local, delta_s, xy, variances, slack, back)
+            lost_s = sightings.t_s - self._settings.track.lost_periods * self._schedule.longest_period_s
+            back = np.array([self.tracks[marker].accepted_s[sightings.camera] < lost_s for marker in markers])
+        views = Views(camera, local, sightings.times_s - t_s, xy, variances, slack, back)
         innovation, _ = hand.filter.step(t_s, views)
         if again:
             return
         if hand.record is not None:
-            hand.record.took(views, innovation, own)
+            hand.record.took(views, innovation, self.noise.variance(sightings.camera))
         self.noise.learn(sightings.camera, innovation)
-        self.gates[sightings.camera] = index, innovation, slack
-        self._counts["refused"] += len(here) - int(np.count_nonzero(innovation.accepted))
-        for marker, accepted in zip(index.tolist(), innovation.accepted.tolist(), strict=True):
+        self.gates[sightings.camera] = sightings.index, innovation, slack
+        for marker, accepted in zip(markers, innovation.accepted.tolist(), strict=True):
             if accepted:
                 self.tracks[marker].accept(sightings.camera, sightings.t_s, self._settings.track)
-            elif self.tracks[marker].belief is Belief.TENTATIVE:
-                self._acquisition.end(marker)
+            else:
+                self._counts["refused"] += 1
+                if self.tracks[marker].belief is Belief.TENTATIVE:
+                    self._acquisition.end(marker)

@@ -6,6 +6,8 @@ then it is `tentative` until further views agree, and `believed` until nothing h
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -14,7 +16,7 @@ import numpy as np
 from rhot.messages import PointState
 from rhot_fusion.filter.settings import DEFAULT, TrackSettings
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.views.sightings import BoolArray, FloatArray, Outcome
+from rhot_fusion.views.sightings import FloatArray, Outcome
 
 
 class Belief(IntEnum):
@@ -99,36 +101,27 @@ def outcome_of(
     t_s: float,
     position: FloatArray,
     covariance: FloatArray,
-    seen: BoolArray,
+    seen: list[list[bool]],
     systematic: Systematic,
-    settled: BoolArray | None = None,
+    settled: Sequence[bool] | None = None,
     settings: TrackSettings = DEFAULT.track,
 ) -> Outcome:
     """Return markers at positions (M, 3), NaN = absent, with covariances (M, 3, 3), seen by cameras (C, M).
 
     Two cameras that see a marker measure it if its place has become certain by that.
     """
-    sharp = _trace(covariance) <= settings.measured_m**2
+    sharp = [spread_m2 <= settings.measured_m**2 for spread_m2 in _traces(covariance)]
     if settled is not None:
-        sharp &= settled
+        sharp = [certain and calm for certain, calm in zip(sharp, settled, strict=True)]
     covariance = covariance + systematic.covariance(position)
-    views = seen.sum(axis=0)
-    measured = (views >= 2) & sharp & np.isfinite(position[:, 0])
-    sigma = np.sqrt(np.maximum(_trace(covariance), 0.0))
-    counts = views.tolist()
-    return Outcome(
-        t_s,
-        position.tolist(),
-        sigma.tolist(),
-        counts,
-        measured.tolist(),
-        seen.tolist(),
-        covariance,
-        [state_of(count, certain) for count, certain in zip(counts, sharp.tolist(), strict=True)],
-    )
+    places, views = position.tolist(), [sum(sees) for sees in zip(*seen, strict=True)]
+    there = [not math.isnan(x) for x, _, _ in places]
+    states = [state_of(count, certain) for count, certain in zip(views, sharp, strict=True)]
+    measured = [state == "measured" and known for state, known in zip(states, there, strict=True)]
+    sigmas = [math.sqrt(max(spread_m2, 0.0)) for spread_m2 in _traces(covariance)]
+    return Outcome(t_s, places, sigmas, views, measured, seen, covariance, states)
 
 
-def _trace(covariance: FloatArray) -> FloatArray:
+def _traces(covariance: FloatArray) -> list[float]:
     """Return the traces (M,) of (M, 3, 3)."""
-    trace: FloatArray = covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]
-    return trace
+    return [xx + yy + zz for xx, yy, zz in covariance.reshape(-1, 9)[:, ::4].tolist()]

@@ -38,6 +38,11 @@ class Sightings:
     xy: FloatArray
     area_px: FloatArray
 
+    def chosen(self, rows: BoolArray | IndexArray) -> Sightings:
+        """Return some of the markers."""
+        columns = (self.index, self.times_s, self.xy, self.area_px)
+        return Sightings(self.camera, self.t_s, *(column[rows] for column in columns))
+
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
