@@ -38,7 +38,7 @@ def _gates(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str
         focal_px = tracker.focal_px(camera)
         S = innovation.S + np.square(slack)[:, None] * ROUND
         sigma_px = np.sqrt(S[:, (0, 2)]) * focal_px
-        distance2, _ = squared_distance(S, innovation.y)
+        distance2 = squared_distance(S, innovation.y)
         for marker, y, sigma, nis, accepted in zip(
             index.tolist(), innovation.y * focal_px, sigma_px, distance2.tolist(), innovation.accepted, strict=True
         ):

@@ -20,6 +20,7 @@ _HUBER = 9.0
 """Squared Mahalanobis distance beyond which the variance of a view, or of its innovation, grows in proportion to it."""
 _BACK = 6.0
 """The same of a view of a marker that the camera had lost, beyond which the marker is elsewhere: 5 % by chance."""
+_ADJOINT: FloatArray = np.array([1.0, -2.0, 1.0])
 _NEAREST_M = 0.05
 """A marker on or behind the image plane has no useful derivative; its innovation refuses it."""
 _REACH = 0.02
@@ -127,10 +128,9 @@ class JointFilter:
             nothing = np.zeros(0)
             empty = Innovation(np.zeros((0, 2)), np.zeros((0, 3)), nothing, nothing > 0.0, np.zeros_like(self._scales2))
             return empty, Step(dt, F, self.state, self.state)
-        H, J, y = self._observation(state, views)
+        H, y, between = self._observation(state, views)
         HP, HQ = H @ state.P, H @ Q
         S, S_more = HP @ H.T, HQ @ H.T
-        between = self._between(views, J)
         weight, evidence = self._weigh(state.weight, views, y, S, S_more, between)
         scale2 = self._scale2(weight) if scale2 is None else scale2
         S += scale2 * S_more
@@ -202,20 +202,27 @@ class JointFilter:
         return P
 
     def _observation(self, state: State, views: Views) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the derivatives of N views: H (2 N, n) by the state, J (N, 2, 3) by the places; and innovations."""
+        """Return the derivatives H (2 N, n) of N views by the state, their innovations (N, 2) and their own noise (N, 3).
+
+        That noise is that of the scale 1 between the frame's moment and the row's, as if independent of the way before.
+        """
         half, number, index = 3 * self._count, len(views.index), views.index
         place, velocity = state.x[:-SHARED].reshape(2, self._count, 3).take(index, axis=1)
         R = views.camera.R_camera_rig
         local = (place + views.delta_s[:, None] * velocity) @ R.T + views.camera.t_camera_rig
         inverse = 1.0 / np.maximum(local[:, 2:], _NEAREST_M)
         xy = local[:, :2] * inverse
-        J: FloatArray = (R[:2] - xy[:, :, None] * R[2]) * inverse[:, :, None]
+        J = (R[:2] - xy[:, :, None] * R[2]) * inverse[:, :, None]
         # Nothing but its own marker's columns of a view.
         by_place = self._marker.take(index, axis=0)[:, None, :, None] * J[:, :, None, :]
         H = np.zeros((number, 2, len(state.x)))
         H[:, :, :half] = by_place.reshape(number, 2, half)
         H[:, :, half : 2 * half] = views.delta_s[:, None, None] * H[:, :, :half]
-        return H.reshape(2 * number, -1), J, views.xy - xy
+        away = np.abs(views.delta_s)
+        power = (self._settings.own**2 / 3.0) * (away * away * away)
+        # R turns nothing, so J Jᵀ is 1 + xy xyᵀ at depth 1.
+        between = power[:, None] * inverse * inverse * (ROUND + _products(xy))
+        return H.reshape(2 * number, -1), views.xy - xy, between
 
     def _weigh(
         self,
@@ -229,9 +236,10 @@ class JointFilter:
         """Return the scales' weights after a frame's views, each marker by itself, and their evidence."""
         own = _blocks(S) + views.variance
         more = _blocks(S_more) + between
-        nis, det = squared_distance(own + self._scales2[:, None, None] * more, y)
+        S = own + self._scales2[:, None, None] * more
         # What no gate would pass tells of an outlier, not of a scale.
-        evidence: FloatArray = -0.5 * (np.minimum(nis, self._gate) + np.log(det)).sum(axis=1)
+        nis = np.minimum(squared_distance(S, y), self._gate)
+        evidence: FloatArray = -0.5 * (nis + np.log(determinant(S))).sum(axis=1)
         weight = weight * np.exp(evidence - evidence.max())
         return weight / weight.sum(), evidence
 
@@ -240,45 +248,47 @@ class JointFilter:
     ) -> Innovation:
         """Judge each of a frame's views by itself."""
         own = _blocks(S) + variance
-        nis, _ = squared_distance(own, y)
-        loose2, _ = squared_distance(own + (views.slack * views.slack)[:, None] * ROUND, y)
+        nis = squared_distance(own, y)
+        loose2 = squared_distance(own + (views.slack * views.slack)[:, None] * ROUND, y)
         return Innovation(y, own, nis, loose2 <= self._gate, evidence)
-
-    def _between(self, views: Views, J: FloatArray) -> FloatArray:
-        """Return the noise (N, 3) between the frame's moment and the row's, as if independent of the way before.
-
-        It is that of the scale 1.
-        """
-        away = np.abs(views.delta_s)
-        power = (self._settings.own**2 / 3.0) * (away * away * away)
-        between: FloatArray = power[:, None] * np.vecdot(J[:, (0, 0, 1)], J[:, (0, 1, 1)])
-        return between
 
 
 @lru_cache
-def _entries(number: int) -> IndexArray:
-    """Return where a matrix (2 N, 2 N) holds xx, xy, yx and yy (N, 4) of the blocks along its diagonal."""
-    first = (2 * number + 1) * 2 * np.arange(number)
-    entries: IndexArray = first[:, None] + np.array((0, 1, 2 * number, 2 * number + 1))
-    return entries
+def _entries(number: int) -> tuple[IndexArray, IndexArray]:
+    """Return where a matrix (2 N, 2 N) holds the blocks along its diagonal: xx, xy, yy (N, 3), and with yx (N, 4)."""
+    first = (2 * number + 1) * 2 * np.arange(number)[:, None]
+    return first + np.array((0, 1, 2 * number + 1)), first + np.array((0, 1, 2 * number, 2 * number + 1))
 
 
 def _blocks(S: FloatArray) -> FloatArray:
     """Return xx, xy and yy (N, 3) of the blocks along the diagonal of (2 N, 2 N)."""
-    return S.take(_entries(len(S) // 2)[:, (0, 1, 3)])
+    return S.take(_entries(len(S) // 2)[0])
 
 
-def squared_distance(S: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the squared Mahalanobis distances of y (N, 2) by covariances (..., N, 3), and their determinants."""
+def _products(y: FloatArray) -> FloatArray:
+    """Return xx, xy and yy (N, 3) of the products of (N, 2)."""
+    products: FloatArray = y.take((0, 0, 1), axis=1) * y.take((0, 1, 1), axis=1)
+    return products
+
+
+def determinant(S: FloatArray) -> FloatArray:
+    """Return the determinants (...,) of covariances (..., 3)."""
     xx, xy, yy = S[..., 0], S[..., 1], S[..., 2]
-    det = xx * yy - xy * xy
-    y0, y1 = y.T
-    return (yy * (y0 * y0) - 2.0 * xy * (y0 * y1) + xx * (y1 * y1)) / det, det
+    det: FloatArray = xx * yy - xy * xy
+    return det
+
+
+def squared_distance(S: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the squared Mahalanobis distances of y (N, 2) by covariances (..., N, 3)."""
+    # The adjoint of S holds yy, −xy and xx.
+    adjoint = _products(y)[:, ::-1] * _ADJOINT
+    distance2: FloatArray = np.vecdot(S, adjoint) / determinant(S)
+    return distance2
 
 
 def _add_blocks(S: FloatArray, blocks: FloatArray) -> None:
     """Add xx, xy and yy (N, 3) along the diagonal of (2 N, 2 N)."""
-    S.reshape(-1)[_entries(len(blocks))] += blocks.take((0, 1, 1, 2), axis=1)
+    S.reshape(-1)[_entries(len(blocks))[1]] += blocks.take((0, 1, 1, 2), axis=1)
 
 
 def _updated(state: State, HP: FloatArray, S: FloatArray, y: FloatArray, chosen: BoolArray) -> State:

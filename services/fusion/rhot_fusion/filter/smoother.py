@@ -187,7 +187,7 @@ def _off_path2(views: Views, state: State) -> FloatArray:
     R = views.camera.R_camera_rig
     local = (mean[0] + views.delta_s[:, None] * mean[1]) @ R.T + views.camera.t_camera_rig
     residual = views.xy - local[:, :2] / np.maximum(local[:, 2:], 0.05)
-    return np.where(state.alive[views.index], squared_distance(views.variance, residual)[0], 0.0)
+    return np.where(state.alive[views.index], squared_distance(views.variance, residual), 0.0)
 
 
 def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
