@@ -76,14 +76,14 @@ def _states(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[st
             rows.append(ExplanationRow((name, belief, "", "", "", ""), "refused"))
             continue
         fresh = [camera for camera, seen in zip(cameras, outcome.seen, strict=True) if seen[place]]
-        sigma = np.sqrt(np.diag(outcome.covariance[place]))
+        xx, _, _, yy, _, zz = outcome.covariance[place]
         rows.append(
             ExplanationRow(
                 (
                     name,
                     outcome.state[place],
                     ", ".join(f"{1e3 * value:.1f}" for value in outcome.position[place]),
-                    " / ".join(f"{1e3 * value:.2f}" for value in sigma),
+                    " / ".join(f"{1e3 * value:.2f}" for value in (xx**0.5, yy**0.5, zz**0.5)),
                     f"{1e3 * (now_s - track.seen_s):.0f}",
                     ", ".join(fresh) or "none",
                 ),

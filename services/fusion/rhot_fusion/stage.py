@@ -223,30 +223,23 @@ class FusionStage:
 
     def _points(self, outcome: Outcome, live: PointSet | None = None) -> dict[str, Point]:
         points: dict[str, Point] = {}
-        # xx, xy, xz, yy, yz, zz of each.
-        upper = None
-        if outcome.covariance is not None:
-            upper = outcome.covariance.reshape(-1, 9)[:, (0, 1, 2, 4, 5, 8)].tolist()
-        for index, (name, (x, y, z), sigma, views, measured) in enumerate(
+        for index, (name, position, sigma, views, measured) in enumerate(
             zip(self._markers, outcome.position, outcome.sigma_m, outcome.views, outcome.measured, strict=True)
         ):
-            if math.isnan(x):
+            if math.isnan(position[0]):
                 continue
             corners = None
             if live is not None:
-                corners = _moved_corners(live.points.get(name), (x, y, z))
+                corners = _moved_corners(live.points.get(name), position)
             elif measured and name in self._corners.names:
                 cameras = [camera for camera, seen in enumerate(outcome.seen) if seen[index]]
-                corners = self._corners.solve(name, cameras, (x, y, z), outcome.t_s)
+                corners = self._corners.solve(name, cameras, position, outcome.t_s)
             state: PointState = "measured" if measured else "predicted"
             if outcome.state is not None:
                 state = outcome.state[index]
-            covariance = None
-            if upper is not None:
-                xx, xy, xz, yy, yz, zz = upper[index]
-                covariance = (xx, xy, xz, yy, yz, zz)
+            covariance = None if outcome.covariance is None else outcome.covariance[index]
             points[name] = Point(
-                position=(x, y, z), sigma=sigma, views=views, state=state, covariance=covariance, corners=corners
+                position=tuple(position), sigma=sigma, views=views, state=state, covariance=covariance, corners=corners
             )
         return points
 

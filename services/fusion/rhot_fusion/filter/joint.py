@@ -15,6 +15,7 @@ import numpy as np
 from rhot_fusion.filter.motion import Motion, motion_of
 from rhot_fusion.filter.settings import MotionSettings
 from rhot_fusion.filter.state import ROUND, SHARED, BoolArray, FloatArray, IndexArray, Innovation, State, Step, Views
+from rhot_fusion.views.sightings import Upper
 
 _HUBER = 9.0
 """Squared Mahalanobis distance beyond which the variance of a view, or of its innovation, grows in proportion to it."""
@@ -42,13 +43,13 @@ class JointFilter:
         self._scales2: FloatArray = np.square(settings.scales)
         self._shares: FloatArray = np.array(settings.shares)
         self._motion: Motion | None = None
-        size, three = 6 * count + SHARED, np.arange(3)
+        size = 6 * count + SHARED
         self._identity: FloatArray = np.eye(size)
         self._nothing: FloatArray = np.zeros((size, size))
         self._marker: FloatArray = np.eye(count)
-        # Where a covariance holds those of the markers' places, (M, 3, 3).
-        rows = 3 * np.arange(count)[:, None] + three
-        self._own: IndexArray = rows[:, :, None] * size + rows[:, None, :]
+        # Where a covariance holds xx, xy, xz, yy, yz and zz of the markers' places, (M, 6).
+        row, column = (3 * np.arange(count)[:, None] + one for one in np.triu_indices(3))
+        self._own: IndexArray = row * size + column
         self._spread: tuple[State | None, list[float]] = None, []
         self.clear()
 
@@ -80,10 +81,9 @@ class JointFilter:
             self._spread = self.state, spread
         return spread
 
-    def own(self, state: State) -> FloatArray:
-        """Return the covariances (M, 3, 3) of the markers' places in a state."""
-        own: FloatArray = state.P.take(self._own)
-        return own
+    def own(self, state: State) -> list[Upper]:
+        """Return the covariances (M,) of the markers' places in a state."""
+        return state.P.take(self._own).tolist()
 
     def begin(self, marker: int, mean: FloatArray, covariance: FloatArray, t_s: float) -> None:
         """Put a marker in with a state (6,) of covariance (6, 6) at a moment, the filter's own or its first."""

@@ -17,6 +17,7 @@ from rhot_fusion.views.sightings import FloatArray, IndexArray, Outcome, Sightin
 
 _BRIDGED = 1.6
 """A camera shows a marker, looked back at, if it did so within this many periods before and after: one frame lost."""
+_UPPER = np.triu_indices(3)
 _NEAR = 0.75
 """Or within this many of them before or after."""
 
@@ -90,14 +91,14 @@ def outcomes(
     found = []
     for place, node in enumerate(first):
         position = np.full((markers, 3), np.nan)
-        covariance = np.zeros((markers, 3, 3))
+        covariance = np.zeros((markers, 6))
         seen = np.zeros((len(periods_s), markers), dtype=bool)
         for index, nodes in every:
             position[index] = nodes[place].place
-            covariance[index] = nodes[place].covariance[:, :3, :3]
+            covariance[index] = nodes[place].covariance[:, _UPPER[0], _UPPER[1]]
             for camera, sides in enumerate(around):
                 seen[camera, index] = _shown(nodes, place, sides[place], _NEAR * periods_s[camera])
-        found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), systematic))
+        found.append(outcome_of(node.t_s, position.tolist(), covariance.tolist(), seen.tolist(), systematic))
     return found
 
 

@@ -6,18 +6,17 @@ added to what the filter knows, so that the covariance on the wire holds all of 
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import SystematicSettings
-
-FloatArray = NDArray[np.float64]
-
-_EYE: FloatArray = np.eye(3)
+from rhot_fusion.filter.state import FloatArray
+from rhot_fusion.views.sightings import Upper
+from rhot_fusion.views.vectors import Vector, vector
 
 
 class Systematic:
@@ -41,7 +40,7 @@ class Systematic:
             settings: the shares.
         """
         centers = np.stack([camera.center for camera in cameras])
-        self._middle: FloatArray = centers.mean(axis=0)
+        self._middle = vector(centers.mean(axis=0))
         stated = quality.get("expected_error_mm") if isinstance(quality, dict) else None
         known = sorted(_stated(stated)) if isinstance(stated, dict) else []
         if not known:
@@ -49,21 +48,35 @@ class Systematic:
             focal_px = float(np.mean([camera.K[0, 0] for camera in cameras]))
             distances = np.linspace(0.2, 2.0, 10)
             known = [(z, 2.0**0.5 * calibration_px * z * z / (baseline * focal_px)) for z in distances.tolist()]
-        self._distance_m, self._error_m = np.array(known).T
+        self._distance_m, self._error_m = (list(column) for column in zip(*known, strict=True))
         # Of which a share acts along the ray beyond what acts in every direction.
         self._along = settings.doubt**2 * (1.0 - 3.0 * settings.across)
         self._around = settings.doubt**2 * settings.across
-        self._shape2: FloatArray = np.square(settings.shape * radius_m)
+        self._shape2: list[float] = np.square(settings.shape * radius_m).tolist()
 
-    def covariance(self, position: FloatArray) -> FloatArray:
-        """Return the covariances (M, 3, 3) of the errors of markers at positions (M, 3), metres; NaN passes."""
-        ray = position - self._middle
-        distance = np.sqrt((ray * ray).sum(axis=1))
-        error2 = np.square(np.interp(distance, self._distance_m, self._error_m))
-        depth = self._along * error2 / np.maximum(distance, 1e-6) ** 2
-        covariance: FloatArray = depth[:, None, None] * ray[:, :, None] * ray[:, None]
-        covariance += (self._around * error2 + self._shape2)[:, None, None] * _EYE
-        return covariance
+    def covariance(self, marker: int, position: Vector) -> Upper:
+        """Return xx, xy, xz, yy, yz and zz of the error of a marker at a position, metres."""
+        x, y, z = (place - middle for place, middle in zip(position, self._middle, strict=True))
+        distance2 = max(x * x + y * y + z * z, 1e-12)
+        error2 = self._error_at(distance2**0.5) ** 2
+        depth, around = self._along * error2 / distance2, self._around * error2 + self._shape2[marker]
+        return (
+            depth * x * x + around,
+            depth * x * y,
+            depth * x * z,
+            depth * y * y + around,
+            depth * y * z,
+            depth * z * z + around,
+        )
+
+    def _error_at(self, distance_m: float) -> float:
+        """Return the stated error between the distances that it is stated for, beyond them that of the nearest."""
+        known, error = self._distance_m, self._error_m
+        after = bisect_right(known, distance_m)
+        if after in (0, len(known)):
+            return error[max(after - 1, 0)]
+        share = (distance_m - known[after - 1]) / (known[after] - known[after - 1])
+        return error[after - 1] + share * (error[after] - error[after - 1])
 
 
 def _stated(stated: dict[str, Any]) -> list[tuple[float, float]]:

@@ -27,9 +27,12 @@ from rhot_fusion.filter.tracks import Belief, Track, outcome_of
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
-from rhot_fusion.views.sightings import FloatArray, IndexArray, Outcome, Sightings
+from rhot_fusion.views.sightings import FloatArray, IndexArray, Outcome, Sightings, Upper
+from rhot_fusion.views.vectors import Vector
 
 _LONGEST_HISTORY = 32
+_NOWHERE: Vector = (math.nan, math.nan, math.nan)
+_NOTHING: Upper = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class FilterTracker:
@@ -117,7 +120,8 @@ class FilterTracker:
             if hand.record is not None:
                 hand.record.clear()
         self._acquisition.clear()
-        self._last_xy: FloatArray = np.full((len(self._cameras), self._count, 2), np.nan)
+        # Of each camera, by marker, where its newest frame showed it.
+        self._last_xy: list[dict[int, list[float]]] = [{} for _ in self._cameras]
         self._hand_depth: dict[tuple[int, int], float] = {}
         self._history.clear()
         self._schedule.clear()
@@ -139,18 +143,16 @@ class FilterTracker:
         """Return the markers at a moment that is not before the filter's, or as much later as they are predicted."""
         self._acquisition.forget(t_s)
         then_s = t_s + self._config.predict_s
-        newest_s, cameras = self._schedule.newest_s, len(self._cameras)
+        newest_s, nobody = self._schedule.newest_s, [False] * len(self._cameras)
         fresh = [t_s - seen_s <= lasts for seen_s, lasts in zip(newest_s, self._fresh_s(), strict=True)]
-        position = np.full((self._count, 3), np.nan)
-        covariance = np.zeros((self._count, 3, 3))
-        nobody = [False] * cameras
+        position, covariance, shown = [_NOWHERE] * self._count, [_NOTHING] * self._count, [nobody] * self._count
         for hand in self._hands:
             state = hand.filter.predicted(then_s)
-            places = [k for k, m in enumerate(hand.markers) if self.tracks[m].belief is Belief.BELIEVED]
-            markers = hand.index[places]
-            position[markers] = state.mean[0].reshape(-1, 3)[places]
-            covariance[markers] = hand.filter.own(state)[places]
-        shown = [track.views(newest_s, fresh) if track.belief is Belief.BELIEVED else nobody for track in self.tracks]
+            places = state.mean[0].reshape(-1, 3).tolist()
+            for marker, place, own in zip(hand.markers, places, hand.filter.own(state), strict=True):
+                track = self.tracks[marker]
+                if track.belief is Belief.BELIEVED:
+                    position[marker], covariance[marker], shown[marker] = place, own, track.views(newest_s, fresh)
         settled = [self._paint.is_settled(marker, sees) for marker, sees in enumerate(shown)]
         seen = [list(column) for column in zip(*shown, strict=True)]
         outcome = outcome_of(then_s, position, covariance, seen, self._systematic, settled, self._settings.track)
@@ -181,9 +183,9 @@ class FilterTracker:
         Some capture programs repeat the last place of a marker that they lost.
         """
         camera, last = self._cameras[sightings.camera], self._last_xy[sightings.camera]
-        held = (last[sightings.index] == sightings.xy).all(axis=1)
-        last[:] = np.nan
-        last[sightings.index] = sightings.xy
+        now = dict(zip(sightings.index.tolist(), sightings.xy.tolist(), strict=True))
+        self._last_xy[sightings.camera] = now
+        held = np.array([last.get(marker) == xy for marker, xy in now.items()])
         if not held.any():
             return sightings
         for row in np.flatnonzero(held).tolist():

@@ -16,7 +16,8 @@ import numpy as np
 from rhot.messages import PointState
 from rhot_fusion.filter.settings import DEFAULT, TrackSettings
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.views.sightings import FloatArray, Outcome
+from rhot_fusion.views.sightings import Outcome, Upper
+from rhot_fusion.views.vectors import Vector
 
 
 class Belief(IntEnum):
@@ -99,29 +100,26 @@ def state_of(views: int, certain: bool) -> PointState:
 
 def outcome_of(
     t_s: float,
-    position: FloatArray,
-    covariance: FloatArray,
+    position: Sequence[Vector],
+    covariance: Sequence[Upper],
     seen: list[list[bool]],
     systematic: Systematic,
     settled: Sequence[bool] | None = None,
     settings: TrackSettings = DEFAULT.track,
 ) -> Outcome:
-    """Return markers at positions (M, 3), NaN = absent, with covariances (M, 3, 3), seen by cameras (C, M).
+    """Return markers at positions (M,), NaN = absent, with covariances (M,), seen by cameras (C, M).
 
     Two cameras that see a marker measure it if its place has become certain by that.
     """
-    sharp = [spread_m2 <= settings.measured_m**2 for spread_m2 in _traces(covariance)]
+    sharp = [xx + yy + zz <= settings.measured_m**2 for xx, _, _, yy, _, zz in covariance]
     if settled is not None:
         sharp = [certain and calm for certain, calm in zip(sharp, settled, strict=True)]
-    covariance = covariance + systematic.covariance(position)
-    places, views = position.tolist(), [sum(sees) for sees in zip(*seen, strict=True)]
-    there = [not math.isnan(x) for x, _, _ in places]
+    views = [sum(sees) for sees in zip(*seen, strict=True)]
     states = [state_of(count, certain) for count, certain in zip(views, sharp, strict=True)]
-    measured = [state == "measured" and known for state, known in zip(states, there, strict=True)]
-    sigmas = [math.sqrt(max(spread_m2, 0.0)) for spread_m2 in _traces(covariance)]
-    return Outcome(t_s, places, sigmas, views, measured, seen, covariance, states)
-
-
-def _traces(covariance: FloatArray) -> list[float]:
-    """Return the traces (M,) of (M, 3, 3)."""
-    return [xx + yy + zz for xx, yy, zz in covariance.reshape(-1, 9)[:, ::4].tolist()]
+    measured = [state == "measured" and not math.isnan(place[0]) for state, place in zip(states, position, strict=True)]
+    whole: list[Upper] = []
+    for marker, (place, (xx, xy, xz, yy, yz, zz)) in enumerate(zip(position, covariance, strict=True)):
+        a, b, c, d, e, f = systematic.covariance(marker, place)
+        whole.append((xx + a, xy + b, xz + c, yy + d, yz + e, zz + f))
+    sigmas = [math.sqrt(max(xx + yy + zz, 0.0)) for xx, _, _, yy, _, zz in whole]
+    return Outcome(t_s, position, sigmas, views, measured, seen, whole, states)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,11 +12,14 @@ from numpy.typing import NDArray
 from rhot.messages import HandPose, PointState
 from rhot.rig import FusionConfig
 from rhot_fusion.views.epipolar import EpipolarModel
+from rhot_fusion.views.vectors import Vector
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
 CountArray = NDArray[np.int64]
+Upper = tuple[float, float, float, float, float, float]
+"""xx, xy, xz, yy, yz and zz of a covariance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,22 +54,22 @@ class Outcome:
 
     Attributes:
         t_s: the moment, seconds since the stream's start.
-        position: (M, 3) metres, rig frame; NaN = absent.
+        position: (M,) metres, rig frame; NaN = absent.
         sigma_m: (M,) standard deviation of the position.
         views: (M,) cameras behind it.
         measured: (M,) backed by views of this moment that agree.
         seen: (C, M) which cameras see the marker at this moment.
-        covariance: (M, 3, 3) of the position, square metres; none where the method tells none.
+        covariance: (M,) of the position, square metres; none where the method tells none.
         state: (M,) of each marker; none where `measured` tells all.
     """
 
     t_s: float
-    position: list[list[float]]
+    position: Sequence[Vector]
     sigma_m: list[float]
     views: list[int]
     measured: list[bool]
     seen: list[list[bool]]
-    covariance: FloatArray | None = None
+    covariance: Sequence[Upper] | None = None
     state: list[PointState] | None = None
 
 
