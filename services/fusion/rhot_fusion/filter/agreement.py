@@ -7,19 +7,16 @@ those of a rig that was never calibrated are from the start.
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Sequence
-
-import numpy as np
-from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
 from rhot.rig.quality import epipolar_limit_px
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.epipolar import EpipolarModel
-from rhot_fusion.views.sightings import Sightings
-from rhot_fusion.views.tracks import LONGEST_GAP, ROWS_SHARE, Tracks
-
-FloatArray = NDArray[np.float64]
+from rhot_fusion.views.sightings import FloatArray, Sightings
+from rhot_fusion.views.tracks import DEPTH, LONGEST_GAP, ROWS_SHARE, Tracks
 
 _LEAST_VIEWS = 200.0
 """Pairs of views that a verdict needs: five seconds of a hand, looked at eight times a second; see `epipolar`."""
@@ -27,9 +24,10 @@ _CLEAR = 1.5
 """A systematic residual is a bump when it is this many times what remains without it."""
 _RELEASED = 0.5
 """Share of the limit below which a bump is over."""
-_EAGER_VIEWS = 300
-_EVERY = 4
-"""After so many moments only one of so many is looked at: what the cameras do changes slowly."""
+_EVERY_S = 0.125
+"""Time from look to look: what the cameras do changes slowly."""
+_EAGER_LOOKS = 300
+"""Until then each moment of a rig that was never calibrated is looked at: its views are corrected from the start."""
 _MOST_RATE = 4.0
 """No marker moves faster through a picture, normalised units per second."""
 
@@ -55,15 +53,16 @@ class CameraAgreement:
         self._calibrated = calibrated
         self._bump_px = epipolar_limit_px(calibrated_p95_px)
         self._markers = markers
-        self._tracks = Tracks(len(cameras), markers)
-        self._looked = 0
+        self._newest: list[deque[Sightings]] = [deque(maxlen=DEPTH) for _ in cameras]
+        self._looks = 0
         self._views = 0.0
-        self._looked_s = -np.inf
+        self._looked_s = -math.inf
 
     def clear(self) -> None:
         """Forget the views; what was learnt of the cameras stays."""
-        self._tracks.clear()
-        self._looked_s = -np.inf
+        for frames in self._newest:
+            frames.clear()
+        self._looked_s = -math.inf
 
     def correct(self, camera: int, xy: FloatArray) -> FloatArray:
         """Return views (N, 2) of a camera, normalised units, as they would be if it had not moved."""
@@ -73,24 +72,28 @@ class CameraAgreement:
 
     def watch(self, sightings: Sightings, schedule: Schedule) -> None:
         """Take a frame's views, uncorrected, after the schedule did."""
-        camera, index, times = sightings.camera, sightings.index, sightings.times_s
-        later = times > self._tracks.last_t_s[camera][index]
-        if later.all():
-            self._tracks.append(camera, index, times, sightings.xy, _MOST_RATE)
-        else:
-            self._tracks.append(camera, index[later], times[later], sightings.xy[later], _MOST_RATE)
+        self._newest[sightings.camera].append(sightings)
         moment_s, period_s = schedule.common_moment(), schedule.longest_period_s
-        if camera == 0 or moment_s <= self._looked_s + 0.5 * period_s or not np.isfinite(moment_s):
+        eager = not self._calibrated and self._looks < _EAGER_LOOKS
+        elapsed = moment_s - self._looked_s
+        if sightings.camera == 0 or moment_s == -math.inf or elapsed <= (0.5 * period_s if eager else _EVERY_S):
             return
-        elapsed, self._looked_s = moment_s - self._looked_s, moment_s
-        self._looked += 1
-        if self._looked > _EAGER_VIEWS and self._looked % _EVERY:
-            return
-        shot = self._tracks.at(moment_s, ROWS_SHARE * period_s, LONGEST_GAP * period_s)
+        self._looked_s = moment_s
+        self._looks += 1
+        shot = self._recent().at(moment_s, ROWS_SHARE * period_s, LONGEST_GAP * period_s)
         if shot.valid[0].any() and shot.valid[1:].any():
             self._views = min(self._views + float((shot.valid[0] & shot.valid[1:]).sum()), 1e6)
-            self.epipolar.learn(shot.xy, shot.valid, elapsed if np.isfinite(elapsed) else 0.0)
+            self.epipolar.learn(shot.xy, shot.valid, elapsed if math.isfinite(elapsed) else 0.0)
             self._judge()
+
+    def _recent(self) -> Tracks:
+        """Return the tracks of all markers through the newest frames: of most frames nobody asks for them."""
+        tracks = Tracks(len(self._newest), self._markers)
+        for camera, frames in enumerate(self._newest):
+            for seen in frames:
+                later = seen.times_s > tracks.last_t_s[camera][seen.index]
+                tracks.append(camera, seen.index[later], seen.times_s[later], seen.xy[later], _MOST_RATE)
+        return tracks
 
     def _judge(self) -> None:
         if not self._calibrated or self._views < _LEAST_VIEWS:
