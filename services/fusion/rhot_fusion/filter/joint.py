@@ -131,24 +131,24 @@ class JointFilter:
         H, y, between = self._observation(state, views)
         HP, HQ = H @ state.P, H @ Q
         S, S_more = HP @ H.T, HQ @ H.T
-        weight, evidence = self._weigh(state.weight, views, y, S, S_more, between)
+        own, more = _blocks(S) + views.variance, _blocks(S_more) + between
+        evidence = self._evidence(own, more, y)
+        weight = state.weight * np.exp(evidence - evidence.max())
+        weight = weight / weight.sum()
         scale2 = self._scale2(weight) if scale2 is None else scale2
-        S += scale2 * S_more
-        between = scale2 * between
-        own = views.variance + between
-        innovation = self._gated(views, y, S, own, evidence)
         before = State(state.t_s, state.x, state.P + scale2 * Q, weight, state.alive)
-        HP += scale2 * HQ
+        HP, S, variance = HP + scale2 * HQ, S + scale2 * S_more, views.variance + scale2 * between
+        innovation = self._gated(views, y, own + scale2 * more, evidence)
         if views.back is not None and (loose := views.back & innovation.accepted & (innovation.nis > _BACK)).any():
             before = self._loosened(before, views.index[loose], innovation.nis[loose])
             HP = H @ before.P
             S = HP @ H.T
-            innovation = self._gated(views, y, S, own, evidence)
-        # What lies far off counts less: Huber's loss. A gate keeps out what fits nowhere, and the view alone is
-        # doubted; without one a view may move a marker that little is known of, and the whole innovation is.
-        doubted = views.variance if math.isfinite(self._gate) else innovation.S
-        far = np.maximum(innovation.nis / _HUBER - 1.0, 0.0)[:, None]
-        variance = views.variance + far * doubted + between
+            innovation = self._gated(views, y, _blocks(S) + variance, evidence)
+        if innovation.nis.max() > _HUBER:
+            # What lies far off counts less: Huber's loss. A gate keeps out what fits nowhere, and the view alone is
+            # doubted; without one a view may move a marker that little is known of, and the whole innovation is.
+            doubted = views.variance if math.isfinite(self._gate) else innovation.S
+            variance = variance + np.maximum(innovation.nis / _HUBER - 1.0, 0.0)[:, None] * doubted
         _add_blocks(S, variance)
         self.state = _updated(before, HP, S, y, innovation.accepted)
         return innovation, Step(dt, F, before, self.state)
@@ -224,33 +224,22 @@ class JointFilter:
         between = power[:, None] * inverse * inverse * (ROUND + _products(xy))
         return H.reshape(2 * number, -1), views.xy - xy, between
 
-    def _weigh(
-        self,
-        weight: FloatArray,
-        views: Views,
-        y: FloatArray,
-        S: FloatArray,
-        S_more: FloatArray,
-        between: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the scales' weights after a frame's views, each marker by itself, and their evidence."""
-        own = _blocks(S) + views.variance
-        more = _blocks(S_more) + between
+    def _evidence(self, own: FloatArray, more: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the log-likelihood (K,) of each scale s, each marker by itself, its covariance being own + s² more."""
         S = own + self._scales2[:, None, None] * more
         # What no gate would pass tells of an outlier, not of a scale.
         nis = np.minimum(squared_distance(S, y), self._gate)
         evidence: FloatArray = -0.5 * (nis + np.log(determinant(S))).sum(axis=1)
-        weight = weight * np.exp(evidence - evidence.max())
-        return weight / weight.sum(), evidence
+        return evidence
 
-    def _gated(
-        self, views: Views, y: FloatArray, S: FloatArray, variance: FloatArray, evidence: FloatArray
-    ) -> Innovation:
-        """Judge each of a frame's views by itself."""
-        own = _blocks(S) + variance
-        nis = squared_distance(own, y)
-        loose2 = squared_distance(own + (views.slack * views.slack)[:, None] * ROUND, y)
-        return Innovation(y, own, nis, loose2 <= self._gate, evidence)
+    def _gated(self, views: Views, y: FloatArray, S: FloatArray, evidence: FloatArray) -> Innovation:
+        """Judge each of a frame's views, of covariance S (N, 3), by itself."""
+        nis = squared_distance(S, y)
+        if nis.max() <= self._gate:
+            accepted = nis <= self._gate
+        else:
+            accepted = squared_distance(S + (views.slack * views.slack)[:, None] * ROUND, y) <= self._gate
+        return Innovation(y, S, nis, accepted, evidence)
 
 
 @lru_cache

@@ -296,7 +296,8 @@ class FilterTracker:
         back = None
         if self._calibrated and not again:
             lost_s = sightings.t_s - self._settings.track.lost_periods * self._schedule.longest_period_s
-            back = np.array([self.tracks[marker].accepted_s[sightings.camera] < lost_s for marker in markers])
+            lost = [self.tracks[marker].accepted_s[sightings.camera] < lost_s for marker in markers]
+            back = np.array(lost) if any(lost) else None
         views = Views(camera, local, sightings.times_s - t_s, xy, variances, slack, back)
         innovation, _ = hand.filter.step(t_s, views)
         if again:
