@@ -211,7 +211,7 @@ class FusionStage:
 
     def _inside_lens(self, seen: Sightings) -> Sightings:
         """Return the sightings at which the camera's lens model has an inverse."""
-        there = np.isfinite(seen.xy).all(axis=1)
+        there = np.isfinite(seen.xy[:, 0]) & np.isfinite(seen.xy[:, 1])
         self.counts["outside"] += int(np.count_nonzero(~there))
         return seen.chosen(there)
 
@@ -223,11 +223,12 @@ class FusionStage:
 
     def _points(self, outcome: Outcome, live: PointSet | None = None) -> dict[str, Point]:
         points: dict[str, Point] = {}
-        for index, (name, position, sigma, views, measured) in enumerate(
+        for index, (name, (x, y, z), sigma, views, measured) in enumerate(
             zip(self._markers, outcome.position, outcome.sigma_m, outcome.views, outcome.measured, strict=True)
         ):
-            if math.isnan(position[0]):
+            if math.isnan(x):
                 continue
+            position = x, y, z
             corners = None
             if live is not None:
                 corners = _moved_corners(live.points.get(name), position)
@@ -239,7 +240,7 @@ class FusionStage:
                 state = outcome.state[index]
             covariance = None if outcome.covariance is None else outcome.covariance[index]
             points[name] = Point(
-                position=tuple(position), sigma=sigma, views=views, state=state, covariance=covariance, corners=corners
+                position=position, sigma=sigma, views=views, state=state, covariance=covariance, corners=corners
             )
         return points
 

@@ -17,8 +17,9 @@ from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
-from rhot_fusion.filter.state import Innovation, Views
+from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
+from rhot_fusion.views.vectors import vector
 
 FloatArray = NDArray[np.float64]
 
@@ -67,7 +68,7 @@ def run(
     hand = JointFilter(COUNT, DEFAULT.motion, DEFAULT.track.gate)
     start = np.diag([1e-6] * 3 + [0.25] * 3)
     index, delta = np.arange(COUNT), np.linspace(-0.003, 0.003, COUNT)
-    variance = np.tile(np.eye(2) * (noise_px / FOCAL_PX) ** 2, (COUNT, 1, 1))
+    variance = np.tile(ROUND * (noise_px / FOCAL_PX) ** 2, (COUNT, 1))
     times, errors, covariances, frames = [], [], [], []
     moments = sorted((n / rate_hz + 0.4 * c / rate_hz, c) for n in range(int(seconds * rate_hz)) for c in (0, 1))
     for number, (t_s, c) in enumerate(moments):
@@ -80,9 +81,9 @@ def run(
             for marker in range(COUNT):
                 mean = np.concatenate([path(t_s)[marker], np.zeros(3)])
                 hand.begin(marker, mean, start, t_s)
-                first = from_views([View(CAMERAS[c], t_s, xy[marker], variance[0, 0, 0])] * 1, t_s, np.zeros(3), 0.5)
+                first = from_views([View(CAMERAS[c], t_s, xy[marker], variance[0, 0])] * 1, t_s, np.zeros(3), 0.5)
                 assert first is None, "one ray is no place"
-                ray = on_ray(View(CAMERAS[c], t_s, xy[marker], variance[0, 0, 0]), mean[:3], np.zeros(3), 0.001, 0.5)
+                ray = on_ray(View(CAMERAS[c], t_s, xy[marker], variance[0, 0]), mean[:3], np.zeros(3), 0.001, 0.5)
                 events.append(Event(t_s, marker, ray, t_s))
         else:
             hand.step(t_s, views)
@@ -125,7 +126,7 @@ def test_a_hidden_marker_goes_with_its_hand() -> None:
     for marker in range(COUNT):
         mean = np.concatenate([truth(0.0)[marker], [0.5, 0.0, 0.0]])
         hand.begin(marker, mean, np.diag([1e-8] * 3 + [0.01] * 3), 0.0)
-    variance = np.tile(np.eye(2) * (0.1 / FOCAL_PX) ** 2, (COUNT - 1, 1, 1))
+    variance = np.tile(ROUND * (0.1 / FOCAL_PX) ** 2, (COUNT - 1, 1))
     index = np.arange(1, COUNT)
     for number in range(1, 25):
         t_s = number / 120.0
@@ -146,7 +147,7 @@ def test_an_outlier_is_refused_and_leaves_no_trace() -> None:
     local = CAMERAS[0].to_camera(truth(0.0))
     xy = local[:, :2] / local[:, 2:]
     xy[2] += 30.0 / FOCAL_PX
-    variance = np.tile(np.eye(2) * (0.1 / FOCAL_PX) ** 2, (COUNT, 1, 1))
+    variance = np.tile(ROUND * (0.1 / FOCAL_PX) ** 2, (COUNT, 1))
     innovation, _ = hand.step(
         1.0 / 60.0, Views(CAMERAS[0], np.arange(COUNT), np.zeros(COUNT), xy, variance, np.zeros(6))
     )
@@ -159,7 +160,7 @@ def test_a_covariance_that_rounding_has_eaten_ends_nothing() -> None:
     hand.begin(0, np.array([0.0, 0.0, 0.8, 0.0, 0.0, 0.0]), 1e-6 * np.eye(6), 0.0)
     hand.state = replace(hand.state, P=hand.state.P - 1e-3 * np.eye(len(hand.state.x)))
     before = hand.state.x.copy()
-    variance = np.full((1, 2, 2), 0.0) + 1e-9 * np.eye(2)
+    variance = 1e-9 * ROUND[None]
     hand.step(0.0, Views(CAMERAS[0], np.array([0]), np.zeros(1), np.array([[0.01, 0.0]]), variance, np.zeros(1)))
     np.testing.assert_allclose(hand.state.x, before)
 
@@ -185,14 +186,14 @@ def test_noise_and_transition_of_a_motion_compose() -> None:
     settings = replace(DEFAULT.motion, joining_s=np.inf)
     motion = motion_of(SHAPE, np.ones(COUNT, dtype=bool), settings)
     for dt in (0.001, 0.008, 0.05, 0.3):
-        F, Q = motion.transition(dt, settings), motion.noise(dt, settings)
-        assert np.allclose(F @ F, motion.transition(2.0 * dt, settings), atol=1e-9)
+        F, Q = motion.transition(dt), motion.noise(dt)
+        assert np.allclose(F @ F, motion.transition(2.0 * dt), atol=1e-9)
         twice = F @ Q @ F.T + Q
-        assert np.allclose(twice, motion.noise(2.0 * dt, settings), rtol=0.05, atol=1e-3 * np.abs(twice).min())
+        assert np.allclose(twice, motion.noise(2.0 * dt), rtol=0.05, atol=1e-3 * np.abs(twice).min())
 
 
 def test_accelerations_are_shared_and_have_a_covariance() -> None:
-    Q = motion_of(SHAPE, np.ones(COUNT, dtype=bool), DEFAULT.motion).noise(0.1, DEFAULT.motion)
+    Q = motion_of(SHAPE, np.ones(COUNT, dtype=bool), DEFAULT.motion).noise(0.1)
     assert np.allclose(Q, Q.T)
     assert np.linalg.eigvalsh(Q).min() > -1e-12
     velocity = Q[3 * COUNT : 6 * COUNT, 3 * COUNT : 6 * COUNT]
@@ -220,9 +221,9 @@ def test_noise_is_learnt_from_innovations() -> None:
     rng = np.random.default_rng(1)
     for _ in range(400):
         known = (0.1 / FOCAL_PX) ** 2
-        S = np.tile(np.eye(2) * (known + noise.variance(0)), (COUNT, 1, 1))
+        S = np.tile(ROUND * (known + noise.variance(0)), (COUNT, 1))
         y = rng.normal(0.0, np.hypot(0.1, 0.2) / FOCAL_PX, (COUNT, 2))
-        nis = (y * y).sum(axis=1) / S[:, 0, 0]
+        nis = (y * y).sum(axis=1) / S[:, 0]
         noise.learn(0, Innovation(y, S, nis, np.ones(COUNT, dtype=bool), np.zeros(6)))
     assert noise.sigma_px[0] == pytest.approx(0.2, abs=0.03)
     assert noise.sigma_px[1] == pytest.approx(DEFAULT.noise.first_px)
@@ -234,14 +235,14 @@ def half_hidden(rate_hz: float) -> tuple[Paint, FloatArray, FloatArray]:
     """Return where one camera sees half of what the other does after a third of a second, and how sure that is."""
     paint, one, depth, period_s, sure = (
         Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint),
-        np.array([0]),
-        np.array([0.8]),
+        [0],
+        [0.8],
         1.0 / rate_hz,
-        np.array([True]),
+        [True],
     )
     for number in range(round(rate_hz / 3.0)):
-        paint.correct(0, one, number * period_s, np.array([100.0]), depth, period_s, sure)
-        shift, doubt = paint.correct(1, one, number * period_s + 0.005, np.array([50.0]), depth, period_s, sure)
+        paint.correct(0, one, number * period_s, [100.0], depth, period_s, sure)
+        shift, doubt = paint.correct(1, one, number * period_s + 0.005, [50.0], depth, period_s, sure)
     return paint, shift, doubt
 
 
@@ -250,19 +251,19 @@ def test_hidden_paint_is_made_up_for_on_its_own_side() -> None:
     # A third or more of 10 px is hidden in the right camera: by something on its right.
     assert 1.0 < shift[0, 0] * FOCAL_PX < 2.5
     assert doubt[0] > 0.0
-    level, _ = paint.correct(0, np.array([0]), 1.0, np.array([100.0]), np.array([0.8]), 1.0 / 60.0, np.array([True]))
+    level, _ = paint.correct(0, [0], 1.0, [100.0], [0.8], 1.0 / 60.0, [True])
     assert np.abs(level).max() == 0.0
 
 
 def test_views_that_show_unlike_shares_of_the_paint_do_not_measure_it() -> None:
     paint = half_hidden(60.0)[0]
-    assert paint.unlike[0] == pytest.approx(0.5, abs=0.01)
-    assert paint.unlike[0] > DEFAULT.paint.unlike
+    assert paint.unlike(0) == pytest.approx(0.5, abs=0.01)
+    assert paint.unlike(0) > DEFAULT.paint.unlike
     # A view that is a tenth of a second old is compared with nothing.
-    paint.correct(0, np.array([0]), 1.0, np.array([100.0]), np.array([0.8]), 1.0 / 60.0, np.array([True]))
-    assert paint.unlike[0] == 0.0
+    paint.correct(0, [0], 1.0, [100.0], [0.8], 1.0 / 60.0, [True])
+    assert paint.unlike(0) == 0.0
     blind = Paint(CAMERAS, np.full(2, 0.0065), DEFAULT.paint)
-    assert (blind.unlike == 0.0).all(), "where no areas are told, none differ"
+    assert blind.unlike(0) == blind.unlike(1) == 0.0, "where no areas are told, none differ"
 
 
 def test_what_hides_paint_for_many_frames_is_not_averaged_away() -> None:
@@ -278,13 +279,15 @@ def test_what_hides_paint_for_many_frames_is_not_averaged_away() -> None:
 def test_a_bent_finger_is_seen_on_its_near_side() -> None:
     """A tip straight ahead that points away from the camera: its middle is nearer to the hand than what is seen."""
     paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
-    paint.bend[:] = -0.6
-    tip, base = np.array([[0.0, -0.05, 0.8]]), np.array([[0.0, 0.05, 0.78]])
-    along = paint.along(CAMERAS[0], np.array([0]), tip, base)
-    assert along[0, 1] * 0.8 == pytest.approx(0.66 * 0.0065 * 0.6, rel=0.1)
+    paint.bend[0] = -0.6
+    ends = np.array([[0.0, -0.05, 0.8], [0.0, 0.05, 0.78]])
+    along, other = (
+        paint.along(camera, [0], [100.0], *([vector(end)] for end in one.to_camera(ends)))[0]
+        for camera, one in enumerate(CAMERAS)
+    )
+    assert along[1] * 0.8 == pytest.approx(0.66 * 0.0065 * 0.6, rel=0.1)
     # Each camera sees more of the side on its own side, which looks like less disparity than the middle has.
-    other = paint.along(CAMERAS[1], np.array([0]), tip, base)
-    assert 0.1 < (along[0, 0] - other[0, 0]) * FOCAL_PX < 0.6
+    assert 0.1 < (along[0] - other[0]) * FOCAL_PX < 0.6
 
 
 def test_what_comes_back_elsewhere_is_believed_rather_than_foretold() -> None:
@@ -298,7 +301,7 @@ def test_what_comes_back_elsewhere_is_believed_rather_than_foretold() -> None:
             hand.begin(marker, np.concatenate([truth(0.0)[marker], np.zeros(3)]), covariance, 0.0)
         place = truth(0.0)
         place[0] += [0.0228, 0.0, 0.0]
-        variance = np.tile(np.eye(2) * (2.0 / FOCAL_PX) ** 2, (COUNT, 1, 1))
+        variance = np.tile(ROUND * (2.0 / FOCAL_PX) ** 2, (COUNT, 1))
         for number in range(2):
             one = CAMERAS[number % 2]
             local = one.to_camera(place)
@@ -315,7 +318,7 @@ def test_what_comes_back_elsewhere_is_believed_rather_than_foretold() -> None:
 def test_the_calibration_s_own_error_is_in_the_covariance() -> None:
     quality = {"expected_error_mm": {"50 cm": {"calibration": 0.5}, "100 cm": {"calibration": 2.0}}}
     stated = Systematic(CAMERAS, quality, 0.1, np.zeros(1), DEFAULT.systematic)
-    sigma_m = np.sqrt(np.trace(stated.covariance(np.array([[0.045, 0.0, 1.0]]))[0]))
+    sigma_m = np.sqrt(sum(stated.covariance(0, (0.045, 0.0, 1.0))[k] for k in (0, 3, 5)))
     assert sigma_m == pytest.approx(DEFAULT.systematic.doubt * 2e-3, rel=0.01)
     derived = Systematic(CAMERAS, None, 0.1, np.zeros(1), DEFAULT.systematic)
-    assert np.trace(derived.covariance(np.array([[0.045, 0.0, 1.0]]))[0]) > 0.0
+    assert derived.covariance(0, (0.045, 0.0, 1.0))[0] > 0.0

@@ -22,10 +22,8 @@ Of a patch, whose size is known, the strip is as high as the patch: what both vi
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -33,7 +31,7 @@ from rhot.anatomy.hand import CAP_LENGTH_M
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import PaintSettings
 from rhot_fusion.filter.state import FloatArray
-from rhot_fusion.views.vectors import Vector, vector
+from rhot_fusion.views.vectors import Vector, across, dot, interpolated, unit, vector
 
 
 @dataclass(slots=True)
@@ -69,8 +67,8 @@ class Paint:
         cosine = np.linspace(-1.0, 0.0, 64)
         shaft, end = 2.0 * settings.shaft, 0.5 * np.pi
         share = (shaft * np.sqrt(1.0 - cosine**2) + end * (1.0 + cosine)) / (shaft + end)
-        self._bend_of = list(pairwise(zip(share.tolist(), cosine.tolist(), strict=True)))
         self._share: list[float] = share.tolist()
+        self._cosine: list[float] = cosine.tolist()
         # What a finger bent as usual shows of its width when seen from the side.
         self._usual = float(np.sqrt(np.interp(settings.first_bend, cosine, share)))
         # Root of the area of a tip seen from the side, painted over `CAP_LENGTH_M`; the rim of it is mixed with what is
@@ -117,15 +115,15 @@ class Paint:
                 shifts.append((0.0, 0.0))
                 continue
             c = max(self.bend[marker], settings.most_bend)
-            sight = _unit((middle[0] - tip[0], middle[1] - tip[1], middle[2] - tip[2]))
+            sight = unit((middle[0] - tip[0], middle[1] - tip[1], middle[2] - tip[2]))
             finger = (tip[0] - base[0], tip[1] - base[1], tip[2] - base[2])
-            across = _unit(_beside(finger, sight))
+            sideways = unit(across(finger, sight))
             s = math.sqrt(1.0 - c * c)
-            d = (c * sight[0] + s * across[0], c * sight[1] + s * across[1], c * sight[2] + s * across[2])
+            d = (c * sight[0] + s * sideways[0], c * sight[1] + s * sideways[1], c * sight[2] + s * sideways[2])
             # The camera stands at the origin.
-            own = _unit((-tip[0], -tip[1], -tip[2]))
-            x, y, z = _unit(_beside(d, own))
-            size = settings.side * self._radius_m[marker] * _dot(d, own)
+            own = unit((-tip[0], -tip[1], -tip[2]))
+            x, y, z = unit(across(d, own))
+            size = settings.side * self._radius_m[marker] * dot(d, own)
             depth = max(tip[2], 0.05)
             shifts.append((size * (x - tip[0] / depth * z) / depth, size * (y - tip[1] / depth * z) / depth))
         return shifts
@@ -185,7 +183,8 @@ class Paint:
         if known:
             self._largest_m[marker] = largest
             if area_px > 0.0:
-                self.bend[marker] = self._bend((told_full / max(largest, 1e-9)) ** 2)
+                share = (told_full / max(largest, 1e-9)) ** 2
+                self.bend[marker] = interpolated(share, self._share, self._cosine)
         if area_px <= 0.0:
             return 0.0, 0.0
         width = every[camera].width_m
@@ -218,13 +217,6 @@ class Paint:
         shown.changing = max(change, 0.0) if width_m > 0.0 else 0.0
         shown.t_s, shown.own = t_s, known
 
-    def _bend(self, share: float) -> float:
-        """Return c of a finger that shows a share of its largest area."""
-        (low, first), (high, last) = self._bend_of[
-            min(max(bisect_right(self._share, share) - 1, 0), len(self._bend_of) - 1)
-        ]
-        return first + min(max((share - low) / (high - low), 0.0), 1.0) * (last - first)
-
     def is_settled(self, marker: int, seen: Sequence[bool]) -> bool:
         """Tell whether what cameras that see a marker (C,) show of it neither changes nor differs much."""
         shown = self._shown[marker]
@@ -232,7 +224,7 @@ class Paint:
         return changing <= self._settings.settled and self.unlike(marker) <= self._settings.unlike
 
     def unlike(self, marker: int) -> float:
-        """Return what share of the paint in the fullest of a marker's newest views the poorest does not show, 0 to 1."""
+        """Return the share of the paint in a marker's fullest newest view that the poorest does not show, 0 to 1."""
         every = self._shown[marker]
         since_s = max(shown.t_s for shown in every) - self._settings.compare_s
         widths = [shown.width_m for shown in every if shown.t_s >= since_s]
@@ -252,19 +244,3 @@ class Paint:
         """Return how far views of markers (N,) may be off for what hides them, normalised units."""
         settings, focal_px = self._settings, self._focal_px[camera]
         return np.array([(settings.slack_px + settings.slack * math.sqrt(area)) / focal_px for area in areas_px])
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _beside(a: Vector, unit: Vector) -> Vector:
-    """Return what of a vector is across a direction."""
-    along = _dot(a, unit)
-    return a[0] - along * unit[0], a[1] - along * unit[1], a[2] - along * unit[2]
-
-
-def _unit(a: Vector) -> Vector:
-    """Return a vector of length 1."""
-    scale = 1.0 / max(math.sqrt(_dot(a, a)), 1e-6)
-    return scale * a[0], scale * a[1], scale * a[2]

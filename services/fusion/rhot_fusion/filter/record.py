@@ -13,7 +13,7 @@ from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import outcome_of
-from rhot_fusion.views.sightings import FloatArray, IndexArray, Outcome, Sightings
+from rhot_fusion.views.sightings import NOTHING, NOWHERE, FloatArray, IndexArray, Outcome, Sightings
 
 _BRIDGED = 1.6
 """A camera shows a marker, looked back at, if it did so within this many periods before and after: one frame lost."""
@@ -90,15 +90,15 @@ def outcomes(
     around = [_around(camera, first, period_s) for camera, period_s in enumerate(periods_s)]
     found = []
     for place, node in enumerate(first):
-        position = np.full((markers, 3), np.nan)
-        covariance = np.zeros((markers, 6))
+        position, covariance = [NOWHERE] * markers, [NOTHING] * markers
         seen = np.zeros((len(periods_s), markers), dtype=bool)
         for index, nodes in every:
-            position[index] = nodes[place].place
-            covariance[index] = nodes[place].covariance[:, _UPPER[0], _UPPER[1]]
+            own = nodes[place].covariance[:, _UPPER[0], _UPPER[1]].tolist()
+            for marker, where, upper in zip(index.tolist(), nodes[place].place.tolist(), own, strict=True):
+                position[marker], covariance[marker] = where, upper
             for camera, sides in enumerate(around):
                 seen[camera, index] = _shown(nodes, place, sides[place], _NEAR * periods_s[camera])
-        found.append(outcome_of(node.t_s, position.tolist(), covariance.tolist(), seen.tolist(), systematic))
+        found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), systematic))
     return found
 
 

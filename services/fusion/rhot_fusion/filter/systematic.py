@@ -6,7 +6,6 @@ added to what the filter knows, so that the covariance on the wire holds all of 
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,7 +15,7 @@ from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import SystematicSettings
 from rhot_fusion.filter.state import FloatArray
 from rhot_fusion.views.sightings import Upper
-from rhot_fusion.views.vectors import Vector, vector
+from rhot_fusion.views.vectors import Vector, interpolated, vector
 
 
 class Systematic:
@@ -56,9 +55,10 @@ class Systematic:
 
     def covariance(self, marker: int, position: Vector) -> Upper:
         """Return xx, xy, xz, yy, yz and zz of the error of a marker at a position, metres."""
-        x, y, z = (place - middle for place, middle in zip(position, self._middle, strict=True))
+        (x, y, z), (middle_x, middle_y, middle_z) = position, self._middle
+        x, y, z = x - middle_x, y - middle_y, z - middle_z
         distance2 = max(x * x + y * y + z * z, 1e-12)
-        error2 = self._error_at(distance2**0.5) ** 2
+        error2 = interpolated(distance2**0.5, self._distance_m, self._error_m) ** 2
         depth, around = self._along * error2 / distance2, self._around * error2 + self._shape2[marker]
         return (
             depth * x * x + around,
@@ -68,15 +68,6 @@ class Systematic:
             depth * y * z,
             depth * z * z + around,
         )
-
-    def _error_at(self, distance_m: float) -> float:
-        """Return the stated error between the distances that it is stated for, beyond them that of the nearest."""
-        known, error = self._distance_m, self._error_m
-        after = bisect_right(known, distance_m)
-        if after in (0, len(known)):
-            return error[max(after - 1, 0)]
-        share = (distance_m - known[after - 1]) / (known[after] - known[after - 1])
-        return error[after - 1] + share * (error[after] - error[after - 1])
 
 
 def _stated(stated: dict[str, Any]) -> list[tuple[float, float]]:

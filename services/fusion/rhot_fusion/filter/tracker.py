@@ -27,12 +27,9 @@ from rhot_fusion.filter.tracks import Belief, Track, outcome_of
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
-from rhot_fusion.views.sightings import FloatArray, IndexArray, Outcome, Sightings, Upper
-from rhot_fusion.views.vectors import Vector
+from rhot_fusion.views.sightings import NOTHING, NOWHERE, FloatArray, IndexArray, Outcome, Sightings
 
 _LONGEST_HISTORY = 32
-_NOWHERE: Vector = (math.nan, math.nan, math.nan)
-_NOTHING: Upper = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class FilterTracker:
@@ -145,7 +142,7 @@ class FilterTracker:
         then_s = t_s + self._config.predict_s
         newest_s, nobody = self._schedule.newest_s, [False] * len(self._cameras)
         fresh = [t_s - seen_s <= lasts for seen_s, lasts in zip(newest_s, self._fresh_s(), strict=True)]
-        position, covariance, shown = [_NOWHERE] * self._count, [_NOTHING] * self._count, [nobody] * self._count
+        position, covariance, shown = [NOWHERE] * self._count, [NOTHING] * self._count, [nobody] * self._count
         for hand in self._hands:
             state = hand.filter.predicted(then_s)
             places = state.mean[0].reshape(-1, 3).tolist()
@@ -235,8 +232,8 @@ class FilterTracker:
             depths = self._depths(hand, camera, markers)
             # Views that begin a marker need it, too: what comes out from behind a hand is hidden unevenly.
             alive, spread_m2 = hand.filter.state.alive.tolist(), hand.filter.spread_m2
-            known = [alive[hand.place_of[marker]] for marker in markers]
-            sure = [is_known and spread_m2[hand.place_of[m]] <= loose_m2 for m, is_known in zip(markers, known)]
+            places = [hand.place_of[marker] for marker in markers]
+            known, sure = [alive[k] for k in places], [alive[k] and spread_m2[k] <= loose_m2 for k in places]
             shift, doubt = self._paint.correct(camera, markers, t_s, mine.area_px.tolist(), depths, period_s, sure)
             mine, own = replace(mine, xy=mine.xy + shift), doubt * doubt + variance
             if again:
@@ -271,7 +268,7 @@ class FilterTracker:
     def _update(
         self, hand: Hand, sightings: Sightings, variance: FloatArray, taken: list[bool], *, again: bool = False
     ) -> None:
-        """Let the taken (N,) ones of a hand's views, corrected for hidden paint, move its filter; `again`: once more."""
+        """Let some (N,) of a hand's views, corrected for hidden paint, move its filter; `again`: once more."""
         if not any(taken):
             return
         if not all(taken):

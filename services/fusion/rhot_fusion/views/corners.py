@@ -19,7 +19,7 @@ import numpy as np
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, PixelPoint, Position
 from rhot.rig import MarkerConfig
-from rhot_fusion.views.vectors import Vector, vector
+from rhot_fusion.views.vectors import Vector, dot, vector
 
 _NEWEST_S = 0.05
 """Corners that are older or younger than this belong to another pose of the hand."""
@@ -123,7 +123,7 @@ class PatchCorners:
         last = self._shift.get((name, first, second), 0)
         for shift in (last, (last + 1) % 4, (last + 2) % 4, (last + 3) % 4):
             quad, gap = _meet(a.center, d, b.center, e[shift:] + e[:shift])
-            depth = max(abs(_dot(quad[0], a.axis)), 1e-3)
+            depth = max(abs(dot(quad[0], a.axis)), 1e-3)
             if 0.5 * gap / depth * self._focal_px <= _RESIDUAL_PX and self._fits(name, quad):
                 self._shift[name, first, second] = shift
                 return _around(quad, position)
@@ -144,14 +144,10 @@ class PatchCorners:
         return False
 
 
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
 def _rays(view: _View, position: Vector, offsets: Sequence[Vector]) -> list[Vector]:
     """Return the rays from a camera, at depth 1, that lie beside the one to a position by offsets."""
     x, y, z = position[0] - view.center[0], position[1] - view.center[1], position[2] - view.center[2]
-    depth = max(_dot((x, y, z), view.axis), 1e-3)
+    depth = max(dot((x, y, z), view.axis), 1e-3)
     x, y, z = x / depth, y / depth, z / depth
     return [(x + i, y + j, z + k) for i, j, k in offsets]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -20,6 +21,9 @@ IndexArray = NDArray[np.intp]
 CountArray = NDArray[np.int64]
 Upper = tuple[float, float, float, float, float, float]
 """xx, xy, xz, yy, yz and zz of a covariance."""
+NOWHERE: Vector = (math.nan, math.nan, math.nan)
+NOTHING: Upper = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""The position of a marker that is absent, and its covariance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +48,7 @@ class Sightings:
 
     def chosen(self, rows: BoolArray | IndexArray) -> Sightings:
         """Return some of the markers."""
-        columns = (self.index, self.times_s, self.xy, self.area_px)
-        return Sightings(self.camera, self.t_s, *(column[rows] for column in columns))
+        return Sightings(self.camera, self.t_s, self.index[rows], self.times_s[rows], self.xy[rows], self.area_px[rows])
 
 
 @dataclass(frozen=True, slots=True)
