@@ -50,7 +50,7 @@ class JointFilter:
         # Where a covariance holds xx, xy, xz, yy, yz and zz of the markers' places, (M, 6).
         row, column = (3 * np.arange(count)[:, None] + one for one in np.triu_indices(3))
         self._own: IndexArray = row * size + column
-        self._spread: tuple[State | None, list[float]] = None, []
+        self._uppers: tuple[State | None, list[Upper]] = None, []
         self.clear()
 
     def clear(self) -> None:
@@ -73,17 +73,15 @@ class JointFilter:
 
     @property
     def spread_m2(self) -> list[float]:
-        """(M,) traces of the covariances of their places, square metres; made once for a state."""
-        known, spread = self._spread
-        if known is not self.state:
-            xyz = self.state.P.diagonal()[: 3 * self._count].reshape(-1, 3)
-            spread = (xyz[:, 0] + xyz[:, 1] + xyz[:, 2]).tolist()
-            self._spread = self.state, spread
-        return spread
+        """(M,) traces of the covariances of their places, square metres."""
+        return [xx + yy + zz for xx, _, _, yy, _, zz in self.own(self.state)]
 
     def own(self, state: State) -> list[Upper]:
-        """Return the covariances (M,) of the markers' places in a state."""
-        own: list[Upper] = state.P.take(self._own).tolist()
+        """Return the covariances (M,) of the markers' places in a state; read once of the same one."""
+        known, own = self._uppers
+        if known is not state:
+            own = state.P.take(self._own).tolist()
+            self._uppers = state, own
         return own
 
     def begin(self, marker: int, mean: FloatArray, covariance: FloatArray, t_s: float) -> None:
@@ -183,9 +181,7 @@ class JointFilter:
         known, alive = self._motion, state.alive
         place = state.x[: 3 * self._count].reshape(-1, 3)
         if known is not None and (known.alive is alive or (known.alive == alive).all()):
-            moved = place - known.place
-            if not alive.all():
-                moved = moved[alive]
+            moved = (place - known.place)[known.index]
             if not len(moved) or float(np.abs(moved - moved[0]).max()) < _REACH:
                 return known
         self._motion = motion_of(place.copy(), alive, self._settings)
@@ -294,4 +290,5 @@ def _updated(state: State, HP: FloatArray, S: FloatArray, y: FloatArray, chosen:
         return state
     gain = inverse @ HP
     P = state.P - HP.T @ gain
+    # What rounding leaves unsymmetric would grow with every update.
     return State(state.t_s, state.x + y @ gain, 0.5 * (P + P.T), state.weight, state.alive)

@@ -40,6 +40,7 @@ class Motion:
     Attributes:
         place: (M, 3) metres, of the markers.
         alive: (M,) which of them there are.
+        index: of those; all as a slice, which takes no time.
         settings: shares and time constants.
         transitions: (6, n²) what the coefficients of `transition` multiply.
         noises: (9, n²) what those of `noise` multiply.
@@ -47,6 +48,7 @@ class Motion:
 
     place: FloatArray
     alive: BoolArray
+    index: BoolArray | slice
     settings: MotionSettings
     transitions: FloatArray
     noises: FloatArray
@@ -79,7 +81,8 @@ def motion_of(place: FloatArray, alive: BoolArray, settings: MotionSettings) -> 
     Q[4, p, p] = Q[5, p, v] = Q[5, v, p] = Q[6, v, v] = BD @ B.T
     Q[7, p, z] = Q[8, v, z] = BD
     Q[7, z, p] = Q[8, z, v] = BD.T
-    return Motion(place, alive, settings, F.reshape(6, -1), Q.reshape(9, -1))
+    index = slice(None) if alive.all() else alive
+    return Motion(place, alive, index, settings, F.reshape(6, -1), Q.reshape(9, -1))
 
 
 @lru_cache

@@ -171,9 +171,12 @@ class Paint:
         settings, every = self._settings, self._shown[marker]
         side_px, tip = math.sqrt(area_px), self._radius_m[marker] > 0.0
         self._watch(every[camera], t_s, side_px / self._focal_px[camera] * depth_m, known)
-        newest = [shown for shown in every if shown.t_s >= t_s - settings.compare_s]
-        full = max(shown.width_m for shown in newest)
-        told_full = max((shown.width_m for shown in newest if shown.own), default=0.0)
+        full = told_full = 0.0
+        for shown in every:
+            if shown.t_s >= t_s - settings.compare_s:
+                full = max(full, shown.width_m)
+                if shown.own:
+                    told_full = max(told_full, shown.width_m)
         # The largest area is not known at first: half way between that of a finger bent as usual and that of paint as
         # long as it should be.
         largest = self._largest_m[marker] or (
@@ -219,9 +222,10 @@ class Paint:
 
     def is_settled(self, marker: int, seen: Sequence[bool]) -> bool:
         """Tell whether what cameras that see a marker (C,) show of it neither changes nor differs much."""
-        shown = self._shown[marker]
-        changing = max(one.changing if sees else 0.0 for one, sees in zip(shown, seen, strict=True))
-        return changing <= self._settings.settled and self.unlike(marker) <= self._settings.unlike
+        for shown, sees in zip(self._shown[marker], seen, strict=True):
+            if sees and shown.changing > self._settings.settled:
+                return False
+        return self.unlike(marker) <= self._settings.unlike
 
     def unlike(self, marker: int) -> float:
         """Return the share of the paint in a marker's fullest newest view that the poorest does not show, 0 to 1."""

@@ -132,7 +132,7 @@ class FilterTracker:
         self.agreement.watch(sightings, self._schedule)
         sightings = self._without_held(sightings)
         corrected = self.agreement.correct(sightings.camera, sightings.xy)
-        self._in_order(sightings if corrected is sightings.xy else replace(sightings, xy=corrected))
+        self._in_order(sightings if corrected is sightings.xy else sightings.at(corrected))
         moment_s = self._schedule.newest_moment()
         return None if moment_s is None else self.outcome(moment_s)
 
@@ -235,7 +235,7 @@ class FilterTracker:
             places = [hand.place_of[marker] for marker in markers]
             known, sure = [alive[k] for k in places], [alive[k] and spread_m2[k] <= loose_m2 for k in places]
             shift, doubt = self._paint.correct(camera, markers, t_s, mine.area_px.tolist(), depths, period_s, sure)
-            mine, own = replace(mine, xy=mine.xy + shift), doubt * doubt + variance
+            mine, own = mine.at(mine.xy + shift), doubt * doubt + variance
             if again:
                 self._update(hand, mine, own, known, again=True)
                 continue
