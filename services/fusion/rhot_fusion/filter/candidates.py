@@ -43,8 +43,8 @@ class Candidates:
         self, camera: int, markers: Sequence[int], times_s: Sequence[float], xy: FloatArray, variances: Sequence[float]
     ) -> None:
         """Take a camera's newest views (N, 2) of markers (N,), of these times and variances (N,)."""
-        for marker, *view in zip(markers, times_s, xy, variances, strict=True):
-            self._newest[marker][camera] = tuple(view)
+        for marker, t_s, place, variance in zip(markers, times_s, xy, variances, strict=True):
+            self._newest[marker][camera] = t_s, place, variance
 
     def near(self, marker: int, t_s: float) -> dict[int, View]:
         """Return, by camera, the newest views of a marker that were taken about a moment."""

@@ -140,8 +140,9 @@ class FilterTracker:
         """Return the markers at a moment that is not before the filter's, or as much later as they are predicted."""
         self._acquisition.forget(t_s)
         then_s = t_s + self._config.predict_s
-        newest_s, nobody = self._schedule.newest_s, [False] * len(self._cameras)
-        fresh = [t_s - seen_s <= lasts for seen_s, lasts in zip(newest_s, self._fresh_s(), strict=True)]
+        # A camera shows what its newest frame does, as long as that is fresh.
+        newest_s, nobody = zip(self._schedule.newest_s, self._fresh_s(), strict=True), [False] * len(self._cameras)
+        since_s = [seen_s if t_s - seen_s <= lasts else math.inf for seen_s, lasts in newest_s]
         position, covariance, shown = [NOWHERE] * self._count, [NOTHING] * self._count, [nobody] * self._count
         for hand in self._hands:
             state = hand.filter.predicted(then_s)
@@ -149,7 +150,7 @@ class FilterTracker:
             for marker, place, own in zip(hand.markers, places, hand.filter.own(state), strict=True):
                 track = self.tracks[marker]
                 if track.belief is Belief.BELIEVED:
-                    position[marker], covariance[marker], shown[marker] = place, own, track.views(newest_s, fresh)
+                    position[marker], covariance[marker], shown[marker] = place, own, track.views(since_s)
         settled = [self._paint.is_settled(marker, sees) for marker, sees in enumerate(shown)]
         seen = [list(column) for column in zip(*shown, strict=True)]
         outcome = outcome_of(then_s, position, covariance, seen, self._systematic, settled, self._settings.track)

@@ -86,9 +86,9 @@ class Track:
         self.accepted_s = [-np.inf] * cameras
         self.seen_s = -np.inf
 
-    def views(self, frame_s: list[float], fresh: list[bool]) -> list[bool]:
-        """Tell which cameras (C,) show it: those whose newest frame, of time `frame_s`, did and is `fresh`."""
-        return [last >= newest and now for last, newest, now in zip(self.accepted_s, frame_s, fresh, strict=True)]
+    def views(self, since_s: Sequence[float]) -> list[bool]:
+        """Tell which cameras (C,) have shown it since these times."""
+        return [last >= since for last, since in zip(self.accepted_s, since_s, strict=True)]
 
 
 def state_of(views: int, certain: bool) -> PointState:
@@ -111,15 +111,17 @@ def outcome_of(
 
     Two cameras that see a marker measure it if its place has become certain by that.
     """
-    sharp = [xx + yy + zz <= settings.measured_m**2 for xx, _, _, yy, _, zz in covariance]
-    if settled is not None:
-        sharp = [certain and calm for certain, calm in zip(sharp, settled, strict=True)]
-    views = [sum(sees) for sees in zip(*seen, strict=True)]
-    states = [state_of(count, certain) for count, certain in zip(views, sharp, strict=True)]
-    measured = [state == "measured" and not math.isnan(place[0]) for state, place in zip(states, position, strict=True)]
+    sigmas, views, measured = [], [], []
     whole: list[Upper] = []
-    for marker, (place, (xx, xy, xz, yy, yz, zz)) in enumerate(zip(position, covariance, strict=True)):
+    states: list[PointState] = []
+    calm = [True] * len(position) if settled is None else settled
+    for marker, (place, (xx, xy, xz, yy, yz, zz), *sees) in enumerate(zip(position, covariance, *seen, strict=True)):
+        count = sum(sees)
+        state = state_of(count, calm[marker] and xx + yy + zz <= settings.measured_m**2)
         a, b, c, d, e, f = systematic.covariance(marker, place)
         whole.append((xx + a, xy + b, xz + c, yy + d, yz + e, zz + f))
-    sigmas = [math.sqrt(max(xx + yy + zz, 0.0)) for xx, _, _, yy, _, zz in whole]
+        sigmas.append(math.sqrt(max(xx + a + yy + d + zz + f, 0.0)))
+        views.append(count)
+        states.append(state)
+        measured.append(state == "measured" and not math.isnan(place[0]))
     return Outcome(t_s, position, sigmas, views, measured, seen, whole, states)
