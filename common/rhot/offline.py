@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Protocol
 
 from rhot.errors import ConfigError
-from rhot.messages import HeadPose, MarkerFrame, Message, ObjectPose
+from rhot.messages import HeadPose, MarkerFrame, Message, ObjectPose, PointSet
 from rhot.plugins import load_plugin
 from rhot.recording import Recording, TrackTiming, marker_track_frames
 from rhot.rig import Rig
@@ -75,9 +75,9 @@ def _objects(rig: Rig) -> Any:
 
 
 def _played(objects: Any, ik: Any, t_ns: int) -> Iterator[tuple[str, Message]]:
-    """Yield what is known of objects up to a time, when inverse kinematics has heard of it."""
+    """Yield what is known of objects up to a time, when inverse kinematics, if given, has heard of it."""
     for key, pose in () if objects is None else objects.until(t_ns):
-        if isinstance(pose, ObjectPose) and not isinstance(pose, HeadPose):
+        if ik is not None and isinstance(pose, ObjectPose) and not isinstance(pose, HeadPose):
             ik.feed_object(pose)
         yield key, pose
 
@@ -129,13 +129,24 @@ def track_smoothly(
         for _, points in fusion.feed(frame):
             for _, hand in ik.feed(points):
                 fusion.feed(hand)
-    ik, objects = core("ik")(rig), _objects(rig)
-    for points in fusion.smoothed():
-        yield from _played(objects, ik, points.t_ns)
+    ik, objects, published = core("ik")(rig), _objects(rig), _objects(rig)
+    for points, hands in _looked_back(ik, objects, fusion.smoothed()):
+        yield from _played(published, None, points.t_ns)
         yield from _walked(feet, ik, points.t_ns)
         yield "rhot/points", points
-        yield from ik.feed(points)
+        for key, hand in hands:
+            yield key, hand
+            ik.feed(hand)
     yield from _walked(feet, ik)
+
+
+def _looked_back(ik: Any, objects: Any, points: Iterable[PointSet]) -> Iterator[tuple[PointSet, list[Output]]]:
+    """Yield points with the hands that all of them show; these are behind the objects that the hands were told of."""
+    for newest in points:
+        for _ in _played(objects, ik, newest.t_ns):
+            pass
+        yield from ik.look_back(newest)
+    yield from ik.finish()
 
 
 def rig_timing(rig: Rig) -> dict[str, TrackTiming]:

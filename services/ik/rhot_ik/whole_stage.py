@@ -42,8 +42,11 @@ class WholeStage:
         """What became of the samples, of hands and body."""
         return {**self._hands.counts, **self._body.counts}
 
-    def feed(self, message: PointSet | ObjectPose | HeadPose | FootPose) -> list[Output]:
-        """Return the hands or the body that follow from a message, with their keys."""
+    def feed(self, message: PointSet | ObjectPose | HeadPose | FootPose | HandPose) -> list[Output]:
+        """Return the hands or the body that follow from a message, with their keys.
+
+        A hand is passed on to the body; only those of `look_back` have to be fed.
+        """
         if isinstance(message, PointSet):
             hands = self._hands.feed(message)
             for _, hand in hands:
@@ -54,6 +57,14 @@ class WholeStage:
             self.feed_object(message)
             return []
         return self._body.feed(message)
+
+    def look_back(self, points: PointSet) -> list[tuple[PointSet, list[Output]]]:
+        """Take points, and return earlier ones with their hands as later ones show them; see `HandStage.look_back`."""
+        return self._hands.look_back(points)
+
+    def finish(self) -> list[tuple[PointSet, list[Output]]]:
+        """Return what `look_back` still holds, at the end of a recording."""
+        return self._hands.finish()
 
     def feed_object(self, pose: ObjectPose) -> None:
         """Take an object's newest pose, for contacts."""

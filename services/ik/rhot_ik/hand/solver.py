@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,7 @@ from rhot_ik.hand.filter.initialisation import HandInitialiser
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.filter.process import HandState
 from rhot_ik.hand.filter.settings import HandSettings
+from rhot_ik.hand.filter.smoother import smoothed_states
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
 from rhot_ik.hand.rejoin import RejoinSettings, rejoined
@@ -63,6 +65,8 @@ class HandTrack:
         base_seen_ns, measured_ns: when the base marker was there last, and when anything was measured.
         measured: (5,) whether each finger was.
         sure: (5,) and whether well in all directions.
+        seen: the sample.
+        expected: the state as it was expected before the sample; none where the hand was taken up with it.
         lost_s: for how long the seen tips have missed the model.
         most_tips: how many tips met it at once so far; at least 1.
     """
@@ -77,6 +81,8 @@ class HandTrack:
     measured_ns: int
     measured: BoolArray
     sure: BoolArray
+    seen: HandObservation
+    expected: HandState | None = None
     lost_s: float = 0.0
     most_tips: int = 1
 
@@ -156,7 +162,7 @@ class HandSolver:
             self._solution = None
         else:
             self._person = self._track.state.what_is_personal
-            self._solution = self._solution_of(self._track, seen)
+            self._solution = self._solution_of(self._track)
         return self._solution
 
     def _is_over(self, seen: HandObservation, before: HandTrack) -> bool:
@@ -182,6 +188,7 @@ class HandSolver:
             measured_ns=seen.t_ns,
             measured=seen.tips_seen & seen.tips_measured,
             sure=seen.tips_seen & seen.tips_measured & self._is_sure(seen),
+            seen=seen,
         )
 
     def _is_sure(self, seen: HandObservation) -> BoolArray:
@@ -196,8 +203,8 @@ class HandSolver:
         measured = seen.tips_seen & seen.tips_measured
         expected = self._filter.predict(before.state, dt_s, ~measured, holds=len(shapes) > 0)
         evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), before.corner_noise)
-        state = self._filter.update(expected, evidence, shapes=shapes)
-        state, lost_s = self._reinitialised_if_lost(before, state, seen, dt_s)
+        updated = self._filter.update(expected, evidence, shapes=shapes)
+        state, lost_s = self._reinitialised_if_lost(before, updated, seen, dt_s)
         angles = self._angles(state, seen, before.shown)
         sure = measured & self._is_sure(seen)
         left_s = np.where(sure & before.sure, before.rejoins_s, self._rejoin.lasts_s)
@@ -213,6 +220,8 @@ class HandSolver:
             measured_ns=seen.t_ns if seen.measured_any else before.measured_ns,
             measured=measured,
             sure=sure,
+            seen=seen,
+            expected=expected if state is updated else None,
             lost_s=lost_s,
             most_tips=max(before.most_tips, int(np.count_nonzero(measured)) if lost_s == 0.0 else 1),
         )
@@ -236,8 +245,17 @@ class HandSolver:
             return state, 0.0
         return found[0], 0.0
 
-    def _solution_of(self, track: HandTrack, seen: HandObservation) -> HandSolution:
-        state = track.state
+    def smoothed(self, tracks: Sequence[HandTrack]) -> list[HandSolution]:
+        """Return the hand at each of a row of samples, in order of time, as all of them together show it."""
+        states = smoothed_states(self._filter, tracks)
+        solutions = []
+        for track, state in zip(tracks, states, strict=True):
+            shown = self._angles(state, track.seen, track.shown)
+            solutions.append(self._solution_of(dataclasses.replace(track, state=state, shown=shown)))
+        return solutions
+
+    def _solution_of(self, track: HandTrack) -> HandSolution:
+        state, seen = track.state, track.seen
         shorter_palm_m = -self._settings.palm_share * float(state.person[2])
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = state.R, state.p - shorter_palm_m * state.R[:, 2]

@@ -17,6 +17,7 @@ from rhot_ik.hand.contact import Shape, shape_of
 from rhot_ik.hand.explain import solver_tables
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.fingers.geometry import base_marker
+from rhot_ik.hand.lookback import LookBack
 from rhot_ik.hand.repeated_guesses import RepeatedGuesses
 from rhot_ik.hand.solver import HandSolution, HandSolver
 
@@ -56,6 +57,7 @@ class HandStage:
                 continue
             self._bases[side] = base
             self._solvers[side] = HandSolver(model, self._markers, base, rig.config.ik, viewpoint)
+        self._lookback = LookBack(self._solvers)
 
     def configure(self, config: IkConfig) -> None:
         """Switch to another configuration from the next sample on."""
@@ -84,7 +86,31 @@ class HandStage:
 
     def feed(self, points: PointSet) -> list[Output]:
         """Return the `HandPose` of each hand that the points show, with its key."""
-        out: list[Output] = []
+        return self._outputs(points, self._solve(points))
+
+    def look_back(self, points: PointSet) -> list[tuple[PointSet, list[Output]]]:
+        """Take points like `feed`, and return the hands of earlier ones that later ones do not change any more.
+
+        Points come back in their order, each with its hands as the points before and after it show them; what is
+        still missing comes from `finish`.
+        """
+        tracks = {side: track for side in self._solve(points) if (track := self._solvers[side].track) is not None}
+        return [(settled, self._outputs(settled, found)) for settled, found in self._lookback.add(points, tracks)]
+
+    def finish(self) -> list[tuple[PointSet, list[Output]]]:
+        """Return what `look_back` still holds, at the end of a recording."""
+        return [(settled, self._outputs(settled, found)) for settled, found in self._lookback.finish()]
+
+    def _outputs(self, points: PointSet, found: Mapping[Side, HandSolution]) -> list[Output]:
+        """Return the messages that carry solutions, with their keys."""
+        return [
+            (f"rhot/hand/{side}", hand_pose(points, self._solvers[side].geometry.model, solution))
+            for side, solution in found.items()
+        ]
+
+    def _solve(self, points: PointSet) -> dict[Side, HandSolution]:
+        """Return the hands that points show."""
+        found: dict[Side, HandSolution] = {}
         held_ns = round(self._hold_s * 1e9)
         shapes = [shape for t_ns, shape in self._objects.values() if abs(points.t_ns - t_ns) <= held_ns]
         for side, solver in self._solvers.items():
@@ -93,8 +119,8 @@ class HandStage:
                 self._counts["no_hand"] += 1
             else:
                 self._counts["hands"] += 1
-                out.append((f"rhot/hand/{side}", hand_pose(points, solver.geometry.model, solution)))
-        return out
+                found[side] = solution
+        return found
 
     def feed_object(self, pose: ObjectPose) -> None:
         """Remember where an object is that hidden fingers may close round; one without a shape tells nothing."""

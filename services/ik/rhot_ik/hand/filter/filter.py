@@ -107,7 +107,7 @@ class HandFilter(HandProcess):
         """
         rows = rows_of(evidence)
         if rows is None:
-            return prior
+            return dataclasses.replace(prior, prior_covariance=prior.P)
         P, given, dx = prior.P, rows.noise, np.zeros(SIZE)
         learned = min(1.0, (prior.dt_s or self.settings.first_lasts_s) / self.settings.lasts_s)
         at = prior
@@ -144,7 +144,7 @@ class HandFilter(HandProcess):
                 posterior[:, PERSON] @ np.linalg.solve(posterior[PERSON, PERSON], denied)
             )
             dx[PERSON] -= (1.0 - self.settings.person_given) * denied
-            at = self._moved(prior, dx)
+            at = self.moved(prior, dx)
             moved = np.abs(dx - about)
             if max(moved[ROTATION].max(), moved[ANGLES].max()) < self.settings.close_rad:
                 break
@@ -153,8 +153,9 @@ class HandFilter(HandProcess):
         left = ((innovation - H @ dx)[:15].reshape(5, 3) ** 2).sum(-1) * rows.seen[:5]
         return dataclasses.replace(
             at,
-            angles=np.minimum(np.maximum(at.angles, self._low), self._high),
+            angles=self.legal(at.angles),
             P=0.5 * (posterior + posterior.T),
+            prior_covariance=P,
             mean_residual_m=float(np.sqrt(left).sum() / max(1, np.count_nonzero(rows.seen[:5]))),
         )
 
@@ -177,7 +178,8 @@ class HandFilter(HandProcess):
         return cost
 
     @staticmethod
-    def _moved(prior: HandState, dx: FloatArray) -> HandState:
+    def moved(prior: HandState, dx: FloatArray) -> HandState:
+        """Return a state that is off another by an error (43,)."""
         return dataclasses.replace(
             prior,
             R=prior.R @ rotation_from_vector(dx[ROTATION]),
@@ -187,6 +189,11 @@ class HandFilter(HandProcess):
             angles=prior.angles + dx[ANGLES],
             person=prior.person + dx[PERSON],
         )
+
+    def legal(self, angles: FloatArray) -> FloatArray:
+        """Return angles (20,) brought inside the limits."""
+        inside: FloatArray = np.minimum(np.maximum(angles, self._low), self._high)
+        return inside
 
     def _is_far(self, prior: HandState, rows: Rows, expected: FloatArray) -> bool:
         """Tell whether any seen tip lies so far from the expected ones (5, 3) that derivatives there say little."""

@@ -27,6 +27,8 @@ POSITION: Final = slice(3, 6)
 ANGULAR_VELOCITY: Final = slice(6, 9)
 VELOCITY: Final = slice(9, 12)
 ANGLES: Final = slice(12, 12 + COUNT)
+MOTION: Final = slice(0, 32)
+"""All of the above: what changes from sample to sample."""
 BASE_SHIFT: Final = slice(32, 35)
 """Of the base marker from where the model has it, metres, wrist frame."""
 PATCH_TILT: Final = slice(35, 38)
@@ -52,6 +54,7 @@ class HandState:
         dt_s: how far the last prediction reached.
         stationary_share: share of the angles' stationary covariance that it added to P.
         mean_residual_m: mean distance of the seen tips from where this state has them; 0 when none was seen.
+        prior_covariance: (43, 43) covariance before the last sample, with the room that the sample gave it.
     """
 
     R: FloatArray
@@ -64,6 +67,7 @@ class HandState:
     dt_s: float = 0.0
     stationary_share: float = 0.0
     mean_residual_m: float = 0.0
+    prior_covariance: FloatArray | None = None
 
     @property
     def longer(self) -> FloatArray:
@@ -163,6 +167,18 @@ class HandProcess:
             dt_s,
             spread,
         )
+
+    def transposed(self, state: HandState, dt_s: float, by_motion: FloatArray) -> FloatArray:
+        """Return Fᵀ·v (32,) of the derivative F of `predict` and a vector v (32,), pose, speeds and angles alone."""
+        fades = math.exp(-dt_s / self.settings.speed_fades_s)
+        path_s = self.settings.speed_fades_s * (1.0 - fades)
+        turn = rotation_from_vector(state.angular_velocity * path_s)
+        out = np.empty(MOTION.stop)
+        out[ROTATION] = turn @ by_motion[ROTATION]
+        out[POSITION] = by_motion[POSITION]
+        out[6:12] = path_s * by_motion[:6] + fades * by_motion[6:12]
+        out[ANGLES] = math.exp(-dt_s / self.settings.angles_s) * by_motion[ANGLES]
+        return out
 
     def _expected(self, hidden: BoolArray | None, closing: FloatArray) -> FloatArray:
         """Return the angles (20,) that seen fingers tend to, and of hidden ones (5,) those of `closing` (20,)."""

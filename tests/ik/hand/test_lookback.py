@@ -1,0 +1,75 @@
+"""Hands of a recording as the samples before and after each moment show them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hands.moving_hand import MakePoints, Wrist, moving_angles, positions
+from numpy.typing import NDArray
+
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import JOINTS
+from rhot.messages import HandPose, PointSet
+from rhot.rig import Rig
+from rhot.stage import Output
+from rhot_ik.hand.lookback import LookBack
+from rhot_ik.hand.stage import HandStage
+
+FloatArray = NDArray[np.float64]
+RATE_HZ = 40.0
+TIP = JOINTS.index("ring_tip")
+
+
+@pytest.fixture
+def clip(
+    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
+) -> tuple[list[PointSet], FloatArray]:
+    """Return points of 2 s in which the ring finger closes while nobody sees it, and its true tips."""
+    sets, tips = [], []
+    for k in range(80):
+        t_s = k / RATE_HZ
+        angles = moving_angles(t_s, right_hand)
+        # From rest to a fist in a second, most of it unseen.
+        angles[3, 0] += np.radians(60.0) * np.clip((k - 20) / 40.0, 0.0, 1.0)
+        joints = right_hand.forward(wrist(), right_hand.clamp(angles))
+        hide = ("ring",) if 24 <= k < 52 else ()
+        sets.append(make_points(right_hand, joints, right_rig.config.markers, t_s, hide=hide))
+        tips.append(joints.positions[TIP])
+    return sets, np.array(tips)
+
+
+def tips_of(hands: list[tuple[PointSet, list[Output]]]) -> FloatArray:
+    poses = [message for _, outputs in hands for _, message in outputs if isinstance(message, HandPose)]
+    assert len(poses) == len(hands)
+    return np.array([positions(pose)[TIP] for pose in poses])
+
+
+def test_a_hidden_finger_goes_to_where_it_comes_out(right_rig: Rig, clip: tuple[list[PointSet], FloatArray]) -> None:
+    sets, truth = clip
+    live = tips_of([(points, stage.feed(points)) for stage in [HandStage(right_rig)] for points in sets])
+    stage = HandStage(right_rig)
+    assert all(stage.look_back(points) == [] for points in sets)
+    smooth = tips_of(stage.finish())
+    hidden = slice(24, 52)
+    before, after = (np.linalg.norm(found - truth, axis=1)[hidden] for found in (live, smooth))
+    assert after.max() < 0.6 * before.max()
+    assert after.mean() < 0.6 * before.mean()
+    # It comes out without a step, and seen tips stay where they were seen.
+    steps = np.linalg.norm(np.diff(smooth, axis=0), axis=1) - np.linalg.norm(np.diff(truth, axis=0), axis=1)
+    assert steps[15:].max() < 0.004
+    assert np.linalg.norm(smooth - truth, axis=1)[60:].max() < 0.004
+
+
+def test_pieces_come_in_order_and_all_of_them(right_rig: Rig, clip: tuple[list[PointSet], FloatArray]) -> None:
+    sets, _ = clip
+    whole, pieces = HandStage(right_rig), HandStage(right_rig)
+    pieces._lookback = LookBack(pieces._solvers, ahead_ns=1_000_000_000, piece_ns=300_000_000)
+    for points in sets:
+        whole.look_back(points)
+    settled = [pieces.look_back(points) for points in sets]
+    assert max(map(len, settled)) < 20
+    assert sum(map(len, settled)) > 30
+    found = [hand for piece in settled for hand in piece] + pieces.finish()
+    assert [points.seq for points, _ in found] == [points.seq for points in sets]
+    assert np.linalg.norm(tips_of(found) - tips_of(whole.finish()), axis=1).max() < 0.004
+    assert pieces.finish() == []
