@@ -63,7 +63,8 @@ def smoothed_states(hand_filter: HandFilter, steps: Sequence[Filtered]) -> list[
         error = np.zeros(SIZE)
         error[MOTION] = _motion_between(after.expected, smoothed[k + 1])
         if dt_s > 0.0:
-            gain: FloatArray = np.linalg.solve(_given_person(after.state.prior_covariance), error[MOTION])
+            met = _given_person(after.state.prior_covariance)
+            gain = np.asarray(np.linalg.solve(met, error[MOTION]), dtype=np.float64)
             error[MOTION] = _given_person(state.P) @ hand_filter.transposed(state, dt_s, gain)
         moved = hand_filter.moved(state, error)
         smoothed[k] = dataclasses.replace(moved, angles=hand_filter.legal(moved.angles))
