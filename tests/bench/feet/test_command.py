@@ -161,6 +161,10 @@ def test_table_5_1_stands_beside_what_was_printed() -> None:
     assert right[1] == "right, with sensor"
     assert right[4] == "62 / 25 / 390"
     assert rows_of(done[run.name][0])["straight line of 2 m, left, without sensor, worst"] == pytest.approx(400.0)
+    text = "columns of 2 in which ours errs less than the thesis's tracker: average, median and worst"
+    assert rows_of(done[run.name][0])[text] == 2.0
+    worse = replace(done[run.name][0], thesis=done[run.name][0].ours)
+    assert rows_of(worse)[text] == 0.0
     assert set(PRINTED_M) == set(TASKS)
     assert "<table>" in table_5_1(done).html()
 
