@@ -23,6 +23,8 @@ MOVING: Final = 0.05
 """m/s; a foot that is slower stands."""
 _BACK_S: Final = 0.1
 _BACK_WITHIN_M: Final = 0.02
+_SQUAT: Final = "task_squat"
+_NONE: Final = STAGES.index("none")
 _DEPTH: Final = STAGES.index("depth")
 _MARKER: Final = STAGES.index("marker")
 _AVERAGED: Final = f"measured feet from {SETTLE_S:g} s on, at the pose's own time; worst from the start"
@@ -94,6 +96,9 @@ def _knee_rows(done: Done) -> list[Row]:
         if name.startswith("height_"):
             errors = np.concatenate([each.knee_error_m for each in played])
             rows.append(Row(f"{name.removeprefix('height_')} m, mean error", _of(np.mean, errors), "mm", most=40.0))
+    if _SQUAT in done:
+        errors = np.concatenate([each.knee_error_m for each in done[_SQUAT]])
+        rows.append(Row("squats and kneels, mean error", _of(np.mean, errors), "mm", most=40.0))
     return [*rows, Row("frames with a knee bent backwards, all runs", float(backwards), "", most=0.0)]
 
 
@@ -125,6 +130,9 @@ def _coverage_rows(done: Done) -> list[Row]:
         tracks = [each.ours[side] for each in played for side in SIDES]
         stages = np.concatenate([track.stage for track in tracks])
         shares = [f"{stage} {100.0 * np.mean(stages == k):.0f} %" for k, stage in enumerate(STAGES)]
+        if name == _SQUAT:
+            hidden = 100.0 * float(np.mean(stages == _NONE))
+            rows.append(Row("squats and kneels: not published", hidden, "%", most=10.0))
         measured = np.concatenate([track.measured for track in tracks])
         rows.append(Row(f"{name}: measured", 100.0 * float(measured.mean()), "%", note=f"{name}: {', '.join(shares)}"))
     return rows

@@ -114,6 +114,18 @@ def test_the_worst_of_a_task_shows_both_measured_and_predicted() -> None:
     assert rows["    worst while only predicted"].value == pytest.approx(400.0)
 
 
+def test_a_squat_has_targets_of_its_own() -> None:
+    error_m, measured = np.full(400, 0.002), np.ones(400, np.bool_)
+    played = made_up(RUNS["task_squat"], error_m, measured=measured)
+    stage = np.where(np.arange(400) < 60, STAGES.index("none"), STAGES.index("marker"))
+    sides = {side: replace(track, stage=stage) for side, track in played.ours.items()}
+    sections = feet_sections({"task_squat": [replace(played, ours=sides)]})
+    rows = {row.name: row for section in sections for row in section.rows}
+    assert rows["squats and kneels, mean error"].value == pytest.approx(30.0)
+    assert rows["squats and kneels: not published"].value == pytest.approx(15.0)
+    assert rows["squats and kneels: not published"].verdict == "missed"
+
+
 def rows_of(played: Played) -> dict[str, float]:
     return {row.name: row.value for section in feet_sections({played.run.name: [played]}) for row in section.rows}
 
