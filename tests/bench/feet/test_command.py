@@ -112,6 +112,7 @@ def test_the_worst_of_a_task_shows_both_measured_and_predicted() -> None:
     assert rows["walk, worst"].value == pytest.approx(200.0)
     assert rows["walk, worst"].verdict == "missed"
     assert rows["    worst while only predicted"].value == pytest.approx(400.0)
+    assert rows["    worst while only predicted"].verdict == "missed"
 
 
 def test_a_squat_has_targets_of_its_own() -> None:
