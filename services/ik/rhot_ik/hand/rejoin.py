@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
-from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.filter.kinematics import HandKinematics
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class RejoinSettings:
 
 
 def rejoined(
-    geometry: FingerGeometry,
+    kinematics: HandKinematics,
     estimated: FloatArray,
     shown: FloatArray,
     left_s: FloatArray,
@@ -53,7 +53,7 @@ def rejoined(
     """Return the angles (5, 4) to show, and for how long each finger is led in from now on (5,), seconds.
 
     Args:
-        geometry: of the hand.
+        kinematics: of the hand.
         estimated: (5, 4) radians: what is known now.
         shown: (5, 4) radians: what was shown last.
         left_s: (5,) for how long each finger is still led in; 0 = it is not.
@@ -63,10 +63,10 @@ def rejoined(
     change = estimated - shown
     # No tip goes further than its finger turns; most samples end here, without the tips themselves.
     least_m = settings.step_m + settings.fastest_m_s * dt_s
-    if not left_s.any() and (np.abs(change).sum(axis=1) * geometry.reaches).max() <= least_m:
+    if not left_s.any() and (np.abs(change).sum(axis=1) * kinematics.reaches).max() <= least_m:
         return estimated, left_s
-    begin, share = geometry.marker_points(shown), np.ones(5)
-    way = geometry.marker_points(estimated) - begin
+    begin, share = kinematics.marker_points(shown.reshape(-1)), np.ones(5)
+    way = kinematics.marker_points(estimated.reshape(-1)) - begin
     gap_m = np.sqrt((way * way).sum(-1))
     led: BoolArray = (left_s > 0.0) | (gap_m > least_m)
     if not led.any():
@@ -78,7 +78,7 @@ def rejoined(
         if not (led & (shorter < 1.0)).any():
             break
         share *= shorter
-        way = geometry.marker_points(shown + share[:, None] * change) - begin
+        way = kinematics.marker_points((shown + share[:, None] * change).reshape(-1)) - begin
     angles = np.where(led[:, None], shown + share[:, None] * change, estimated)
     # Who has not arrived is led on, however long it takes.
     left = np.where(share < 1.0, np.maximum(left_s - dt_s, _NONE_S), left_s - dt_s)

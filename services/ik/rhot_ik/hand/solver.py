@@ -208,7 +208,7 @@ class HandSolver:
         angles = self._angles(state, seen, before.shown)
         sure = measured & self._is_sure(seen)
         left_s = np.where(sure & before.sure, before.rejoins_s, self._rejoin.lasts_s)
-        shown, left_s = rejoined(self._geometry, angles, before.shown, left_s, dt_s, self._rejoin)
+        shown, left_s = rejoined(self._kinematics, angles, before.shown, left_s, dt_s, self._rejoin)
         return HandTrack(
             t_ns=seen.t_ns,
             state=state,

@@ -49,7 +49,7 @@ def evidence_of(hand: HandFilter, angles: FloatArray, *, hidden: tuple[int, ...]
         base=P_TRUE + R_TRUE @ BASE_OFFSET,
         base_covariance=np.eye(3) * 0.0005**2,
         rotation=R_TRUE if turned else None,
-        rotation_information=np.eye(3) / np.radians(1.0) ** 2,
+        rotation_covariance=np.eye(3) * np.radians(1.0) ** 2,
         tips=tips,
         tip_covariances=np.tile(np.eye(3) * 0.001**2, (5, 1, 1)),
         corner_noise=CornerNoise(1.0, 1.0),

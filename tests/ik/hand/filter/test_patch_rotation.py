@@ -21,7 +21,7 @@ def test_corners_in_any_order_give_the_rotation(first: int, way: int) -> None:
     assert np.allclose(found[0], R_TRUE, atol=1e-9)
 
 
-def test_information_says_how_far_the_rotation_scatters() -> None:
+def test_the_covariance_says_how_far_the_rotation_scatters() -> None:
     covariance = np.diag([0.0003, 0.0003, 0.002]) ** 2
     rng = np.random.default_rng(2)
     errors = []
@@ -29,7 +29,7 @@ def test_information_says_how_far_the_rotation_scatters() -> None:
         corners = OUTLINE @ R_TRUE.T + AT + rng.multivariate_normal(np.zeros(3), covariance, 4)
         found = PatchRotation(OUTLINE).fit(corners, R_TRUE, covariance)
         assert found is not None
-        errors.append(np.linalg.cholesky(found[1]).T @ vector_from_rotation(R_TRUE.T @ found[0]))
+        errors.append(np.linalg.solve(np.linalg.cholesky(found[1]), vector_from_rotation(R_TRUE.T @ found[0])))
     assert 0.8 < np.array(errors).std() < 1.25
 
 

@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
-from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import shortest_rotation
 from rhot_ik.hand.filter.patch_rotation import PatchRotation
 from rhot_ik.hand.filter.settings import HandSettings
@@ -85,7 +84,7 @@ class Evidence:
         base: (3,) centre of the base marker; NaN = not seen.
         base_covariance: (3, 3).
         rotation: (3, 3) patch to rig, as its corners say; none where they were not seen.
-        rotation_information: (3, 3) inverse covariance of its error δθ.
+        rotation_covariance: (3, 3) of its error δθ.
         tips: (5, 3) fingertip markers; NaN rows = not seen.
         tip_covariances: (5, 3, 3).
         corner_noise: what is known by now of the corners' noise.
@@ -94,7 +93,7 @@ class Evidence:
     base: FloatArray
     base_covariance: FloatArray
     rotation: FloatArray | None
-    rotation_information: FloatArray
+    rotation_covariance: FloatArray
     tips: FloatArray
     tip_covariances: FloatArray
     corner_noise: CornerNoise
@@ -106,6 +105,7 @@ class Rows:
 
     Attributes:
         seen: (7,) which of them were.
+        all_seen: whether all were.
         counts: (21,) the same for each row, as 0 or 1.
         points: (6, 3) metres, rig frame: tips and base; 0 where not seen.
         rotation: (3, 3) patch to rig, or not seen.
@@ -113,6 +113,7 @@ class Rows:
     """
 
     seen: BoolArray
+    all_seen: bool
     counts: FloatArray
     points: FloatArray
     rotation: FloatArray | None
@@ -128,9 +129,9 @@ def rows_of(evidence: Evidence) -> Rows | None:
         return None
     noise = np.empty((7, 3, 3))
     noise[:5], noise[5] = evidence.tip_covariances, evidence.base_covariance
-    noise[6] = symmetric_inverse(evidence.rotation_information)
+    noise[6] = evidence.rotation_covariance
     points = np.where(seen[:6, None], points, 0.0)
-    return Rows(seen, np.repeat(seen, 3).astype(np.float64), points, evidence.rotation, noise)
+    return Rows(seen, bool(seen.all()), np.repeat(seen, 3).astype(np.float64), points, evidence.rotation, noise)
 
 
 class EvidenceModel:
@@ -149,7 +150,7 @@ class EvidenceModel:
         self._floor = settings.model_m**2 * _UNIT
         self._corner_noise = CornerNoise(settings.corner_factor, settings.corner_samples[0])
         self._most_samples, self._corner_floor = settings.corner_samples[1], settings.corner_m**2 * _UNIT
-        self._across = np.diag([1e-3, settings.across_rad**-2, settings.across_rad**-2])
+        self._across = np.diag([1e3, settings.across_rad**2, settings.across_rad**2])
 
     def assess(
         self, seen: HandObservation, expected: FloatArray | None, corner_noise: CornerNoise | None = None
@@ -160,17 +161,16 @@ class EvidenceModel:
         turned, noise = None, corner_noise or self._corner_noise
         if expected is not None and seen.corners is not None and self._patch is not None and seen.base_measured:
             noise = noise.after(seen.corners, base_covariance, self._most_samples)
-            covariance = noise.factor * base_covariance + self._corner_floor
-            turned = self._patch.fit(seen.corners, expected, covariance)
+            turned = self._patch.fit(seen.corners, expected, noise.factor * base_covariance + self._corner_floor)
         elif expected is not None and seen.across is not None:
             # Two points tell nothing of the turn about the line through them.
             turned = shortest_rotation(expected[:, 0], seen.across) @ expected, self._across
-        rotation, information = (None, _UNIT) if turned is None else turned
+        rotation, covariance = (None, _UNIT) if turned is None else turned
         return Evidence(
             base=_NOWHERE if seen.base is None else seen.base,
             base_covariance=base_covariance + self._floor,
             rotation=rotation,
-            rotation_information=information,
+            rotation_covariance=covariance,
             tips=seen.tips,
             tip_covariances=tip_covariances + self._floor,
             corner_noise=noise,

@@ -22,6 +22,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
+from rhot.geometry.covariances import squared_distance
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
 from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import Evidence, Rows, rows_of
@@ -111,7 +112,6 @@ class HandFilter(HandProcess):
         P, given, dx = prior.P, rows.noise, np.zeros(SIZE)
         learned = min(1.0, (prior.dt_s or self.settings.first_lasts_s) / self.settings.lasts_s)
         at = prior
-        wanted = np.empty((_ROWS, SIZE + 1))
         modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
         if shapes and prior.dt_s > 0.0 and not rows.seen[:5].all():
             self._contact.expect(rows, prior, modelled[0], shapes)
@@ -134,10 +134,9 @@ class HandFilter(HandProcess):
             if far or step > 0:
                 noise = self._doubted(rows, given, y, H[:15, :6] if step == 0 else None, P[:6, :6])
             S.reshape(7, 3, 7, 3)[_BLOCKS, :, _BLOCKS] += noise
-            wanted[:, :SIZE], wanted[:, SIZE] = PHt.T, innovation
-            solved = np.linalg.solve(S, wanted)
-            posterior = P - PHt @ solved[:, :SIZE]
-            about, (dx, posterior) = dx, self._within_limits(PHt @ solved[:, SIZE], prior.angles, posterior)
+            gain = PHt @ np.linalg.inv(S)
+            posterior = P - gain @ PHt.T
+            about, (dx, posterior) = dx, self._within_limits(gain @ innovation, prior.angles, posterior)
             # What is not learned at once is partly given for all the rest, whose mean moves towards that under it.
             denied = (1.0 - learned) * dx[PERSON]
             dx -= self.settings.person_given * (
@@ -174,7 +173,7 @@ class HandFilter(HandProcess):
             cost += float(gap @ np.linalg.solve(evidence.base_covariance, gap))
         if evidence.rotation is not None:
             turn = vector_from_rotation(self.patch_rotation(state).T @ evidence.rotation)
-            cost += float(turn @ evidence.rotation_information @ turn)
+            cost += squared_distance(turn, evidence.rotation_covariance)
         return cost
 
     @staticmethod
@@ -236,7 +235,7 @@ class HandFilter(HandProcess):
             tilt = rotation_from_vector(at.person[_TILT])
             y[18:] = vector_from_rotation((R @ tilt).T @ rows.rotation)
             H[18:, ROTATION] = tilt.T
-        return H * rows.counts[:, None], y * rows.counts
+        return (H, y) if rows.all_seen else (H * rows.counts[:, None], y * rows.counts)
 
     def _given_room(
         self, prior: HandState, rows: Rows, H: FloatArray, innovation: FloatArray

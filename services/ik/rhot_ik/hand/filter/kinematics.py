@@ -2,9 +2,9 @@
 
 In a finger's rest frame the axes of its three bones are, with abduction a and bend b (flexion summed up to the bone),
 x = (cos a, 0, −sin a), y = (−sin b·sin a, cos b, −sin b·cos a), z = (cos b·sin a, sin b, cos b·cos a). Every joint, the
-marker and its derivatives by the three bends are fixed combinations of these seven vectors, for ∂z/∂b = y, ∂y/∂b = −z;
-abduction turns all of them about Y. `rhot.anatomy.hand` holds the model itself; this is the same mapping, made for the
-filter.
+marker and its derivatives are fixed combinations of these seven vectors, for ∂z/∂b = y, ∂y/∂b = −z, and abduction turns
+all of them about Y. So they are one fixed matrix times the sines and cosines of a finger and their products.
+`rhot.anatomy.hand` holds the model itself; this is the same mapping, made for the filter.
 """
 
 from __future__ import annotations
@@ -22,42 +22,54 @@ _Z: Final = (0, 1, 2)
 _Y: Final = (3, 4, 5)
 _X: Final = 6
 _VECTORS: Final = 7
+_TERMS: Final = 20
 _CARPAL: Final = np.array([WRIST, *METACARPALS[1:]])
 """Joints that stand still in the wrist; the thumb's first joint, which moves, is known by what it moves."""
 
 
 class HandKinematics:
-    """The chains of one hand; stateless after construction."""
+    """The chains of one hand; stateless after construction.
+
+    Attributes:
+        reaches: (5,) metres: no marker is further from its knuckle.
+    """
 
     def __init__(self, geometry: FingerGeometry) -> None:
         model = geometry.model
-        self._handedness = model.handedness
-        self._frames_t = np.ascontiguousarray(np.swapaxes(model.frames, 1, 2))
-        self._knuckles = model.knuckles
-        bones, ends = model.bones, geometry.ends
-        # From 20 angles to five abductions and three bends of each finger.
-        self._sums = np.zeros((20, 20))
-        for finger in range(5):
-            flexion, abduction, middle, last = range(4 * finger, 4 * finger + 4)
-            self._sums[finger, abduction] = self._handedness
-            for bone, hinges in enumerate(((flexion,), (flexion, middle), (flexion, middle, last))):
-                self._sums[5 + 3 * finger + bone, hinges] = 1.0
-        marker = np.zeros((5, 1, _VECTORS))
-        marker[:, 0, _Z[:2]] = -bones[:, :2]
-        marker[:, 0, (_X, _Y[2], _Z[2])] = ends
-        by_bends = np.zeros((5, 3, _VECTORS))
-        for place in range(3):
-            by_bends[:, place, _Y[place:]] = marker[:, 0, _Z[place:]]
-            by_bends[:, place, _Z[2]] = -ends[:, 1]
+        self._knuckles, self._all_knuckles = model.knuckles, model.knuckles[:, None]
+        self.reaches = geometry.reaches
+        self._turns = _turns(model.handedness)
+        vectors = _vectors()
+        to_palm = np.einsum("fij,vjt->fvit", model.frames, vectors)
+        marker = np.zeros((5, _VECTORS))
+        marker[:, _Z[:2]] = -model.bones[:, :2]
+        marker[:, (_X, _Y[2], _Z[2])] = geometry.ends
         joints = np.zeros((5, 3, _VECTORS))
         for place in range(3):
-            joints[:, place, : place + 1] = -bones[:, : place + 1]
-        self._marker = np.concatenate([marker, by_bends], axis=1)
-        self._chain = np.concatenate([joints, marker], axis=1)
+            joints[:, place, : place + 1] = -model.bones[:, : place + 1]
+        self._marker = np.einsum("fv,fvit->fit", marker, to_palm)
+        self._chain = np.concatenate(
+            [np.einsum("fkv,fvit->fkit", joints, to_palm).reshape(5, 9, _TERMS), self._marker], axis=1
+        )
+        by_bends = np.zeros((5, 3, _VECTORS))
+        for place in range(3):
+            by_bends[:, place, _Y[place:]] = marker[:, _Z[place:]]
+            by_bends[:, place, _Z[2]] = -geometry.ends[:, 1]
+        # ∂/∂a of (x, y, z) is (z, 0, −x).
+        about = model.handedness * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+        by_abduction = np.einsum("fv,fij,jk,vkt->fit", marker, model.frames, about, vectors)
+        flexion, middle, last = np.einsum("fkv,fvit->kfit", by_bends, to_palm)
+        derivatives = np.stack([flexion, by_abduction, middle, last, self._marker], axis=2)
+        self._marker_and_derivatives = np.concatenate([self._marker, derivatives.reshape(5, 15, _TERMS)], axis=1)
+        # The derivative by the length is the marker of a finger of the model's length.
+        self._longer = np.array([1.0, 1.0, 1.0, *([1.0, 1.0, 1.0, 1.0, 0.0] * 3)])
         rest = model.forward_local(np.zeros((5, 4)))
         self._positions, self._orientations = rest.positions, quaternion_from_rotation(rest.rotations)
+        # Abduction about y, then bends about −x, of the products of the half angles' sines and cosines.
+        bent = np.zeros((4, 4))
+        bent[(1, 2, 0, 3), (0, 1, 2, 3)] = -1.0, 1.0, 1.0, 1.0
         in_frames = [product_matrix(*quaternion_from_rotation(frame)) for frame in model.frames]
-        self._in_frames_t = np.ascontiguousarray(np.swapaxes(np.array(in_frames), 1, 2))
+        self._bent = bent @ np.swapaxes(np.array(in_frames), 1, 2)
 
     def markers(self, q: FloatArray, longer: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the markers (5, 3), metres, wrist frame, and their derivatives (5, 3, 5) by angles and length.
@@ -66,16 +78,14 @@ class HandKinematics:
             q: (20,) radians, finger by finger.
             longer: (5,) by which share each finger is longer than the model's.
         """
-        found = self._marker @ self._vectors(q)
-        rows = np.empty((5, 6, 3))
-        rows[:, 0], rows[:, 1], rows[:, 3:5], rows[:, 5] = found[:, 0], found[:, 1], found[:, 2:], found[:, 0]
-        # ∂/∂a of (x, y, z) is (z, 0, −x).
-        rows[:, 2, 0] = self._handedness * found[:, 0, 2]
-        rows[:, 2, 1] = 0.0
-        rows[:, 2, 2] = -self._handedness * found[:, 0, 0]
-        rows[:, :5] *= (1.0 + longer)[:, None, None]
-        rows = rows @ self._frames_t
-        return rows[:, 0] + self._knuckles, rows[:, 1:].swapaxes(1, 2)
+        found: FloatArray = (self._marker_and_derivatives @ self._terms(q))[..., 0]
+        found *= 1.0 + longer[:, None] * self._longer
+        return found[:, :3] + self._knuckles, found[:, 3:].reshape(5, 3, 5)
+
+    def marker_points(self, q: FloatArray) -> FloatArray:
+        """Return the markers (5, 3), metres, wrist frame, of a hand of the model's lengths at angles (20,)."""
+        points: FloatArray = (self._marker @ self._terms(q))[..., 0] + self._knuckles
+        return points
 
     def pose(
         self, R: FloatArray, p: FloatArray, q: FloatArray, longer: FloatArray, shorter_palm_m: float = 0.0
@@ -92,34 +102,60 @@ class HandKinematics:
         Returns:
             Positions (26, 3), metres, and unit quaternions (26, 4), x y z w, of all joints, and the markers (5, 3).
         """
-        chain = (self._chain @ self._vectors(q)) @ self._frames_t * (1.0 + longer)[:, None, None]
-        chain += self._knuckles[:, None]
+        chain = (self._chain @ self._terms(q)).reshape(5, 4, 3) * (1.0 + longer)[:, None, None]
+        chain += self._all_knuckles
         positions, orientations = self._positions.copy(), self._orientations.copy()
         positions[MOVING[:, 1:]] = chain[:, :3]
         positions[_CARPAL, 2] -= shorter_palm_m
         positions[PALM, 2] -= 0.5 * shorter_palm_m
-        halves = 0.5 * (self._sums @ q)
-        cos, sin = np.cos(halves), np.sin(halves)
-        cos_a, sin_a = cos[:5, None], sin[:5, None]
-        cos_b, sin_b = cos[5:].reshape(5, 3), sin[5:].reshape(5, 3)
-        # Abduction about y, then bends about −x.
-        bent = np.empty((5, 3, 4))
-        bent[:, :, 0], bent[:, :, 1] = -cos_a * sin_b, sin_a * cos_b
-        bent[:, :, 2], bent[:, :, 3] = sin_a * sin_b, cos_a * cos_b
-        bent = bent @ self._in_frames_t
+        bent = _products(_circular(0.5 * (self._turns @ q))).reshape(5, 3, 4) @ self._bent
         orientations[MOVING[:, :3]] = bent
         orientations[MOVING[:, 3]] = bent[:, 2]
         orientations = orientations @ product_matrix(*quaternion_from_rotation(R)).T
         return positions @ R.T + p, orientations, chain[:, 3] @ R.T + p
 
-    def _vectors(self, q: FloatArray) -> FloatArray:
-        """Return z, y of the three bones and their common x, (5, 7, 3), in the fingers' rest frames."""
-        turns = self._sums @ q
-        cos, sin = np.cos(turns), np.sin(turns)
-        cos_a, sin_a = cos[:5, None], sin[:5, None]
-        cos_b, sin_b = cos[5:].reshape(5, 3), sin[5:].reshape(5, 3)
-        out = np.zeros((5, _VECTORS, 3))
-        out[:, :3, 0], out[:, :3, 1], out[:, :3, 2] = cos_b * sin_a, sin_b, cos_b * cos_a
-        out[:, 3:6, 0], out[:, 3:6, 1], out[:, 3:6, 2] = -sin_b * sin_a, cos_b, -sin_b * cos_a
-        out[:, _X, 0], out[:, _X, 2] = cos[:5], -sin[:5]
-        return out
+    def _terms(self, q: FloatArray) -> FloatArray:
+        """Return what all is made of, (5, 20, 1): products of a bend's with the abduction's, then all by themselves."""
+        circular = _circular(self._turns @ q)
+        terms = np.empty((5, _TERMS, 1))
+        terms[:, :12, 0] = _products(circular).reshape(5, 12)
+        terms[:, 12:, 0] = circular.reshape(5, 8)
+        return terms
+
+
+def _circular(turns: FloatArray) -> FloatArray:
+    """Return sines and cosines (20, 2) of turns (20,)."""
+    circular = np.empty((20, 2))
+    np.sin(turns, circular[:, 0])
+    np.cos(turns, circular[:, 1])
+    return circular
+
+
+def _products(circular: FloatArray) -> FloatArray:
+    """Return sine, cosine of three bends times sine, cosine of the abduction, (5, 3, 2, 2), from those of all turns."""
+    by_finger = circular.reshape(5, 4, 2)
+    products: FloatArray = by_finger[:, 1:, :, None] * by_finger[:, :1, None, :]
+    return products
+
+
+def _turns(handedness: float) -> FloatArray:
+    """Return the matrix (20, 20) from angles to abduction and three bends of each finger."""
+    turns = np.zeros((20, 20))
+    for finger in range(5):
+        flexion, abduction, middle, last = range(4 * finger, 4 * finger + 4)
+        turns[4 * finger, abduction] = handedness
+        for bone, hinges in enumerate(((flexion,), (flexion, middle), (flexion, middle, last))):
+            turns[4 * finger + 1 + bone, hinges] = 1.0
+    return turns
+
+
+def _vectors() -> FloatArray:
+    """Return z, y of the three bones and their common x, (7, 3, 20), in a finger's rest frame, by `_terms`."""
+    vectors = np.zeros((_VECTORS, 3, _TERMS))
+    for bone in range(3):
+        sine_sine, sine_cosine, cosine_sine, cosine_cosine = range(4 * bone, 4 * bone + 4)
+        sine, cosine = 14 + 2 * bone, 15 + 2 * bone
+        vectors[_Z[bone], (0, 1, 2), (cosine_sine, sine, cosine_cosine)] = 1.0
+        vectors[_Y[bone], (0, 1, 2), (sine_sine, cosine, sine_cosine)] = -1.0, 1.0, -1.0
+    vectors[_X, (0, 2), (13, 12)] = 1.0, -1.0
+    return vectors

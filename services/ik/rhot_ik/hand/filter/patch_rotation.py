@@ -40,7 +40,7 @@ class PatchRotation:
         self._size = float((outline * outline).sum())
 
     def fit(self, corners: FloatArray, expected: FloatArray, covariance: FloatArray) -> Fitted | None:
-        """Return the rotation (3, 3), wrist to rig, and the inverse covariance (3, 3) of its error, or None if unfit.
+        """Return the rotation (3, 3), wrist to rig, and the covariance (3, 3) of its error, or None if unfit.
 
         The error δθ is that of R·exp(δθ). Of the eight ways to go round a rectangle, the one nearest to `expected` is
         taken: that is turned by far less than a quarter from the truth. Gauss–Newton, from `expected` when that is
@@ -64,10 +64,11 @@ class PatchRotation:
         for _ in range(_MOST_STEPS):
             local = R.T @ weight @ R
             information = (self._squares @ local.reshape(9)).reshape(3, 3)
-            step = symmetric_inverse(information) @ (self._arms @ ((found @ R - self._outline) @ local).reshape(12))
+            error = symmetric_inverse(information)
+            step = error @ (self._arms @ ((found @ R - self._outline) @ local).reshape(12))
             R = R @ rotation_from_vector(step)
             if step @ step < CLOSE_RAD**2:
                 break
         if ((found - self._outline @ R.T) ** 2).sum() > 4.0 * MAX_ERROR_M**2:
             return None
-        return R, information
+        return R, error

@@ -37,6 +37,11 @@ LONGER: Final = slice(38, 43)
 """By which share each finger, up to its marker, is longer than the model's."""
 PERSON: Final = slice(32, 43)
 SIZE: Final = 43
+_OF_SPEEDS, _SPEEDS, _ANGLES, _PERSON = (
+    slice(first * SIZE + column, last * SIZE, SIZE + 1)
+    for first, last, column in ((0, 6, 6), (6, 12, 6), (12, 32, 12), (32, 43, 32))
+)
+"""Where a flat (43, 43) matrix has what speeds do to the pose, and the diagonals of speeds, angles and person."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +103,7 @@ class HandProcess:
         lengths = np.where(known[:5], settings.known_share, settings.finger_share)
         self._person = np.diag(np.concatenate([shift, tilt, lengths]) ** 2)
         self._noise = self._process_noise()
+        self._derivative = np.eye(SIZE)
 
     def start(
         self,
@@ -143,19 +149,13 @@ class HandProcess:
         learned = math.exp(-dt_s / settings.person_s)
         spread = 1.0 - forgets * forgets
         turn = rotation_from_vector(state.angular_velocity * path_s)
-        # F is block diagonal but for the speeds' part in the pose, so a few rows and columns are all there is to do.
-        scale = np.empty(SIZE)
-        scale[:6], scale[6:12], scale[ANGLES], scale[PERSON] = 1.0, fades, forgets, learned
-        moved = state.P.copy()
-        moved[:6] += path_s * state.P[6:12]
-        moved[ROTATION] = turn.T @ state.P[ROTATION] + path_s * state.P[ANGULAR_VELOCITY]
-        moved[6:] *= scale[6:, None]
-        P = moved.copy()
-        P[:, :6] += path_s * moved[:, 6:12]
-        P[:, ROTATION] = moved[:, ROTATION] @ turn + path_s * moved[:, ANGULAR_VELOCITY]
-        P[:, 6:] *= scale[6:]
+        F = self._derivative.copy()
+        F[ROTATION, ROTATION] = turn.T
+        diagonal = F.reshape(-1)
+        diagonal[_OF_SPEEDS], diagonal[_SPEEDS] = path_s, fades
+        diagonal[_ANGLES], diagonal[_PERSON] = forgets, learned
         strengths = np.array([dt_s**3 / 3.0, dt_s**2 / 2.0, dt_s, spread, 1.0 - learned * learned])
-        P += (strengths @ self._noise).reshape(SIZE, SIZE)
+        P = F @ state.P @ F.T + (strengths @ self._noise).reshape(SIZE, SIZE)
         return HandState(
             orthonormal(state.R @ turn),
             state.p + path_s * state.velocity,
