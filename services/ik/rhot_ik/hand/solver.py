@@ -204,7 +204,7 @@ class HandSolver:
         expected = self._filter.predict(before.state, dt_s, ~measured, holds=len(shapes) > 0)
         evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), before.corner_noise)
         updated = self._filter.update(expected, evidence, shapes=shapes)
-        state, lost_s = self._reinitialised_if_lost(before, updated, seen, dt_s)
+        state, lost_s = self._reinitialised_if_lost(before, updated, seen, int(np.count_nonzero(measured)), dt_s)
         angles = self._angles(state, seen, before.shown)
         sure = measured & self._is_sure(seen)
         left_s = np.where(sure & before.sure, before.rejoins_s, self._rejoin.lasts_s)
@@ -227,11 +227,11 @@ class HandSolver:
         )
 
     def _reinitialised_if_lost(
-        self, before: HandTrack, state: HandState, seen: HandObservation, dt_s: float
+        self, before: HandTrack, state: HandState, seen: HandObservation, measured: int, dt_s: float
     ) -> tuple[HandState, float]:
         """Return the state, or a better one when the tips have missed the model for too long, and for how long."""
         # What so many tips have met at once is not overturned by fewer: a few leave a patch two ways round.
-        if np.count_nonzero(seen.tips_seen & seen.tips_measured) < before.most_tips:
+        if measured < before.most_tips:
             return state, before.lost_s
         if state.mean_residual_m < self._settings.lost_m:
             return state, 0.0
@@ -271,8 +271,10 @@ class HandSolver:
     def _angles(self, state: HandState, seen: HandObservation, shown: FloatArray) -> FloatArray:
         """Return the angles (5, 4) of the fingers; of those not measured as the whole hand's estimate has them."""
         estimated = state.angles.reshape(5, 4)
+        if self.config.solver == "filter":
+            return estimated
         measured = seen.tips_seen & seen.tips_measured
-        if self.config.solver == "filter" or not measured.any():
+        if not measured.any():
             return estimated
         resting = self._geometry.marker_points(estimated)
         local = self._filter.in_model((seen.tips - state.p) @ state.R, state.longer)

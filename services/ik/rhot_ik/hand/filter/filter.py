@@ -179,14 +179,16 @@ class HandFilter(HandProcess):
     @staticmethod
     def moved(prior: HandState, dx: FloatArray) -> HandState:
         """Return a state that is off another by an error (43,)."""
-        return dataclasses.replace(
-            prior,
-            R=prior.R @ rotation_from_vector(dx[ROTATION]),
-            p=prior.p + dx[POSITION],
-            angular_velocity=prior.angular_velocity + dx[ANGULAR_VELOCITY],
-            velocity=prior.velocity + dx[VELOCITY],
-            angles=prior.angles + dx[ANGLES],
-            person=prior.person + dx[PERSON],
+        return HandState(
+            prior.R @ rotation_from_vector(dx[ROTATION]),
+            prior.p + dx[POSITION],
+            prior.angular_velocity + dx[ANGULAR_VELOCITY],
+            prior.velocity + dx[VELOCITY],
+            prior.angles + dx[ANGLES],
+            prior.person + dx[PERSON],
+            prior.P,
+            prior.dt_s,
+            prior.stationary_share,
         )
 
     def legal(self, angles: FloatArray) -> FloatArray:
@@ -197,7 +199,7 @@ class HandFilter(HandProcess):
     def _is_far(self, prior: HandState, rows: Rows, expected: FloatArray) -> bool:
         """Tell whether any seen tip lies so far from the expected ones (5, 3) that derivatives there say little."""
         off = (rows.points[:5] - prior.p) @ prior.R - expected
-        return bool((np.abs(off).max(axis=1) * rows.seen[:5]).max() > self.settings.far_m)
+        return bool((np.abs(off) * rows.seen[:5, None]).max() > self.settings.far_m)
 
     def in_model(self, local: FloatArray, longer: FloatArray) -> FloatArray:
         """Return points (5, 3) of the wrist frame as fingers of the model's lengths would meet them."""
@@ -296,7 +298,11 @@ class HandFilter(HandProcess):
             if not len(bad):
                 break
             columns = P[:, ANGLES.start + bad]
-            gain = np.linalg.solve(columns[ANGLES.start + bad] + 1e-6 * np.eye(len(bad)), columns.T)
+            if len(bad) == 1:
+                gain: FloatArray = columns.T / (columns[ANGLES.start + bad] + 1e-6)
+            else:
+                own = columns[ANGLES.start + bad] + 1e-6 * np.eye(len(bad))
+                gain = np.asarray(np.linalg.solve(own, columns.T), dtype=np.float64)
             dx, P = dx + over[bad] @ gain, P - columns @ gain
         return dx, P
 

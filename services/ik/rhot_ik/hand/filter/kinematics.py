@@ -23,6 +23,9 @@ _Y: Final = (3, 4, 5)
 _X: Final = 6
 _VECTORS: Final = 7
 _TERMS: Final = 20
+_MOVING_BONES: Final = MOVING[:, :3].reshape(15)
+_MOVING_ENDS: Final = MOVING[:, 1:].reshape(15)
+_TIPS: Final = MOVING[:, 3].copy()
 _CARPAL: Final = np.array([WRIST, *METACARPALS[1:]])
 """Joints that stand still in the wrist; the thumb's first joint, which moves, is known by what it moves."""
 
@@ -65,6 +68,8 @@ class HandKinematics:
         self._longer = np.array([1.0, 1.0, 1.0, *([1.0, 1.0, 1.0, 1.0, 0.0] * 3)])
         rest = model.forward_local(np.zeros((5, 4)))
         self._positions, self._orientations = rest.positions, quaternion_from_rotation(rest.rotations)
+        self._by_shorter_palm = np.zeros_like(rest.positions)
+        self._by_shorter_palm[_CARPAL, 2], self._by_shorter_palm[PALM, 2] = -1.0, -0.5
         # Abduction about y, then bends about −x, of the products of the half angles' sines and cosines.
         bent = np.zeros((4, 4))
         bent[(1, 2, 0, 3), (0, 1, 2, 3)] = -1.0, 1.0, 1.0, 1.0
@@ -104,13 +109,11 @@ class HandKinematics:
         """
         chain = (self._chain @ self._terms(q)).reshape(5, 4, 3) * (1.0 + longer)[:, None, None]
         chain += self._all_knuckles
-        positions, orientations = self._positions.copy(), self._orientations.copy()
-        positions[MOVING[:, 1:]] = chain[:, :3]
-        positions[_CARPAL, 2] -= shorter_palm_m
-        positions[PALM, 2] -= 0.5 * shorter_palm_m
+        positions = self._positions + shorter_palm_m * self._by_shorter_palm
+        positions[_MOVING_ENDS] = chain[:, :3].reshape(15, 3)
         bent = _products(_circular(0.5 * (self._turns @ q))).reshape(5, 3, 4) @ self._bent
-        orientations[MOVING[:, :3]] = bent
-        orientations[MOVING[:, 3]] = bent[:, 2]
+        orientations = self._orientations.copy()
+        orientations[_MOVING_BONES], orientations[_TIPS] = bent.reshape(15, 4), bent[:, 2]
         orientations = orientations @ product_matrix(*quaternion_from_rotation(R)).T
         return positions @ R.T + p, orientations, chain[:, 3] @ R.T + p
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -21,7 +22,8 @@ CLOSE_RAD: Final = 0.05
 """Steps end when the last one was no longer than this; what is left is its square."""
 CORNER_ORDERS: Final = np.array([[(first + way * k) % 4 for k in range(4)] for way in (1, -1) for first in range(4)])
 """The eight ways to go round a rectangle, (8, 4)."""
-_PLACES: Final = np.arange(4)
+_AGREEMENT: Final = np.eye(4)[CORNER_ORDERS].swapaxes(1, 2).reshape(8, 16)
+"""Sums the products of corners found (rows) and of the outline (columns) that belong together in each order."""
 
 
 class PatchRotation:
@@ -51,14 +53,14 @@ class PatchRotation:
             expected: (3, 3) wrist to rig.
             covariance: (3, 3) square metres: of a corner about the patch's centre, rig frame.
         """
-        if not np.isfinite(corners).all():
-            return None
         centred = corners - corners.sum(axis=0) / 4.0
         # Σ |found − R·o|² is least where Σ found·(R·o) is greatest.
-        agree = (centred @ expected @ self._outline.T)[CORNER_ORDERS, _PLACES].sum(axis=1)
+        agree = _AGREEMENT @ (centred @ expected @ self._outline.T).reshape(16)
         best = int(agree.argmax())
         found = centred[CORNER_ORDERS[best]]
-        missed = float((centred * centred).sum()) + self._size - 2.0 * float(agree[best])
+        missed = float(np.vdot(centred, centred)) + self._size - 2.0 * float(agree[best])
+        if not math.isfinite(missed):
+            return None
         R = nearest_rotation(found.T @ self._outline) if missed > 4.0 * FAR_M**2 else expected
         weight = symmetric_inverse(covariance)
         for _ in range(_MOST_STEPS):
@@ -69,6 +71,7 @@ class PatchRotation:
             R = R @ rotation_from_vector(step)
             if step @ step < CLOSE_RAD**2:
                 break
-        if ((found - self._outline @ R.T) ** 2).sum() > 4.0 * MAX_ERROR_M**2:
+        off = found - self._outline @ R.T
+        if np.vdot(off, off) > 4.0 * MAX_ERROR_M**2:
             return None
         return R, error

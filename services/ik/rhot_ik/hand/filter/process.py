@@ -142,10 +142,15 @@ class HandProcess:
         fades = math.exp(-dt_s / settings.speed_fades_s)
         path_s = settings.speed_fades_s * (1.0 - fades)
         forgets = math.exp(-dt_s / settings.angles_s)
-        keeps = np.full(COUNT, forgets)
-        if hidden is not None and holds:
-            keeps[np.repeat(hidden, 4)] = math.exp(-dt_s / settings.closing_s)
-        mean = self._expected(hidden, self._closed if holds else self._unseen)
+        mean, angles = self._rest, state.angles
+        if hidden is None or not hidden.any():
+            angles = mean + forgets * (angles - mean)
+        else:
+            keeps = np.full(COUNT, forgets)
+            if holds:
+                keeps[np.repeat(hidden, 4)] = math.exp(-dt_s / settings.closing_s)
+            mean = self._expected(hidden, self._closed if holds else self._unseen)
+            angles = mean + keeps * (angles - mean)
         learned = math.exp(-dt_s / settings.person_s)
         spread = 1.0 - forgets * forgets
         turn = rotation_from_vector(state.angular_velocity * path_s)
@@ -161,7 +166,7 @@ class HandProcess:
             state.p + path_s * state.velocity,
             fades * state.angular_velocity,
             fades * state.velocity,
-            mean + keeps * (state.angles - mean),
+            angles,
             learned * state.person,
             P,
             dt_s,
