@@ -123,6 +123,7 @@ class GraspService:
         for keys, model in _KEYS.items():
             mailbox = node.bus.latest(keys)
             node.beside(partial(self._follow, node, keys, mailbox, model))
+        node.beside(self._until_the_end)
         node.beside(lambda: self._ask_for_spaces(node))
         node.beside(lambda: self._follow_folder(node))
 
@@ -179,6 +180,13 @@ class GraspService:
         elif now_s - self._hand_s < _LEAD_S:
             return
         self.server.wake()
+
+    async def _until_the_end(self) -> None:
+        """Let go of the bus when the process ends: headsets go on talking until their connections are closed."""
+        try:
+            await asyncio.Event().wait()
+        finally:
+            self._node = None
 
     async def _ask_for_spaces(self, node: Node) -> None:
         """Ask for the floor, which may have been published before this process was there."""
