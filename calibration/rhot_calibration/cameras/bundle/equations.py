@@ -85,25 +85,28 @@ class BundleEquations:
         J = np.concatenate([by_lens, by_camera_turn, by_point, by_board_turn, by_rig], axis=3)
         w = np.where(observations.seen, weights, 0.0)
         flat = J.reshape(len(place), 2 * corner_count, -1)
-        weighted = (J * w[..., None, None]).reshape(flat.shape)
+        weighted_J = J * w[..., None, None]
+        weighted = weighted_J.reshape(flat.shape)
         blocks = np.swapaxes(weighted, 1, 2) @ flat
         sides = np.einsum("vrk,vr->vk", weighted, residuals.reshape(len(place), -1))
         H, g = np.zeros((self.size, self.size)), np.zeros(self.size)
         released = self._prior.corner_sd is not None
         by_corner = by_rig @ R_board[:, None] if released else None
+        # (V, parameters, corners, 3)
+        mixed = None if by_corner is None else np.swapaxes(np.swapaxes(weighted_J, 2, 3) @ by_corner, 1, 2)
         for view, columns in enumerate(self._columns):
             kept = np.flatnonzero(columns >= 0)
             into = columns[kept]
             H[np.ix_(into, into)] += blocks[view][np.ix_(kept, kept)]
             g[into] += sides[view][kept]
-            if by_corner is not None:
-                mixed = np.einsum("nik,nil,n->knl", J[view][..., kept], by_corner[view], w[view])
-                H[into, self._first_corner :] += mixed.reshape(len(kept), -1)
+            if mixed is not None:
+                H[into, self._first_corner :] += mixed[view][kept].reshape(len(kept), -1)
         if by_corner is not None:
-            corner = np.einsum("vnik,vnil,vn->nkl", by_corner, by_corner, w)
+            weighted_corner = np.swapaxes(by_corner * w[..., None, None], 2, 3)
+            corner = (weighted_corner @ by_corner).sum(axis=0)
             rows = self._first_corner + np.arange(3 * corner_count).reshape(corner_count, 3)
             H[rows[:, :, None], rows[:, None, :]] += corner
-            g[self._first_corner :] += np.einsum("vnik,vni,vn->nk", by_corner, residuals, w).ravel()
+            g[self._first_corner :] += (weighted_corner @ residuals[..., None]).sum(axis=0).ravel()
             H[self._first_corner :, : self._first_corner] = H[: self._first_corner, self._first_corner :].T
         self._add_priors(geometry, H, g)
         return H, g
