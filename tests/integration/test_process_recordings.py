@@ -23,9 +23,9 @@ from rhot_sim.rig.schedule import FrameSchedule
 from rhot_sim.world.world import World
 
 START_NS = 1_790_000_000_000_000_000
-SECONDS = 1.5
-STREAM_FRAMES = 1800
-"""Of 4,762 frames of a real stream: thirty seconds show that files become a hand; tests/fusion replays all."""
+SECONDS = 1.0
+STREAM_FRAMES = 900
+"""Of 4,762 frames of a real stream: half a minute shows that files become a hand; tests/fusion replays all."""
 
 
 def lines_of(rig: Path, recording: Path, out: Path, *options: str) -> list[dict[str, Any]]:

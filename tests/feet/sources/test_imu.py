@@ -202,6 +202,7 @@ def drain(source: SerialSource, wanted: int, now_ns: int) -> ImuSamples:
         parts.append(source.read(now_ns))
         if sum(map(len, parts)) >= wanted or time.monotonic() > until_s:
             return ImuSamples.joined(parts)
+        time.sleep(0.001)
 
 
 def test_serial_text_unplugged_and_back(terminal: tuple[int, str]) -> None:

@@ -20,7 +20,7 @@ from rhot_sim.walker.person import Person
 from rhot_sim.walker.programs import PROGRAMS
 
 UP = np.array([0.0, 1.0, 0.0])
-RATE_HZ = 30.0
+RATE_HZ = 15.0
 FloatArray = NDArray[np.float64]
 
 

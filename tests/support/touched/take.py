@@ -18,7 +18,8 @@ from rhot_sim.sources.objects import simulated_objects
 from rhot_sim.world.world import World
 
 START_NS = 1_700_000_000_000_000_000
-RATE_HZ = 30
+RATE_HZ = 15
+"""Of hands and objects: enough to see that both are still."""
 NOISE_M = np.array([0.3e-3, 0.3e-3, 1.0e-3])
 BIAS_M = np.array([0.0, -0.6e-3, -0.2e-3])
 """Of a fingertip that touches in `rhot sim --motion touch`, rig axes, measured against the truth; z is depth."""
