@@ -14,12 +14,10 @@ from rhot_fusion.filter.birth import View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.motion import motion_of
 from rhot_fusion.filter.noise import CameraNoise, stated_px
-from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.views.vectors import vector
 
 FloatArray = NDArray[np.float64]
 
@@ -229,65 +227,6 @@ def test_noise_is_learnt_from_innovations() -> None:
     assert noise.sigma_px[1] == pytest.approx(DEFAULT.noise.first_px)
     quality = {"pairs": {"right-left": {"epipolar_rms_px": 0.2}}}
     assert stated_px(["left", "right"], quality, DEFAULT.noise) == pytest.approx([0.1414, 0.1414], abs=1e-3)
-
-
-def half_hidden(rate_hz: float) -> tuple[Paint, FloatArray, FloatArray]:
-    """Return where one camera sees half of what the other does after a third of a second, and how sure that is."""
-    paint, one, depth, period_s, sure = (
-        Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint),
-        [0],
-        [0.8],
-        1.0 / rate_hz,
-        [True],
-    )
-    for number in range(round(rate_hz / 3.0)):
-        paint.correct(0, one, number * period_s, [100.0], depth, period_s, sure)
-        shift, doubt = paint.correct(1, one, number * period_s + 0.005, [50.0], depth, period_s, sure)
-    return paint, shift, doubt
-
-
-def test_hidden_paint_is_made_up_for_on_its_own_side() -> None:
-    paint, shift, doubt = half_hidden(60.0)
-    # A third or more of 10 px is hidden in the right camera: by something on its right.
-    assert 1.0 < shift[0, 0] * FOCAL_PX < 2.5
-    assert doubt[0] > 0.0
-    level, _ = paint.correct(0, [0], 1.0, [100.0], [0.8], 1.0 / 60.0, [True])
-    assert np.abs(level).max() == 0.0
-
-
-def test_views_that_show_unlike_shares_of_the_paint_do_not_measure_it() -> None:
-    paint = half_hidden(60.0)[0]
-    assert paint.unlike(0) == pytest.approx(0.5, abs=0.01)
-    assert paint.unlike(0) > DEFAULT.paint.unlike
-    # A view that is a tenth of a second old is compared with nothing.
-    paint.correct(0, [0], 1.0, [100.0], [0.8], 1.0 / 60.0, [True])
-    assert paint.unlike(0) == 0.0
-    blind = Paint(CAMERAS, np.full(2, 0.0065), DEFAULT.paint)
-    assert blind.unlike(0) == blind.unlike(1) == 0.0, "where no areas are told, none differ"
-
-
-def test_what_hides_paint_for_many_frames_is_not_averaged_away() -> None:
-    """Views of a tenth of a second tell as much of where the hidden half is, however many frames that is."""
-    told = {}
-    for rate_hz in (5.0, 30.0, 120.0):
-        doubt = float(half_hidden(rate_hz)[2][0])
-        told[rate_hz] = max(0.1 * rate_hz, 1.0) / doubt**2
-    assert told[120.0] == pytest.approx(told[5.0], rel=0.15)
-    assert told[30.0] == pytest.approx(told[5.0], rel=0.15)
-
-
-def test_a_bent_finger_is_seen_on_its_near_side() -> None:
-    """A tip straight ahead that points away from the camera: its middle is nearer to the hand than what is seen."""
-    paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
-    paint.bend[0] = -0.6
-    ends = np.array([[0.0, -0.05, 0.8], [0.0, 0.05, 0.78]])
-    along, other = (
-        paint.along(camera, [0], [100.0], *([vector(end)] for end in one.to_camera(ends)))[0]
-        for camera, one in enumerate(CAMERAS)
-    )
-    assert along[1] * 0.8 == pytest.approx(0.66 * 0.0065 * 0.6, rel=0.1)
-    # Each camera sees more of the side on its own side, which looks like less disparity than the middle has.
-    assert 0.1 < (along[0] - other[0]) * FOCAL_PX < 0.6
 
 
 def test_what_comes_back_elsewhere_is_believed_rather_than_foretold() -> None:

@@ -40,17 +40,21 @@ class _Shown:
 
     Attributes:
         t_s: when last, seconds; −∞ = never.
-        width_m: root of the visible area, lagging by `settle_s`.
+        newest_m: root of the visible area.
+        width_m: the same, averaged over `settle_s` while it does not change.
         slow_m: the same, lagging by `appears_s`.
         own: whether that width was told by the marker's own depth rather than by its hand's.
         changing: share by which the visible paint has grown or shrunk of late, 0 to 1.
+        step: the same since the frame before.
     """
 
     t_s: float = -math.inf
+    newest_m: float = 0.0
     width_m: float = 0.0
     slow_m: float = 0.0
     own: bool = False
     changing: float = 0.0
+    step: float = 0.0
 
 
 class Paint:
@@ -208,32 +212,32 @@ class Paint:
         settings = self._settings
         elapsed = max(t_s - shown.t_s, 0.0)
         lost = elapsed > settings.compare_s
-        # Both cameras' widths lag by the same time: a marker that turns away shrinks in both.
-        gain = 1.0 if lost or not shown.own else -math.expm1(-elapsed / settings.settle_s)
-        shown.width_m += gain * (width_m - shown.width_m)
         # What comes back is as it was, or comes out from behind something.
         slow = width_m if math.isinf(elapsed) else shown.slow_m
         if not lost:
             slow -= math.expm1(-elapsed / settings.appears_s) * (width_m - slow)
         shown.slow_m = slow
-        change = 1.0 - (min(slow, width_m) / max(slow, width_m, 1e-9)) ** 2 - settings.uneven
-        shown.changing = max(change, 0.0) if width_m > 0.0 else 0.0
-        shown.t_s, shown.own = t_s, known
+        shown.changing = max(_unlike(slow, width_m) - settings.uneven, 0.0) if width_m > 0.0 else 0.0
+        shown.step = 0.0 if math.isinf(elapsed) else _unlike(shown.newest_m, width_m)
+        # At rest the noise of areas is averaged. What one camera loses first must not wait: it becomes depth.
+        afresh = lost or not shown.own or shown.changing > 0.0
+        shown.width_m += (1.0 if afresh else -math.expm1(-elapsed / settings.settle_s)) * (width_m - shown.width_m)
+        shown.t_s, shown.newest_m, shown.own = t_s, width_m, known
 
     def is_settled(self, marker: int, seen: Sequence[bool]) -> bool:
         """Tell whether what cameras that see a marker (C,) show of it neither changes nor differs much."""
+        settings = self._settings
         for shown, sees in zip(self._shown[marker], seen, strict=True):
-            if sees and shown.changing > self._settings.settled:
+            if sees and (shown.changing > settings.settled or shown.step > settings.unlike):
                 return False
-        return self.unlike(marker) <= self._settings.unlike
+        return self.unlike(marker) <= settings.unlike
 
     def unlike(self, marker: int) -> float:
         """Return the share of the paint in a marker's fullest newest view that the poorest does not show, 0 to 1."""
         every = self._shown[marker]
         since_s = max(shown.t_s for shown in every) - self._settings.compare_s
         widths = [shown.width_m for shown in every if shown.t_s >= since_s]
-        full = max(widths)
-        return 1.0 - (min(widths) / max(full, 1e-9)) ** 2 if full > 0.0 else 0.0
+        return _unlike(min(widths), max(widths))
 
     def doubt_back(self, marker: int, depth_m: float) -> float:
         """Return how far what is seen of a marker may be off its middle when it comes back: normalised units.
@@ -248,3 +252,8 @@ class Paint:
         """Return how far views of markers (N,) may be off for what hides them, normalised units."""
         settings, focal_px = self._settings, self._focal_px[camera]
         return np.array([(settings.slack_px + settings.slack * math.sqrt(area)) / focal_px for area in areas_px])
+
+
+def _unlike(width: float, other: float) -> float:
+    """Return the share of the larger of two areas, of these roots, that the smaller one lacks, 0 to 1."""
+    return 1.0 - (min(width, other) / max(width, other)) ** 2 if width > 0.0 or other > 0.0 else 0.0

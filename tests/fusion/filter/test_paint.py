@@ -1,0 +1,112 @@
+"""What hides paint, and which side of a finger is seen: how far the middle of a marker is beside that of its paint."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rhot.arrays import FloatArray
+from rhot.geometry.camera import CameraModel
+from rhot_fusion.filter.paint import Paint
+from rhot_fusion.filter.settings import DEFAULT
+from rhot_fusion.views.vectors import vector
+
+FOCAL_PX = 530.0
+
+
+def camera(x_m: float) -> CameraModel:
+    T = np.eye(4)
+    T[0, 3] = x_m
+    K = np.array([[FOCAL_PX, 0.0, 320.0], [0.0, FOCAL_PX, 240.0], [0.0, 0.0, 1.0]])
+    return CameraModel.from_arrays(640, 480, K, np.zeros(5), T)
+
+
+CAMERAS = (camera(0.0), camera(0.09))
+
+
+def half_hidden(rate_hz: float) -> tuple[Paint, FloatArray, FloatArray]:
+    """Return where one camera sees half of what the other does after a third of a second, and how sure that is."""
+    paint, one, depth, period_s, sure = (
+        Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint),
+        [0],
+        [0.8],
+        1.0 / rate_hz,
+        [True],
+    )
+    for number in range(round(rate_hz / 3.0)):
+        paint.correct(0, one, number * period_s, [100.0], depth, period_s, sure)
+        shift, doubt = paint.correct(1, one, number * period_s + 0.005, [50.0], depth, period_s, sure)
+    return paint, shift, doubt
+
+
+def test_hidden_paint_is_made_up_for_on_its_own_side() -> None:
+    paint, shift, doubt = half_hidden(60.0)
+    # A third or more of 10 px is hidden in the right camera: by something on its right.
+    assert 1.0 < shift[0, 0] * FOCAL_PX < 2.5
+    assert doubt[0] > 0.0
+    level, _ = paint.correct(0, [0], 1.0, [100.0], [0.8], 1.0 / 60.0, [True])
+    assert np.abs(level).max() == 0.0
+
+
+def test_views_that_show_unlike_shares_of_the_paint_do_not_measure_it() -> None:
+    paint = half_hidden(60.0)[0]
+    assert paint.unlike(0) == pytest.approx(0.5, abs=0.01)
+    assert paint.unlike(0) > DEFAULT.paint.unlike
+    # A view that is a tenth of a second old is compared with nothing.
+    paint.correct(0, [0], 1.0, [100.0], [0.8], 1.0 / 60.0, [True])
+    assert paint.unlike(0) == 0.0
+    blind = Paint(CAMERAS, np.full(2, 0.0065), DEFAULT.paint)
+    assert blind.unlike(0) == blind.unlike(1) == 0.0, "where no areas are told, none differ"
+
+
+def test_what_hides_paint_for_many_frames_is_not_averaged_away() -> None:
+    """Views of a tenth of a second tell as much of where the hidden half is, however many frames that is."""
+    told = {}
+    for rate_hz in (5.0, 30.0, 120.0):
+        doubt = float(half_hidden(rate_hz)[2][0])
+        told[rate_hz] = max(0.1 * rate_hz, 1.0) / doubt**2
+    assert told[120.0] == pytest.approx(told[5.0], rel=0.15)
+    assert told[30.0] == pytest.approx(told[5.0], rel=0.15)
+
+
+def test_a_bent_finger_is_seen_on_its_near_side() -> None:
+    """A tip straight ahead that points away from the camera: its middle is nearer to the hand than what is seen."""
+    paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
+    paint.bend[0] = -0.6
+    ends = np.array([[0.0, -0.05, 0.8], [0.0, 0.05, 0.78]])
+    along, other = (
+        paint.along(camera, [0], [100.0], *([vector(end)] for end in one.to_camera(ends)))[0]
+        for camera, one in enumerate(CAMERAS)
+    )
+    assert along[1] * 0.8 == pytest.approx(0.66 * 0.0065 * 0.6, rel=0.1)
+    # Each camera sees more of the side on its own side, which looks like less disparity than the middle has.
+    assert 0.1 < (along[0] - other[0]) * FOCAL_PX < 0.6
+
+
+def test_paint_that_one_camera_loses_first_is_made_up_for_at_once() -> None:
+    """Something passes before a thumb at 0.15 m/s, from the right: in a twentieth of a second a camera loses half."""
+    paint, period_s = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), 1.0 / 60.0
+    shift, missed_px = np.zeros((1, 2)), []
+    for number in range(24):
+        hidden = min(max(number - 20, 0) / 6.0, 0.5)
+        paint.correct(0, [0], number * period_s, [150.0], [0.8], period_s, [True])
+        t_s = number * period_s + 0.005
+        shift, _ = paint.correct(1, [0], t_s, [150.0 * (1.0 - hidden)], [0.8], period_s, [True])
+        # What is hidden is a strip of the square that has its area.
+        missed_px.append(0.5 * hidden * 150.0**0.5 - shift[0, 0] * FOCAL_PX)
+    assert max(np.abs(missed_px)) < 0.75, "less than half a pixel but for what whole markers differ by"
+    assert not paint.is_settled(0, [True, True])
+    assert paint.is_settled(0, [True, False]) is False, "the cameras see different parts, whichever is asked"
+
+
+def test_paint_that_has_grown_much_since_the_frame_before_is_not_settled() -> None:
+    paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
+    for t_s, area in ((0.0, 150.0), (0.5, 70.0), (0.517, 140.0)):
+        for k in (0, 1):
+            paint.correct(k, [0], t_s, [area], [0.8], 1.0 / 60.0, [True])
+    assert paint.unlike(0) == pytest.approx(0.0, abs=1e-9)
+    assert not paint.is_settled(0, [True, True]), "it comes out from behind something"
+    for t_s in (0.533, 0.55, 0.567):
+        for k in (0, 1):
+            paint.correct(k, [0], t_s, [140.0], [0.8], 1.0 / 60.0, [True])
+    assert paint.is_settled(0, [True, True])
