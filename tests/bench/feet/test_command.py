@@ -225,7 +225,8 @@ def test_a_finished_run_is_kept_for_the_same_run_alone(tmp_path: Path) -> None:
 
 def test_an_interrupted_evaluation_goes_on_where_it_was(tmp_path: Path) -> None:
     command = ["--runs", "still", "--seeds", "1", "--duration", "5", "--jobs", "1", "--keep", str(tmp_path / "kept")]
-    rig = write_walker_rig(tmp_path / "rig", endpoint="tcp/127.0.0.1:1")
+    # The command's own rig is a temporary one, in another folder each time.
+    rig = write_walker_rig(tmp_path / "rig", endpoint="tcp/127.0.0.1:7447")
     key = key_of(RUNS["still"], rig, 1, 5.0, provenance()["commit"])
     make_folder(tmp_path / "kept")
     save_played(
@@ -233,7 +234,7 @@ def test_an_interrupted_evaluation_goes_on_where_it_was(tmp_path: Path) -> None:
         key,
         made_up(RUNS["still"], np.full(500, 0.0125), measured=np.ones(500, np.bool_)),
     )
-    result = CliRunner().invoke(feet, [*command, "--rig", str(tmp_path / "rig")], catch_exceptions=False)
+    result = CliRunner().invoke(feet, command, catch_exceptions=False)
     assert "12.5 mm" in result.output
 
 
