@@ -85,7 +85,9 @@ def _task_rows(done: Done) -> list[Row]:
             rows += _pair(f"{task}, median", played, np.median, 10.0, printed[0], _always)
             rows += _pair(f"{task}, worst", played, np.max, 150.0, printed[1], _tracked)
             guessed = [each.ours[side].error_m[~each.ours[side].measured] for each in played for side in SIDES]
-            rows.append(Row("    worst while only predicted", _of(np.max, np.concatenate(guessed)), "mm", most=150.0))
+            worst_mm = _of(np.max, np.concatenate(guessed))
+            if np.isfinite(worst_mm):
+                rows.append(Row("    worst while only predicted", worst_mm, "mm", most=150.0))
     return rows
 
 
