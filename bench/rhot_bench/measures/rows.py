@@ -102,7 +102,7 @@ def section_table(section: Section) -> RenderableType:
 
 
 def as_json(command: str, sections: Sequence[Section], **about: Any) -> str:
-    """Return sections as a JSON document; a figure that could not be measured is null.
+    """Return sections as a JSON document; a figure that could not be measured is null, and what is empty is left out.
 
     Args:
         command: that was run.
@@ -117,7 +117,7 @@ def as_json(command: str, sections: Sequence[Section], **about: Any) -> str:
             {"title": section.title, "rows": [_row_object(row) for row in section.rows]} for section in sections
         ],
     }
-    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+    return json.dumps(document, indent=0, allow_nan=False) + "\n"
 
 
 def missed(sections: Iterable[Section]) -> int:
@@ -137,4 +137,5 @@ def check_output(option: str, file: Path | None) -> None:
 
 def _row_object(row: Row) -> dict[str, Any]:
     value = row.value if math.isfinite(row.value) else None
-    return asdict(row) | {"value": value, "verdict": row.verdict}
+    told = asdict(row) | {"value": value, "verdict": row.verdict}
+    return {name: one for name, one in told.items() if name == "value" or one not in (None, "")}
