@@ -29,7 +29,7 @@ def test_every_command_and_option_exists(page: str) -> None:
         command: click.Command = main
         context = click.Context(main)
         words = line.split()[1:]
-        while isinstance(command, click.Group) and words and re.fullmatch(r"[a-z]+(\|[a-z]+)*", words[0]):
+        while isinstance(command, click.Group) and words and re.fullmatch(r"[a-z][a-z-]*(\|[a-z][a-z-]*)*", words[0]):
             found = [command.get_command(context, name) for name in words[0].split("|")]
             assert all(found), line
             command, words = found[-1] or main, words[1:]
