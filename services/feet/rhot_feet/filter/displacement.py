@@ -180,6 +180,9 @@ class UnseenDisplacement:
             self._lift = self._stood = self._seen = None
             self._start = now = _Moment(interval.t_ns, np.zeros(3), interval.R_world)
             self._velocity = np.zeros(3)
+        elif interval.step.dropout:
+            # One sample tells nothing of a tenth of a second: taken for all of it a foot that sets off gains 2 m/s.
+            self.forget()
         elif still:
             # The velocity that it had gathered was wrong. An even error a, v = a·t, led it astray by a·t²/2.
             even = self._velocity / max(now.moving_s, 1e-3)
