@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from hands.pinholes import CAMERAS, FOCAL_PX
 from numpy.typing import NDArray
 
-from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.birth import View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.motion import motion_of
@@ -21,18 +21,7 @@ from rhot_fusion.filter.systematic import Systematic
 
 FloatArray = NDArray[np.float64]
 
-FOCAL_PX = 530.0
 COUNT = 6
-
-
-def camera(x_m: float) -> CameraModel:
-    T = np.eye(4)
-    T[0, 3] = x_m
-    K = np.array([[FOCAL_PX, 0.0, 319.5], [0.0, FOCAL_PX, 239.5], [0.0, 0.0, 1.0]])
-    return CameraModel.from_arrays(640, 480, K, np.zeros(0), T)
-
-
-CAMERAS = (camera(0.0), camera(0.09))
 SHAPE = np.random.default_rng(3).uniform(-0.06, 0.06, (COUNT, 3))
 
 

@@ -4,24 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hands.pinholes import CAMERAS, FOCAL_PX
 
 from rhot.arrays import FloatArray
-from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.views.vectors import vector
-
-FOCAL_PX = 530.0
-
-
-def camera(x_m: float) -> CameraModel:
-    T = np.eye(4)
-    T[0, 3] = x_m
-    K = np.array([[FOCAL_PX, 0.0, 320.0], [0.0, FOCAL_PX, 240.0], [0.0, 0.0, 1.0]])
-    return CameraModel.from_arrays(640, 480, K, np.zeros(5), T)
-
-
-CAMERAS = (camera(0.0), camera(0.09))
 
 
 def half_hidden(rate_hz: float) -> tuple[Paint, FloatArray, FloatArray]:
