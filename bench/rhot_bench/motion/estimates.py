@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.geometry.covariances import stated_covariance
 from rhot.messages import Point, PointSet
 
 FloatArray = NDArray[np.float64]
@@ -67,14 +68,5 @@ def estimates_of(sets: Iterable[PointSet], names: Sequence[str]) -> Estimates:
 
 
 def covariance_of(point: Point) -> FloatArray:
-    """Return the stated covariance (3, 3), m², of a point.
-
-    A message without one states the root of the summed variances alone, which is then taken as alike in all
-    directions.
-    """
-    # Points carry a covariance only since version 0.2; the ruler also measures the tracker before that.
-    stated = getattr(point, "covariance", None)
-    if stated is None:
-        return np.eye(3) * (point.sigma**2 / 3.0)
-    xx, xy, xz, yy, yz, zz = stated
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    """Return the stated covariance (3, 3), m², of a point; see `rhot.geometry.covariances.stated_covariance`."""
+    return np.array(stated_covariance(point)).reshape(3, 3)

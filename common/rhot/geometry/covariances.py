@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.messages import Point
+
 FloatArray = NDArray[np.float64]
 
 
@@ -16,6 +18,18 @@ def symmetric_inverse(M: FloatArray) -> FloatArray:
     A, B, C = A * scale, B * scale, C * scale
     E = (b * c - a * e) * scale
     return np.array([[A, B, C], [B, (a * f - c * c) * scale, E], [C, E, (a * d - b * b) * scale]])
+
+
+def stated_covariance(point: Point) -> tuple[float, ...]:
+    """Return the covariance (9,) of a point's error, m², row by row.
+
+    A point without one states the root of the summed variances alone, which is then taken as alike in all directions.
+    """
+    if point.covariance is None:
+        variance = point.sigma**2 / 3.0
+        return (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
+    xx, xy, xz, yy, yz, zz = point.covariance
+    return (xx, xy, xz, xy, yy, yz, xz, yz, zz)
 
 
 def squared_distance(vector: FloatArray, covariance: FloatArray) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rhot.geometry.covariances import stated_covariance
 from rhot.messages import Point, PointState
 
 
@@ -21,19 +22,11 @@ class RepeatedGuesses:
         self._running: dict[str, tuple[PointState, int]] = {}
 
     def covariance(self, name: str, point: Point) -> tuple[float, ...]:
-        """Return the covariance that a marker's newest point counts with, m², row by row; 3x3.
-
-        It is alike in all directions where the point states none.
-        """
+        """Return the covariance (9,) that a marker's newest point counts with, m², row by row."""
         state, before = self._running.get(name, (point.state, 0))
         times = before + 1 if state == point.state else 1
         self._running[name] = point.state, times
-        if point.covariance is None:
-            variance = point.sigma**2 / 3.0
-            stated = (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
-        else:
-            xx, xy, xz, yy, yz, zz = point.covariance
-            stated = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
+        stated = stated_covariance(point)
         if point.state == "measured" or times == 1:
             return stated
         if point.state == "predicted":
