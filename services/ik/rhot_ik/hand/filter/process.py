@@ -103,7 +103,7 @@ class HandProcess:
         lengths = np.where(known[:5], settings.known_share, settings.finger_share)
         self._person = np.diag(np.concatenate([shift, tilt, lengths]) ** 2)
         self._noise = self._process_noise()
-        self._derivative = np.eye(SIZE)
+        self._unmoved = np.eye(SIZE)
 
     def start(
         self,
@@ -139,8 +139,7 @@ class HandProcess:
         if dt_s <= 0.0:
             return state
         settings = self.settings
-        fades = math.exp(-dt_s / settings.speed_fades_s)
-        path_s = settings.speed_fades_s * (1.0 - fades)
+        fades, path_s = self._speeds(dt_s)
         forgets = math.exp(-dt_s / settings.angles_s)
         mean, angles = self._rest, state.angles
         if hidden is None or not hidden.any():
@@ -153,12 +152,8 @@ class HandProcess:
             angles = mean + keeps * (angles - mean)
         learned = math.exp(-dt_s / settings.person_s)
         spread = 1.0 - forgets * forgets
-        turn = rotation_from_vector(state.angular_velocity * path_s)
-        F = self._derivative.copy()
-        F[ROTATION, ROTATION] = turn.T
-        diagonal = F.reshape(-1)
-        diagonal[_OF_SPEEDS], diagonal[_SPEEDS] = path_s, fades
-        diagonal[_ANGLES], diagonal[_PERSON] = forgets, learned
+        F = self.derivative(state, dt_s)
+        turn = F[ROTATION, ROTATION].T
         strengths = np.array([dt_s**3 / 3.0, dt_s**2 / 2.0, dt_s, spread, 1.0 - learned * learned])
         P = F @ state.P @ F.T + (strengths @ self._noise).reshape(SIZE, SIZE)
         return HandState(
@@ -173,17 +168,22 @@ class HandProcess:
             spread,
         )
 
-    def transposed(self, state: HandState, dt_s: float, by_motion: FloatArray) -> FloatArray:
-        """Return Fᵀ·v (32,) of the derivative F of `predict` and a vector v (32,), pose, speeds and angles alone."""
+    def derivative(self, state: HandState, dt_s: float) -> FloatArray:
+        """Return F (43, 43): how an error of a state is one of the state that `predict` makes of it, `dt_s` later."""
+        settings = self.settings
+        fades, path_s = self._speeds(dt_s)
+        F = self._unmoved.copy()
+        F[ROTATION, ROTATION] = rotation_from_vector(state.angular_velocity * path_s).T
+        diagonal = F.reshape(-1)
+        diagonal[_OF_SPEEDS], diagonal[_SPEEDS] = path_s, fades
+        diagonal[_ANGLES] = math.exp(-dt_s / settings.angles_s)
+        diagonal[_PERSON] = math.exp(-dt_s / settings.person_s)
+        return F
+
+    def _speeds(self, dt_s: float) -> tuple[float, float]:
+        """Return what share of a speed is left after a time, and for how long it has acted in all, seconds."""
         fades = math.exp(-dt_s / self.settings.speed_fades_s)
-        path_s = self.settings.speed_fades_s * (1.0 - fades)
-        turn = rotation_from_vector(state.angular_velocity * path_s)
-        out = np.empty(MOTION.stop)
-        out[ROTATION] = turn @ by_motion[ROTATION]
-        out[POSITION] = by_motion[POSITION]
-        out[6:12] = path_s * by_motion[:6] + fades * by_motion[6:12]
-        out[ANGLES] = math.exp(-dt_s / self.settings.angles_s) * by_motion[ANGLES]
-        return out
+        return fades, self.settings.speed_fades_s * (1.0 - fades)
 
     def _expected(self, hidden: BoolArray | None, closing: FloatArray) -> FloatArray:
         """Return the angles (20,) that seen fingers tend to, and of hidden ones (5,) those of `closing` (20,)."""

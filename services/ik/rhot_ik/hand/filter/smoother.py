@@ -65,7 +65,8 @@ def smoothed_states(hand_filter: HandFilter, steps: Sequence[Filtered]) -> list[
         if dt_s > 0.0:
             met = _given_person(after.state.prior_covariance)
             gain = np.asarray(np.linalg.solve(met, error[MOTION]), dtype=np.float64)
-            error[MOTION] = _given_person(state.P) @ hand_filter.transposed(state, dt_s, gain)
+            F = hand_filter.derivative(state, dt_s)[MOTION, MOTION]
+            error[MOTION] = _given_person(state.P) @ (F.T @ gain)
         moved = hand_filter.moved(state, error)
         smoothed[k] = dataclasses.replace(moved, angles=hand_filter.legal(moved.angles))
     return smoothed
