@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Protocol
 
@@ -75,9 +76,9 @@ def _objects(rig: Rig) -> Any:
 
 
 def _played(objects: Any, ik: Any, t_ns: int) -> Iterator[tuple[str, Message]]:
-    """Yield what is known of objects up to a time, when inverse kinematics, if given, has heard of it."""
+    """Yield what is known of objects up to a time, when inverse kinematics has heard of it."""
     for key, pose in () if objects is None else objects.until(t_ns):
-        if ik is not None and isinstance(pose, ObjectPose) and not isinstance(pose, HeadPose):
+        if isinstance(pose, ObjectPose) and not isinstance(pose, HeadPose):
             ik.feed_object(pose)
         yield key, pose
 
@@ -129,9 +130,9 @@ def track_smoothly(
         for _, points in fusion.feed(frame):
             for _, hand in ik.feed(points):
                 fusion.feed(hand)
-    ik, objects, published = core("ik")(rig), _objects(rig), _objects(rig)
-    for points, hands in _looked_back(ik, objects, fusion.smoothed()):
-        yield from _played(published, None, points.t_ns)
+    ik = core("ik")(rig)
+    for known, points, hands in _looked_back(ik, _objects(rig), fusion.smoothed()):
+        yield from known
         yield from _walked(feet, ik, points.t_ns)
         yield "rhot/points", points
         for key, hand in hands:
@@ -140,13 +141,17 @@ def track_smoothly(
     yield from _walked(feet, ik)
 
 
-def _looked_back(ik: Any, objects: Any, points: Iterable[PointSet]) -> Iterator[tuple[PointSet, list[Output]]]:
-    """Yield points with the hands that all of them show; these are behind the objects that the hands were told of."""
-    for newest in points:
-        for _ in _played(objects, ik, newest.t_ns):
-            pass
-        yield from ik.look_back(newest)
-    yield from ik.finish()
+def _looked_back(
+    ik: Any, objects: Any, every: Iterable[PointSet]
+) -> Iterator[tuple[list[Output], PointSet, list[Output]]]:
+    """Yield what was known of objects by each set of points, the points, and the hands that all of them show."""
+    waiting: deque[list[Output]] = deque()
+    for newest in every:
+        waiting.append(list(_played(objects, ik, newest.t_ns)))
+        for points, hands in ik.look_back(newest):
+            yield waiting.popleft(), points, hands
+    for points, hands in ik.finish():
+        yield waiting.popleft(), points, hands
 
 
 def rig_timing(rig: Rig) -> dict[str, TrackTiming]:
