@@ -21,6 +21,7 @@ from machine.debian_root import DebianRoot, RootRefusedError, booted_root
 pytestmark = [pytest.mark.faults]
 
 _PATIENCE_S = 120.0
+UNITS = Path(__file__).parents[2] / "deploy" / "systemd"
 PACKAGES = "/opt/rhot-test-packages"
 SOURCE = "/usr/src/rhot"
 RHOT = "/opt/rhot/venv/bin/rhot"
@@ -114,7 +115,7 @@ def logs(root: DebianRoot, unit: str) -> str:
 
 def units_are_accepted(root: DebianRoot) -> None:
     files = root.output("sh", "-c", "ls /etc/systemd/system/rhot-*.service").split()
-    assert len(files) == 8
+    assert {Path(file).name for file in files} == {unit.name for unit in UNITS.glob("rhot-*.service")}
     for file in files:
         unit = file.replace("@.", "@left.")
         verified = root.run("systemd-analyze", "verify", unit)
@@ -154,10 +155,10 @@ def rights_are_those_of_the_unit(root: DebianRoot) -> None:
 
 def saving_works(root: DebianRoot) -> None:
     """What "Save" of the page's first step does: the capture service writes into its rig."""
-    changed = root.run(RHOT, "config", "capture/left", "gain=7.5", "--rig", RIG)
+    changed = root.run(RHOT, "config", "capture/left", "saturation=1.25", "--rig", RIG)
     assert changed.returncode == 0, changed.stderr
     answer = get(root, "rhot/keep/capture/left?do=save")
-    assert "gain = 7.5" in root.output("cat", f"{RIG}/rig.toml"), answer + changed.stdout
+    assert "saturation = 1.25" in root.output("cat", f"{RIG}/rig.toml"), answer + changed.stdout
     assert root.output("stat", "--format=%U", f"{RIG}/rig.toml") == "rhot"
     # And what the other steps do, which the viewer writes itself, with the viewer's own rights.
     code = (
