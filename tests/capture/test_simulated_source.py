@@ -41,22 +41,28 @@ class Schedule:
 class Renderer:
     """Small pictures whose grey level tells their time."""
 
-    def __init__(self) -> None:
+    def __init__(self, loading_s: float = 0.0) -> None:
+        self.loaded_s = time.monotonic() + loading_s
         self.begun: list[float] = []
         self.closed = False
+
+    def wait_until_ready(self) -> None:
+        time.sleep(max(0.0, self.loaded_s - time.monotonic()))
 
     def begin(self, t_first_row_s: float) -> None:
         self.begun.append(t_first_row_s)
 
     def finish(self) -> ImageArray:
+        self.wait_until_ready()
         return np.full((4, 4, 3), round(1000 * self.begun.pop(0)) % 256, np.uint8)
 
     def close(self) -> None:
         self.closed = True
 
 
-def source_with(clock: SystemClock | SkewedClock) -> SimulatedSource:
-    return SimulatedSource("left", CameraConfig(source="simulated", rate_hz=RATE_HZ), Renderer(), Schedule(), clock)
+def source_with(clock: SystemClock | SkewedClock, loading_s: float = 0.0) -> SimulatedSource:
+    camera = CameraConfig(source="simulated", rate_hz=RATE_HZ)
+    return SimulatedSource("left", camera, Renderer(loading_s), Schedule(), clock)
 
 
 def test_frames_come_when_due_and_lost_ones_do_not() -> None:
@@ -100,6 +106,17 @@ def test_late_start_joins_at_the_frame_due_next() -> None:
     frame = source.read()
     assert frame is not None
     assert frame.index >= 2.0 * RATE_HZ
+
+
+def test_a_renderer_that_loads_delays_no_more_than_its_loading() -> None:
+    source = source_with(SystemClock(), loading_s=0.5)
+    start_t_ns = time.time_ns() - 2_000_000_000
+    source.open(0, start_t_ns)
+    begun_ns = time.time_ns()
+    frame = source.read()
+    assert frame is not None
+    # Taken for drawing, the loading would have left out frames of another 0.8 s.
+    assert (start_t_ns - begun_ns) / 1e9 + frame.index / RATE_HZ < 2.0 * 0.5
 
 
 def test_close_ends_a_waiting_read() -> None:

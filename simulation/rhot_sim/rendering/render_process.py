@@ -1,7 +1,8 @@
 """Rendering in a process of its own, as a real camera exposes without asking the Pi's processor.
 
-The child (see `rhot_sim.rendering.picture_child`) reads times (one float64 each) from its standard input, draws each
-picture into the next slot of a ring in shared memory, and says so by one byte on its standard output.
+The child (see `rhot_sim.rendering.picture_child`) says that it is ready by one byte on its standard output. Then it
+reads times (one float64 each) from its standard input, draws each picture into the next slot of a ring in shared
+memory, and says so by another byte.
 """
 
 from __future__ import annotations
@@ -56,6 +57,14 @@ class RenderProcess:
             os.close(file)
         self._taken = 0
 
+    def wait_until_ready(self) -> None:
+        """Wait until the child has loaded its modules and the world, which takes most of a second on a busy machine.
+
+        Raises:
+            DeviceError: the child has ended.
+        """
+        self._wait_for_byte()
+
     def begin(self, t_first_row_s: float) -> None:
         """Ask for the picture whose first row begins at a time, seconds since the world's start.
 
@@ -78,12 +87,7 @@ class RenderProcess:
         Raises:
             DeviceError: the child has ended.
         """
-        try:
-            done = b"" if self._child.stdout is None else os.read(self._child.stdout.fileno(), 1)
-        except (OSError, ValueError) as error:
-            raise self._ended() from error
-        if not done:
-            raise self._ended()
+        self._wait_for_byte()
         image: ImageArray = self._ring[self._taken % AHEAD].copy()
         self._taken += 1
         return image
@@ -91,6 +95,14 @@ class RenderProcess:
     def close(self) -> None:
         """End the child."""
         end(self._child)
+
+    def _wait_for_byte(self) -> None:
+        try:
+            done = b"" if self._child.stdout is None else os.read(self._child.stdout.fileno(), 1)
+        except (OSError, ValueError) as error:
+            raise self._ended() from error
+        if not done:
+            raise self._ended()
 
     def _ended(self) -> DeviceError:
         return DeviceError(f"camera {self._camera}: its renderer ended by itself, exit code {self._child.poll()}")
@@ -120,13 +132,18 @@ def serve(rig_path: Path, camera: str, file: int) -> None:
     ring = _ring(file, model.width, model.height)
     number = 0
     with contextlib.suppress(BrokenPipeError):
+        _say_done()
         while request := sys.stdin.buffer.read(_REQUEST.size):
             if len(request) < _REQUEST.size:
                 return
             renderer.render(_REQUEST.unpack(request)[0], out=ring[number % AHEAD])
             number += 1
-            sys.stdout.buffer.write(_DONE)
-            sys.stdout.buffer.flush()
+            _say_done()
+
+
+def _say_done() -> None:
+    sys.stdout.buffer.write(_DONE)
+    sys.stdout.buffer.flush()
 
 
 if __name__ == "__main__":

@@ -65,6 +65,10 @@ class Schedule(Protocol):
 class FrameRenderer(Protocol):
     """Renders pictures; `AHEAD` may be begun and not yet taken."""
 
+    def wait_until_ready(self) -> None:
+        """Wait until pictures can be begun; called once, before the first."""
+        ...
+
     def begin(self, t_first_row_s: float) -> None:
         """Begin the picture whose first row begins at a time, seconds since the world's start."""
         ...
@@ -117,6 +121,7 @@ class SimulatedSource:
         self._stride = Stride()
         self._begun: deque[tuple[int, FrameMoment]] = deque()
         self._drawing_s = 0.0
+        self._is_ready = False
         self._picture: Mapping[str, float] = {name: getattr(camera, name) for name in PICTURE_NEUTRAL}
 
     @classmethod
@@ -140,6 +145,8 @@ class SimulatedSource:
 
     def read(self) -> Frame | None:
         """Wait until the next frame is due and return it; the ones after it are begun by then."""
+        if not self._wait_for_renderer():
+            return None
         while True:
             self._begin_ahead()
             image = self._finish()
@@ -160,6 +167,21 @@ class SimulatedSource:
             self._camera.exposure_s,
             self._camera.readout_s,
         )
+
+    def _wait_for_renderer(self) -> bool:
+        """Wait until pictures can be drawn; return False when closed meanwhile.
+
+        Nothing is asked for before: pictures for the time of loading would be late, and the time of loading is none of
+        drawing, by which late frames are told.
+        """
+        try:
+            if not self._is_ready:
+                self._renderer.wait_until_ready()
+                self._is_ready = True
+        except DeviceError:
+            if not self._pacer.stopped:
+                raise
+        return self._is_ready
 
     def _begin_ahead(self) -> None:
         """Begin to render the next frames that are not lost and can be ready in time."""
