@@ -88,6 +88,16 @@ def why(error: OSError) -> str:
     return said
 
 
+def why_unread(error: Exception) -> str:
+    """Return why a file could not be read, without its name, and what to do about it."""
+    if isinstance(error, UnicodeDecodeError):
+        return f"byte {error.start} is not UTF-8; save it as text in UTF-8"
+    if not isinstance(error, OSError):
+        return str(error)
+    said = error.strerror or str(error)
+    return f"{said}; try as the user whose file it is" if error.errno in _FORBIDDEN else said
+
+
 def rename(source: Path, target: Path) -> None:
     """Give a file another name of its folder for good.
 

@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 import click
 from rich.console import Console
 
-from rhot.cli.options import rig_option
+from rhot.cli.options import endpoints, rig_option
 from rhot.cli.page import Pages, free_pages, page_options
 from rhot.errors import ConfigError
 from rhot.rig import Rig, load_rig
@@ -162,6 +162,8 @@ def sim(
         raise ConfigError(f"--motion crossing with --hands {hands}: two hands are needed to cross; give --hands both")
     if report_path is not None and not report_path.resolve().parent.is_dir():
         raise ConfigError(f"--report {report_path}: the folder {report_path.resolve().parent} does not exist")
+    if endpoint is not None:
+        endpoints("--listen", (endpoint,))
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-sim-")))
         chosen = endpoint or free_endpoint(DEFAULT_ENDPOINT)

@@ -55,8 +55,11 @@ def test_times_and_lens_may_come_from_the_caller(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda path: (path / "color" / "000005.png").write_bytes(b"no picture"), "000005.png: not a picture"),
-        (lambda path: (path / "depth" / "000004.png").write_bytes(b""), "000004.png: not a picture"),
+        (
+            lambda path: (path / "color" / "000005.png").write_bytes(b"no picture"),
+            "000005.png: empty, damaged or no picture",
+        ),
+        (lambda path: (path / "depth" / "000004.png").write_bytes(b""), "000004.png: empty, damaged or no picture"),
         (
             lambda path: cv2.imwrite(str(path / "depth" / "000004.png"), np.zeros((48, 64), np.uint8)),
             "16 bits.*uint8",

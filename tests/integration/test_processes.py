@@ -133,6 +133,8 @@ async def test_every_key_can_be_looked_at(
         (reply,) = await answers(rig_bus, selector)
         assert reply.encoding == "image/jpeg", reply.error
         assert reply.payload[:2] == b"\xff\xd8"
+    (refused,) = await answers(rig_bus, "rhot/preview/left?ovrlay=markers")
+    assert "only overlay=markers, mask=<marker> and format= are known" in refused.error
     (refused,) = await answers(rig_bus, "rhot/preview/left?mask=toe")
     assert "thumb" in refused.error, "names the masks that there are"
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +14,8 @@ import pytest
 from running.rig_processes import processes_that_name
 from wall_clock import in_time
 
+from rhot.bus import Bus
+from rhot.rig import BusConfig
 from rhot.rig.template import rig_template
 from rhot_sim.running.run import free_endpoint
 
@@ -71,6 +75,22 @@ def test_a_service_that_cannot_run_ends_it_with_its_reason(tmp_path: Path) -> No
     assert "fusion ended by itself" in done.stderr
     assert list(processes_that_name(str(rig))) == []
     in_time(took_s, 10.0, "nobody waits for a rig that cannot come up")
+
+
+async def test_a_second_rig_on_the_same_keys_is_refused(router: BusConfig, tmp_path: Path) -> None:
+    rig = make_rig(tmp_path / "rig", ("left", "right"))
+    file = rig / "rig.toml"
+    file.write_text(re.sub(r'"tcp/[^"]*"', f'"{router.connect[0]}"', file.read_text()))
+    async with await Bus.open(router) as bus:
+        bus.alive("rhot/alive/fusion/main")
+        up = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "rhot", "up", "--no-viewer", "--rig", str(rig)), stderr=asyncio.subprocess.PIPE
+        )
+        _, said = await up.communicate()
+    assert up.returncode == 1
+    assert b"a rig runs at" in said
+    assert b"already (fusion/main)" in said
+    assert list(processes_that_name(str(rig))) == []
 
 
 def test_bridges_of_the_rig_run_and_end_with_it(tmp_path: Path, free_port: int) -> None:

@@ -111,6 +111,13 @@ def test_wrong_marker_rows_are_named_by_file_and_line(folder: Path, rows: str, m
         load_recording(folder)
 
 
+def test_a_file_in_place_of_a_folder_is_told_apart(tmp_path: Path) -> None:
+    for name, says in (("take.mcap", "rhot record --frames"), ("left.mp4", "one folder or video per camera")):
+        (tmp_path / name).write_bytes(b"")
+        with pytest.raises(ConfigError, match=says):
+            load_recording(tmp_path / name)
+
+
 @pytest.mark.parametrize("header", ["", "frame,t_ns,marker,x,y\n", "0,1,thumb,2,3\n"])
 def test_wrong_header_is_line_1(folder: Path, header: str) -> None:
     write(folder / "left" / "markers.csv", header)

@@ -52,7 +52,7 @@ def test_the_field_of_view_gives_the_nominal_focal_length(rig_folder: Path) -> N
         ('source = "picamera2"', 'source = "webcam"', "cameras.left.source"),
         ("width = 640", "width = 1e9", "cameras.left.width"),
         ("rate_hz = 60", "rate_hz = -1", "cameras.left.rate_hz"),
-        ("gain = 4.0", "gian = 4.0", "cameras.left.gian"),
+        ("gain = 4.0", "gian = 4.0", "cameras.left.gian: no such field; did you mean gain?"),
         ('joint = "thumb_tip"', 'joint = "toe_tip"', "toe_tip"),
         ('joint = "thumb_tip"', 'joint = "index_tip"', "both mark index_tip"),
         ('kind = "patch"\nsize_m = [0.04, 0.03]', 'kind = "patch"', "size_m"),
@@ -95,7 +95,10 @@ def test_calibrated_cameras_are_used(rig_folder: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "names"),
     [
-        ("{", "not JSON"),
+        ("{", "not JSON, perhaps cut off"),
+        ("{", "make it anew with `rhot calibrate cameras`"),
+        (json.dumps({"camera": {}}), "cameras: is missing"),
+        (json.dumps(_cameras(distorsion=[])), "cameras.left.distorsion: no such field; did you mean distortion?"),
         (json.dumps({"cameras": {"left": CAMERA}}), "no calibration of camera right"),
         (json.dumps(_cameras(width=1280)), "1280x480"),
         (json.dumps(_cameras(distortion=[1.0, 2.0])), "distortion"),
@@ -119,3 +122,10 @@ def test_calibration_files_are_written_whole(rig_folder: Path) -> None:
     assert [path.name for path in rig_folder.iterdir() if path.name.startswith(".")] == []
     with pytest.raises(ConfigError, match="cannot be written"):
         write_json_model(rig_folder / "no" / "hand.json", HandFile())
+
+
+def test_a_damaged_file_is_offered_its_predecessor(rig_folder: Path) -> None:
+    (rig_folder / "cameras.json").write_text("{")
+    (rig_folder / "cameras.previous.json").write_text("{}")
+    with pytest.raises(CalibrationError, match=r"copy cameras\.previous\.json over it"):
+        load_rig(rig_folder)

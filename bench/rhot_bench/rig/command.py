@@ -112,19 +112,18 @@ def rig(
     check_output("--report", page_path)
     if (recording_path is None) == (not live):
         raise ConfigError(f"give either a RECORDING or --live {'|'.join(PARTS)}")
-    loaded, console = load_rig(rig_path), Console(stderr=True, soft_wrap=True)
-    if marker not in loaded.config.markers:
-        raise ConfigError(f"--marker {marker}: the rig has {', '.join(loaded.config.markers)}")
+    loaded, console = _loaded(rig_path, marker), Console(stderr=True, soft_wrap=True)
     sections: list[Section] = []
     plots: list[str] = []
     failed: list[str] = []
+    parts = list(dict.fromkeys(live))
     if recording_path is not None:
         _recorded(loaded, recording_path, sections, plots)
         source = f"the recording {recording_path.name}"
     else:
         places = _distances(distances)
         bus = tool_bus(rig_path, connect, namespace)
-        for part in dict.fromkeys(live):
+        for part in parts:
             console.print(f"{part}: {_SAY[part]}, {seconds:g} s")
             if not yes:
                 click.prompt("Enter begins", default="", show_default=False, err=True)
@@ -138,11 +137,13 @@ def rig(
                 else:
                     _listened(part, loaded, heard, bus, sections, plots)
             except RhotError as error:
+                if len(parts) == 1:
+                    raise
                 # What was measured before it is not lost.
-                failed.append(f"{part}: {error}")
-                console.print(failed[-1], style="red", markup=False)
+                failed.append(part)
+                console.print(f"{part}: {error}", style="red", markup=False)
         if not sections:
-            raise ConfigError("; ".join(failed))
+            raise ConfigError("nothing was measured; the reasons stand above")
         source = f"the running rig {loaded.config.name}, {seconds:g} s each"
     show("evaluate rig", sections, json_path, source=source)
     if page_path is not None:
@@ -150,7 +151,15 @@ def rig(
         write_text_atomic(page_path, html_report(f"Rig {loaded.config.name}, measured", about, sections, plots))
         console.print(f"report: {page_path}")
     if failed:
-        raise ConfigError(f"not measured: {'; '.join(failed)}")
+        raise ConfigError(f"not measured: {', '.join(failed)}; the reasons stand above")
+
+
+def _loaded(rig_path: Path, marker: str) -> Rig:
+    """Load a rig that must have a marker."""
+    loaded = load_rig(rig_path)
+    if marker not in loaded.config.markers:
+        raise ConfigError(f"--marker {marker}: the rig has {', '.join(loaded.config.markers)}")
+    return loaded
 
 
 def _listened(part: str, rig: Rig, heard: Heard, bus: BusConfig, sections: list[Section], plots: list[str]) -> None:

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import FloatArray
+from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.messages import PointSet
 from rhot.offline import track
@@ -206,7 +207,9 @@ def _real_places(file: Path) -> FloatArray:
     try:
         return np.loadtxt(file, delimiter=",", dtype=np.float64, ndmin=2)[1:]
     except OSError as error:
-        raise ConfigError(f"{file}: cannot be read: {error}; is DATA the folder of the thesis's rig?") from error
+        raise ConfigError(
+            f"{file}: cannot be read: {why_unread(error)}; is DATA the folder of the thesis's rig?"
+        ) from error
     except ValueError as error:
         raise ConfigError(f"{file}: is not a table of numbers: {error}") from error
 

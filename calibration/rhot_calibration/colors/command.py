@@ -9,17 +9,16 @@ from typing import Final
 
 import click
 import cv2
-import numpy as np
 from rich.console import Console
 
 from rhot.atomic_file import write_atomic
 from rhot.cli.options import bus_options, tool_bus
 from rhot.errors import ConfigError
+from rhot.recording.picture_file import read_picture
 from rhot.rig import Rig, load_rig, write_json_model
 from rhot.rig.calibration import today
-from rhot.rig.colors import load_box_calibration
 from rhot.rig.marker_config import own_paints
-from rhot_calibration.colors.import_2018 import load_camera_settings, rig_lines
+from rhot_calibration.colors.import_2018 import load_box_calibration, load_camera_settings, rig_lines
 from rhot_calibration.colors.learning import learn_colors
 from rhot_calibration.colors.live import live_pictures
 from rhot_calibration.colors.picking.picks import parse_places
@@ -193,16 +192,7 @@ def _live(
 
 
 def _read_all(paths: Sequence[Path]) -> tuple[list[str], list[ImageArray]]:
-    return [path.stem for path in paths], [_read(path) for path in paths]
-
-
-def _read(path: Path) -> ImageArray:
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such image")
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        raise ConfigError(f"{path}: not an image that OpenCV can read (JPEG or PNG)")
-    return np.asarray(image, dtype=np.uint8)
+    return [path.stem for path in paths], [read_picture(path) for path in paths]
 
 
 def _check_target(path: Path | None, suffixes: Sequence[str]) -> None:

@@ -1,6 +1,6 @@
-"""Camera settings of the original 2018 tracker, in the terms of `rig.toml`.
+"""Colours and camera settings of the original 2018 tracker, in the terms of `colors.json` and `rig.toml`.
 
-Its file holds percentages for the raspicam library, which turned them into camera parameters: `Exposure` 0 to 100
+Its settings are percentages for the raspicam library, which turned them into camera parameters: `Exposure` 0 to 100
 into a shutter time of 0 to 330 ms, `Gain` 0 to 100 into ISO 0 to 800, white balance 0 into automatic, `Brightness`,
 `Contrast` and `Saturation` around a neutral 50 (raspicam, `RaspiCam_Cv::set`). On the camera module v2, ISO 100
 is an overall gain of 1.84 (picamera documentation, `PiCamera.iso`).
@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
+from rhot.rig.colors import ColorsFile, RgbBoxColor
 
 _SHUTTER_S: Final = 0.33
 _ISO: Final = 800.0
@@ -79,18 +81,63 @@ def load_camera_settings(path: Path) -> ImportedSettings:
     return ImportedSettings(tuple(lines), tuple(remarks))
 
 
+def load_box_calibration(path: Path, markers: Sequence[str]) -> ColorsFile:
+    """Read the colour file of the original 2018 tracker: RGB limits as strings, one entry per colour.
+
+    Args:
+        path: JSON with `colors: [{"rLower": "0", "rUpper": "60", …}, …]`.
+        markers: marker names in the order of the file's entries.
+
+    Raises:
+        ConfigError: not such a file, limits that contradict each other (names the entry and the field), or fewer
+            colours than markers are named.
+    """
+    data = _json(path)
+    entries = data.get("colors") if isinstance(data, dict) else None
+    if not isinstance(entries, list):
+        raise ConfigError(f"{path}: holds no list `colors` of RGB limits, as colorCalibration.json of 2018 does")
+    mode = data.get("colorMode", "rgb")
+    if mode != "rgb":
+        raise ConfigError(f"{path}: colorMode = {mode!r}: only rgb limits can be read")
+    if len(entries) < len(markers):
+        raise ConfigError(f"{path}: holds {len(entries)} colours, too few for {', '.join(markers)}")
+    boxes = [_limits(f"{path}: colors[{number}]", entry) for number, entry in enumerate(entries)]
+    return ColorsFile(markers=dict(zip(markers, boxes, strict=False)))
+
+
+def _limits(where: str, entry: Any) -> RgbBoxColor:
+    """Return one entry's limits; `where` names file and entry in errors."""
+    if not isinstance(entry, dict):
+        raise ConfigError(f"{where} is not a set of RGB limits but {entry!r:.60}")
+    limits: dict[str, list[float]] = {"Lower": [], "Upper": []}
+    for channel in "rgb":
+        for end, values in limits.items():
+            field = f"{channel}{end}"
+            if field not in entry:
+                raise ConfigError(f"{where}.{field} is missing")
+            try:
+                value = float(entry[field])
+            except (TypeError, ValueError) as error:
+                raise ConfigError(f"{where}.{field} = {entry[field]!r} is not a number from 0 to 255") from error
+            if not 0.0 <= value <= 255.0:
+                raise ConfigError(f"{where}.{field} = {value:g} is out of bounds, 0 to 255")
+            values.append(value)
+        if limits["Lower"][-1] > limits["Upper"][-1]:
+            raise ConfigError(
+                f"{where}: {channel}Lower = {limits['Lower'][-1]:g} is above {channel}Upper = {limits['Upper'][-1]:g}; "
+                "swap them"
+            )
+    (low_r, low_g, low_b), (high_r, high_g, high_b) = limits["Lower"], limits["Upper"]
+    return RgbBoxColor(low=(low_r, low_g, low_b), high=(high_r, high_g, high_b))
+
+
 def rig_lines(settings: ImportedSettings, cameras: Sequence[str]) -> str:
     """Return the lines to put into `rig.toml`, for all cameras."""
     return "\n".join(f"[cameras.{camera}]\n" + "\n".join(settings.lines) for camera in cameras)
 
 
 def _read(path: Path) -> dict[str, float]:
-    try:
-        data: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from error
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise ConfigError(f"{path}: not JSON: {error}") from error
+    data = _json(path)
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: holds a {type(data).__name__} where camera settings are expected")
     values = {}
@@ -105,3 +152,12 @@ def _read(path: Path) -> dict[str, float]:
             raise ConfigError(f"{path}: {name} = {value:g} is out of bounds, 0 to 100")
         values[name] = value
     return values
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {why_unread(error)}") from error
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise ConfigError(f"{path}: not JSON: {error}") from error

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rhot.arrays import FloatArray
+from rhot.atomic_file import why_unread
 from rhot.errors import CalibrationError
 from rhot.report.tables import figures_table
 from rhot_calibration.depth.fit import PhysicalLaw, PowerLaw, fit_physical_law, fit_power_law, relative_rms
@@ -35,7 +36,7 @@ def read_rows(file: Path) -> tuple[FloatArray, FloatArray]:
                 raise CalibrationError(f"{file}: no column {missing[0]}; the header needs {_COLUMNS}")
             rows = [[_number(file, reader.line_num, name, row[name]) for name in wanted] for row in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CalibrationError(f"{file}: cannot be read: {error}") from error
+        raise CalibrationError(f"{file}: cannot be read: {why_unread(error)}") from error
     values = np.array(rows, dtype=np.float64).reshape(-1, len(wanted))
     return values[:, 0] / 100.0, values[:, 1] if direct else values[:, 1] - values[:, 2]
 

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from rhot.atomic_file import why_unread
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot_calibration.objects.fit import Places
@@ -52,7 +53,7 @@ def read_places(file: Path) -> Places:
                 names.append(f"{file.name}:{reader.line_num}")
                 _check(file, reader.line_num, rows[-1])
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CalibrationError(f"{file}: cannot be read: {error}") from error
+        raise CalibrationError(f"{file}: cannot be read: {why_unread(error)}") from error
     table = np.array(rows, dtype=np.float64).reshape(-1, len(COLUMNS) + 1)
     return Places(
         names=tuple(names),

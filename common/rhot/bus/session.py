@@ -65,6 +65,12 @@ class Bus:
                 return cls(await asyncio.to_thread(zenoh.open, zenoh_config), config)
             except zenoh.ZError as error:
                 where = ", ".join(config.connect or config.listen)
+                if config.mode == "router" and "in use" in str(error):
+                    raise BusError(
+                        f"no router can listen on {where}: another program does, perhaps a rig that runs already "
+                        "(`rhot status` tells); end it, or change [bus] in rig.toml (for `rhot router` and `rhot sim` "
+                        "also --listen)"
+                    ) from error
                 if config.mode == "router" or "invalid" in str(error).lower():
                     raise BusError(f"cannot open a Zenoh {config.mode} on {where}: {plain_reason(error)}") from error
                 if timeout_s is not None and time.monotonic() - started >= timeout_s:
@@ -75,7 +81,9 @@ class Bus:
                         f"(Zenoh: {plain_reason(error)})"
                     ) from error
                 if not logged:
-                    logger.info("waiting for the Zenoh router at %s", where)
+                    # A tool waits for a moment and then says what is wrong; a service waits for ever.
+                    level = logging.INFO if timeout_s is None else logging.DEBUG
+                    logger.log(level, "waiting for the Zenoh router at %s", where)
                     logged = True
             await asyncio.sleep(_OPEN_RETRY_S)
 

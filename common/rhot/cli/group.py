@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import logging
 import os
@@ -69,6 +70,17 @@ class LazyGroup(click.Group):
         if not isinstance(command, click.Command):
             raise click.ClickException(f"{target} is not a command; {hint}")
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that the first word names; for one that is none, say which was probably meant."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            similar = difflib.get_close_matches(args[0], self.list_commands(ctx), 1)
+            hint = f" Did you mean '{similar[0]}'?" if similar else ""
+            raise click.UsageError(f"{error.message}{hint}", error.ctx) from error
 
     def _plugin_target(self, name: str) -> str:
         found = list(entry_points(group=self._plugins, name=name)) if self._plugins else []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -15,6 +16,9 @@ from rhot.rig.folder import RIG_FILE, load_config
 DEFAULT_RIG: Final = Path("rig")
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+_WITH_PORT: Final = ("tcp", "udp", "tls", "quic", "ws")
+"""Zenoh's links that reach a machine by address and port."""
 
 
 def rig_option(command: F) -> F:
@@ -46,12 +50,33 @@ def bus_options(command: F) -> F:
     )(command)
 
 
+def endpoints(option: str, words: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the Zenoh endpoints that an option names; commas separate several.
+
+    Raises:
+        ConfigError: one has no protocol or no port.
+    """
+    found = tuple(part for word in words for part in word.split(",") if part)
+    for each in found:
+        link, slash, address = each.partition("/")
+        if not slash or not address:
+            raise ConfigError(f"{option} {each}: an endpoint begins with its protocol, such as tcp/192.168.1.10:7447")
+        if link in _WITH_PORT and not re.search(r":\d+($|[?#])", address):
+            raise ConfigError(
+                f"{option} {each}: has no port; a router listens on {each}:7447 unless rig.toml says else"
+            )
+    return found
+
+
 def overridden(bus: BusConfig, connect: tuple[str, ...], namespace: str | None) -> BusConfig:
-    """Return a bus configuration with what the command line says instead."""
-    endpoints = tuple(part for word in connect for part in word.split(",") if part)
+    """Return a bus configuration with what the command line says instead.
+
+    Raises:
+        ConfigError: `connect` names no endpoint.
+    """
     changes: dict[str, Any] = {}
-    if endpoints:
-        changes |= {"mode": "client", "connect": endpoints, "listen": ()}
+    if chosen := endpoints("--connect", connect):
+        changes |= {"mode": "client", "connect": chosen, "listen": ()}
     if namespace is not None:
         changes["namespace"] = namespace
     return bus.model_copy(update=changes)
@@ -66,7 +91,7 @@ def tool_bus(rig_path: Path, connect: tuple[str, ...], namespace: str | None) ->
     if (rig_path / RIG_FILE).exists():
         bus = load_config(rig_path).bus
     elif rig_path != DEFAULT_RIG and not connect:
-        raise ConfigError(f"{rig_path} holds no {RIG_FILE}; `rhot init {rig_path}` makes one")
+        load_config(rig_path)  # says what is missing
     else:
         bus = BusConfig()
     if bus.mode == "router":

@@ -25,7 +25,7 @@ from rhot.messages.base import (
     State,
     WireModel,
 )
-from rhot.messages.codec import MAX_PAYLOAD_BYTES, decode, encode, encoding_of, first_problem, unpack, with_seq
+from rhot.messages.codec import MAX_PAYLOAD_BYTES, decode, encode, encoding_of, unpack, with_seq
 from rhot.messages.feet import BodyJoint, BodyPose, FootPose, LegAngles
 from rhot.messages.hand import FingerAngles, HandPose, Joint
 from rhot.messages.markers import Marker, MarkerFrame, Point, PointSet
@@ -39,6 +39,7 @@ from rhot.messages.objects import (
     ObjectShape,
     SphereShape,
 )
+from rhot.messages.problems import first_problem
 from rhot.messages.services import ClockReply, Control, ServiceStatus
 from rhot.messages.spaces import Space
 from rhot.messages.truth import TruePose, Truth

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from rhot.errors import WireError
 from rhot.messages.base import Message
-from rhot.text import printable
+from rhot.messages.problems import first_problem
 
 MAX_PAYLOAD_BYTES: Final = 1 << 20
 """Largest payload that is decoded; a full HandPose takes about 3 kB."""
@@ -52,22 +52,6 @@ def decode(payload: bytes, model: type[M]) -> M:
         return model.model_validate(unpack(payload))
     except ValidationError as error:
         raise WireError(f"not a valid {model.__name__}: {first_problem(error)}") from error
-
-
-def first_problem(error: ValidationError) -> str:
-    """Return one line that names the first offending field of a validation error, its value and how many more."""
-    problems = error.errors(include_url=False)
-    first = problems[0]
-    where = printable(".".join(str(part) for part in first["loc"]), 120) or "(whole)"
-    text = f"{where}: {printable(first['msg'].removeprefix('Value error, '))}"
-    if first["type"] != "missing":
-        text += f", got {_short(first['input'])}"
-    return text if len(problems) == 1 else f"{text} (and {len(problems) - 1} more)"
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}…"
 
 
 def with_seq(message: M, seq: int) -> M:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
+from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.messages import first_problem
 from rhot.recording.model import (
@@ -57,7 +58,7 @@ def load_recording(path: Path, timing: Mapping[str, TrackTiming] | None = None) 
         ConfigError: missing, empty, ambiguous or wrong; names file and line.
     """
     if not path.is_dir():
-        raise ConfigError(f"{path}: no such recording folder")
+        raise ConfigError(f"{path}: {_no_folder(path)}")
     settings = _settings(path)
     entries = sorted(entry for entry in path.iterdir() if not entry.name.startswith("."))
     origins: dict[str, Path] = {}
@@ -97,6 +98,17 @@ def load_recording(path: Path, timing: Mapping[str, TrackTiming] | None = None) 
         for name, origin in origins.items()
     }
     return Recording(path, cameras, settings.notes, next(iter(depth_cameras), None), settings.complete)
+
+
+def _no_folder(path: Path) -> str:
+    if not path.exists():
+        return "no such recording folder"
+    if path.suffix == ".mcap":
+        return (
+            "a file of messages; what is tracked anew is a folder of pictures, as `rhot record --frames` writes it "
+            "beside such a file"
+        )
+    return "a file; a recording is a folder with one folder or video per camera"
 
 
 def load_camera(path: Path, name: str, timing: TrackTiming | None = None, *, complete: bool = True) -> CameraTrack:
@@ -173,7 +185,7 @@ def _settings(path: Path) -> RecordingFile:
     try:
         return RecordingFile.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: cannot be read: {error}") from error
+        raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{file}: not TOML: {error}") from error
     except ValidationError as error:

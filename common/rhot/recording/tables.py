@@ -10,6 +10,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.recording.model import IntArray, MarkerTrack, TrackTiming, frozen_array
 
@@ -96,7 +97,7 @@ def _rows(file: Path, header: tuple[str, ...], *, complete: bool = True) -> Iter
     try:
         text = file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: cannot be read: {error}") from error
+        raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     lines = (text if complete else text[: text.rfind("\n") + 1]).splitlines()
     expected = ",".join(header)
     if not lines or tuple(cell.strip() for cell in lines[0].split(",")) != header:

@@ -13,10 +13,9 @@ without touching its numbers, and is what a slider moves while the service runs.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,58 +211,3 @@ def nominal_colors(paints: Mapping[str, RgbColor]) -> ColorsFile:
             for name, rgb in paints.items()
         }
     )
-
-
-def load_box_calibration(path: Path, markers: Sequence[str]) -> ColorsFile:
-    """Read the colour file of the original 2018 tracker: RGB limits as strings, one entry per colour.
-
-    Args:
-        path: JSON with `colors: [{"rLower": "0", "rUpper": "60", …}, …]`.
-        markers: marker names in the order of the file's entries.
-
-    Raises:
-        ConfigError: not such a file, limits that contradict each other (names the entry and the field), or fewer
-            colours than markers are named.
-    """
-    try:
-        data: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from error
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise ConfigError(f"{path}: not JSON: {error}") from error
-    entries = data.get("colors") if isinstance(data, dict) else None
-    if not isinstance(entries, list):
-        raise ConfigError(f"{path}: holds no list `colors` of RGB limits, as colorCalibration.json of 2018 does")
-    mode = data.get("colorMode", "rgb")
-    if mode != "rgb":
-        raise ConfigError(f"{path}: colorMode = {mode!r}: only rgb limits can be read")
-    if len(entries) < len(markers):
-        raise ConfigError(f"{path}: holds {len(entries)} colours, too few for {', '.join(markers)}")
-    boxes = [_limits(f"{path}: colors[{number}]", entry) for number, entry in enumerate(entries)]
-    return ColorsFile(markers=dict(zip(markers, boxes, strict=False)))
-
-
-def _limits(where: str, entry: Any) -> RgbBoxColor:
-    """Return one entry's limits; `where` names file and entry in errors."""
-    if not isinstance(entry, dict):
-        raise ConfigError(f"{where} is not a set of RGB limits but {entry!r:.60}")
-    limits: dict[str, list[float]] = {"Lower": [], "Upper": []}
-    for channel in "rgb":
-        for end, values in limits.items():
-            field = f"{channel}{end}"
-            if field not in entry:
-                raise ConfigError(f"{where}.{field} is missing")
-            try:
-                value = float(entry[field])
-            except (TypeError, ValueError) as error:
-                raise ConfigError(f"{where}.{field} = {entry[field]!r} is not a number from 0 to 255") from error
-            if not 0.0 <= value <= 255.0:
-                raise ConfigError(f"{where}.{field} = {value:g} is out of bounds, 0 to 255")
-            values.append(value)
-        if limits["Lower"][-1] > limits["Upper"][-1]:
-            raise ConfigError(
-                f"{where}: {channel}Lower = {limits['Lower'][-1]:g} is above {channel}Upper = {limits['Upper'][-1]:g}; "
-                "swap them"
-            )
-    (low_r, low_g, low_b), (high_r, high_g, high_b) = limits["Lower"], limits["Upper"]
-    return RgbBoxColor(low=(low_r, low_g, low_b), high=(high_r, high_g, high_b))

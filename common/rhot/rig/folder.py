@@ -8,13 +8,13 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, Final, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from rhot.atomic_file import write_atomic
+from rhot.atomic_file import why_unread, write_atomic
 from rhot.errors import CalibrationError, ConfigError, RhotError
 from rhot.messages import first_problem
 from rhot.rig.calibration import (
@@ -40,6 +40,16 @@ REGISTRATION_FILE = "registration.json"
 OBJECT_SOURCES: tuple[ObjectSource, ...] = get_args(ObjectSource)
 STAGE_FILE = "stage.json"
 HEADSET_FILE = "headset.json"
+
+_MADE_BY: Final = {
+    "cameras.": "cameras",
+    "colors.": "colors",
+    "hand.": "hand",
+    "registration.": "objects",
+    "stage.": "stage",
+    "headset.": "headset",
+}
+"""Beginning of a calibration file's name to the `rhot calibrate` that writes it."""
 
 _F = TypeVar("_F", bound=BaseModel)
 
@@ -144,19 +154,19 @@ def load_config(path: Path) -> RigConfig:
     """
     file = path / RIG_FILE
     if not path.is_dir():
-        raise ConfigError(f"{path}: no such rig folder; `rhot init {path}` makes one")
+        raise ConfigError(f"{path}: no such rig folder; name yours with --rig, or make one: `rhot init {path}`")
     try:
         data = tomllib.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {path}` makes one") from error
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: cannot be read: {error}") from error
+        raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{file}: not TOML: {error}") from error
     try:
         config = RigConfig.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(f"{file}: {first_problem(error)}") from error
+        raise ConfigError(f"{file}: {first_problem(error, RigConfig)}") from error
     # Processes know the bus without the rig folder; from here on the path holds by itself.
     keys = str((path / config.bus.keys).resolve())
     return config.model_copy(update={"bus": config.bus.model_copy(update={"keys": keys})})
@@ -207,14 +217,25 @@ def read_json_model(file: Path, model: type[_F], error_class: type[RhotError] = 
     """
     try:
         data: Any = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise error_class(f"{file}: is missing{_remedy(file)}") from error
     except (OSError, UnicodeDecodeError) as error:
-        raise error_class(f"{file}: cannot be read: {error}") from error
+        raise error_class(f"{file}: cannot be read: {why_unread(error)}") from error
     except (json.JSONDecodeError, RecursionError) as error:
-        raise error_class(f"{file}: not JSON: {error}") from error
+        raise error_class(f"{file}: not JSON, perhaps cut off: {error}{_remedy(file)}") from error
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise error_class(f"{file}: {first_problem(error)}") from error
+        raise error_class(f"{file}: {first_problem(error, model)}") from error
+
+
+def _remedy(file: Path) -> str:
+    """Return how to get a calibration file back that is missing or damaged; empty for other files."""
+    command = next((f"rhot calibrate {what}" for start, what in _MADE_BY.items() if file.name.startswith(start)), "")
+    former = file.with_name(f"{file.stem}.previous{file.suffix}")
+    ways = [f"make it anew with `{command}`"] if command else []
+    ways += [f"copy {former.name} over it"] if former.exists() else []
+    return "; " + ", or ".join(ways) if ways else ""
 
 
 def write_json_model(file: Path, model: BaseModel) -> None:

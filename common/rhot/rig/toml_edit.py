@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import AbstractTable
 
-from rhot.atomic_file import locked
+from rhot.atomic_file import locked, why_unread
 from rhot.errors import ConfigError
 from rhot.messages import first_problem
 from rhot.rig.config import RigConfig
@@ -81,13 +81,13 @@ def _change(file: Path, changes: Mapping[tuple[str, ...], Mapping[str, Value]]) 
     try:
         text = file.read_bytes().decode()
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: cannot be read: {error}") from error
+        raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     try:
         for table, values in changes.items():
             text = with_values(text, table, values)
         RigConfig.model_validate(tomllib.loads(text))
     except ValidationError as error:
-        raise ConfigError(f"{file}: stays as it is: {first_problem(error)}") from error
+        raise ConfigError(f"{file}: stays as it is: {first_problem(error, RigConfig)}") from error
     except ConfigError as error:
         raise ConfigError(f"{file}: stays as it is: {error}") from error
     write_text_atomic(file, text)

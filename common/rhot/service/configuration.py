@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import json
 from collections.abc import Mapping
@@ -13,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 from rhot.bus import Answer, Request, json_answer
 from rhot.errors import ConfigError, WireError
 from rhot.messages import MAX_PAYLOAD_BYTES, first_problem, unpack
+from rhot.text import printable
 
 C = TypeVar("C", bound=BaseModel)
 
@@ -51,11 +53,26 @@ def changed(config: C, change: Mapping[str, Any]) -> C:
     Raises:
         ConfigError: an unknown field or a refused value; names it.
     """
-    merged = _merged(config.model_dump(mode="json"), change)
+    old = config.model_dump(mode="json")
     try:
-        return type(config).model_validate(merged)
+        return type(config).model_validate(_merged(old, change))
     except ValidationError as error:
-        raise ConfigError(f"configuration refused, the old one stays: {first_problem(error)}") from error
+        problem = _unknown_name(old, change) or first_problem(error)
+        raise ConfigError(f"configuration refused, the old one stays: {problem}") from error
+
+
+def _unknown_name(old: Mapping[str, Any], change: Mapping[str, Any], parent: str = "") -> str:
+    """Return what is wrong with the first name of a change that the old configuration does not have; else nothing."""
+    for name, value in change.items():
+        path = printable(f"{parent}{name}", 120)
+        if name not in old:
+            similar = difflib.get_close_matches(name, list(old), 1)
+            return f"{path}: no such field" + (f"; did you mean {parent}{similar[0]}?" if similar else "")
+        if isinstance(value, dict) and isinstance(old[name], dict):
+            problem = _unknown_name(old[name], value, f"{path}.")
+            if problem:
+                return problem
+    return ""
 
 
 def _merged(old: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:

@@ -32,6 +32,7 @@ from rhot_capture.settings import CameraSettings
 from rhot_capture.sources import Frame, ReportsProblem, Source, grab, open_source
 from rhot_capture.timing import marker_frame, row_time_ns
 
+_PREVIEW_PARAMETERS: Final = ("overlay", "format", "mask")
 _PREVIEW_WAIT_S: Final = 0.4
 _APPLY_LIMIT_S: Final = 1.5
 _KEEP_EVERY_S: Final = 1.0
@@ -286,6 +287,10 @@ class CaptureService:
         seen = self._seen
         if seen is None:
             raise DeviceError(f"camera {self.instance} has delivered no frame yet; is the rig started (`rhot start`)?")
+        # Zenoh's own parameters begin with an underscore.
+        unknown = [name for name in request.parameters if name not in _PREVIEW_PARAMETERS and name[:1] != "_"]
+        if unknown:
+            raise ConfigError(f"{unknown[0]}: only overlay=markers, mask=<marker> and format= are known")
         overlay = request.parameters.get("overlay", "")
         if overlay not in ("", "markers"):
             raise ConfigError(f"overlay={overlay}: only overlay=markers is known")

@@ -8,7 +8,7 @@ import socket
 from pathlib import Path
 from typing import Final
 
-from rhot.atomic_file import sync_folder, why
+from rhot.atomic_file import sync_folder, why, why_unread
 from rhot.errors import ConfigError
 from rhot_viewer.browser.access import MIN_TOKEN_LENGTH, TOKEN_PARAMETER, Access
 
@@ -35,7 +35,7 @@ def kept_token(file: Path, port: int, scheme: str = "http") -> str:
         _write(file, "".join(f"{line}\n" for line in links(Access(token), socket.gethostname(), port, scheme)))
         return token
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: cannot be read: {error}") from error
+        raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     token = text.partition(f"?{TOKEN_PARAMETER}=")[2].partition("\n")[0].strip()
     if len(token) < MIN_TOKEN_LENGTH:
         raise ConfigError(f"{file}: holds no link with a token; remove it, and a new one is made")

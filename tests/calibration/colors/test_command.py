@@ -70,7 +70,7 @@ def test_wrong_picks_are_one_clear_error(
 def test_unreadable_images_are_named(pictured: tuple[Path, Path, list[str]], tmp_path: Path) -> None:
     _, rig, picks = pictured
     (tmp_path / "broken.png").write_bytes(b"nothing")
-    for name, words in (("absent.png", "no such image"), ("broken.png", "not an image")):
+    for name, words in (("absent.png", "No such file"), ("broken.png", "no picture")):
         result = run(tmp_path / name, *picks, "--rig", rig)
         assert isinstance(result.exception, RhotError)
         assert words in str(result.exception)

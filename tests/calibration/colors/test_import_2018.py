@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from rhot.errors import ConfigError
+from rhot.rig.colors import RgbBoxColor
 from rhot.rig.config import CameraConfig
-from rhot_calibration.colors.import_2018 import load_camera_settings, rig_lines
+from rhot_calibration.colors.import_2018 import load_box_calibration, load_camera_settings, rig_lines
 
 GOOD = {
     "Exposure": "2", "Gain": "25", "awb red": "1.5", "awb blue": "1.2",
@@ -62,3 +63,42 @@ def test_wrong_settings_name_the_field(tmp_path: Path, text: str, words: str) ->
     file.write_text(text)
     with pytest.raises(ConfigError, match=words):
         load_camera_settings(file)
+
+
+def _entry(low: int, high: int) -> dict[str, str]:
+    return {f"{channel}{end}": str(value) for channel in "rgb" for end, value in (("Lower", low), ("Upper", high))}
+
+
+def test_box_calibration_of_the_2018_tracker(tmp_path: Path) -> None:
+    file = tmp_path / "colorCalibration.json"
+    file.write_text(json.dumps({"colors": [_entry(0, 60), _entry(61, 255)]}))
+    colors = load_box_calibration(file, ["thumb", "index"])
+    assert colors.markers["index"] == RgbBoxColor(low=(61, 61, 61), high=(255, 255, 255))
+    with pytest.raises(ConfigError, match="2 colours, too few"):
+        load_box_calibration(file, ["thumb", "index", "ring"])
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ("[", "not JSON"),
+        ("[]", "no list `colors`"),
+        ('{"colors": 3}', "no list `colors`"),
+        ('{"colors": [], "colorMode": "hsv"}', "colorMode = 'hsv'"),
+        ('{"colors": [7]}', r"colors\[0\] is not a set"),
+        ('{"colors": [{"rLower": "x"}]}', r"colors\[0\]\.rLower = 'x' is not a number"),
+        ('{"colors": [{"rLower": "1"}]}', r"colors\[0\]\.rUpper is missing"),
+        ('{"colors": [{"rLower": "1", "rUpper": "256"}]}', r"rUpper = 256 is out of bounds"),
+        ('{"colors": [{"rLower": "9", "rUpper": "8"}]}', r"rLower = 9 is above rUpper = 8"),
+    ],
+)
+def test_wrong_box_calibration_names_the_field(tmp_path: Path, data: str, words: str) -> None:
+    file = tmp_path / "colorCalibration.json"
+    file.write_text(data)
+    with pytest.raises(ConfigError, match=words):
+        load_box_calibration(file, ["thumb"] if data != '{"colors": [], "colorMode": "hsv"}' else [])
+
+
+def test_real_box_calibration_loads(thesis_rig: Path) -> None:
+    colors = load_box_calibration(thesis_rig / "colorCalibration.json", ["a", "b", "c", "d", "e", "f"])
+    assert colors.markers["a"] == RgbBoxColor(low=(0, 61, 0), high=(60, 255, 32))

@@ -54,12 +54,12 @@ def test_the_overview_imports_no_command() -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["bogus"], "No such command"),
+        (["statsu"], "No such command 'statsu'. Did you mean 'status'?"),
         (["fusion", "--rig", "/nonexistent"], "rhot init"),
         (["capture", "--camera", "middle", "--rig", "RIG"], "it has left, right"),
         (["objects", "--rig", "RIG"], "names no objects"),
         (["get", "rhot/**", "--connect", NOBODY], "no Zenoh router answers"),
-        (["get", "rhot/**", "--connect", "nonsense"], "not a usable Zenoh configuration"),
+        (["get", "rhot/**", "--connect", "nonsense"], "begins with its protocol"),
         (["status", "--connect", NOBODY], "rhot sim"),
         (["start", "--connect", NOBODY], "no Zenoh router answers"),
         (["process", "/nonexistent", "--rig", "RIG", "--out", "OUT"], "/nonexistent"),

@@ -223,9 +223,36 @@ class Nested(BaseModel):
     name: str = "x"
 
 
+class Box(BaseModel):
+    """A part with two required fields."""
+
+    low: float
+    high: float
+
+
+class Strict(BaseModel, extra="forbid"):
+    """A configuration that knows its fields."""
+
+    name: str = "x"
+    boxes: dict[str, Box] = {"thumb": Box(low=0.0, high=1.0)}
+
+
 def test_changes_are_merged_field_by_field() -> None:
     assert configuration.changed(Nested(), {"gains": {"b": 3.0}}) == Nested(gains={"a": 1.0, "b": 3.0})
     with pytest.raises(ConfigError, match=r"gains\.b"):
         configuration.changed(Nested(), {"gains": {"b": "wide"}})
     with pytest.raises(WireError, match="map"):
         configuration.parse_change(b"\x05")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"nam": "y"}, r"nam: no such field; did you mean name\?"),
+        ({"boxes": {"thmb": {"low": 2.0}}}, r"boxes\.thmb: no such field; did you mean boxes\.thumb\?"),
+        ({"zzz": 1}, "zzz: no such field$"),
+    ],
+)
+def test_a_misspelt_setting_is_named_not_what_it_lacks(change: dict[str, object], says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        configuration.changed(Strict(), change)

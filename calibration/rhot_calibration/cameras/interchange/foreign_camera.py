@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rhot.atomic_file import why_unread
 from rhot.errors import CalibrationError
 from rhot_calibration.cameras.solve.views import FloatArray
 
@@ -132,7 +133,7 @@ def read_text(file: Path) -> str:
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{file}: cannot be read: {error}") from error
+        raise CalibrationError(f"{file}: cannot be read: {why_unread(error)}") from error
     if not text.strip():
         raise CalibrationError(f"{file}: is empty; save the calibration again")
     return text

@@ -11,6 +11,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
+from rhot.atomic_file import why_unread
 from rhot.bus import Bus
 from rhot.errors import BusError, CalibrationError, ConfigError, WireError
 from rhot.messages import MarkerFrame, PointSet, decode, first_problem
@@ -46,7 +47,7 @@ def stored_points(file: Path) -> Iterator[PointSet]:
                     if found is not None:
                         yield found
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: cannot be read: {error}") from error
+        raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
 
 
 def _points_of(where: str, line: str) -> PointSet | None:

@@ -46,6 +46,10 @@ def _selector(key_expr: str) -> str:
     return key_expr if "?" in key_expr else f"{key_expr}?format=json"
 
 
+def _nobody(key_expr: str) -> str:
+    return f"{key_expr}: no service answers this key; `rhot status` shows who is there"
+
+
 async def _get(bus_config: BusConfig, selector: str, timeout_s: float) -> list[Reply]:
     async with await Bus.open(bus_config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
         return await bus.get(selector, timeout_s=timeout_s)
@@ -81,7 +85,7 @@ def get(
     values = sorted((reply for reply in replies if not reply.error), key=lambda reply: reply.key)
     if raw:
         if not values:
-            raise BusError(errors[0] if errors else f"{key_expr}: no service answers this key")
+            raise BusError("; ".join(errors) or _nobody(key_expr))
         if sys.stdout.isatty():
             raise ConfigError("--raw writes bytes, which a terminal would obey; send them to a file with > FILE")
         sys.stdout.buffer.write(values[0].payload)
@@ -93,12 +97,10 @@ def get(
         if line not in shown:
             click.echo(line)
             shown.add(line)
+    if not values:
+        raise BusError("; ".join(errors) or _nobody(key_expr))
     for error in errors:
         click.echo(f"rhot: {key_expr}: {error}", err=True)
-    if not values:
-        raise BusError(
-            errors[0] if errors else f"{key_expr}: no service answers this key; `rhot status` shows who is there"
-        )
 
 
 async def _watch(bus_config: BusConfig, key_expr: str, count: int | None, duration_s: float | None) -> None:

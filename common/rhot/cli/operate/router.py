@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from rhot.bus import Bus
-from rhot.cli.options import rig_option
+from rhot.cli.options import endpoints, rig_option
 from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE, load_config
 from rhot.service import systemd
@@ -46,5 +46,5 @@ async def _route(config: BusConfig) -> int:
 def router(listen: tuple[str, ...], rig_path: Path) -> int:
     """Connect all services of a rig until Ctrl-C; any Zenoh router of the same version will do, too."""
     bus = load_config(rig_path).bus if (rig_path / RIG_FILE).exists() else BusConfig()
-    endpoints = listen or bus.listen or DEFAULT_LISTEN
-    return asyncio.run(_route(bus.model_copy(update={"mode": "router", "connect": (), "listen": endpoints})))
+    chosen = endpoints("--listen", listen) or bus.listen or DEFAULT_LISTEN
+    return asyncio.run(_route(bus.model_copy(update={"mode": "router", "connect": (), "listen": chosen})))

@@ -49,8 +49,10 @@ async def _up(rig_path: Path, pages: Pages, *, start: bool) -> int:
     beside, bridges = Supervisor(), Supervisor()
     watching: list[asyncio.Task[Any]] = []
     try:
-        if not await _answers(bus_config):
+        alive = await _alive(bus_config)
+        if alive is None:
             await supervisor.start("router", ["router", "--rig", str(rig_path)])
+        _refuse_second_rig(alive or set(), bus_config)
         names = {"fusion": rig.config.cameras, "ik": True, "objects": rig.config.objects, "feet": rig.config.feet}
         for name in (name for name, wanted in names.items() if wanted):
             await supervisor.start(name, [name, "--rig", str(rig_path)])
@@ -90,9 +92,23 @@ async def _start(bus_config: BusConfig) -> None:
         logger.info("session %s started; look with `rhot status`, end with Ctrl-C", control.session)
 
 
-async def _answers(bus_config: BusConfig) -> bool:
+async def _alive(bus_config: BusConfig) -> set[str] | None:
+    """Return the services that live on the bus, as `service/instance`; None when no router answers."""
     try:
-        async with await Bus.open(bus_config, timeout_s=_ROUTER_TRY_S):
-            return True
+        async with await Bus.open(bus_config, timeout_s=_ROUTER_TRY_S) as bus:
+            return {reply.key.removeprefix("rhot/alive/") for reply in await bus.who_is_alive()}
     except BusError:
-        return False
+        return None
+
+
+def _refuse_second_rig(alive: set[str], bus_config: BusConfig) -> None:
+    """Refuse to run beside another rig: two would publish on the same keys, and readers would see both hands mixed.
+
+    Objects and feet may run on another machine, where their devices are.
+    """
+    found = sorted(alive & {"fusion/main", "ik/main"})
+    if found:
+        raise BusError(
+            f"a rig runs at {', '.join(bus_config.connect)} already ({', '.join(found)}); end it first (Ctrl-C in its "
+            "terminal, or sudo systemctl stop rhot.target), or give this one a `namespace` under [bus] in rig.toml"
+        )

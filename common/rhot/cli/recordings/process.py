@@ -17,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from rhot.atomic_file import replacing
 from rhot.cli.options import rig_option
+from rhot.errors import ConfigError
 from rhot.messages import FootPose, MarkerFrame, PointSet
 from rhot.offline import feet_of, marker_frames, rig_timing, track, track_smoothly
 from rhot.recording import Recording, load_recording
@@ -66,6 +67,9 @@ def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth:
     (markers.csv), and, for feet, what `rhot record --frames` wrote of the depth camera, the ankle sensors and the head.
     Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it.
     """
+    wrong = [key for key in only if not key.startswith("rhot/")]
+    if wrong:
+        raise ConfigError(f"--only {wrong[0]}: keys begin with rhot/, such as rhot/hand")
     rig = load_rig(rig_path)
     recording = load_recording(recording_path, rig_timing(rig))
     counts: Counter[str] = Counter()

@@ -16,7 +16,7 @@ from typing import IO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.atomic_file import why
+from rhot.atomic_file import why, why_unread
 from rhot.errors import ConfigError
 from rhot.messages import HeadPose
 from rhot.recording.feet.sensor_samples import SensorSamples
@@ -162,7 +162,7 @@ def read_table(file: Path, header: tuple[str, ...]) -> tuple[IntArray, FloatArra
     try:
         text = file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: cannot be read: {error}") from error
+        raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     lines = text[: text.rfind("\n") + 1].splitlines()
     if not lines or tuple(cell.strip() for cell in lines[0].split(",")) != header:
         found = repr(lines[0][:80]) if lines else "an empty file"

@@ -9,6 +9,7 @@ import numpy as np
 
 from rhot.errors import ConfigError
 from rhot.recording import PictureTrack, VideoTrack
+from rhot.recording.picture_file import read_picture
 from rhot_capture.detection.color_table import ImageArray
 
 
@@ -20,10 +21,7 @@ def read_pictures(track: PictureTrack | VideoTrack) -> Iterator[ImageArray]:
     """
     if isinstance(track, PictureTrack):
         for file in track.files:
-            image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-            if image is None:
-                raise ConfigError(f"{file}: not a picture that OpenCV can read")
-            yield np.asarray(image, dtype=np.uint8)
+            yield read_picture(file)
         return
     yield from _read_video(track)
 

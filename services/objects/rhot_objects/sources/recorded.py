@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot_objects.pose import Pose, interpolate
 from rhot_objects.sources import PoseSample
@@ -108,7 +109,7 @@ def read_poses(path: Path) -> tuple[NDArray[np.int64], list[Pose]]:
                 times.append(t_ns)
                 poses.append(pose)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from error
+        raise ConfigError(f"{path}: cannot be read: {why_unread(error)}") from error
     if not poses:
         raise ConfigError(f"{path}: holds no rows under its header")
     return np.array(times, dtype=np.int64), poses

@@ -21,10 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.messages import first_problem
 from rhot.recording.folder import COLOR_FOLDER, DEPTH_FOLDER, INTRINSICS_FILE, TIMES_FILE, numbered_pictures
+from rhot.recording.picture_file import read_picture
 from rhot.recording.tables import read_times
 from rhot.rig.calibration import Intrinsics
 from rhot_feet.frames import DepthFrame, DepthImage, pinhole
@@ -66,9 +68,7 @@ class DepthRecording:
             ConfigError: a picture cannot be read, or has another size or type; names the file.
         """
         file = self.color[index]
-        color = cv2.imread(str(file), cv2.IMREAD_COLOR)
-        if color is None:
-            raise ConfigError(f"{file}: not a picture that OpenCV can read; remove the frame or record it again")
+        color = read_picture(file)
         self._require_size(file, color.shape)
         depth_file = self.depth[index]
         depth = None if depth_file is None else self._read_depth(depth_file)
@@ -81,9 +81,7 @@ class DepthRecording:
         return (self.frame(index) for index in range(len(self)))
 
     def _read_depth(self, file: Path) -> DepthImage:
-        depth = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-        if depth is None:
-            raise ConfigError(f"{file}: not a picture that OpenCV can read; remove it or record it again")
+        depth = read_picture(file, cv2.IMREAD_UNCHANGED)
         if depth.dtype != np.uint16 or depth.ndim != 2:
             kind = f"{depth.dtype} with {1 if depth.ndim == 2 else depth.shape[2]} channel(s)"
             raise ConfigError(f"{file}: depth must be one channel of 16 bits, millimetres; this is {kind}")
@@ -179,7 +177,7 @@ def _camera(path: Path, camera: CameraModel | None) -> CameraModel:
     try:
         lens = Intrinsics.model_validate(json.loads(file.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: cannot be read: {error}") from error
+        raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     except json.JSONDecodeError as error:
         raise ConfigError(f"{file}: not JSON: {error}") from error
     except ValidationError as error:

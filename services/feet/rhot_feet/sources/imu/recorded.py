@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.recording.feet.tables import SENSOR_HEADER, read_table
 from rhot_feet.imu.conversion import FusedImuConverter, RawImuConverter
@@ -105,7 +106,7 @@ def read_samples(path: Path) -> ImuSamples:
             indices = [header.index(name) for name in columns]
             table = _table(path, rows, columns, indices)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from error
+        raise ConfigError(f"{path}: cannot be read: {why_unread(error)}") from error
     if len(table) < 2:
         raise ConfigError(f"{path}: holds {len(table)} samples under its header; two are needed")
     t_ns = np.rint(table[:, 0] * 1e9).astype(np.int64)

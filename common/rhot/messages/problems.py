@@ -1,0 +1,51 @@
+"""What is wrong with a message or a file, in one line for people."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from rhot.text import printable
+
+
+def first_problem(error: ValidationError, model: type[BaseModel] | None = None) -> str:
+    """Return one line that names the first offending field of a validation error, its value and how many more.
+
+    Args:
+        error: what pydantic raised.
+        model: what was validated; with it, a misspelt field comes with the name that was probably meant.
+    """
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    where = printable(".".join(str(part) for part in first["loc"]), 120) or "(whole)"
+    if first["type"] == "missing":
+        text = f"{where}: is missing"
+    elif first["type"] == "extra_forbidden":
+        *parents, name = first["loc"]
+        similar = difflib.get_close_matches(str(name), _fields_below(model, parents), 1)
+        text = f"{where}: no such field" + (f"; did you mean {similar[0]}?" if similar else "")
+    else:
+        text = f"{where}: {printable(first['msg'].removeprefix('Value error, '))}, got {_short(first['input'])}"
+    return text if len(problems) == 1 else f"{text} (and {len(problems) - 1} more)"
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}…"
+
+
+def _fields_below(model: type[BaseModel] | None, location: list[Any]) -> list[str]:
+    """Return the fields of the models that a location leads to; keys of maps, indices and tags of unions lead on."""
+    found = [] if model is None else [model]
+    for part in location:
+        fields = [each.model_fields[part] for each in found if part in each.model_fields]
+        found = [below for field in fields for below in _models(field.annotation)] or found
+    return [name for each in found for name in each.model_fields]
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for argument in get_args(annotation) for model in _models(argument)]
