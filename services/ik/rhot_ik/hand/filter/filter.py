@@ -110,6 +110,8 @@ class HandFilter(HandProcess):
         if rows is None:
             return dataclasses.replace(prior, prior_covariance=prior.P)
         P, given, dx = prior.P, rows.noise, np.zeros(SIZE)
+        # One sample cannot tell a patch or paint that sits elsewhere from fingers that are off their mean.
+        granted = self.settings.person_given if prior.dt_s > 0.0 else 1.0
         learned = min(1.0, (prior.dt_s or self.settings.first_lasts_s) / self.settings.lasts_s)
         at = prior
         modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
@@ -139,10 +141,8 @@ class HandFilter(HandProcess):
             about, (dx, posterior) = dx, self._within_limits(gain @ innovation, prior.angles, posterior)
             # What is not learned at once is partly given for all the rest, whose mean moves towards that under it.
             denied = (1.0 - learned) * dx[PERSON]
-            dx -= self.settings.person_given * (
-                posterior[:, PERSON] @ np.linalg.solve(posterior[PERSON, PERSON], denied)
-            )
-            dx[PERSON] -= (1.0 - self.settings.person_given) * denied
+            dx -= granted * (posterior[:, PERSON] @ np.linalg.solve(posterior[PERSON, PERSON], denied))
+            dx[PERSON] -= (1.0 - granted) * denied
             at = self.moved(prior, dx)
             moved = np.abs(dx - about)
             if max(moved[ROTATION].max(), moved[ANGLES].max()) < self.settings.close_rad:

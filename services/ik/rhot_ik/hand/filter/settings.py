@@ -26,7 +26,8 @@ class HandSettings:
         first_lasts_s: what the very first sample tells of a person counts as one that comes this much later.
         person_given: how far pose and angles take the person as he is known so far for granted: 1 lets one wild tip not
             turn the palm, 0 lets a palm whose patch sits elsewhere be found at once. Half of each: on the develop
-            seeds 0 to 36 of the ruler both ends were 1 to 5 mm worse in some clips, better in none by more.
+            seeds 0 to 36 of the ruler both ends were 1 to 5 mm worse in some clips, better in none by more. The very
+            first sample takes him for granted.
         base_shift_m: how far the patch sits from where the model has it, standard deviations across, above and along
             the hand. A hand's back is 11 to 18 mm above the wrist's joint, and people paint by eye.
         palm_share: a patch that seems to sit nearer to the knuckles may as well be on a palm that is shorter than the
