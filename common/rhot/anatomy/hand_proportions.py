@@ -102,10 +102,10 @@ ANGLE_LIMITS_DEG: Final = {
     "ring": ((0.0, 90.0), (-15.0, 15.0), (0.0, 110.0), (0.0, 90.0)),
     "little": ((0.0, 90.0), (-15.0, 15.0), (0.0, 110.0), (0.0, 90.0)),
 }
-"""Lowest and highest flexion and abduction of the knuckle and flexion of the two hinges (Cobos et al. 2008), but for the
-middle finger's abduction, to which they give 3°: it has a muscle on either side that moves it as far as its neighbours
-(dorsal interossei; Joint Motion: Method of Measuring and Recording, American Academy of Orthopaedic Surgeons, 1965, has
-20° for all four). That it is seldom far aside is for the prior of the hand to say."""
+"""Lowest and highest flexion and abduction of the knuckle and flexion of the two hinges (Cobos et al. 2008), but for
+the middle finger's abduction, to which they give 3°: it has a muscle on either side that moves it as far as its
+neighbours (dorsal interossei; American Academy of Orthopaedic Surgeons, Joint Motion: Method of Measuring and
+Recording, 1965, has 20° for all four). That it is seldom far aside is for the prior of the hand to say."""
 COUPLING: Final = {"thumb": 1.0, "index": 2.0 / 3.0, "middle": 2.0 / 3.0, "ring": 2.0 / 3.0, "little": 2.0 / 3.0}
 """Last hinge over middle hinge: DIP ≈ ⅔ PIP (Rijpkema & Girard 1991); for the thumb both bend alike."""
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from rhot.geometry.rotations import rotation_from_vector, shortest_rotation
-from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation
+from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation, mean_residual_m, rows_of
 from rhot_ik.hand.filter.settings import HandSettings
 
 
@@ -45,3 +45,23 @@ def test_the_noise_of_corners_is_learned_from_how_far_they_leave_their_plane() -
             corners = flat + rng.multivariate_normal(np.zeros(3), factor * middle, 4)
             noise = noise.after(corners, middle, 100.0)
         assert 0.6 * factor < noise.factor < 1.6 * factor
+
+
+def test_how_far_a_ray_reaches_is_no_residual() -> None:
+    ray = np.array([0.6, 0.0, 0.8])
+    tips, covariances = np.zeros((5, 3)), np.tile(np.eye(3) * 0.001**2, (5, 1, 1))
+    tips[2:] = np.nan
+    covariances[0] += 0.05**2 * np.outer(ray, ray)
+    seen = HandObservation(
+        10**18, np.zeros(3), True, None, tips, np.ones(5, dtype=np.bool_), np.eye(3) * 1e-6, covariances
+    )
+    rows = rows_of(EvidenceModel(None, HandSettings()).assess(seen, None))
+    assert rows is not None
+    missed = np.zeros((5, 3))
+    missed[0] = 0.06 * ray
+    assert mean_residual_m(rows, missed, 0.012) < 0.01
+    missed[1] = 0.06 * ray
+    assert 0.03 < mean_residual_m(rows, missed, 0.012) < 0.04
+    # What is hidden is not missed, and little is what it is.
+    missed = np.full((5, 3), 0.001)
+    assert np.isclose(mean_residual_m(rows, missed, 0.012), 0.001 * np.sqrt(3.0))

@@ -134,6 +134,27 @@ def rows_of(evidence: Evidence) -> Rows | None:
     return Rows(seen, bool(seen.all()), np.repeat(seen, 3).astype(np.float64), points, evidence.rotation, noise)
 
 
+def mean_residual_m(rows: Rows, missed: FloatArray, known_m: float) -> float:
+    """Return how far the seen tips are off on average, metres; 0 when none is seen.
+
+    Where that is more than `known_m`, directions in which a tip is known worse than this count less: a ray does not
+    tell how far along it a tip is.
+
+    Args:
+        rows: of a sample.
+        missed: (5, 3) metres, what is missed of each tip.
+        known_m: standard deviation.
+    """
+    seen = rows.seen[:5]
+    count = max(1, np.count_nonzero(seen))
+    off_m = float((np.sqrt((missed * missed).sum(-1)) * seen).sum() / count)
+    if off_m < known_m:
+        return off_m
+    allowed = rows.noise[:5] / known_m**2 + _UNIT
+    known = (missed * np.linalg.solve(allowed, missed[:, :, None])[:, :, 0]).sum(-1)
+    return float((np.sqrt(known) * seen).sum() / count)
+
+
 class EvidenceModel:
     """Knows how far each kind of point can be trusted.
 

@@ -25,7 +25,7 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.covariances import squared_distance
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
 from rhot_ik.hand.contact import Shape
-from rhot_ik.hand.filter.evidence import Evidence, Rows, rows_of
+from rhot_ik.hand.filter.evidence import Evidence, Rows, mean_residual_m, rows_of
 from rhot_ik.hand.filter.hidden_tips import ContactOfHiddenTips
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.filter.prior import COUNT
@@ -149,13 +149,12 @@ class HandFilter(HandProcess):
                 break
         kept = (1.0 - learned) ** 2
         posterior[PERSON, PERSON] = kept * prior.P[PERSON, PERSON] + (1.0 - kept) * posterior[PERSON, PERSON]
-        left = ((innovation - H @ dx)[:15].reshape(5, 3) ** 2).sum(-1) * rows.seen[:5]
         return dataclasses.replace(
             at,
             angles=self.legal(at.angles),
             P=0.5 * (posterior + posterior.T),
             prior_covariance=P,
-            mean_residual_m=float(np.sqrt(left).sum() / max(1, np.count_nonzero(rows.seen[:5]))),
+            mean_residual_m=mean_residual_m(rows, (innovation - H @ dx)[:15].reshape(5, 3), self.settings.miss_m),
         )
 
     def cost(self, state: HandState, evidence: Evidence) -> float:

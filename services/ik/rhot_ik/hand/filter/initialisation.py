@@ -59,14 +59,16 @@ class HandInitialiser:
         for R in self._facing(guesses(direction), seen.base):
             start = self._filter.start(R, seen.base - R @ self._base_offset, None, person, ~visible)
             state = self._filter.update(start, points)
-            tried.append((self.cost(state, points), state))
-        refined = []
-        for _, state in sorted(tried, key=lambda item: item[0])[:_REFINED]:
-            # The corners of a patch fit two ways round; the tips have told by now which one it is.
+            # The corners of a patch fit two ways round; the tips have told by now which one it is. A hand that is a
+            # quarter turn off, whose patch fits neither way, is not let off for that.
             evidence = self._evidence.assess(seen, state.R)
+            unfit = seen.corners is not None and evidence.rotation is None
+            tried.append((unfit, self.cost(state, points), state, evidence))
+        refined = []
+        for unfit, _, state, evidence in sorted(tried, key=lambda item: item[:2])[:_REFINED]:
             final = self._filter.update(self._filter.start(state.R, state.p, state.angles, person), evidence, steps=4)
-            refined.append((self.cost(final, evidence), final, evidence))
-        _, best, evidence = min(refined, key=lambda item: item[0])
+            refined.append((unfit, self.cost(final, evidence), final, evidence))
+        _, _, best, evidence = min(refined, key=lambda item: item[:2])
         return best, evidence
 
     def _facing(self, rotations: list[FloatArray], at: FloatArray) -> list[FloatArray]:

@@ -58,7 +58,8 @@ class HandState:
         P: (43, 43) covariance of the errors.
         dt_s: how far the last prediction reached.
         stationary_share: share of the angles' stationary covariance that it added to P.
-        mean_residual_m: mean distance of the seen tips from where this state has them; 0 when none was seen.
+        mean_residual_m: mean distance of the seen tips from where this state has them, as far as they are known; 0 when
+            none was seen.
         prior_covariance: (43, 43) covariance before the last sample, with the room that the sample gave it.
     """
 

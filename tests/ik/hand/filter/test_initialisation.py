@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.anatomy.hand import HandModel, patch_outline
+from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
+from rhot.rig import HandFile, MarkerConfig
+from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
+from rhot_ik.hand.filter.filter import HandFilter
+from rhot_ik.hand.filter.initialisation import HandInitialiser
+from rhot_ik.hand.filter.prior import rest_angles
+from rhot_ik.hand.filter.settings import HandSettings
+from rhot_ik.hand.fingers.geometry import FingerGeometry
+
+FloatArray = NDArray[np.float64]
+
+P_TRUE = np.array([0.02, 0.05, 0.8])
+BASE_OFFSET = np.array([0.0, 0.014, -0.025])
+OUTLINE = patch_outline(MarkerConfig(joint="wrist", kind="patch", size_m=(0.0435, 0.0235)))
+BACK_TO_THE_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def test_one_tip_whose_depth_is_not_known_leaves_the_patch_no_quarter_turn_off() -> None:
+    model = HandModel.from_file(HandFile(), "right")
+    hand = HandFilter(FingerGeometry.of(model, {}), BASE_OFFSET, HandSettings(), np.zeros(6, dtype=np.bool_))
+    initialiser = HandInitialiser(hand, EvidenceModel(OUTLINE, HandSettings()), BASE_OFFSET, np.zeros(3))
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        R = BACK_TO_THE_CAMERA @ rotation_from_vector(np.array([0.0, rng.uniform(-3.0, 3.0), 0.0]))
+        R = R @ rotation_from_vector(rng.normal(0.0, 0.4, 3))
+        posture = rest_angles(model).reshape(5, 4) + rng.normal(0.0, np.radians(15.0), (5, 4))
+        found = initialiser.find(seen_of(hand, R, model.clamp(posture).reshape(-1), seed % 5, rng))
+        assert found is not None
+        assert np.degrees(np.linalg.norm(vector_from_rotation(found[0].R.T @ R))) < 30.0, seed
+
+
+def seen_of(
+    hand: HandFilter, R: FloatArray, posture: FloatArray, finger: int, rng: np.random.Generator
+) -> HandObservation:
+    """Return a hand of which two cameras see the patch and one camera a single tip."""
+    tips, covariances = np.full((5, 3), np.nan), np.tile(np.eye(3) * 0.001**2, (5, 1, 1))
+    tip = hand.tips(hand.start(R, P_TRUE, posture))[finger]
+    ray = tip / np.linalg.norm(tip)
+    tips[finger] = tip + rng.normal(0.0, 0.03) * ray
+    covariances[finger] += 0.03**2 * np.outer(ray, ray)
+    base = P_TRUE + R @ BASE_OFFSET
+    corners = OUTLINE @ R.T + base + rng.normal(0.0, 0.0003, (4, 3))
+    seen = np.ones(5, dtype=np.bool_)
+    return HandObservation(10**18, base, True, corners, tips, seen, np.eye(3) * 0.0005**2, covariances)
