@@ -9,9 +9,14 @@ import numpy as np
 import pytest
 from marker_streams import EPOCH_NS, MARKERS, Motion, Seen, pinhole_cameras, truth_figures, watch
 
+from rhot.anatomy.hand import HandModel
+from rhot.geometry.camera import CameraModel
 from rhot.messages import PointSet
 from rhot.rig import Rig
+from rhot_fusion.filter.acquisition import hands_of
+from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.stage import FusionStage
+from rhot_fusion.views.vectors import vector
 
 MakeRig = Callable[..., Rig]
 
@@ -242,3 +247,25 @@ def test_what_is_found_is_measured_once_it_stays(make_rig: MakeRig, length: int,
     found = [points.points["index"] for points in after if "index" in points.points]
     assert found or not measured
     assert any(point.state == "measured" for point in found) == measured
+
+
+def test_a_straight_finger_reaches_as_far_as_its_model(make_rig: MakeRig) -> None:
+    """A flat hand's fingertip is one reach from where its finger begins beside the patch; the thumb has none."""
+    rig = make_rig(pinhole_cameras(2), fusion=FILTER)
+    side = rig.config.markers["base"].hand
+    model = HandModel.from_file(rig.hand, side)
+    places = model.marker_positions(model.forward(np.eye(4), np.zeros((5, 4))), rig.config.markers)
+    (hand,) = hands_of(
+        rig, [CameraModel.from_calibration(camera) for camera in rig.cameras.values()], DEFAULT, record=False
+    )
+    for k, marker in enumerate(hand.markers):
+        name = list(rig.config.markers)[marker]
+        hand.filter.begin(k, np.concatenate([places[name], np.zeros(3)]), np.eye(6), 0.0)
+    everywhere = [vector(place) for place in hand.filter.place]
+    roots = hand.roots(everywhere)
+    for marker, tip, root, reach_m in zip(hand.markers, everywhere, roots, hand.reach_m, strict=True):
+        name = list(rig.config.markers)[marker]
+        if name in ("thumb", "base"):
+            assert reach_m == 0.0
+        else:
+            assert np.linalg.norm(np.subtract(tip, root)) == pytest.approx(reach_m)

@@ -63,12 +63,32 @@ def test_a_bent_finger_is_seen_on_its_near_side() -> None:
     paint.bend[0] = -0.6
     ends = np.array([[0.0, -0.05, 0.8], [0.0, 0.05, 0.78]])
     along, other = (
-        paint.along(camera, [0], [100.0], *([vector(end)] for end in one.to_camera(ends)))[0]
-        for camera, one in enumerate(CAMERAS)
+        paint.along(camera, [0], [100.0], [vector(tip)], [vector(base)], [0.0])[0]
+        for camera, (tip, base) in enumerate(one.to_camera(ends) for one in CAMERAS)
     )
     assert along[1] * 0.8 == pytest.approx(0.66 * 0.0065 * 0.6, rel=0.1)
     # Each camera sees more of the side on its own side, which looks like less disparity than the middle has.
     assert 0.1 < (along[0] - other[0]) * FOCAL_PX < 0.6
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.6, 0.0), (0.8, 0.5), (1.0, 1.0)])
+def test_the_more_a_finger_curls_the_less_its_paint_tells_of_its_direction(share: float, told: float) -> None:
+    paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
+    tip, base = (0.0, -0.05, 0.8), (0.0, 0.05, 0.8)
+    (unknown,) = paint.along(0, [0], [100.0], [tip], [base], [0.0])
+    (shift,) = paint.along(0, [0], [100.0], [tip], [base], [0.1 / share])
+    assert shift == pytest.approx((told * unknown[0], told * unknown[1]))
+    assert abs(unknown[1]) > 1e-4
+
+
+def test_a_patch_that_is_half_hidden_is_where_it_is_seen() -> None:
+    """Nobody knows from which side a sleeve covers it: the middle may be 7.5 of its 30 px off."""
+    paint, period_s = Paint(CAMERAS, np.zeros(1), DEFAULT.paint), 1.0 / 60.0
+    for number in range(20):
+        paint.correct(0, [0], number * period_s, [900.0], [0.8], period_s, [True])
+        shift, doubt = paint.correct(1, [0], number * period_s + 0.005, [450.0], [0.8], period_s, [True])
+    assert np.abs(shift).max() == 0.0
+    assert 5.0 < doubt[0] * FOCAL_PX < 10.0
 
 
 def test_paint_that_one_camera_loses_first_is_made_up_for_at_once() -> None:

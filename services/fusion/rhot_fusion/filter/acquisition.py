@@ -37,6 +37,7 @@ class Hand:
         base: which of those H is the patch on its back; −1 = none.
         across: which of those H are the tips of the little and of the index finger; none without either.
         beside_m: (H,) how far the knuckle of each fingertip is beside the patch, towards the index finger, metres.
+        reach_m: (H,) how far the tip of a straight finger is from there, metres; 0 = of the thumb and what is none.
         filter: theirs.
         record: of their frames; none when nobody will look back.
     """
@@ -47,6 +48,7 @@ class Hand:
     base: int
     across: tuple[int, int] | None
     beside_m: list[float]
+    reach_m: list[float]
     filter: JointFilter
     record: HandRecord | None
 
@@ -215,18 +217,25 @@ def hands_of(rig: Rig, cameras: Sequence[CameraModel], settings: FilterSettings,
         joints = [markers[m].joint for m in index.tolist()]
         ends = ("little_tip", "index_tip")
         across = (joints.index(ends[0]), joints.index(ends[1])) if set(ends) <= set(joints) else None
-        beside_m = [0.0] * len(index)
+        beside_m, reach_m = [0.0] * len(index), [0.0] * len(index)
         if base >= 0:
             model = HandModel.from_file(rig.hand, markers[int(index[0])].hand)
-            patch = model.marker_offset(names[int(index[base])], markers[int(index[base])])
+            # All angles zero: the flat open hand.
+            flat = model.marker_positions(model.forward(np.eye(4), np.zeros((5, 4))), rig.config.markers)
+            patch, *tips = (flat[names[int(index[k])]] for k in (base, *(across or ())))
             sense = np.sign(model.knuckles[1, 0] - model.knuckles[4, 0])
+            aside = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0]) if tips else np.zeros(3)
             fingers = {f"{name}_tip": row for row, name in enumerate(FINGERS)}
             for k, name in enumerate(joints):
-                if name in fingers:
-                    beside_m[k] = float(sense * (model.knuckles[fingers[name], 0] - patch[0]))
+                finger = fingers.get(name, -1)
+                if finger >= 0:
+                    beside_m[k] = float(sense * (model.knuckles[finger, 0] - patch[0]))
+                if finger > 0:
+                    away = flat[names[int(index[k])]] - patch
+                    reach_m[k] = float(np.linalg.norm(away - beside_m[k] * aside))
         place_of = {marker: k for k, marker in enumerate(index.tolist())}
         kept = HandRecord(index, cameras) if record else None
-        hands.append(Hand(index, index.tolist(), place_of, base, across, beside_m, joint, kept))
+        hands.append(Hand(index, index.tolist(), place_of, base, across, beside_m, reach_m, joint, kept))
     return hands
 
 

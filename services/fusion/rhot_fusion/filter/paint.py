@@ -11,12 +11,13 @@ it bends away from the camera is told by its visible area, which is
 
     A(c) / A(0) = (2 λ √(1 − c²) + (π/2) (1 + c)) / (2 λ + π/2)        for c ≤ 0,
 
-λ r being the length of the painted shaft, beside the largest area that it has shown.
+λ r being the length of the painted shaft, beside the largest area that it has shown. The more a finger curls, the less
+either tells: its end points elsewhere, and a small area is that of paint which the hand hides.
 
 What hides part of a marker is nearer than it, so it hides more of it in the camera on its own side: of two cameras the
 one that sees less paint sees the middle of that too far towards the other camera, by half of the strip that is hidden.
 With the share h that is hidden in one view and not in the fullest one, and w the marker's width, that is ½ h w.
-Of a patch, whose size is known, the strip is as high as the patch: what both views show of it says how wide.
+What hides some of a patch comes from any side: it is where it is seen, and how far that may be off is told.
 """
 
 from __future__ import annotations
@@ -102,6 +103,7 @@ class Paint:
         areas_px: Sequence[float],
         tips: Sequence[Vector],
         bases: Sequence[Vector],
+        reaches_m: Sequence[float],
     ) -> list[tuple[float, float]]:
         """Return what to add to a camera's views (N,) of fingertips for the side that it sees, normalised units.
 
@@ -111,11 +113,13 @@ class Paint:
             areas_px: (N,) visible, square pixels; 0 = not told.
             tips: (N,) where they are, metres, camera frame.
             bases: (N,) where their fingers begin, metres, camera frame.
+            reaches_m: (N,) how far from there the tips of straight fingers are; 0 = not known.
         """
         settings, middle = self._settings, self._middle[camera]
         shifts = []
-        for marker, area, tip, base in zip(markers, areas_px, tips, bases, strict=True):
-            if area <= 0.0 or self._radius_m[marker] <= 0.0:
+        for marker, area, tip, base, reach in zip(markers, areas_px, tips, bases, reaches_m, strict=True):
+            told = self._told(tip, base, reach)
+            if area <= 0.0 or self._radius_m[marker] <= 0.0 or told <= 0.0:
                 shifts.append((0.0, 0.0))
                 continue
             c = max(self.bend[marker], settings.most_bend)
@@ -127,10 +131,17 @@ class Paint:
             # The camera stands at the origin.
             own = unit((-tip[0], -tip[1], -tip[2]))
             x, y, z = unit(across(d, own))
-            size = settings.side * self._radius_m[marker] * dot(d, own)
+            size = told * settings.side * self._radius_m[marker] * dot(d, own)
             depth = max(tip[2], 0.05)
             shifts.append((size * (x - tip[0] / depth * z) / depth, size * (y - tip[1] / depth * z) / depth))
         return shifts
+
+    def _told(self, tip: Vector, base: Vector, reach_m: float) -> float:
+        """Return how much of the way from where a finger begins to its tip tells its end's direction, 0 to 1."""
+        if reach_m <= 0.0:
+            return 1.0
+        curled, straight = self._settings.curled, self._settings.straight
+        return min(max((math.dist(tip, base) / reach_m - curled) / (straight - curled), 0.0), 1.0)
 
     def correct(
         self,
@@ -171,7 +182,7 @@ class Paint:
     def _hidden(
         self, camera: int, marker: int, t_s: float, area_px: float, depth_m: float, known: bool
     ) -> tuple[float, float]:
-        """Return how wide the strip is that is hidden, and the standard deviation of what it shifts, normalised."""
+        """Return how wide the strip is that is made up for, and the standard deviation of what hides, normalised."""
         settings, every = self._settings, self._shown[marker]
         side_px, tip = math.sqrt(area_px), self._radius_m[marker] > 0.0
         self._watch(every[camera], t_s, side_px / self._focal_px[camera] * depth_m, known)
@@ -200,12 +211,12 @@ class Paint:
         if tip:
             strip = hidden * full / depth_m
             return strip, settings.doubt * strip
+        # What turning away does not explain is hidden, nobody knows on which side: the middle may be anywhere within
+        # half of that strip to either side, evenly.
         strip = hidden * full**2 / max(largest, 1e-9) / depth_m
-        # What turning away does not explain is hidden from all cameras, nobody knows on which side: the middle may be
-        # anywhere within half of that strip to either side, evenly.
         lost = max(1.0 - (width / max(largest, 1e-9)) ** 2 / settings.most_turned, 0.0)
         of_all = settings.shift / math.sqrt(3.0) * lost * largest / depth_m
-        return strip, math.hypot(settings.doubt * strip, of_all)
+        return 0.0, math.hypot(settings.doubt * strip, of_all)
 
     def _watch(self, shown: _Shown, t_s: float, width_m: float, known: bool) -> None:
         """Take the width, metres, of what a camera shows of a marker: its place and distance make no difference."""

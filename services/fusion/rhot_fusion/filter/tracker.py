@@ -282,9 +282,8 @@ class FilterTracker:
             tips = camera.to_camera(hand.filter.place).tolist()
             roots = hand.roots(tips)
             # Without areas it is not paint that is seen, or nobody knows how a finger bends.
-            xy = xy + self._paint.along(
-                sightings.camera, markers, areas_px, [tips[k] for k in places], [roots[k] for k in places]
-            )
+            columns = [tips[k] for k in places], [roots[k] for k in places], [hand.reach_m[k] for k in places]
+            xy = xy + self._paint.along(sightings.camera, markers, areas_px, *columns)
         variances = variance[:, None] * ROUND
         if self._time_variance:
             depths = np.array(self._depths(hand, sightings.camera, markers))
