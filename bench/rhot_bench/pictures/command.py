@@ -21,7 +21,15 @@ from rhot_bench.motion.references.plain_ekf import plain_ekf
 from rhot_bench.motion.references.spline_reference import spline_reference
 from rhot_bench.motion.references.views import views_of
 from rhot_bench.output import counted, json_option, show
-from rhot_bench.pictures.rendered import SEQUENCES, at_rate_of, found_markers, prepare_rig, require_pictures
+from rhot_bench.pictures.changes import CHANGES, changed_copy
+from rhot_bench.pictures.rendered import (
+    SEQUENCES,
+    Measures,
+    at_rate_of,
+    found_markers,
+    prepare_rig,
+    require_pictures,
+)
 from rhot_bench.pictures.scoring import Score, score_estimates, score_messages
 
 
@@ -48,7 +56,7 @@ _TARGETS: Final = {
     "G1": Targets((1.4, 6.0), (1.0, 5.5), 6.0),
     "G2": Targets((2.2, 7.0), (1.6, 6.0), 9.0),
 }
-_TITLES: Final = {"G1": "gestures at 60 fps", "G2": "a grasp at 30 fps"}
+_TITLES: Final = {"G1": "gestures", "G2": "a grasp"}
 _OFFSET: Final = "after one constant offset per marker, along its bone and along the viewing ray"
 
 
@@ -61,8 +69,16 @@ _OFFSET: Final = "after one constant offset per marker, along its bone and along
     help="Keep the calibrated rig and the markers found in this folder, and use what an earlier run left there: fusion "
     "and ik are then measured again in seconds. Empty it when capture or a calibration changed.",
 )
+@click.option(
+    "--changed",
+    "change",
+    type=click.Choice(list(CHANGES)),
+    help="Look at a changed copy of the pictures instead, made and calibrated anew: "
+    + "; ".join(f"{name}: {change.about}" for name, change in CHANGES.items())
+    + ". What holds for one set of pictures alone shows here.",
+)
 @json_option
-def pictures(data_path: Path, keep_path: Path | None, json_path: Path | None) -> None:
+def pictures(data_path: Path, keep_path: Path | None, change: str | None, json_path: Path | None) -> None:
     """Track photo-real pictures of another rig and another hand, and score them with their own scorer.
 
     DATA is the folder of the rendered pictures, or the one that holds it. Cameras and colours are calibrated from its
@@ -76,8 +92,13 @@ def pictures(data_path: Path, keep_path: Path | None, json_path: Path | None) ->
         keep = keep_path or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-pictures-")))
         keep.mkdir(parents=True, exist_ok=True)
         progress = stack.enter_context(counted(Console(stderr=True, soft_wrap=True)))
+        measures = Measures()
+        if change is not None:
+            keep, measures = keep / change, Measures(side="left" if CHANGES[change].mirrored else "right")
+            task = progress.add_task("changing the pictures", total=len(list(data.glob("*/*/*.jpg"))))
+            data = changed_copy(data, change, keep / "pictures", lambda task=task: progress.advance(task))  # type: ignore[misc]
         task = progress.add_task("calibrating the rig", total=None)
-        rig = prepare_rig(data, keep / "rig")
+        rig = prepare_rig(data, keep / "rig", measures)
         progress.remove_task(task)
         sections = []
         for name in SEQUENCES:
@@ -86,8 +107,11 @@ def pictures(data_path: Path, keep_path: Path | None, json_path: Path | None) ->
             task = progress.add_task(f"finding markers, {name}", total=total)
             frames = found_markers(rig, data, name, keep, lambda task=task: progress.advance(task))  # type: ignore[misc]
             task = progress.add_task(f"tracking, {name}", total=4)
-            scores = score_sequence(data, name, at_rate_of(rig, recording), frames, lambda t=task: progress.advance(t))  # type: ignore[misc]
-            sections.append(_section(name, scores))
+            timed = at_rate_of(rig, recording)
+            scores = score_sequence(data, name, timed, frames, lambda t=task: progress.advance(t))  # type: ignore[misc]
+            rate_hz = next(iter(timed.config.cameras.values())).rate_hz
+            title = f"{name}, {_TITLES[name]} at {rate_hz:.0f} fps{'' if change is None else f', {change}'}"
+            sections.append(Section(title, _rows(_TARGETS[name], scores)))
     show("evaluate pictures", sections, json_path)
 
 
@@ -118,8 +142,7 @@ def score_sequence(
     return scores
 
 
-def _section(name: str, scores: dict[str, Score]) -> Section:
-    targets = _TARGETS[name]
+def _rows(targets: Targets, scores: dict[str, Score]) -> tuple[Row, ...]:
     rows: list[Row] = []
     for step, limit, coverage in (
         ("live", targets.live_mm, targets.live_coverage),
@@ -149,4 +172,4 @@ def _section(name: str, scores: dict[str, Score]) -> Section:
             Row(f"{step}, told as measured with one view, median", score.one_view_median_mm, "mm"),
             Row(f"{step}, told as measured with one view, p95", score.one_view_p95_mm, "mm"),
         ]
-    return Section(f"{name}, {_TITLES[name]}", tuple(rows))
+    return tuple(rows)

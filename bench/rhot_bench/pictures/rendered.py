@@ -17,10 +17,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+import cv2
 import numpy as np
 
 from rhot.errors import CalibrationError, ConfigError
-from rhot.messages import MarkerFrame
+from rhot.messages import MarkerFrame, Side
 from rhot.offline import core
 from rhot.recording import Recording, load_recording
 from rhot.rig import Rig, load_rig
@@ -31,6 +32,13 @@ from rhot.rig.toml_edit import change_rig_file
 CAMERAS: Final = ("left", "right")
 SEQUENCES: Final = ("G1", "G2")
 _BOARDS, _COLOURS = "C", "K"
+_PARTS: Final = (
+    *(f"{sequence}/{camera}/timestamps.csv" for sequence in (_BOARDS, _COLOURS, *SEQUENCES) for camera in CAMERAS),
+    *(f"{sequence}/{truth}" for sequence in SEQUENCES for truth in ("truth_frames.csv", "truth_500hz.csv.gz")),
+    f"{_COLOURS}/boxes.json",
+    "calib.json",
+    "hand.json",
+)
 MARKER_FRAMES: Final = "{sequence}.jsonl"
 
 
@@ -44,6 +52,7 @@ class Measures:
         patch_m: the patch across and along the hand; the README of the pictures gives 35 by 25 mm.
         board: inner corners along and across; the README of the pictures.
         square_m: side of a chessboard's square; the README of the pictures.
+        side: of the hand.
     """
 
     length_m: float = 0.172
@@ -51,16 +60,19 @@ class Measures:
     patch_m: tuple[float, float] = (0.035, 0.025)
     board: tuple[int, int] = (9, 6)
     square_m: float = 0.025
+    side: Side = "right"
 
 
 def require_pictures(data: Path) -> Path:
     """Return the folder that holds the rendered pictures: `data` itself or `data/rendered`.
 
     Raises:
-        ConfigError: neither holds them.
+        ConfigError: neither holds them, or parts are missing.
     """
     for folder in (data, data / "rendered"):
         if (folder / "score.py").is_file() and (folder / SEQUENCES[0]).is_dir():
+            if missing := [part for part in _PARTS if not (folder / part).exists()]:
+                raise ConfigError(f"{folder}: {', '.join(missing)} missing; copy the rendered pictures anew and whole")
             return folder
     raise ConfigError(
         f"{data}: holds no rendered pictures (score.py, {', '.join(SEQUENCES)}); name the folder that does"
@@ -83,10 +95,16 @@ def prepare_rig(data: Path, folder: Path, measures: Measures | None = None) -> R
     if not (folder / RIG_FILE).exists():
         timing = load_recording(data / SEQUENCES[0]).cameras[CAMERAS[0]].timing
         text = rig_template(
-            folder=str(folder), name="rendered", exposure_s=timing.exposure_s, readout_s=timing.readout_s
+            folder=str(folder),
+            name="rendered",
+            exposure_s=timing.exposure_s,
+            readout_s=timing.readout_s,
+            sides=(measures.side,),
         )
         write_text_atomic(folder / RIG_FILE, text)
+        across, down = _picture_size(data / _COLOURS / CAMERAS[0])
         change_rig_file(folder, {("markers", "base"): {"size_m": list(measures.patch_m)}})
+        change_rig_file(folder, {("cameras", camera): {"width": across, "height": down} for camera in CAMERAS})
     columns, rows = measures.board
     if not (folder / CAMERAS_FILE).exists():
         square = f"{1e3 * measures.square_m:g}"
@@ -147,6 +165,16 @@ def read_marker_frames(file: Path) -> Iterator[MarkerFrame]:
 def _line(frame: MarkerFrame) -> str:
     value = frame.model_dump_json(exclude_none=True)
     return f'{{"key": "rhot/markers/{frame.camera}", "value": {value}}}\n'
+
+
+def _picture_size(folder: Path) -> tuple[int, int]:
+    """Return width and height of the pictures in a folder, pixels."""
+    path = min(folder.glob("*.jpg"))
+    image = cv2.imread(str(path))
+    if image is None:
+        raise ConfigError(f"{path}: cannot be read as a picture")
+    height, width = image.shape[:2]
+    return width, height
 
 
 def _colour_boxes(data: Path) -> list[str]:

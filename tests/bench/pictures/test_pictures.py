@@ -45,6 +45,13 @@ def test_a_folder_without_pictures_is_refused(tmp_path: Path) -> None:
         require_pictures(tmp_path)
 
 
+def test_what_is_missing_of_the_pictures_is_named(tmp_path: Path) -> None:
+    (tmp_path / "G1").mkdir()
+    (tmp_path / "score.py").touch()
+    with pytest.raises(ConfigError, match=r"C/left/timestamps.csv, .*calib.json, hand.json missing"):
+        require_pictures(tmp_path)
+
+
 def test_the_rig_is_what_a_person_would_have_set_up(kept: tuple[Path, Rig]) -> None:
     _, rig = kept
     first, second = (np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values())
