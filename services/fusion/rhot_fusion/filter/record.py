@@ -38,8 +38,8 @@ class HandRecord:
         """Forget all frames."""
         self._frames.clear()
 
-    def add(self, sightings: Sightings) -> None:
-        """Take a frame's views of this hand."""
+    def add(self, sightings: Sightings, slack: FloatArray) -> None:
+        """Take a frame's views (N,) of this hand, and how far what hides them may put them off."""
         count = len(sightings.index)
         views = Views(
             self._cameras[sightings.camera],
@@ -47,7 +47,7 @@ class HandRecord:
             sightings.times_s - sightings.t_s,
             sightings.xy.copy(),
             np.zeros((count, 3)),
-            np.zeros(count),
+            slack,
         )
         self._frames.append(Frame(sightings.t_s, sightings.camera, views, np.zeros(count, dtype=bool), []))
 

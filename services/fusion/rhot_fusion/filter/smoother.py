@@ -20,7 +20,7 @@ import numpy as np
 from rhot_fusion.filter.birth import Birth
 from rhot_fusion.filter.joint import JointFilter, squared_distance
 from rhot_fusion.filter.settings import FilterSettings
-from rhot_fusion.filter.state import SHARED, BoolArray, FloatArray, IndexArray, State, Step, Views
+from rhot_fusion.filter.state import ROUND, SHARED, BoolArray, FloatArray, IndexArray, State, Step, Views
 
 _JITTER: float = 1e-13
 """Keeps covariances of markers that were just found invertible, m² and m²/s²."""
@@ -104,7 +104,7 @@ def smooth(frames: Sequence[Frame], count: int, settings: FilterSettings) -> lis
             ]
         else:
             nodes = [_node(frame, state, settings) for frame, state in zip(frames, states, strict=True)]
-    _extend(frames, nodes)
+    _extend(frames, nodes, settings)
     return nodes
 
 
@@ -182,40 +182,67 @@ def _rows(alive: BoolArray) -> IndexArray:
 
 def _off_path2(views: Views, state: State) -> FloatArray:
     """Return the squared Mahalanobis distance (N,) of views from a smoothed path; 0 where there is none."""
-    count = len(state.alive)
-    mean = state.mean.reshape(2, count, 3)[:, views.index]
+    xy, _ = _seen(views, *state.mean.reshape(2, len(state.alive), 3))
+    return np.where(state.alive[views.index], squared_distance(views.variance, views.xy - xy), 0.0)
+
+
+def _seen(views: Views, place: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where views (N, 2) would see places and velocities (M, 3), and the derivatives (N, 2, 3) by places."""
     R = views.camera.R_camera_rig
-    local = (mean[0] + views.delta_s[:, None] * mean[1]) @ R.T + views.camera.t_camera_rig
-    residual = views.xy - local[:, :2] / np.maximum(local[:, 2:], 0.05)
-    return np.where(state.alive[views.index], squared_distance(views.variance, residual), 0.0)
+    there = place[views.index] + views.delta_s[:, None] * velocity[views.index]
+    local = there @ R.T + views.camera.t_camera_rig
+    depth = np.maximum(local[:, 2:], 0.05)
+    xy = local[:, :2] / depth
+    return xy, (R[:2] - xy[:, :, None] * R[2]) / depth[:, :, None]
+
+
+def _on_path(frame: Frame, place: FloatArray, velocity: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the squared Mahalanobis distance (N,) of a frame's views that tells which show a marker where it is.
+
+    As the gate of the live filter does, it allows for what hides some of a marker and, of a view that is not behind the
+    path, for the error (M, 3, 3) of the path itself.
+    """
+    views = frame.views
+    xy, J = _seen(views, place, velocity)
+    S = J @ covariance[views.index] @ np.swapaxes(J, 1, 2)
+    apart = np.where(frame.taken[:, None], 0.0, S.reshape(-1, 4)[:, (0, 1, 3)])
+    variance = views.variance + (views.slack * views.slack)[:, None] * ROUND + apart
+    return squared_distance(variance, views.xy - xy)
 
 
 def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
     count = len(state.alive)
     place, velocity = state.mean.reshape(2, count, 3).copy()
-    place[~state.alive] = np.nan
     diagonal = np.arange(count)
     P = state.covariance.reshape(2, count, 3, 2, count, 3)[:, diagonal, :, :, diagonal].reshape(count, 6, 6)
-    shown = np.zeros(count, dtype=bool)
-    views = frame.views
-    shown[views.index] = state.alive[views.index] & (_off_path2(views, state) <= settings.track.gate)
+    shown, index = np.zeros(count, dtype=bool), frame.views.index
+    shown[index] = state.alive[index] & (_on_path(frame, place, velocity, P[:, :3, :3]) <= settings.track.gate)
+    place[~state.alive] = np.nan
     return Node(state.t_s, place, velocity, P, shown, frame.camera)
 
 
-def _extend(frames: Sequence[Frame], nodes: list[Node]) -> None:
-    """Carry markers back from where they began to the first view that began them."""
+def _extend(frames: Sequence[Frame], nodes: list[Node], settings: FilterSettings) -> None:
+    """Carry markers back from where they began to the first view that began them, and to views before that fit."""
     for place, frame in enumerate(frames):
         for event in frame.events:
             if event.birth is None:
                 continue
             marker, first = event.marker, nodes[place]
             for before in range(place - 1, -1, -1):
-                node = nodes[before]
-                if node.t_s < event.first_s - 1e-9 or np.isfinite(node.place[marker, 0]):
-                    break
+                node, earlier = nodes[before], frames[before]
+                mine = earlier.views.index == marker
                 dt = node.t_s - first.t_s
                 F = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(3))
-                node.place[marker] = first.place[marker] + dt * first.velocity[marker]
-                node.velocity[marker] = first.velocity[marker]
-                node.covariance[marker] = F @ first.covariance[marker] @ F.T
-                node.shown[marker] = bool((frames[before].views.index == marker).any())
+                carried, covariance = first.place.copy(), first.covariance.copy()
+                carried[marker] += dt * first.velocity[marker]
+                covariance[marker] = F @ covariance[marker] @ F.T
+                # The first view's row may have been exposed after the frame's moment.
+                if node.t_s + earlier.views.delta_s.max(initial=0.0) < event.first_s - 1e-9:
+                    if dt < -settings.track.pair_s or earlier.taken[mine].any():
+                        break
+                    off2 = _on_path(earlier, carried, first.velocity, covariance[:, :3, :3])[mine]
+                    if not (off2 <= settings.track.gate).any():
+                        continue
+                node.place[marker], node.velocity[marker] = carried[marker], first.velocity[marker]
+                node.covariance[marker] = covariance[marker]
+                node.shown[marker] = bool(mine.any())

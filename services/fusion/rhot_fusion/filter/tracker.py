@@ -229,7 +229,7 @@ class FilterTracker:
             mine = hand.of(sightings, alone=len(self._hands) == 1)
             markers = mine.index.tolist()
             if hand.record is not None and not again:
-                hand.record.add(mine)
+                hand.record.add(mine, self._paint.slack(camera, mine.area_px.tolist()))
             depths = self._depths(hand, camera, markers)
             # Views that begin a marker need it, too: what comes out from behind a hand is hidden unevenly.
             alive, spread_m2 = hand.filter.state.alive.tolist(), hand.filter.spread_m2

@@ -1,0 +1,67 @@
+"""Looking back: which views show a marker where it is, and how far back from where it began."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hands.pinholes import CAMERAS, FOCAL_PX
+
+from rhot.arrays import FloatArray
+from rhot_fusion.filter.birth import Birth
+from rhot_fusion.filter.settings import DEFAULT
+from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
+from rhot_fusion.filter.state import ROUND, Views
+
+PERIOD_S, NOISE_PX, ROW_S = 1.0 / 60.0, 0.1, 0.002
+PLACE = np.array([0.02, -0.01, 0.7])
+BEGUN = 12
+
+
+def watched(off_px: dict[int, float], slack_px: float = 0.0, seen_from: int = 0) -> list[Node]:
+    """Return a marker at rest, seen by two cameras in turns and known from frame 12 on, as two views of it began it.
+
+    Args:
+        off_px: frame to how far its view is off.
+        slack_px: of all views.
+        seen_from: the first frame that shows it.
+    """
+    variance = ROUND[None] * (NOISE_PX / FOCAL_PX) ** 2
+    frames = []
+    for number in range(30):
+        camera = number % 2
+        local = CAMERAS[camera].to_camera(PLACE[None])
+        xy: FloatArray = local[:, :2] / local[:, 2:] + off_px.get(number, 0.0) / FOCAL_PX
+        delta, slack = np.array([ROW_S]), np.full(1, slack_px / FOCAL_PX)
+        views = Views(CAMERAS[camera], np.zeros(1, dtype=np.intp), delta, xy, variance, slack)
+        if number < seen_from:
+            views = views.chosen(np.zeros(1, dtype=bool))
+        events = []
+        if number == BEGUN:
+            birth = Birth(np.concatenate([PLACE, np.zeros(3)]), np.diag([1e-6] * 3 + [1e-2] * 3), 0.0)
+            events = [Event(number * PERIOD_S, 0, birth, (BEGUN - 1) * PERIOD_S + ROW_S)]
+        taken = np.full(len(views.index), number > BEGUN)
+        frames.append(Frame(number * PERIOD_S, camera, views, taken, events))
+    return smooth(frames, 1, DEFAULT)
+
+
+@pytest.mark.parametrize(("slack_px", "shown"), [(0.0, False), (1.5, True)])
+def test_a_view_that_is_off_for_what_hides_it_still_shows_its_marker(slack_px: float, shown: bool) -> None:
+    nodes = watched({20: 8.0}, slack_px)
+    assert bool(nodes[20].shown[0]) is shown
+    assert nodes[19].shown[0]
+    assert nodes[21].shown[0]
+
+
+def test_a_marker_is_carried_back_to_the_views_that_began_it_and_to_those_before_that_fit() -> None:
+    nodes = watched({8: 30.0}, seen_from=6)
+    carried = [n for n, node in enumerate(nodes) if np.isfinite(node.place[0, 0])]
+    # Frame 11 began it, though its row came after its moment; frame 8 shows something else.
+    assert carried == [6, 7, 9, 10, *range(11, 30)]
+    assert all(nodes[n].shown[0] for n in carried)
+    assert max(np.abs(nodes[n].place[0] - PLACE).max() for n in carried) < 2e-3
+    assert nodes[6].covariance[0, 2, 2] > nodes[10].covariance[0, 2, 2], "the longer ago, the less sure"
+
+
+def test_views_that_are_long_ago_are_left_alone() -> None:
+    early = next(n for n, node in enumerate(watched({})) if np.isfinite(node.place[0, 0]))
+    assert (BEGUN - early) * PERIOD_S <= DEFAULT.track.pair_s + 1e-9
