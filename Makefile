@@ -1,6 +1,7 @@
 # Two commands do everything on a fresh machine: `make sim` and `make test`.
 PYTHON ?= python3
 DURATION ?= 30
+ROUNDS ?= 100
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
@@ -8,11 +9,12 @@ READY := $(VENV)/.ready
 # Without compiled modules every process that a test starts, and every worker, would compile all of them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help sim foreign test lint web page holder format clean
+.PHONY: help sim foreign test faults lint web page holder format clean
 
 help:
 	@echo "make sim      set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
 	@echo "make test     set up, then lint, types, layers and all tests"
+	@echo "make faults   the long rounds that make test leaves out: kills, partitions, clocks, systemd (ROUNDS=1: minutes; $(ROUNDS): hours)"
 	@echo "make foreign  programs of others that tests hand our output to (make test calls it)"
 	@echo "make lint     only lint, types and layers"
 	@echo "make web      build the page Grasp (node and npm); sim and test do it where these are there"
@@ -77,6 +79,9 @@ test:
 	@$(MAKE) --no-print-directory --jobs 3 foreign page lint
 	@$(BIN)/pytest --numprocesses auto --dist loadgroup -m "not faults and not (integration and real_time)" -rs
 	@$(BIN)/pytest -m "integration and real_time and not faults" -rs $(REAL_TIME)
+
+faults: $(READY) page
+	@RHOT_FAULTS_ROUNDS=$(ROUNDS) $(BIN)/pytest -m faults -rs
 
 lint: $(READY)
 	@$(BIN)/ruff check

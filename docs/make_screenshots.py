@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import click
@@ -20,7 +22,7 @@ import click
 DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent / "tests" / "support"))
 
-from page.browser import CHROMIUM, Browser, open_browser  # noqa: E402
+from page.browser import CHROMIUM, Browser, open_browser, wait_until  # noqa: E402
 
 IMAGES = DOCS / "images"
 DESKTOP = (1280, 800)
@@ -63,14 +65,20 @@ def main(rate_hz: float, hands: str) -> None:
 
 
 def page_of(simulation: subprocess.Popen[str]) -> str:
-    """Return the page's address as soon as the simulation tells it."""
+    """Return the address of the page for working on the rig as soon as somebody answers there."""
     if simulation.stdout is None:
         raise RuntimeError("the simulation's output is not read")
     for line in simulation.stdout:
-        found = re.search(r"http://\S+", line)
+        found = re.search(r"The page .*is at http://localhost:(\d+)", line)
         if found:
-            return found.group().replace("localhost", "127.0.0.1")
+            wait_until(partial(_answers, int(found.group(1))), "the page", UP_S)
+            return f"http://127.0.0.1:{found.group(1)}"
     raise RuntimeError("the simulation ended without a page")
+
+
+def _answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def ready(browser: Browser) -> None:

@@ -13,13 +13,13 @@ from contextlib import asynccontextmanager
 import numpy as np
 import pytest
 from bridged import poses as bridge_poses
-from bus_watch import PATIENCE_S, until
+from bus_watch import PATIENCE_S, until, wait_for_status
 from click.testing import CliRunner
 from websockets.asyncio.client import connect
 
 from rhot.bus import Bus
 from rhot.errors import ConfigError, RhotError
-from rhot.messages import Control, HandPose, ServiceStatus, Space, decode
+from rhot.messages import Control, HandPose, Space
 from rhot.rig import BridgeConfig, BusConfig
 from rhot.service import configuration, runner
 from rhot.service.clock_sync import serve_clock
@@ -79,16 +79,6 @@ async def running(
             assert time.monotonic() - begun < 10.0
 
 
-async def status(bus: Bus, name: str, wanted: object) -> ServiceStatus:
-    async with asyncio.timeout(PATIENCE_S):
-        while True:
-            for reply in await bus.get(f"rhot/status/bridge/{name}", timeout_s=1.0):
-                found = decode(reply.payload, ServiceStatus)
-                if wanted(found):  # type: ignore[operator]
-                    return found
-            await asyncio.sleep(0.02)
-
-
 async def frames(port: int) -> AsyncIterator[dict[str, object]]:
     """Frames of a WebSocket that may not be open yet."""
     async with asyncio.timeout(PATIENCE_S):
@@ -128,11 +118,13 @@ async def test_hands_come_out_above_the_floor_by_two_bridges_of_one_process(rout
             depth = np.array(unity["hands"][0]["positions"])[2::3]
             assert unity["axes"] == "unity"
             assert (depth > 0.2).all()
-            found = await status(bus, "game", lambda each: each.rates.get("output", 0.0) > 20.0)
+            found = await wait_for_status(bus, "bridge/game", lambda each: each.rates.get("output", 0.0) > 20.0)
             assert found.problem == ""
             assert {"p50", "p99"} <= set(found.latency_s["output_age"])
             # Nobody reads the page any more: its bridge is there, and idles.
-            await status(bus, "page", lambda each: each.rates.get("output", 0.0) == 0.0 and each.problem == "")
+            await wait_for_status(
+                bus, "bridge/page", lambda each: each.rates.get("output", 0.0) == 0.0 and each.problem == ""
+            )
 
 
 async def test_both_hands_of_a_moment_are_one_frame(router: BusConfig, free_port: int) -> None:
@@ -143,7 +135,7 @@ async def test_both_hands_of_a_moment_are_one_frame(router: BusConfig, free_port
                 seen.append({frame["t"]})  # type: ignore[arg-type]
             if len(seen) == 60:
                 break
-        found = await status(bus, "page", lambda each: "to_wire" in each.latency_s)
+        found = await wait_for_status(bus, "bridge/page", lambda each: "to_wire" in each.latency_s)
         assert found.counts["output"] <= found.counts["input"] / 2 + 60
     assert len(set.union(*seen)) > 50
 
@@ -160,7 +152,7 @@ async def test_without_a_floor_nothing_is_sent_and_it_is_said_once(
                     break
                 except OSError:
                     await asyncio.sleep(0.02)
-        found = await status(bus, "page", lambda each: "no floor" in each.problem)
+        found = await wait_for_status(bus, "bridge/page", lambda each: "no floor" in each.problem)
         assert "rhot calibrate stage" in found.problem
         assert "--axes rig" in found.problem
         await until(lambda: any("no floor" in record.message for record in caplog.records))
@@ -169,7 +161,7 @@ async def test_without_a_floor_nothing_is_sent_and_it_is_said_once(
         assert sum("no floor" in record.message for record in caplog.records) == 1
         rig.know_floor()
         assert json.loads(await asyncio.wait_for(reader.recv(), PATIENCE_S))["axes"] == "stage"
-        await status(bus, "page", lambda each: each.problem == "")
+        await wait_for_status(bus, "bridge/page", lambda each: each.problem == "")
         await reader.close()
 
 

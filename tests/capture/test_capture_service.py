@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bus_watch import wait_for_status
 from devices.fake_picamera2 import FakePicamera2
 
 from rhot.bus import Bus
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError, HungDeviceError
-from rhot.messages import Control, ServiceStatus, decode
+from rhot.messages import Control
 from rhot.rig import BusConfig, CameraConfig, Rig, load_rig
 from rhot.service import grabber, runner
 from rhot.service.clock_sync import serve_clock
@@ -100,28 +101,21 @@ async def running(
             camera.end()
 
 
-async def status(bus: Bus, wanted: Callable[[ServiceStatus], bool]) -> ServiceStatus:
-    async with asyncio.timeout(LIMIT_S):
-        while True:
-            replies = await bus.get("rhot/status/capture/left", timeout_s=1.0)
-            if replies and not replies[0].error and wanted(found := decode(replies[0].payload, ServiceStatus)):
-                return found
-            await asyncio.sleep(0.02)
-
-
 async def test_a_camera_that_falls_silent_comes_back(
     rig_folder: Path, router: BusConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with running(rig_folder, router, monkeypatch) as (camera, bus, task):
-        await status(bus, lambda status: status.counts.get("frames", 0) > 3)
+        await wait_for_status(bus, "capture/left", lambda status: status.counts.get("frames", 0) > 3)
         camera.silent = True
-        said = await status(bus, lambda status: "no frame for" in status.last_error)
+        said = await wait_for_status(bus, "capture/left", lambda status: "no frame for" in status.last_error)
         assert "camera left" in said.last_error
         assert "ribbon cable" in said.last_error
-        await status(bus, lambda status: status.counts.get("device_errors", 0) > 0)
+        await wait_for_status(bus, "capture/left", lambda status: status.counts.get("device_errors", 0) > 0)
         camera.silent = False
         frames = said.counts["frames"]
-        await status(bus, lambda status: status.state == "running" and status.counts["frames"] > frames + 3)
+        await wait_for_status(
+            bus, "capture/left", lambda status: status.state == "running" and status.counts["frames"] > frames + 3
+        )
         assert len(camera.opened) >= 2
         assert camera.opened[0].calls == ["start", "flush", "stop", "close"]
         assert not task.done()
@@ -132,7 +126,7 @@ async def test_a_silent_camera_whose_driver_hangs_ends_the_service(
 ) -> None:
     monkeypatch.setattr(grabber.Grabber.stop, "__defaults__", (0.3,))
     async with running(rig_folder, router, monkeypatch) as (camera, bus, task):
-        await status(bus, lambda status: status.counts.get("frames", 0) > 3)
+        await wait_for_status(bus, "capture/left", lambda status: status.counts.get("frames", 0) > 3)
         camera.opened[0].stop_hangs = True
         camera.silent = True
         with pytest.raises(HungDeviceError, match="camera left: close"):
@@ -143,13 +137,13 @@ async def test_what_the_driver_raises_at_a_setting_refuses_the_setting(
     rig_folder: Path, router: BusConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with running(rig_folder, router, monkeypatch) as (camera, bus, task):
-        await status(bus, lambda status: status.counts.get("frames", 0) > 3)
+        await wait_for_status(bus, "capture/left", lambda status: status.counts.get("frames", 0) > 3)
         camera.fails["set_controls"] = RuntimeError("Control ColourGains is not advertised by libcamera")
         replies = await bus.get("rhot/config/capture/left", b'{"gain": 2.0}')
         assert "not advertised" in replies[0].error
-        said = await status(bus, lambda status: status.counts.get("config_refused", 0) > 0)
+        said = await wait_for_status(bus, "capture/left", lambda status: status.counts.get("config_refused", 0) > 0)
         frames = said.counts["frames"]
-        await status(bus, lambda status: status.counts["frames"] > frames + 3)
+        await wait_for_status(bus, "capture/left", lambda status: status.counts["frames"] > frames + 3)
         assert not task.done()
 
 
@@ -159,10 +153,13 @@ async def test_a_client_without_a_server_shows_in_the_status(
     monkeypatch.setattr(module, "_SYNC_WAIT_S", 0.2)
     async with running(rig_folder, router, monkeypatch, sync="client") as (camera, bus, _):
         camera.metadata = {"SyncReady": False}
-        assert "unsynchronised" in (await status(bus, lambda status: bool(status.problem))).problem
-        await status(bus, lambda status: status.counts.get("frames", 0) > 3)
+        assert (
+            "unsynchronised"
+            in (await wait_for_status(bus, "capture/left", lambda status: bool(status.problem))).problem
+        )
+        await wait_for_status(bus, "capture/left", lambda status: status.counts.get("frames", 0) > 3)
         camera.metadata = {"SyncReady": True}
-        await status(bus, lambda status: not status.problem)
+        await wait_for_status(bus, "capture/left", lambda status: not status.problem)
 
 
 async def test_a_setting_taken_before_the_start_that_the_camera_refuses_ends_no_service(
@@ -176,7 +173,7 @@ async def test_a_setting_taken_before_the_start_that_the_camera_refuses_ends_no_
 
     monkeypatch.setattr(Picamera2Source, "apply", refuse)
     async with running(rig_folder, router, monkeypatch, prepare=change) as (_, bus, task):
-        said = await status(bus, lambda status: status.counts.get("frames", 0) > 3)
+        said = await wait_for_status(bus, "capture/left", lambda status: status.counts.get("frames", 0) > 3)
         assert "gain means nothing" in said.last_error
         replies = await bus.get("rhot/config/capture/left?format=json")
         assert json.loads(replies[0].payload)["gain"] == 4.0

@@ -6,14 +6,14 @@ import asyncio
 import os
 import textwrap
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from bus_watch import wait_for_status
 
 from rhot.bus import Bus
 from rhot.errors import EXIT_AGAIN
-from rhot.messages import Control, ServiceStatus, decode
+from rhot.messages import Control
 from rhot.operation.supervisor import Supervisor
 from rhot.rig import BusConfig
 from rhot.rig.template import rig_template
@@ -70,15 +70,6 @@ def modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-async def status(bus: Bus, wanted: Callable[[ServiceStatus], bool]) -> ServiceStatus:
-    async with asyncio.timeout(LIMIT_S):
-        while True:
-            replies = await bus.get("rhot/status/capture/left", timeout_s=1.0)
-            if replies and not replies[0].error and wanted(found := decode(replies[0].payload, ServiceStatus)):
-                return found
-            await asyncio.sleep(0.05)
-
-
 async def test_a_capture_service_whose_driver_hangs_is_back_after_a_new_start(
     tmp_path: Path, endpoint: str, router: BusConfig, modules: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -97,15 +88,17 @@ async def test_a_capture_service_whose_driver_hangs_is_back_after_a_new_start(
             now_ns = time.time_ns()
             start = Control(t_ns=now_ns, action="start", session="s", start_t_ns=now_ns)
             control.put(start)
-            await status(bus, lambda status: status.counts.get("frames", 0) > 10)
+            await wait_for_status(bus, "capture/left", lambda status: status.counts.get("frames", 0) > 10)
             (modules / "silent").touch()
             assert await asyncio.wait_for(child.process.wait(), LIMIT_S) == EXIT_AGAIN
             assert "camera left: close: its driver has not returned for 3 s" in child.tail()
             (modules / "silent").unlink()
             # Nobody else is there to tell the new process of the session.
-            await status(bus, lambda status: status.state == "waiting" and status.uptime_s < 30)
+            await wait_for_status(
+                bus, "capture/left", lambda status: status.state == "waiting" and status.uptime_s < 30
+            )
             control.put(start.model_copy(update={"t_ns": time.time_ns()}))
-            await status(bus, lambda status: status.counts.get("frames", 0) > 10)
+            await wait_for_status(bus, "capture/left", lambda status: status.counts.get("frames", 0) > 10)
             assert supervisor.children[0].process.pid != child.process.pid
             assert "capture left ended by itself with exit code 75" in caplog.text
     finally:

@@ -1,6 +1,6 @@
 """Processes that are killed or stand still, and networks that are cut: the hand comes back, and nobody else notices.
 
-The long rounds: `RHOT_FAULTS_ROUNDS=100 pytest -m faults tests/faults`.
+The long rounds: `make faults`.
 """
 
 from __future__ import annotations

@@ -10,12 +10,13 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
+from bus_watch import wait_for_status
 from still_feet import FEET, head, picture, standing_samples
 
 from rhot.bus import Bus
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError, DeviceError
-from rhot.messages import Control, FootPose, HeadPose, ServiceStatus, Side, decode
+from rhot.messages import Control, FootPose, HeadPose, Side, decode
 from rhot.rig import BusConfig, Rig, load_rig
 from rhot.service import runner
 from rhot.service.runner import serve
@@ -153,15 +154,6 @@ async def gone(bus: Bus, side: Side, besides: Side) -> None:
     await foot(bus, alone)
 
 
-async def status(bus: Bus, wanted: Callable[[ServiceStatus], bool]) -> ServiceStatus:
-    async with asyncio.timeout(LIMIT_S):
-        while True:
-            replies = await bus.get("rhot/status/feet/main", timeout_s=1.0)
-            if replies and not replies[0].error and wanted(found := decode(replies[0].payload, ServiceStatus)):
-                return found
-            await asyncio.sleep(0.02)
-
-
 async def test_a_camera_that_is_pulled_out_comes_back(rig: Rig, router: BusConfig) -> None:
     camera, sensor = Camera(), Sensor()
     async with running(rig, router, camera, sensor) as bus:
@@ -170,11 +162,11 @@ async def test_a_camera_that_is_pulled_out_comes_back(rig: Rig, router: BusConfi
         pose = await foot(bus, lambda pose: pose.side == "left" and pose.stage == "inertial")
         assert pose.state == "measured", "its sensor feels that it stands"
         await gone(bus, "right", besides="left")
-        said = await status(bus, lambda status: "camera" in status.problem)
+        said = await wait_for_status(bus, "feet/main", lambda status: "camera" in status.problem)
         assert said.counts["device_errors"] >= 1
         camera.plugged = True
         await foot(bus, lambda pose: pose.side == "right" and pose.stage == "marker")
-        await status(bus, lambda status: not status.problem)
+        await wait_for_status(bus, "feet/main", lambda status: not status.problem)
 
 
 async def test_a_sensor_that_is_pulled_out_comes_back(rig: Rig, router: BusConfig) -> None:
@@ -183,10 +175,10 @@ async def test_a_sensor_that_is_pulled_out_comes_back(rig: Rig, router: BusConfi
         await foot(bus, lambda pose: pose.side == "left" and pose.stationary)
         sensor.plugged = False
         await foot(bus, lambda pose: pose.side == "left" and not pose.stationary and pose.stage == "marker")
-        assert "sensor" in (await status(bus, lambda status: bool(status.problem))).problem
+        assert "sensor" in (await wait_for_status(bus, "feet/main", lambda status: bool(status.problem))).problem
         sensor.plugged = True
         await foot(bus, lambda pose: pose.side == "left" and pose.stationary)
-        await status(bus, lambda status: not status.problem)
+        await wait_for_status(bus, "feet/main", lambda status: not status.problem)
 
 
 async def test_what_a_driver_raises_costs_its_device_and_not_the_service(rig: Rig, router: BusConfig) -> None:
@@ -214,14 +206,14 @@ async def test_what_a_driver_raises_costs_its_device_and_not_the_service(rig: Ri
     async with running(rig, router, camera, sensor) as bus:
         await foot(bus, lambda pose: pose.side == "left" and pose.stationary)
         camera.plugged = sensor.plugged = False
-        said = await status(
-            bus, lambda status: "Input/output error" in status.problem and "power state" in status.problem
+        said = await wait_for_status(
+            bus, "feet/main", lambda status: "Input/output error" in status.problem and "power state" in status.problem
         )
         assert "left sensor: open" in said.problem
         assert "depth camera: open" in said.problem
         camera.plugged = sensor.plugged = True
         await foot(bus, lambda pose: pose.side == "left" and pose.stationary)
-        await status(bus, lambda status: not status.problem)
+        await wait_for_status(bus, "feet/main", lambda status: not status.problem)
 
 
 async def test_a_picture_waits_for_a_head_that_is_told_late(
@@ -230,17 +222,17 @@ async def test_a_picture_waits_for_a_head_that_is_told_late(
     """However long that takes on a busy machine: what counts is that a marker was used in the end."""
     monkeypatch.setattr(feet_service, "_HEAD_LATE_S", LIMIT_S)
     async with running(rig, router, Camera(), Sensor(), Head(late_s=0.1)) as bus:
-        await status(bus, lambda status: status.counts.get("right_marker", 0) > 0)
+        await wait_for_status(bus, "feet/main", lambda status: status.counts.get("right_marker", 0) > 0)
 
 
 async def test_a_head_that_is_not_tracked_is_told_and_comes_back(rig: Rig, router: BusConfig) -> None:
     headset = Head()
     headset.tracked = False
     async with running(rig, router, Camera(), Sensor(), headset) as bus:
-        assert "rhot/head" in (await status(bus, lambda status: bool(status.problem))).problem
+        assert "rhot/head" in (await wait_for_status(bus, "feet/main", lambda status: bool(status.problem))).problem
         headset.tracked = True
         await foot(bus, lambda pose: pose.side == "right" and pose.stage == "marker")
-        await status(bus, lambda status: not status.problem)
+        await wait_for_status(bus, "feet/main", lambda status: not status.problem)
 
 
 def test_a_rig_without_feet_is_refused(rig_folder: Path) -> None:

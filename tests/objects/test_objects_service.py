@@ -5,18 +5,19 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
+from bus_watch import wait_for_status
 from devices.fake_steamvr import FakeSteamVr, OpenVRError
 from wall_clock import in_time
 
 from rhot.bus import Bus
 from rhot.clock import SystemClock
 from rhot.errors import HungDeviceError
-from rhot.messages import Control, ObjectPose, ServiceStatus, decode
+from rhot.messages import Control, ObjectPose, decode
 from rhot.rig import BusConfig, RegistrationFile, Rig, RigidTransform, load_rig
 from rhot.rig.folder import write_json_model
 from rhot.service import runner
@@ -73,29 +74,22 @@ async def cup(bus: Bus) -> ObjectPose:
     raise AssertionError("the bus was closed")
 
 
-async def status(bus: Bus, wanted: Callable[[ServiceStatus], bool]) -> ServiceStatus:
-    async with asyncio.timeout(LIMIT_S):
-        while True:
-            replies = await bus.get("rhot/status/objects/main", timeout_s=1.0)
-            if replies and not replies[0].error and wanted(found := decode(replies[0].payload, ServiceStatus)):
-                return found
-            await asyncio.sleep(0.02)
-
-
 async def test_after_its_space_moved_nothing_is_published_until_it_is_registered_again(
     rig: Rig, router: BusConfig, steamvr: FakeSteamVr
 ) -> None:
     async with running(rig, router) as (bus, _):
         assert (await cup(bus)).position[0] == 0.0
         steamvr.reset_standing_position(0.4)
-        said = await status(bus, lambda status: bool(status.problem))
+        said = await wait_for_status(bus, "objects/main", lambda status: bool(status.problem))
         assert "standing space has moved" in said.problem
         assert "rhot calibrate objects" in said.problem
         reads = said.counts["reads"]
-        assert (await status(bus, lambda status: status.t_ns > said.t_ns)).counts["reads"] == reads
+        assert (await wait_for_status(bus, "objects/main", lambda status: status.t_ns > said.t_ns)).counts[
+            "reads"
+        ] == reads
         registration = RegistrationFile(T_rig_tracker=RigidTransform(position=(0.4, 0.0, 0.0)))
         write_json_model(rig.path / "registration.json", registration)
-        await status(bus, lambda status: not status.problem and status.counts["reads"] > reads)
+        await wait_for_status(bus, "objects/main", lambda status: not status.problem and status.counts["reads"] > reads)
         assert (await cup(bus)).position[0] == pytest.approx(0.0)
 
 
@@ -105,13 +99,16 @@ async def test_a_new_session_with_the_old_registration_says_that_its_poses_are_w
     async with running(rig, router) as (bus, _):
         await cup(bus)
         steamvr.set_up_room()
-        await status(bus, lambda status: "universe has changed" in status.problem)
+        await wait_for_status(bus, "objects/main", lambda status: "universe has changed" in status.problem)
         await say(bus, "stop", "one")
-        await status(bus, lambda status: status.state == "waiting")
+        await wait_for_status(bus, "objects/main", lambda status: status.state == "waiting")
         await say(bus, "start", "two")
         # Registering live needs the poses.
         await cup(bus)
-        assert "poses are wrong" in (await status(bus, lambda status: status.session == "two")).problem
+        assert (
+            "poses are wrong"
+            in (await wait_for_status(bus, "objects/main", lambda status: status.session == "two")).problem
+        )
 
 
 async def test_what_openvr_raises_costs_a_reading_and_not_the_service(
@@ -125,9 +122,9 @@ async def test_what_openvr_raises_costs_a_reading_and_not_the_service(
                 raise OpenVRError("VRInitError_IPC_Failed")
 
             patch.setattr(steamvr, "getDeviceToAbsoluteTrackingPose", fail)
-            said = await status(bus, lambda status: "IPC_Failed" in status.problem)
+            said = await wait_for_status(bus, "objects/main", lambda status: "IPC_Failed" in status.problem)
             assert said.counts["device_errors"] >= 1
-        await status(bus, lambda status: not status.problem)
+        await wait_for_status(bus, "objects/main", lambda status: not status.problem)
         assert not task.done()
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rhot.bus import Bus, Reply
+from rhot.messages import ServiceStatus, decode
 from rhot.operation.status import fetch_status
 from rhot.rig import BusConfig
 
@@ -42,3 +43,19 @@ async def until_known(router: BusConfig, service: str) -> None:
             if service in alive and service in statuses:
                 return
             await asyncio.sleep(0.001)
+
+
+async def status_of(bus: Bus, service: str) -> ServiceStatus | None:
+    """Return what a service (`kind/instance`) told of itself last; None when it does not answer."""
+    replies = await bus.get(f"rhot/status/{service}", timeout_s=1.0)
+    return decode(replies[0].payload, ServiceStatus) if replies and not replies[0].error else None
+
+
+async def wait_for_status(bus: Bus, service: str, wanted: Callable[[ServiceStatus], bool]) -> ServiceStatus:
+    """Ask a service (`kind/instance`) until its status is as wanted, and return that."""
+    async with asyncio.timeout(PATIENCE_S):
+        while True:
+            status = await status_of(bus, service)
+            if status is not None and wanted(status):
+                return status
+            await asyncio.sleep(0.02)

@@ -1,30 +1,23 @@
 """The camera model: OpenCV's pinhole with lens distortion, between the rig frame and raw pixels.
 
-With X_camera = inv(T_rig_camera) · X_rig and (x, y) = (X/Z, Y/Z), the lens bends (x, y) by the rational
-Brown–Conrady model of OpenCV (`calib3d`, `projectPoints`) and (u, v) = K · (x', y', 1). With r² = x² + y²:
-
-    s = (1 + k1·r² + k2·r⁴ + k3·r⁶) / (1 + k4·r² + k5·r⁴ + k6·r⁶)
-    x' = x·s + 2·p1·x·y + p2·(r² + 2·x²)
-    y' = y·s + p1·(r² + 2·y²) + 2·p2·x·y
+With X_camera = inv(T_rig_camera) · X_rig and (x, y) = (X/Z, Y/Z), the lens bends (x, y) to (x', y')
+(`rhot.geometry.distortion`), and (u, v, 1) = K · (x', y', 1).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.geometry.distortion import RATIONAL, distorted
 from rhot.geometry.rotations import cross_matrix
 from rhot.geometry.transforms import rigid
 from rhot.rig.calibration import CameraCalibration, matrix3, matrix4
 
 FloatArray = NDArray[np.float64]
-
-_RATIONAL: Final = 8
-"""Coefficients of the rational model in OpenCV's order: k1, k2, p1, p2, k3, k4, k5, k6."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,24 +126,14 @@ class CameraModel:
 
 def _bent(xy: FloatArray, distortion: FloatArray) -> FloatArray:
     """Return where a lens with OpenCV's coefficients bends normalised coordinates (N, 2) to."""
-    if len(distortion) > _RATIONAL:
+    if len(distortion) > RATIONAL:
         # A thin prism or a tilted sensor, which no camera of this project has had.
         rays = np.column_stack([xy, np.ones(len(xy))])
         bent, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.eye(3), distortion)
         return np.asarray(bent, dtype=np.float64).reshape(-1, 2)
     # OpenCV works out derivatives that nobody asked for: it takes 20 times as long.
     coefficients: list[float] = distortion.tolist()
-    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients + [0.0] * (_RATIONAL - len(coefficients))
-    x, y = xy.T
-    xx, yy, xy2 = x * x, y * y, 2.0 * x * y
-    r2 = xx + yy
-    s = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    if k4 or k5 or k6:
-        s /= 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    bent_xy = np.empty_like(xy)
-    bent_xy[:, 0] = x * s + p1 * xy2 + p2 * (r2 + 2.0 * xx)
-    bent_xy[:, 1] = y * s + p1 * (r2 + 2.0 * yy) + p2 * xy2
-    return bent_xy
+    return distorted(xy[:, 0], xy[:, 1], coefficients).xy
 
 
 def essential_matrix(first: CameraModel, second: CameraModel) -> FloatArray:

@@ -45,7 +45,7 @@ def status_table(alive: set[str], statuses: dict[str, ServiceStatus]) -> Rendera
     for name in names[:_MOST_ROWS]:
         status = statuses.get(name)
         if status is None:
-            table.add_row(Text(name), "[yellow]new[/]", *["–"] * 7)
+            table.add_row(Text(name), "[yellow]no status[/]", *["–"] * 7)
             continue
         table.add_row(Text(name), status.state if name in alive else "[red]gone[/]", *_cells(status))
         trouble += [Text.assemble((f"{name}: ", "bold"), text) for text in (status.problem, status.last_error) if text]

@@ -12,6 +12,7 @@ from functools import partial
 
 import msgpack
 import pytest
+from bus_watch import wait_for_status
 from pydantic import BaseModel
 from running.doubling_service import (
     LIMIT_S,
@@ -21,7 +22,6 @@ from running.doubling_service import (
     points_follow,
     running,
     start,
-    wait_for_status,
 )
 
 from rhot.bus import Bus

@@ -9,6 +9,7 @@ from functools import partial
 
 import msgpack
 import pytest
+from bus_watch import wait_for_status
 from running.doubling_service import (
     LIMIT_S,
     doubler,
@@ -16,7 +17,6 @@ from running.doubling_service import (
     points_follow,
     running,
     start,
-    wait_for_status,
 )
 
 from rhot.bus import Answer, Bus, Request, message_answer

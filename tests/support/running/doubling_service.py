@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 
 from rhot.bus import Bus
@@ -74,20 +74,6 @@ async def running(service: StageService[MarkerFrame, FusionConfig], bus: BusConf
     finally:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
-
-
-async def status_of(bus: Bus, name: str) -> ServiceStatus | None:
-    replies = await bus.get(f"rhot/status/{name}", timeout_s=1.0)
-    return decode(replies[0].payload, ServiceStatus) if replies and not replies[0].error else None
-
-
-async def wait_for_status(bus: Bus, name: str, wanted: Callable[[ServiceStatus], bool]) -> ServiceStatus:
-    async with asyncio.timeout(LIMIT_S):
-        while True:
-            status = await status_of(bus, name)
-            if status is not None and wanted(status):
-                return status
-            await asyncio.sleep(0.02)
 
 
 async def start(bus: Bus, session: str = "s1", delay_s: float = 0.0) -> Control:

@@ -60,7 +60,7 @@ def test_services_that_have_gone_and_that_have_not_spoken_yet() -> None:
     html = services_html({"new/main"}, {"ik/main": status()})
     assert "gone" in html
     assert "59.9" in html
-    assert html.index("gone") < html.index("new/main") < html.rindex("new")
+    assert html.index("gone") < html.index("new/main") < html.rindex("no status")
 
 
 def test_how_a_hand_is_tracked(stub: StubRig) -> None:

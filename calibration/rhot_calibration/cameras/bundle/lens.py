@@ -1,9 +1,9 @@
 """The pinhole camera with Brown–Conrady distortion, projected together with its derivatives.
 
-With (x, y) = (X/Z, Y/Z), r² = x² + y² and s = 1 + k1·r² + k2·r⁴ + k3·r⁶ (OpenCV `calib3d`):
+With (x, y) = (X/Z, Y/Z), bent to (x', y') by k1, k2, p1, p2 and k3 (`rhot.geometry.distortion`):
 
-    u = fx · (x·s + 2·p1·x·y + p2·(r² + 2·x²)) + cx
-    v = fy · (y·s + p1·(r² + 2·y²) + 2·p2·x·y) + cy
+    u = fx · x' + cx
+    v = fy · y' + cy
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import FloatArray
+from rhot.geometry.distortion import Distorted, distorted
 
 LENS_NAMES: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 """Order of a lens's parameters; the last five are OpenCV's order of distortion coefficients."""
@@ -47,11 +48,12 @@ def project_with_derivatives(lens: FloatArray, points: FloatArray) -> tuple[Floa
     Returns:
         Pixels (..., 2), their derivative by the lens (..., 2, 9) and by the point (..., 2, 3), pixels per metre.
     """
-    uv, bent, (x, y, inverse_z, r2, radial) = _project(lens, points)
+    uv, bent, (x, y, inverse_z) = _project(lens, points)
+    r2, radial = bent.r2, bent.radial
     fx, fy = lens[..., 0], lens[..., 1]
     k1, k2, p1, p2, k3 = (lens[..., place] for place in range(4, 9))
     by_lens = np.zeros((*x.shape, 2, LENS_SIZE))
-    by_lens[..., 0, 0], by_lens[..., 1, 1] = bent[..., 0], bent[..., 1]
+    by_lens[..., 0, 0], by_lens[..., 1, 1] = bent.xy[..., 0], bent.xy[..., 1]
     by_lens[..., 0, 2] = by_lens[..., 1, 3] = 1.0
     for axis, focal, along in ((0, fx, x), (1, fy, y)):
         by_lens[..., axis, 4] = focal * along * r2
@@ -73,16 +75,11 @@ def project_with_derivatives(lens: FloatArray, points: FloatArray) -> tuple[Floa
     return uv, by_lens, by_point
 
 
-def _project(lens: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, tuple[FloatArray, ...]]:
+def _project(lens: FloatArray, points: FloatArray) -> tuple[FloatArray, Distorted, tuple[FloatArray, ...]]:
     # A step of the optimiser may bring a point to the camera's plane for a moment; the step is refused then.
     z = np.where(np.abs(points[..., 2]) > 1e-6, points[..., 2], 1e-6)
     inverse_z = 1.0 / z
     x, y = points[..., 0] * inverse_z, points[..., 1] * inverse_z
-    k1, k2, p1, p2, k3 = (lens[..., place] for place in range(4, 9))
-    r2 = x**2 + y**2
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    bent = np.empty((*x.shape, 2))
-    bent[..., 0] = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
-    bent[..., 1] = y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y
-    uv = bent * lens[..., 0:2] + lens[..., 2:4]
-    return uv, bent, (x, y, inverse_z, r2, radial)
+    bent = distorted(x, y, [lens[..., place] for place in range(4, LENS_SIZE)])
+    uv = bent.xy * lens[..., 0:2] + lens[..., 2:4]
+    return uv, bent, (x, y, inverse_z)

@@ -13,7 +13,15 @@ from rhot.messages import FootPose, HandPose, ServiceStatus
 from rhot_viewer.rig.history import latency_ms, lost, rate_hz
 
 _KEPT: Final = 12
-_STATE_COLOR: Final = {"running": "#2b8a3e", "waiting": "#b08900", "starting": "#b08900", "stopping": "#b08900"}
+_SILENT: Final = "no status"
+"""Of a service that is alive and has not told of itself lately: it has just come, or the machine is busy."""
+_STATE_COLOR: Final = {
+    "running": "#2b8a3e",
+    "waiting": "#b08900",
+    "starting": "#b08900",
+    "stopping": "#b08900",
+    _SILENT: "#b08900",
+}
 _GONE_COLOR: Final = "#c92a2a"
 _CELL: Final = "padding:0.15em 0.5em 0.15em 0;text-align:{align};white-space:nowrap"
 
@@ -99,7 +107,7 @@ def services_html(alive: set[str], statuses: Mapping[str, ServiceStatus]) -> str
     rows = [head]
     for name in sorted(alive | set(statuses)):
         status = statuses.get(name)
-        state = "gone" if name not in alive else status.state if status else "new"
+        state = "gone" if name not in alive else status.state if status else _SILENT
         color = _STATE_COLOR.get(state, _GONE_COLOR)
         label = f"<span style='color:{color}'>●</span> {escape(state)}"
         if status is None:

@@ -123,7 +123,7 @@ class GraspService:
         for keys, model in _KEYS.items():
             mailbox = node.bus.latest(keys)
             node.beside(partial(self._follow, node, keys, mailbox, model))
-        node.beside(self._until_the_end)
+        node.beside(self._close_server_before_bus)
         node.beside(lambda: self._ask_for_spaces(node))
         node.beside(lambda: self._follow_folder(node))
 
@@ -181,12 +181,12 @@ class GraspService:
             return
         self.server.wake()
 
-    async def _until_the_end(self) -> None:
-        """Let go of the bus when the process ends: headsets go on talking until their connections are closed."""
+    async def _close_server_before_bus(self) -> None:
+        """Close the server when the process ends: a headset that is still connected would publish on a closed bus."""
         try:
             await asyncio.Event().wait()
         finally:
-            self._node = None
+            await self.server.close()
 
     async def _ask_for_spaces(self, node: Node) -> None:
         """Ask for the floor, which may have been published before this process was there."""
@@ -309,4 +309,5 @@ async def serve_grasp(
                 )
         return await serve(service, bus_config, SystemClock(), on_stop=end_within)
     finally:
+        # Where the bus was never reached, nobody else does.
         await service.server.close()
