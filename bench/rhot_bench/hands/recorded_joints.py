@@ -23,7 +23,6 @@ from rhot_ik.hand.solver import HandSolver
 
 RATE_HZ: Final = 30.0
 PREFIXES: Final = "TIMRP"
-_SIGMA_M: Final = 0.001
 _FIXED_METACARPALS: Final = (1, 2)
 _WORTH: Final = 100
 """Frames follow one another closely: all together they count as this many."""

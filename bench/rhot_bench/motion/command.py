@@ -26,7 +26,7 @@ STRATA: Final = (
     Stratum("15 fps, 0.1 px", 15.0, 0.1, (5.0, 15.0)),
     Stratum("the whole family"),
 )
-"""Strata with the targets of issue 12; the last one is the family as drawn, which has none of its own."""
+"""Strata with their targets; the last one is the family as drawn, which has none of its own."""
 _NAMES: Final = {"60": STRATA[0], "30": STRATA[1], "15": STRATA[2], "family": STRATA[3]}
 
 

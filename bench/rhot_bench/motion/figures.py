@@ -1,4 +1,4 @@
-"""Errors of many rigs as rows of a table, beside the references and the targets of issue 12."""
+"""Errors of many rigs as rows of a table, beside the references and the targets."""
 
 from __future__ import annotations
 
@@ -23,12 +23,11 @@ _CHI2_95: Final = 7.815
 _OFFSET: Final = (
     "one constant offset per rig and marker removed (bone and line of sight): paint and calibration shift all alike"
 )
-_TIPS_IN_TWO: Final = "told as measured, tips that two cameras or more see"
 
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """What issue 12 allows, but for the errors of live tips, which depend on the stratum; millimetres.
+    """Targets but those of live tips, which depend on the stratum; millimetres.
 
     Attributes:
         start_times: the first half second against the rest.

@@ -38,7 +38,7 @@ _BOARD: Final = Board(9, 6, 0.025)
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """Bounds from which rigs are drawn, as issue 12 states them; what it leaves open is chosen as rigs are built.
+    """Bounds from which rigs are drawn, chosen as rigs are built and set before the tracker was measured on them.
 
     Attributes:
         rate_hz: frames per second, log-uniform.

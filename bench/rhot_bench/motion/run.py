@@ -16,8 +16,6 @@ from rhot_bench.motion.references.spline_reference import spline_reference
 from rhot_bench.motion.references.views import views_of
 from rhot_bench.motion.tracks import MARKERS, MarkerKind, Tracks, make_tracks
 
-METHODS = ("live", "smooth", "ekf", "spline")
-
 
 @dataclass(frozen=True, slots=True)
 class Stratum:
@@ -26,7 +24,7 @@ class Stratum:
     Attributes:
         name: for people.
         rate_hz, noise_px: instead of the drawn ones; None = as drawn.
-        live_mm: median and p95 that issue 12 allows a causal tracker, tips in two views; None = no target.
+        live_mm: target of a causal tracker, median and p95, tips in two views; None = no target.
     """
 
     name: str

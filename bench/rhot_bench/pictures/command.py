@@ -35,7 +35,7 @@ from rhot_bench.pictures.scoring import Score, score_estimates, score_messages
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Most that issue 12 allows, millimetres, of one sequence; least coverage, percent.
+    """Targets of one sequence: most millimetres, least coverage in percent.
 
     Attributes:
         live_mm, smooth_mm: median and p95 after one constant offset per marker.

@@ -47,8 +47,8 @@ class Measures:
     """What a person measures with a ruler before the first recording.
 
     Attributes:
-        length_m: of the hand, wrist crease to the tip of the middle finger; issue 12 gives 172 mm.
-        width_m: of the hand across the knuckles; issue 12 gives 74 mm.
+        length_m: of the hand that was drawn, wrist crease to the tip of the middle finger.
+        width_m: of the same hand across the knuckles.
         patch_m: the patch across and along the hand; the README of the pictures gives 35 by 25 mm.
         board: inner corners along and across; the README of the pictures.
         square_m: side of a chessboard's square; the README of the pictures.

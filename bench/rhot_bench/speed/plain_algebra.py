@@ -20,7 +20,7 @@ from rhot_capture.detection.subpixel.unmixing import MIN_CONTRAST, MIN_SURROUNDI
 FloatArray = NDArray[np.float64]
 
 LEAST_SAVING: Final = 0.1
-"""Of a frame's cost: the house's limit (issue 11) under which the numpy form must return."""
+"""Of a frame's cost: what saves less is not worth a second form of the same algebra, and numpy's must return."""
 _SYMMETRIC: Final = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 

@@ -4,12 +4,9 @@ All are tests over a window of n samples of specific force f (m/s²) and angular
 
     SHOE  = mean(|f − g·f̄/|f̄||²/σ_a² + |ω|²/σ_ω²)      (generalised likelihood ratio test)
     ARED  = mean(|ω|²)/σ_ω²                            (energy of the angular rate)
-    AMVD  = mean(|f − f̄|²)/σ_a²                        (variance of the acceleration)
-    MBGTD = max over splits of the window of the mean distance between the f of both parts
 
 Source: Skog, Händel, Nilsson and Rantakokko, "Zero-velocity detection: an algorithm evaluation", IEEE Transactions on
-Biomedical Engineering 57 (11), 2010, for the first three; Wagstaff, Peretroukhin and Kelly, "Robust data-driven
-zero-velocity detection for foot-mounted inertial navigation", IEEE Sensors Journal 20 (2), 2020, for the comparison.
+Biomedical Engineering 57 (11), 2010.
 """
 
 from __future__ import annotations
@@ -46,20 +43,4 @@ def ared(angular_rate: FloatArray, size: int = 5) -> FloatArray:
     """Return the energy of the angular rate (N,) of samples (N, 3), over centred windows of `size`."""
     w = _windows(angular_rate, size)
     statistic: FloatArray = (w * w).sum(axis=2).mean(axis=1) / RATE_NOISE**2
-    return statistic
-
-
-def amvd(specific_force: FloatArray, size: int = 5) -> FloatArray:
-    """Return the variance of the acceleration (N,) of samples (N, 3), over centred windows of `size`."""
-    f = _windows(specific_force, size)
-    statistic: FloatArray = ((f - f.mean(axis=1, keepdims=True)) ** 2).sum(axis=2).mean(axis=1) / ACCELERATION_NOISE**2
-    return statistic
-
-
-def mbgtd(specific_force: FloatArray, size: int = 5) -> FloatArray:
-    """Return the largest mean distance (N,), m/s², between the two parts of centred windows of `size`."""
-    f = _windows(specific_force, size)
-    distances = np.linalg.norm(f[:, :, None] - f[:, None, :], axis=3)
-    splits = [distances[:, :split, split:].mean(axis=(1, 2)) for split in range(1, size)]
-    statistic: FloatArray = np.max(splits, axis=0)
     return statistic

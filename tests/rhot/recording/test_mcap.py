@@ -21,7 +21,7 @@ from rhot.errors import ConfigError
 from rhot.messages import HandPose, MarkerFrame, Message, encode, encoding_of, with_seq
 from rhot.recording.mcap import session
 from rhot.recording.mcap.gaps import Tally, peek
-from rhot.recording.mcap.reader import RecordedSample, open_mcap, read_mcap
+from rhot.recording.mcap.reader import RecordedSample, open_mcap
 from rhot.recording.mcap.writer import McapWriter, rig_files
 
 BEGIN_NS = 1_800_000_000_000_000_000
@@ -68,11 +68,11 @@ def test_what_is_written_is_read_byte_by_byte(tmp_path: Path) -> None:
 
 def test_messages_come_as_models_and_other_payloads_as_bytes(tmp_path: Path) -> None:
     write(tmp_path / "a.mcap", samples(2))
-    entries = list(read_mcap(tmp_path / "a.mcap"))
-    assert [type(value) for _, value, _, _ in entries[:3]] == [bytes, MarkerFrame, HandPose]
-    key, hand, t_ns, log_ns = entries[2]
-    assert (key, t_ns, log_ns) == ("rhot/hand/right", BEGIN_NS, BEGIN_NS + 4_000_000)
-    assert hand == with_seq(hand_pose(0.0, BEGIN_NS), 0)
+    found = list(open_mcap(tmp_path / "a.mcap").samples())
+    assert [type(sample.message()) for sample in found[:3]] == [bytes, MarkerFrame, HandPose]
+    hand = found[2]
+    assert (hand.key, hand.t_ns, hand.log_ns) == ("rhot/hand/right", BEGIN_NS, BEGIN_NS + 4_000_000)
+    assert hand.message() == with_seq(hand_pose(0.0, BEGIN_NS), 0)
 
 
 def test_a_span_of_time_is_cut_out(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The causal reference: one extended Kalman filter per marker, forty lines, nothing else (issue 12).
+"""The causal reference: one extended Kalman filter per marker, forty lines, nothing else.
 
 State: position and velocity; constant velocity with white acceleration alike in all directions; every view counts at
 its own row's time, however late it comes within its frame; a wide gate. It starts at the triangulation of the first
@@ -17,7 +17,7 @@ from rhot_bench.motion.references.views import Views, triangulated
 
 @dataclass(frozen=True, slots=True)
 class EkfSettings:
-    """Of the plain filter; the first three are those that issue 12 states.
+    """Of the plain filter. The first three were set before the tracker was measured, and stay.
 
     Attributes:
         acceleration: root of the spectral density of white acceleration, m/s² per √Hz.

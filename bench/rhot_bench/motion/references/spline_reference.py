@@ -1,7 +1,7 @@
 """The offline reference: a cubic spline per camera and marker through the row times, and triangulation.
 
 Nothing but interpolation: no model of motion, noise or the hand. It sees past and future and is what `--smooth` has to
-beat on the same tracks (issue 12).
+beat on the same tracks.
 """
 
 from __future__ import annotations

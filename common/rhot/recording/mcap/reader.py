@@ -133,17 +133,6 @@ class McapRecording:
                     )
 
 
-def read_mcap(path: Path) -> Iterator[tuple[str, Message | bytes, int, int]]:
-    """Yield key, message (or bytes where no model of ours is named), capture time and arrival time of every sample.
-
-    Raises:
-        ConfigError: not an MCAP file, or damaged.
-        WireError: a payload is not a valid message of its model.
-    """
-    for sample in open_mcap(path).samples():
-        yield sample.key, sample.message(), sample.t_ns, sample.log_ns
-
-
 def is_mcap(path: Path) -> bool:
     """Tell whether a file begins like an MCAP file.
 
