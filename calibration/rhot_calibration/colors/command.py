@@ -12,11 +12,12 @@ import cv2
 from rich.console import Console
 
 from rhot.atomic_file import write_atomic
-from rhot.cli.options import bus_options, tool_bus
+from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.recording.picture_file import read_picture
-from rhot.rig import Rig, load_rig, write_json_model
+from rhot.rig import Rig, load_rig
 from rhot.rig.calibration import today
+from rhot.rig.colors import ColorsFile
 from rhot.rig.marker_config import own_paints
 from rhot_calibration.colors.import_2018 import load_box_calibration, load_camera_settings, rig_lines
 from rhot_calibration.colors.learning import learn_colors
@@ -24,6 +25,7 @@ from rhot_calibration.colors.live import live_pictures
 from rhot_calibration.colors.picking.picks import parse_places
 from rhot_calibration.colors.report.console import confusion_table, marker_table
 from rhot_calibration.colors.report.picture import report_picture
+from rhot_calibration.writing import replace_found
 from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.preview import preview_jpeg
 
@@ -53,13 +55,7 @@ _PICTURES: Final = (".png", ".jpg", ".jpeg")
     type=click.Path(path_type=Path, file_okay=False),
     help="Keep the pictures of --live in this folder; without picks that is all that happens.",
 )
-@click.option(
-    "--rig",
-    "rig_path",
-    required=True,
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Rig folder; colors.json is written into it.",
-)
+@rig_option
 @click.option(
     "--report",
     "report_path",
@@ -115,8 +111,9 @@ def colors(
     will run; one picture per camera and light makes the colours robust. A marker that is not shown gets no colour and
     is never reported.
 
-    Two tables say how well the colours can be told apart: each marker's nearest other one, and what share of every
-    class's pixels will be taken for which other. Pairs that will be mixed up are named, with a better paint.
+    Writes colors.json; the one before becomes colors.previous.json. Two tables say how well the colours can be told
+    apart: each marker's nearest other one, and what share of every class's pixels will be taken for which other. Pairs
+    that will be mixed up are named, with a better paint.
     """
     _check_options(images, picks, boxes, live, save_path, import_path, settings_path)
     for path, suffixes in ((report_path, _PICTURES), (preview_path, (".jpg", ".jpeg"))):
@@ -131,7 +128,6 @@ def colors(
     places = parse_places(picks, boxes, titles)
     with Console(stderr=True).status(f"learning colours from {len(pictures)} picture(s)"):
         learnt = learn_colors(pictures, places, rig.config.markers)
-        write_json_model(rig.colors_path, learnt.calibration.colors)
     result, detections = learnt.calibration, learnt.detections
     remarks = [*learnt.warnings, *learnt.suggestions]
     console = Console()
@@ -143,7 +139,7 @@ def colors(
         _write_image(report_path, report_picture(pictures, titles, result, learnt.table, detections, remarks))
     if preview_path is not None:
         write_atomic(preview_path, preview_jpeg(pictures[0], detections[0]))
-    _say_written(console, rig)
+    _write(console, rig, result.colors)
 
 
 def _check_options(
@@ -217,7 +213,6 @@ def _import(rig: Rig, import_path: Path, settings_path: Path | None) -> None:
     found = load_box_calibration(import_path, markers)
     settings = None if settings_path is None else load_camera_settings(settings_path)
     quality = {"source": f"imported from {import_path.name}"}
-    write_json_model(rig.colors_path, found.model_copy(update={"date": today(), "quality": quality}))
     click.echo(f"{', '.join(markers)}: in this order the colours of {import_path} were given to the rig's markers")
     if settings is not None:
         click.echo(
@@ -225,15 +220,25 @@ def _import(rig: Rig, import_path: Path, settings_path: Path | None) -> None:
         )
         for remark in settings.remarks:
             click.echo(f"- {remark}")
-    _say_written(Console(), rig)
+    _write(Console(), rig, found.model_copy(update={"date": today(), "quality": quality}))
 
 
-def _say_written(console: Console, rig: Rig) -> None:
+def _write(console: Console, rig: Rig, colors: ColorsFile) -> None:
+    """Write `colors.json`, keep the one before as `colors.previous.json`, and say so."""
+    missing = [name for name in own_paints(rig.config.markers) if name not in colors.markers]
+    if missing:
+        console.print(
+            f"warning: no colour for {', '.join(missing)}, which will not be found; pick all markers, in one picture "
+            "or in several",
+            style="yellow",
+            markup=False,
+            highlight=False,
+        )
     camera = next(iter(rig.config.cameras))
-    console.print(
-        f"{rig.colors_path} written. Capture services that run on this folder take it over within a second; on a Pi "
-        "copy it into the rig folder there. "
-        f"Look with `rhot get --raw 'rhot/preview/{camera}?overlay=markers' > seen.jpg`",
-        markup=False,
-        highlight=False,
+    replace_found(
+        console,
+        rig.colors_path,
+        colors,
+        "Capture services that run on this folder take it over within a second; on a Pi copy it into the rig folder "
+        f"there. Look with `rhot get --raw 'rhot/preview/{camera}?overlay=markers' > seen.jpg`",
     )

@@ -16,13 +16,14 @@ from rhot.errors import ConfigError
 from rhot.messages import PointSet, Side
 from rhot.recording import load_recording
 from rhot.report.tables import figures_table
-from rhot.rig import BusConfig, HandFile, Rig, load_rig, write_json_model
+from rhot.rig import BusConfig, HandFile, Rig, load_rig
 from rhot.rig.calibration import today
 from rhot.rig.folder import HAND_FILE
 from rhot_calibration.hand.calibration import measure_hand
 from rhot_calibration.hand.proportions import typed_hand
 from rhot_calibration.hand.samples.phases import LIVE_PHASES, LIVE_S, Phases, Window, prompt_at
 from rhot_calibration.hand.samples.sources import live_points, recorded_points, stored_points
+from rhot_calibration.writing import replace_found
 
 
 class _Stretch(click.ParamType[Window]):
@@ -75,7 +76,7 @@ def hand(
     """Measure a hand (bone lengths, positions of its markers) and write hand.json into the rig folder.
 
     \b
-    rhot calibrate hand myrecording --rig myrig       a recording, or a .jsonl file of `rhot process`
+    rhot calibrate hand take.mcap --rig myrig         a recording, or a .jsonl file of `rhot process`
     rhot calibrate hand --live --rig myrig            the running rig; says what to do and when
     rhot calibrate hand --length-mm 189 --width-mm 84 --rig myrig       two measures of a ruler
 
@@ -95,7 +96,7 @@ def hand(
     ways = (recording_path is not None) + live
     if ways == 2 or (ways == 0 and length_mm is None and width_mm is None):
         raise ConfigError(
-            "give one of: a RECORDING (folder, or .jsonl of `rhot process`), --live, or --length-mm with --width-mm"
+            "give one of: a RECORDING (.mcap, folder, or .jsonl of `rhot process`), --live, or --length-mm with --width-mm"
         )
     if width_mm is not None and ways:
         raise ConfigError("--width-mm serves only without a recording; leave it out, or leave the recording out")
@@ -125,8 +126,13 @@ def hand(
                 points = _points(rig, recording_path or Path(), report)
             found = measure_hand(points, rig, chosen, phases, typed_m, report)
     file = rig_path / HAND_FILE
-    write_json_model(file, found.model_copy(update={"date": today()}))
-    _report(found, file)
+    _report(found)
+    replace_found(
+        Console(soft_wrap=True),
+        file,
+        found.model_copy(update={"date": today()}),
+        "`rhot ik` takes it at the next `rhot start`",
+    )
 
 
 def _side(rig: Rig, side: Side | None) -> Side:
@@ -163,7 +169,7 @@ def _listen(bus: BusConfig, report: Callable[[str], None]) -> list[PointSet]:
     return asyncio.run(live_points(bus, LIVE_S, on_time))
 
 
-def _report(found: HandFile, file: Path) -> None:
+def _report(found: HandFile) -> None:
     console = Console(soft_wrap=True)
     quality = found.quality
     if quality["source"] == "typed in":
@@ -182,7 +188,6 @@ def _report(found: HandFile, file: Path) -> None:
         console.print(table)
         console.print("± is two standard deviations: about 95 of 100 true lengths lie inside")
         _report_motion(console, quality)
-    console.print(f"{file} written; restart `rhot ik` to use it")
 
 
 def _report_motion(console: Console, quality: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ from click.testing import CliRunner, Result
 
 from rhot.errors import RhotError
 from rhot.rig.colors import load_colors
+from rhot.rig.folder import load_config
 from rhot_calibration.colors.command import colors
 
 
@@ -65,6 +66,22 @@ def test_wrong_picks_are_one_clear_error(
     assert isinstance(result.exception, RhotError)
     assert words in str(result.exception)
     assert not (rig / "colors.json").exists()
+
+
+def test_the_colours_before_are_kept_and_markers_without_one_are_named(
+    pictured: tuple[Path, Path, list[str]],
+) -> None:
+    image, rig, picks = pictured
+    assert run(image, *picks, "--rig", rig).exit_code == 0
+    before = (rig / "colors.json").read_bytes()
+    result = run(image, *picks[:4], "--rig", rig)
+    assert result.exit_code == 0, result.exception
+    said = " ".join(result.output.split())
+    shown = {part.partition("=")[0] for part in picks[1:4:2]}
+    missing = [name for name in load_config(rig).markers if name not in shown]
+    assert f"warning: no colour for {', '.join(missing)}" in said
+    assert (rig / "colors.previous.json").read_bytes() == before
+    assert set(load_colors(rig / "colors.json").markers) == shown
 
 
 def test_unreadable_images_are_named(pictured: tuple[Path, Path, list[str]], tmp_path: Path) -> None:

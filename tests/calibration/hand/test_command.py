@@ -11,8 +11,11 @@ from click.testing import CliRunner, Result
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.hand_proportions import width_across_knuckles
 from rhot.errors import RhotError
-from rhot.rig import HandFile, load_rig
+from rhot.messages.codec import encode
+from rhot.recording.mcap.writer import McapWriter
+from rhot.rig import HandFile, load_rig, read_json_model
 from rhot_calibration.hand.command import hand
+from rhot_calibration.hand.samples.sources import stored_points
 
 
 def run(*arguments: object) -> Result:
@@ -36,6 +39,22 @@ def test_points_of_a_file_become_a_hand(person: Callable[..., Any], rig_folder: 
     assert "bone before index_intermediate" in result.output
     assert "index: patch to tip marker, straight" in result.output
     assert "straight fingers bent at the knuckles" in result.output
+
+
+def test_an_mcap_file_gives_the_same_points(person: Callable[..., Any], tmp_path: Path) -> None:
+    points = person(3, 0.172).points[:20]
+    with McapWriter(tmp_path / "take.mcap", now_ns=points[0].t_ns) as writer:
+        for key, model in (("rhot/control", "Control"), ("rhot/points", "PointSet")):
+            for one in points:
+                writer.write(key, f"application/msgpack;{model}", encode(one), one.t_ns, one.seq, one.t_ns)
+    assert list(stored_points(tmp_path / "take.mcap")) == points
+
+
+def test_the_hand_before_is_kept(rig_folder: Path) -> None:
+    for length_mm in (180, 190):
+        assert run("--length-mm", length_mm, "--width-mm", 82, "--rig", rig_folder).exit_code == 0
+    before = read_json_model(rig_folder / "hand.previous.json", HandFile)
+    assert (before.length_m, load_rig(rig_folder).hand.length_m) == pytest.approx((0.180, 0.190))
 
 
 def test_two_typed_measures_make_a_hand(rig_folder: Path) -> None:

@@ -86,6 +86,14 @@ class Separability:
         """Return the pairs of markers of which more than `CONFUSABLE` is mixed up, worst first."""
         return [pair for pair in self.pairs() if pair[2] > CONFUSABLE]
 
+    def skin_like(self) -> list[tuple[str, float]]:
+        """Return the markers for which more than `CONFUSABLE` of the skin is taken, and that share, worst first."""
+        if SKIN not in self.classes:
+            return []
+        shares = self.expected[self.classes.index(SKIN)]
+        found = [(name, float(shares[self.seen.index(name)])) for name in self.names]
+        return sorted((each for each in found if each[1] > CONFUSABLE), key=lambda each: -each[1])
+
     def lost(self) -> list[tuple[str, str, float]]:
         """Return the markers of which more than `CONFUSABLE` is taken for skin or background, worst first."""
         shares = [

@@ -99,6 +99,11 @@ def warnings(result: ColorCalibration) -> list[str]:
         )
     for name, other, share in apart.lost():
         lines.append(f"warning: {name} fades into the {other}: {100 * share:.0f} % of its pixels are taken for it")
+    for name, share in apart.skin_like():
+        lines.append(
+            f"warning: {100 * share:.0f} % of the skin is taken for {name}: was it picked on its paint? If so, use a "
+            "paint that is less like skin"
+        )
     for name, quality in result.markers.items():
         stray = quality.false_share * result.pixels.others_area / result.pixels.pictures
         if stray > result.pixels.area[name]:

@@ -17,6 +17,7 @@ from rhot.errors import BusError, CalibrationError, ConfigError, WireError
 from rhot.messages import MarkerFrame, PointSet, decode, first_problem
 from rhot.offline import marker_frames, track
 from rhot.recording import Recording
+from rhot.recording.mcap.reader import is_mcap, open_mcap
 from rhot.rig import BusConfig, Rig
 
 _POINTS_KEY: Final = "rhot/points"
@@ -33,12 +34,18 @@ def recorded_points(rig: Rig, recording: Recording, on_frame: Callable[[], None]
 
 
 def stored_points(file: Path) -> Iterator[PointSet]:
-    """Yield the point sets in a JSON Lines file that `rhot process` wrote.
+    """Yield the point sets in an MCAP file of `rhot record` or a JSON Lines file of `rhot process`.
 
     Raises:
         ConfigError: it cannot be read.
         CalibrationError: a line is not a message; names the line.
+        WireError: a payload of the MCAP file is not a valid message.
     """
+    if is_mcap(file):
+        for sample in open_mcap(file).samples():
+            if sample.key == _POINTS_KEY:
+                yield decode(sample.payload, PointSet)
+        return
     try:
         with file.open(encoding="utf-8") as lines:
             for number, line in enumerate(lines, start=1):

@@ -19,13 +19,15 @@ FloatArray = NDArray[np.float64]
 PADDING_PX: Final = 6
 """Room around a blob for its rim and a strip of what surrounds it."""
 _MAX_CANDIDATES: Final = 6
+_LEAST_PX: Final = 3.0
+"""Square pixels inside an outline; less is noise."""
 _MERGE_GAP_RATIO: Final = 0.3
 _MERGE_GAP_MIN_PX: Final = 2.0
 _MERGE_MIN_SHARE: Final = 0.05
-"""Of the smallest marker: a smaller part cannot matter to any blob that is kept."""
-_LEAST_PX: Final = 3.0
-_INSIDE: Final = np.uint8(255)
 _MERGE_MIN_SOLIDITY: Final = 0.75
+"""Parts become one blob where the gap is at most that share of the root of the larger area, or so wide; none is a
+smaller share of the largest and of the smallest marker; and together they fill so much of their hull. Chosen."""
+_INSIDE: Final = np.uint8(255)
 # Reaches less far than the padding, so that closing a gap does not meet the window's edge.
 _GAP_FILLER: Final = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * PADDING_PX - 1, 2 * PADDING_PX - 1))
 

@@ -18,16 +18,21 @@ from rhot_capture.detection.track import MarkerTrack
 MIN_PLAUSIBILITY: Final = 0.1
 """A blob that is less like a marker than this is not reported."""
 MIN_SOLIDITY: Final = 0.5
+"""Area through that of the convex hull; less is ragged."""
 MIN_FILL: Final = 0.5
 """Share of a blob that must have the marker's own colour; holes may be shine."""
 _TYPICAL_LIKELIHOOD: Final = 0.35
 """Mean of exp(−d²/2) over samples of a three-dimensional normal distribution: 2^(−3/2)."""
 _TYPICAL_SOLIDITY: Final = 0.85
+"""From here on a blob counts as convex: a mask of pixels never fills its hull; chosen."""
 _MAX_ADJACENCY: Final = 0.4
+"""Share of a blob's outline that a larger blob of another marker may take; chosen."""
 _MAX_FAINT_ADJACENCY: Final = 0.1
 """The same of a faint blob: between another paint and skin lies a whole seam of colours that are neither's."""
 _CLING_RATIO: Final = 1.5
+"""How many times larger that other blob must be; chosen."""
 _SLIVER_SCORE: Final = 0.5
+"""Factor on the likeness of what has no core; chosen."""
 _LEAST_TYPICAL: Final = 0.5
 """Of a faint blob, as a share of the marker's smallest area: with fewer pixels of its typical colour it may be where
 two other colours mix."""

@@ -29,10 +29,15 @@ _SEARCH_PX: Final = (-3.0, 5.5)
 its outermost pixels, so the edge is rather outside."""
 _STEPS: Final = 12
 _MAX_SHIFT_PX: Final = 6.0
+"""From a corner of the coarse polygon to the one that the sides meet in; just over the farther end of the search."""
 _MIN_SIDE_PX: Final = 7.0
+"""Chosen: the search of either neighbour reaches 3 pixels into a side."""
 _MAX_RESIDUAL_PX: Final = 0.6
 _OUTLIER_PX: Final = 1.0
+"""Of an edge point from its side. All within the first make a side; one beyond the second is left out; between them
+the mean decides. Chosen."""
 _AREA_TOLERANCE: Final = 0.15
+"""Share by which the corners' area may differ from the blob's; chosen."""
 _MAX_CONVERGENCE: Final = 0.2
 """How far opposite sides of a seen rectangle may differ, as a share of their length: 0.04 m at 0.3 m converge by 0.13;
 more tells of a side that is no side but the edge of what hides a corner."""

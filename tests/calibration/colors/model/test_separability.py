@@ -15,7 +15,7 @@ from rhot.rig import CameraConfig, HandFile, MarkerConfig
 from rhot.rig.config import SimConfig
 from rhot_calibration.colors.calibration import calibrate
 from rhot_calibration.colors.model.samples import drawn, in_other_light
-from rhot_calibration.colors.model.separability import labels_of
+from rhot_calibration.colors.model.separability import Separability, labels_of
 from rhot_calibration.colors.picking.picks import Box
 from rhot_capture.detection.color_table import ColorTable, build_color_table
 from rhot_capture.detection.detector import MarkerDetector
@@ -184,3 +184,18 @@ def test_rows_add_up_and_the_margin_is_the_drift_that_mixes(scene: Any, shape: A
     assert apart.margin[row, near] < 0.3
     assert apart.margin[row, near] < apart.margin[row, far]
     assert np.isnan(apart.margin[row, row])
+
+
+def test_what_takes_in_skin_is_named() -> None:
+    expected = np.array([[0.9, 0.0, 0.0, 0.0, 0.1], [0.0, 1.0, 0.0, 0.0, 0.0], [0.6, 0.02, 0.38, 0.0, 0.0]])
+    nothing = np.full((3, 3), np.nan)
+    apart = Separability(
+        names=("thumb", "index"),
+        classes=("thumb", "index", "skin"),
+        seen=("thumb", "index", "skin", "background", "nothing"),
+        expected=expected,
+        measured=expected,
+        distance=nothing,
+        margin=nothing[:2],
+    )
+    assert apart.skin_like() == [("thumb", 0.6)]
