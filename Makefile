@@ -54,6 +54,7 @@ BUNDLE := services/viewer/rhot_viewer/static/grasp.js
 SOURCES := $(wildcard web/src/*) web/build.mjs web/package.json web/package-lock.json
 
 web: $(BUNDLE)
+	@:
 
 $(BUNDLE): $(SOURCES)
 	@command -v node >/dev/null && command -v npm >/dev/null || \

@@ -75,6 +75,8 @@ def hand(
 ) -> None:
     """Measure a hand (bone lengths, positions of its markers) and write hand.json into the rig folder.
 
+    The one before becomes hand.previous.json.
+
     \b
     rhot calibrate hand take.mcap --rig myrig         a recording, or a .jsonl file of `rhot process`
     rhot calibrate hand --live --rig myrig            the running rig; says what to do and when
@@ -96,7 +98,8 @@ def hand(
     ways = (recording_path is not None) + live
     if ways == 2 or (ways == 0 and length_mm is None and width_mm is None):
         raise ConfigError(
-            "give one of: a RECORDING (.mcap, folder, or .jsonl of `rhot process`), --live, or --length-mm with --width-mm"
+            "give one of: a RECORDING (.mcap, folder, or .jsonl of `rhot process`), --live, or --length-mm with "
+            "--width-mm"
         )
     if width_mm is not None and ways:
         raise ConfigError("--width-mm serves only without a recording; leave it out, or leave the recording out")

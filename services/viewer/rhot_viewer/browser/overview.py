@@ -10,6 +10,7 @@ from html import escape
 from typing import Final
 
 from rhot.messages import FootPose, HandPose, ServiceStatus
+from rhot_viewer.browser.sentence import sentence_html
 from rhot_viewer.rig.history import latency_ms, lost, rate_hz
 
 _KEPT: Final = 12
@@ -65,7 +66,7 @@ class Problems:
 def hands_html(hands: Mapping[str, HandPose], waiting_for: str) -> str:
     """Return a line per hand: how it is tracked; without a hand, what is missing."""
     if not hands:
-        return f"<div style='{_BOX}'><b>No hand</b><br>{escape(waiting_for)}</div>"
+        return f"<div style='{_BOX}'><b>No hand</b><br>{sentence_html(waiting_for)}</div>"
     lines = []
     for side, pose in hands.items():
         predicted = [finger for finger, state in pose.fingers.items() if state == "predicted"]
@@ -92,7 +93,7 @@ _SEEN_BY: Final = {
 def feet_html(feet: Mapping[str, FootPose], waiting_for: str) -> str:
     """Return a line per foot: what tracks it, and how well its position is known; without one, what is missing."""
     if not feet:
-        return f"<div style='{_BOX}'><b>No foot</b><br>{escape(waiting_for)}</div>"
+        return f"<div style='{_BOX}'><b>No foot</b><br>{sentence_html(waiting_for)}</div>"
     lines = [
         f"<b>{escape(side.capitalize())} foot</b><br>{pose.state}, {_SEEN_BY[pose.stage]}, known to "
         f"{1e3 * pose.sigma:.0f} mm"
@@ -125,7 +126,7 @@ def problems_html(problems: Sequence[Problem]) -> str:
         return f"<div style='{_BOX}'>None.</div>"
     lines = [
         f"<div style='margin-bottom:0.4em;overflow-wrap:anywhere'><span style='opacity:0.6'>{escape(p.at)}</span> "
-        f"<b>{escape(p.service)}</b><br>{escape(p.text)}</div>"
+        f"<b>{escape(p.service)}</b><br>{sentence_html(p.text)}</div>"
         for p in problems
     ]
     return f"<div style='{_BOX};max-height:16em;overflow-y:auto'>{''.join(lines)}</div>"

@@ -7,6 +7,7 @@ from html import escape
 from typing import Final
 
 from rhot.calibration_step import Figures, Remark, StepView
+from rhot_viewer.browser.sentence import sentence_html
 
 _COLORS: Final = {"plain": "inherit", "good": "#69db7c", "warning": "#ffa94d", "wrong": "#ff6b6b"}
 _BLOCK: Final = "<div style='padding:0.15em 0.8em;font-size:0.9em;overflow-wrap:anywhere'>{}</div>"
@@ -21,14 +22,14 @@ def path_html(views: Mapping[str, StepView], current: str) -> str:
         name = f"<b>{name}</b>" if title == current else name
         rows.append(
             f"<tr><td style='padding-right:0.6em'>{mark}</td><td style='padding-right:0.6em;white-space:nowrap'>{name}"
-            f"</td><td style='opacity:0.75'>{escape(view.state)}</td></tr>"
+            f"</td><td style='opacity:0.75'>{sentence_html(view.state)}</td></tr>"
         )
     return _BLOCK.format(f"<table>{''.join(rows)}</table>")
 
 
 def about_html(about: str) -> str:
     """Return what a step asks for."""
-    return _BLOCK.format(f"<span style='opacity:0.75'>{escape(about)}</span>")
+    return _BLOCK.format(f"<span style='opacity:0.75'>{sentence_html(about)}</span>")
 
 
 def bar_html(share: float) -> str:
@@ -44,7 +45,8 @@ def remarks_html(problem: str, remarks: Sequence[Remark]) -> str:
     """Return what is missing or wrong, a paragraph each; a problem of the last press first."""
     said = [Remark(problem, "wrong"), *remarks] if problem else remarks
     return "".join(
-        _BLOCK.format(f"<span style='color:{_COLORS[remark.tone]}'>{escape(remark.text)}</span>") for remark in said
+        _BLOCK.format(f"<span style='color:{_COLORS[remark.tone]}'>{sentence_html(remark.text)}</span>")
+        for remark in said
     )
 
 

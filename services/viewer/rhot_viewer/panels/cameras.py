@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from typing import Any, Final
 
 import viser
 
 from rhot.messages import ServiceStatus
 from rhot_viewer.browser.page import Page
+from rhot_viewer.browser.sentence import sentence_html
 from rhot_viewer.panels.color_bounds import ColorBoundsFolder
 from rhot_viewer.rig.camera_sliders import CameraSlider, camera_sliders
 from rhot_viewer.rig.capture_settings import CaptureSettings
@@ -110,7 +110,9 @@ class CamerasPanel:
             if held or state.version == folder.shown_version:
                 continue
             folder.shown_version = state.version
-            folder.note.content = _NOTE.format(color="#ff6b6b", text=escape(state.refusal)) if state.refusal else ""
+            folder.note.content = (
+                _NOTE.format(color="#ff6b6b", text=sentence_html(state.refusal)) if state.refusal else ""
+            )
             folder.bounds.show(state.settings)
             for slider, handle in folder.sliders.items():
                 value = slider.value_in(state.settings)

@@ -15,6 +15,7 @@ from rhot.rig.feet_config import FeetConfig
 from rhot_viewer.browser.camera_layer import dark_picture, show_jpeg
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.rig_scene import RigScene
+from rhot_viewer.browser.sentence import sentence_html
 from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.picture_feed import FEET_CAMERA, Picture, PictureFeed
 
@@ -96,7 +97,7 @@ class PicturesPanel:
     def show(self, camera: str, picture: Picture) -> None:
         """Show what a camera answered, here and in the scene."""
         self._notes[camera].content = (
-            f"<div style='padding:0 0.8em;color:#e8590c'>{escape(camera)}: {escape(picture.problem)}</div>"
+            f"<div style='padding:0 0.8em;color:#e8590c'>{escape(camera)}: {sentence_html(picture.problem)}</div>"
             if picture.problem
             else ""
         )

@@ -11,6 +11,7 @@ import viser
 
 from rhot.errors import RhotError
 from rhot_viewer.browser.page import Page
+from rhot_viewer.browser.sentence import sentence_html
 from rhot_viewer.rig.live_recording import LiveRecording, explain
 
 _TEXT: Final = "<div style='padding:0.2em 0.8em;font-size:0.9em;overflow-wrap:anywhere;color:{color}'>{text}</div>"
@@ -35,7 +36,7 @@ class RecordPanel:
 
     def build(self, gui: viser.GuiApi) -> None:
         """Add the elements."""
-        gui.add_html(_TEXT.format(color="inherit", text=_HELP))
+        gui.add_html(_TEXT.format(color="inherit", text=sentence_html(_HELP)))
         where = f"Below {self._recording.folder.resolve()} on the machine that runs this page; may be empty."
         self._folder = gui.add_text("folder", "", hint=where)
         self._start = gui.add_button("start recording", icon=viser.Icon.PLAYER_RECORD)
@@ -66,7 +67,7 @@ class RecordPanel:
             try:
                 page = await explain(file, at, self._rig_path)
             except RhotError as error:
-                self._explained = _TEXT.format(color=_BAD, text=escape(str(error)))
+                self._explained = _TEXT.format(color=_BAD, text=sentence_html(str(error)))
             else:
                 text = f"Written, to open in a browser or to attach to a report: {page.resolve()}"
                 self._explained = _TEXT.format(color="inherit", text=escape(text))
@@ -79,7 +80,7 @@ class RecordPanel:
 def _state_html(recording: LiveRecording) -> str:
     said = []
     if recording.problem:
-        said.append(_TEXT.format(color=_BAD, text=escape(recording.problem)))
+        said.append(_TEXT.format(color=_BAD, text=sentence_html(recording.problem)))
     if recording.file is not None:
         figures = (
             f"{recording.file.resolve()}: {recording.seconds:.0f} s, {recording.megabytes:.1f} MB, "
