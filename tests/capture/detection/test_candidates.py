@@ -5,25 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhot_capture.detection.blob import blobs_of, find_blobs
-from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, clings, judge
+from rhot_capture.detection.blob import blobs_of
+from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, judge
 from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.cutouts import Cutouts, Region
 from rhot_capture.detection.track import MarkerTrack
-
-
-@pytest.mark.parametrize(
-    ("away", "adjacency", "hangs"), [(0, 0.4, True), (6, 0.4, False), (6, 0.1, True), (12, 0.1, False)]
-)
-def test_what_lies_in_another_marker_hangs_on_it_and_a_marker_apart_does_not(
-    away: int, adjacency: float, hangs: bool
-) -> None:
-    labels = np.zeros((70, 70), np.uint8)
-    labels[20:60, 10:50] = 2
-    labels[20 - away : 26 - away, 28:34] = 1
-    (blob,) = find_blobs(labels, 1, 12, 4000)
-    assert clings(blob, labels[blob.window], 1, adjacency, 50.0) == hangs
-    assert not clings(blob, labels[blob.window], 1, adjacency, 2000.0), "the other one is smaller"
 
 
 @pytest.mark.parametrize("room", [1, 3, 8])

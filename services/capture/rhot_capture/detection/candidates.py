@@ -13,6 +13,7 @@ from rhot_capture.detection.blob import Blob
 from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.detection.cutouts import Cutouts
 from rhot_capture.detection.score import Evidence
+from rhot_capture.detection.seams import is_mixture, neighbour_of
 from rhot_capture.detection.track import MarkerTrack
 
 MIN_PLAUSIBILITY: Final = 0.1
@@ -31,18 +32,20 @@ _MAX_FAINT_ADJACENCY: Final = 0.1
 """The same of a faint blob: between another paint and skin lies a whole seam of colours that are neither's."""
 _CLING_RATIO: Final = 1.5
 """How many times larger that other blob must be; chosen."""
+_LEAST_BESIDE_PX: Final = 4
+"""Pixels of other markers near a blob from which on its neighbours are looked at."""
 _SLIVER_SCORE: Final = 0.5
 """Factor on the likeness of what has no core; chosen."""
 _LEAST_TYPICAL: Final = 0.5
 """Of a faint blob, as a share of the marker's smallest area: with fewer pixels of its typical colour it may be where
 two other colours mix."""
 _BOX_3: Final = np.ones((3, 3), np.uint8)
-_BOX_5: Final = np.ones((5, 5), np.uint8)
 
 
 Reason = Literal["too small", "too large", "ragged", "hollow", "thin", "rim", "unlike", "cut"]
 """Why a blob is no candidate: outside of the marker's areas; not solid; too little of the marker's own colour; no core;
-hanging on a larger blob of another marker; not like the marker at all; not wholly in the region that was searched."""
+hanging on a larger blob of another marker, or where that one mixes with what is beside it; not like the marker at all;
+not wholly in the region that was searched."""
 
 
 class Candidate(NamedTuple):
@@ -115,8 +118,7 @@ def judge(
     if faint:
         typical = cv2.countNonZero(cutouts.typical[window] & own)
         adjacency, larger = _MAX_FAINT_ADJACENCY, _CLING_RATIO * typical
-    surrounded = cutouts.foreign_pixels > larger and cutouts.foreign_in(window) > larger
-    if surrounded and clings(blob, cutouts.labels[window], label, adjacency, larger):
+    if _is_rim(cutouts, blob, label, adjacency, larger):
         return Refusal(blob, "rim", fill)
     if faint:
         least_typical = _LEAST_TYPICAL * least_px
@@ -141,6 +143,24 @@ def judge(
         # Pure paint says how much of the mixed pixels beside it is paint; they themselves would say all of it is.
         blob = blob._replace(mask=255 * (cutouts.typical[window] & own))
     return Candidate(blob, plausibility, Evidence(math.log(pure), -blob.border_share, 0.0), fill)
+
+
+def _is_rim(cutouts: Cutouts, blob: Blob, label: int, adjacency: float, larger: float) -> bool:
+    """Tell whether a blob is the stained rim of another marker, or a seam between that and what is beside it.
+
+    Args:
+        cutouts: where it was found.
+        blob: it.
+        label: of its marker.
+        adjacency: share of the ring around it from which on a larger marker has it as its rim.
+        larger: pixels of a larger marker.
+    """
+    if cutouts.foreign_pixels < _LEAST_BESIDE_PX or cutouts.foreign_in(blob.cut) < _LEAST_BESIDE_PX:
+        return False
+    beside = neighbour_of(blob, cutouts.labels[blob.cut], label)
+    if beside.share > adjacency and beside.pixels > larger:
+        return True
+    return beside.share > _MAX_FAINT_ADJACENCY and is_mixture(blob, beside, cutouts.pixels[blob.cut])
 
 
 def likeliest(candidates: Sequence[Candidate], track: MarkerTrack) -> Candidate | None:
@@ -171,22 +191,3 @@ def _has_core(blob: Blob, own: ImageArray, own_pixels: int) -> bool:
     if own_pixels == blob.area and own_pixels > 2 * sum(map(len, blob.contours)):
         return True
     return cv2.countNonZero(cv2.erode(own, _BOX_3, borderType=cv2.BORDER_CONSTANT, borderValue=0)) > 0
-
-
-def clings(blob: Blob, labels: ImageArray, label: int, adjacency: float, larger: float) -> bool:
-    """Tell whether a blob hangs on a larger blob of another marker, as the stained rim of that marker does.
-
-    Args:
-        blob: it.
-        labels: (h, w) uint8, label of every pixel in its window, as far as it is seen.
-        label: of its marker.
-        adjacency: share of its outline that the other one takes at least.
-        larger: pixels that the other one has at least.
-    """
-    ring = labels[(cv2.dilate(blob.seen, _BOX_5) > 0) & (blob.seen == 0)]
-    counts = np.bincount(ring, minlength=label + 1)
-    counts[0] = counts[label] = 0
-    other = int(np.argmax(counts))
-    if counts[other] <= adjacency * len(ring):
-        return False
-    return bool(np.count_nonzero(labels == other) > larger)

@@ -59,6 +59,7 @@ class Cutouts:
         own: (H, W) uint8, 1 where a pixel and most of its neighbours have the label that is looked for there, of faint
             colours too if they were asked for.
         typical: (H, W) uint8, 1 where a pixel has that label by its typical colour.
+        pixels: (H, W, 3) uint8 BGR.
         foreign_pixels: how many pixels have the label of another marker.
         likelihoods: (H, W) uint8, how typical each colour is of its label, see `ColorTable`.
     """
@@ -88,6 +89,7 @@ class Cutouts:
             end = row + bottom - top
             pixels[row:end, : right - left] = image[top:bottom, left:right]
             wanted[row : end + _GAP_PX] = label
+        self.pixels = pixels
         self.labels, packed = table.classify(pixels)
         self.likelihoods: ImageArray = np.asarray(cv2.LUT(packed, table.likelihoods), dtype=np.uint8)
         self.typical: ImageArray = (self.labels == wanted).view(np.uint8)
