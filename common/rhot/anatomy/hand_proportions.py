@@ -95,20 +95,31 @@ RADII_MM: Final = {
 PALM_RADIUS_MM: Final = 14.0
 WRIST_RADIUS_MM: Final = 22.0
 
+_MOST_ABDUCTION_DEG: Final = 15.0
+"""Either way from where the finger goes on straight from its metacarpal: abduction of a knuckle is the angle between
+the two bones (Norkin & White, Measurement of Joint Motion). Cobos et al. 2008 have 15° for index, ring and little
+finger, but 3° for the middle one, which has a muscle on either side that moves it as far as its neighbours (dorsal
+interossei; American Academy of Orthopaedic Surgeons, Joint Motion, 1965: 20° for all four). That it is seldom far aside
+is for the prior of the hand to say."""
+
+
+def _finger_limits_deg(finger: str) -> tuple[tuple[float, float], ...]:
+    straight = METACARPAL_YAW_DEG[finger] - REST_DEG[finger][0]
+    abduction = (straight - _MOST_ABDUCTION_DEG, straight + _MOST_ABDUCTION_DEG)
+    return ((0.0, 90.0), abduction, (0.0, 110.0), (0.0, 90.0))
+
+
 ANGLE_LIMITS_DEG: Final = {
     "thumb": ((-25.0, 45.0), (-30.0, 40.0), (0.0, 60.0), (0.0, 85.0)),
-    "index": ((0.0, 90.0), (-15.0, 15.0), (0.0, 110.0), (0.0, 90.0)),
-    "middle": ((0.0, 90.0), (-15.0, 15.0), (0.0, 110.0), (0.0, 90.0)),
-    "ring": ((0.0, 90.0), (-15.0, 15.0), (0.0, 110.0), (0.0, 90.0)),
-    "little": ((0.0, 90.0), (-15.0, 15.0), (0.0, 110.0), (0.0, 90.0)),
+    **{finger: _finger_limits_deg(finger) for finger in METACARPAL_YAW_DEG},
 }
-"""Lowest and highest flexion and abduction of the knuckle and flexion of the two hinges (Cobos et al. 2008), but for
-the middle finger's abduction, to which they give 3°: it has a muscle on either side that moves it as far as its
-neighbours (dorsal interossei; American Academy of Orthopaedic Surgeons, Joint Motion: Method of Measuring and
-Recording, 1965, has 20° for all four). That it is seldom far aside is for the prior of the hand to say."""
+"""Lowest and highest flexion and abduction of the knuckle and flexion of the two hinges (Cobos et al. 2008)."""
 COUPLING: Final = {"thumb": 1.0, "index": 2.0 / 3.0, "middle": 2.0 / 3.0, "ring": 2.0 / 3.0, "little": 2.0 / 3.0}
 """Last hinge over middle hinge: DIP ≈ ⅔ PIP (Rijpkema & Girard 1991); for the thumb both bend alike."""
 
+KNUCKLES_OF_WIDTH: Final = 0.653
+"""Of the width across the knuckles so much lies between the centres of the index and the little finger's: 0.251 and
+0.402 of it on either side of the middle metacarpal (Buchholz, Armstrong & Goldstein 1992); the rest is flesh."""
 SPREAD_LIMITS: Final = (0.5, 2.0)
 """The knuckles may stand this many times as far apart as the proportions have them."""
 
@@ -142,7 +153,7 @@ def rest_geometry(hand: HandFile) -> RestGeometry:
     fingers wider or narrower and keeps their lengths.
 
     Raises:
-        CalibrationError: width, bones and radii contradict one another.
+        CalibrationError: width and bones contradict one another.
     """
     scale = hand.length_m / REFERENCE_LENGTH_M / 1000.0
     given = hand.bones_m
@@ -182,23 +193,20 @@ def rest_geometry(hand: HandFile) -> RestGeometry:
 
 
 def width_across_knuckles(hand: HandFile, spread: float = 1.0) -> float:
-    """Return the width, metres, of a hand with these lengths and radii, whatever `hand.width_m` says.
+    """Return the width, metres, of a hand with these lengths, whatever `hand.width_m` says.
 
     Args:
-        hand: lengths and radii.
+        hand: lengths.
         spread: factor on the knuckles' distances across the hand that its proportions give.
     """
     scale = hand.length_m / REFERENCE_LENGTH_M / 1000.0
-    radii = _radii(hand, scale)
     index, little = (_metacarpal(finger, hand.bones_m, scale, 1.0)[1] for finger in ("index", "little"))
-    flesh = radii[JOINTS.index("index_proximal")] + radii[JOINTS.index("little_proximal")]
-    return float(spread * (little[0] - index[0]) + flesh)
+    return float(spread * (little[0] - index[0]) / KNUCKLES_OF_WIDTH)
 
 
 def _spread(hand: HandFile, width_m: float) -> float:
     """Return the factor on the knuckles' distances that gives the hand this width."""
-    bare, natural = width_across_knuckles(hand, 0.0), width_across_knuckles(hand)
-    spread = (width_m - bare) / (natural - bare)
+    spread = width_m / width_across_knuckles(hand)
     low, high = SPREAD_LIMITS
     if not low <= spread <= high:
         raise CalibrationError(

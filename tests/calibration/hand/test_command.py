@@ -65,9 +65,10 @@ def test_two_typed_measures_make_a_hand(rig_folder: Path) -> None:
     assert found.width_m == pytest.approx(0.082)
     model = HandModel.from_file(found, "right")
     apart = model.knuckles[4, 0] - model.knuckles[1, 0]
+    assert apart == pytest.approx(0.653 * 0.082)
     natural = HandModel.from_file(HandFile(length_m=0.180), "right")
     narrower = natural.knuckles[4, 0] - natural.knuckles[1, 0]
-    assert apart - narrower == pytest.approx(0.082 - width_across_knuckles(HandFile(length_m=0.180)))
+    assert narrower == pytest.approx(0.653 * width_across_knuckles(HandFile(length_m=0.180)))
     assert "from proportions" in result.output
 
 

@@ -163,7 +163,13 @@ def test_limits_are_the_stated_ones(model: HandModel) -> None:
     low, high = np.degrees(model.angle_min), np.degrees(model.angle_max)
     assert np.allclose(low[1:, (0, 2, 3)], 0.0)
     assert np.allclose(high[1:, (0, 2, 3)], (90.0, 110.0, 90.0))
-    assert np.allclose(high[1:, 1], 15.0)
-    assert np.allclose(low[1:, 1], -15.0)
+    assert np.allclose(high[1:, 1] - low[1:, 1], 30.0)
+    # The middle of the range of abduction goes on straight from the metacarpal.
+    middle = np.zeros((5, 4))
+    middle[:, 1] = 0.5 * (model.angle_min[:, 1] + model.angle_max[:, 1])
+    first = np.diff(model.finger_chains(middle)[0], axis=1)[1:, 0]
+    metacarpal = (model.knuckles - model.metacarpals)[1:]
+    aside = np.arctan2(first[:, 0], first[:, 2]) - np.arctan2(metacarpal[:, 0], metacarpal[:, 2])
+    assert np.degrees(np.abs(np.arctan2(np.sin(aside), np.cos(aside)))).max() < 1.0
     clamped = model.clamp(np.full((5, 4), 9.0))
     assert np.allclose(clamped, model.angle_max)

@@ -57,7 +57,7 @@ LENGTH_SD_M: Final = 0.012
 TYPED_SD_M: Final = 0.002
 HUMAN_LENGTH_M: Final = (0.14, 0.24)
 """Wrist crease to middle tip, from small teenagers to the largest adults; an estimate with room on both sides."""
-MEAN_SPREAD: Final = 1.05
+MEAN_SPREAD: Final = 1.01
 """Estimate: hands are about 0.43 times as wide as long, a little wider than the proportional knuckles make them."""
 BONE_SD: Final = 0.05
 """Of a bone's length about the proportional one of a hand of the same length."""

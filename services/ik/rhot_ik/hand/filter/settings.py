@@ -29,8 +29,8 @@ class HandSettings:
             seeds 0 to 36 of the ruler both ends were 1 to 5 mm worse in some clips, better in none by more. The very
             first sample takes him for granted.
         base_shift_m: how far the patch sits from where the model has it, standard deviations across, above and along
-            the hand. A hand's back is 11 to 18 mm above the wrist's joint; people paint by eye, 8 mm along the hand; and
-            palms of hands of one length differ by 4.5 mm.
+            the hand. A hand's back is 11 to 18 mm above the wrist's joint; people paint by eye, 8 mm along the hand;
+            and palms of hands of one length differ by 4.5 mm.
         palm_share: a patch that seems to sit nearer to the knuckles may as well be on a palm that is shorter than the
             model's; nothing that is seen tells these apart. The share of the palm in their variance: of its 93 mm, the
             65 mm of the metacarpal differ by 5 to 8 % in people whose hands have one length (see finger_share), which
