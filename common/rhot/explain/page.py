@@ -20,12 +20,16 @@ _STYLE = """
 body { max-width: 1320px; } td { vertical-align: top; }
 tr.taken td:last-child, tr.taken td:first-child { color: #2d6a4f; }
 tr.refused td:last-child, tr.refused td:first-child { color: #b00020; }
-figure { display: inline-block; margin: 0 0.5em 1em 0; width: 48%; min-width: 420px; vertical-align: top; }
+figure { display: inline-block; margin: 0 0.5em 1em 0; width: 48%; min-width: min(420px, 100%); vertical-align: top; }
 figure svg { width: 100%; background: #111; } figcaption { font-size: 13px; color: #444; }
 """
 _COLORS = {"taken": "#3ddc97", "refused": "#ff5a5f", "": "#ffd166"}
 _POINT = "#5bc0ff"
 _MARGIN_PX = 30.0
+_LETTERS = 45.0
+"""As high as this many of them would fill a picture's width."""
+_CIRCLE_PX = 9.0
+"""Radius around a point; what is written beside a cross begins outside."""
 
 Box = tuple[float, float, float, float]
 """Left, top, width and height of a part of a picture, pixels."""
@@ -107,8 +111,8 @@ def _figure(
             if np.isfinite((u, v)).all():
                 text = f"<title>{escape(marker_name)} as fusion has it</title>"
                 parts.append(
-                    f"<circle cx='{u:.2f}' cy='{v:.2f}' r='9' fill='none' stroke='{_POINT}' stroke-width='1'>{text}"
-                    "</circle>"
+                    f"<circle cx='{u:.2f}' cy='{v:.2f}' r='{_CIRCLE_PX:g}' fill='none' stroke='{_POINT}' "
+                    f"stroke-width='1'>{text}</circle>"
                 )
     when = "no frame" if frame is None else f"frame {frame.frame}, t_ns {frame.t_ns}, {len(frame.markers)} markers"
     blank = "" if picture is not None else " No picture was recorded."
@@ -128,7 +132,7 @@ def _svg(box: Box, drawn: str) -> str:
     numbers = " ".join(f"{value:g}" for value in box)
     return (
         f"<svg viewBox='{numbers}' xmlns='http://www.w3.org/2000/svg' font-family='sans-serif' "
-        f"font-size='{box[2] / 70:.1f}'>{drawn}</svg>"
+        f"font-size='{box[2] / _LETTERS:.1f}'>{drawn}</svg>"
     )
 
 
@@ -158,5 +162,9 @@ def _outline(outline: Outline) -> str:
 
 def _cross(u: float, v: float, label: str) -> str:
     lines = f"M{u - 4:.2f},{v:.2f}h8M{u:.2f},{v - 4:.2f}v8"
-    text = f"<text x='{u + 6:.1f}' y='{v - 6:.1f}' fill='{_COLORS['taken']}'>{escape(label)}</text>" if label else ""
+    text = (
+        f"<text x='{u + _CIRCLE_PX + 3:.1f}' y='{v:.1f}' fill='{_COLORS['taken']}'>{escape(label)}</text>"
+        if label
+        else ""
+    )
     return f"<path d='{lines}' stroke='white' stroke-width='0.8'/>{text}"

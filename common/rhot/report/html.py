@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 
 _STYLE = """
-body { font-family: sans-serif; max-width: 800px; margin: 2em auto; color: #222; }
+body { font-family: sans-serif; max-width: 800px; margin: 2em auto; padding: 0 1em; color: #222; }
 table { border-collapse: collapse; margin: 0.5em 0 1.5em; font-size: 14px; }
 th, td { text-align: left; padding: 3px 10px; border-bottom: 1px solid #e4e4e4; }
 td.number { text-align: right; white-space: nowrap; }
@@ -24,7 +24,8 @@ def html_page(title: str, about: str, body: str, style: str = "") -> str:
         style: CSS after the usual one.
     """
     return (
-        f"<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'><title>{escape(title)}</title>"
+        f"<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'>"
+        f"<meta name='viewport' content='width=device-width'><title>{escape(title)}</title>"
         f"<style>{_STYLE}{style}</style></head><body><h1>{escape(title)}</h1><p>{escape(about)}</p>"
         f"{body}</body></html>\n"
     )
