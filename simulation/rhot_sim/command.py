@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 import click
 from rich.console import Console
 
-from rhot.cli.options import endpoints, rig_option
+from rhot.cli.options import DEFAULT_RIG, endpoints
 from rhot.cli.page import Pages, free_pages, page_options
 from rhot.errors import ConfigError
 from rhot.rig import Rig, load_rig
@@ -107,7 +107,16 @@ from rhot_sim.walker.run import WalkerRun
     metavar="ENDPOINT",
     help=f"Where the router listens.  [default: {DEFAULT_ENDPOINT}, or a free port]",
 )
-@rig_option
+@click.option(
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path, file_okay=False),
+    envvar="RHOT_RIG",
+    default=DEFAULT_RIG,
+    show_default="a temporary one",
+    show_envvar=True,
+    help="Rig folder, simulated.",
+)
 @click.pass_context
 def sim(
     context: click.Context,
@@ -160,10 +169,7 @@ def sim(
     console = Console()
     if motion == "crossing" and hands != "both" and not _is_given(context, "rig_path"):
         raise ConfigError(f"--motion crossing with --hands {hands}: two hands are needed to cross; give --hands both")
-    if report_path is not None and not report_path.resolve().parent.is_dir():
-        raise ConfigError(f"--report {report_path}: the folder {report_path.resolve().parent} does not exist")
-    if endpoint is not None:
-        endpoints("--listen", (endpoint,))
+    _check_outside(report_path, endpoint)
     with ExitStack() as stack:
         work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-sim-")))
         chosen = endpoint or free_endpoint(DEFAULT_ENDPOINT)
@@ -221,6 +227,14 @@ def sim(
     return 0
 
 
+def _check_outside(report_path: Path | None, endpoint: str | None) -> None:
+    """Refuse before any work is done what the report or the router could not use."""
+    if report_path is not None and not report_path.resolve().parent.is_dir():
+        raise ConfigError(f"--report {report_path}: the folder {report_path.resolve().parent} does not exist")
+    if endpoint is not None:
+        endpoints("--listen", (endpoint,))
+
+
 def _is_given(context: click.Context, option: str) -> bool:
     return context.get_parameter_source(option) is not click.core.ParameterSource.DEFAULT
 
@@ -273,7 +287,7 @@ def _simulated_rig(path: Path) -> Rig:
     real = [name for name, source in sources.items() if source != "simulated"]
     if real:
         raise ConfigError(
-            f"{path / RIG_FILE}: camera {', '.join(real)} is not simulated; `rhot init RIG --sim` makes a simulated "
-            "rig, `rhot up` runs a real one"
+            f"{path / RIG_FILE}: {', '.join(real)}: not simulated; leave --rig and RHOT_RIG out for a temporary rig, "
+            "make one to keep with `rhot init RIG --sim`, or run this one with `rhot up`"
         )
     return rig

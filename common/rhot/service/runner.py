@@ -223,9 +223,9 @@ class _Runner:
             await asyncio.sleep(delay_s)
         self._status.clear_latencies()
         retry_s, logged = _RETRY_FIRST_S, ""
+        logger.info("session %s runs", start.session)
         while True:
             self._status.state, self._status.session = "running", start.session
-            logger.info("session %s runs", start.session)
             try:
                 await self._service.run(node, start)
             except (DeviceError, BusError) as error:
