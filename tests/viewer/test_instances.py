@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import rotation_from_quaternion
-from rhot_viewer.scene.instances import Instances, Mesh, balls, rods, turn_of_z, unit_ball, unit_box, unit_rod
+from rhot_viewer.scene.instances import Instances, Mesh, balls, rods, rotation_of_z, unit_ball, unit_box, unit_rod
 
 RNG = np.random.default_rng(3)
 
@@ -48,7 +48,7 @@ def test_a_ball_has_its_radius() -> None:
 
 
 def test_a_direction_without_length_turns_nothing() -> None:
-    assert turn_of_z(np.zeros((1, 3))).tolist() == [[1.0, 0.0, 0.0, 0.0]]
+    assert rotation_of_z(np.zeros((1, 3))).tolist() == [[1.0, 0.0, 0.0, 0.0]]
 
 
 def test_a_trembling_length_is_sent_as_one() -> None:

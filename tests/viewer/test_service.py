@@ -7,7 +7,7 @@ import sys
 
 _STUCK = """
 import threading, time
-from rhot_viewer.manners import end_within
+from rhot_viewer.process_priority import end_within
 threading.Thread(target=time.sleep, args=(600,)).start()
 end_within(130, 0.1)
 """

@@ -77,7 +77,7 @@ def skeleton_motion(motion: Motion, rate_hz: float | None = None) -> SkeletonMot
     """
     t_s = (motion.t_ns - motion.t_ns[0]) / 1e9
     offsets = _offsets(motion)
-    axes = _turned_to_children(motion, offsets)
+    axes = _rotated_to_children(motion, offsets)
     local = axes.copy()
     for joint, parent in enumerate(motion.parents):
         if parent >= 0:
@@ -111,7 +111,7 @@ def _offsets(motion: Motion) -> FloatArray:
     return offsets
 
 
-def _turned_to_children(motion: Motion, offsets: FloatArray) -> FloatArray:
+def _rotated_to_children(motion: Motion, offsets: FloatArray) -> FloatArray:
     axes = motion.rotations.copy()
     for joint, parent in enumerate(motion.parents):
         if parent < 0 or parent == motion.root or motion.parents.count(parent) > 1:

@@ -28,7 +28,6 @@ from rhot_viewer.browser.marker_colors import marker_colors
 from rhot_viewer.browser.overview import Problems
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.rig_scene import RigScene
-from rhot_viewer.manners import end_within, give_way
 from rhot_viewer.page_token import links
 from rhot_viewer.panels import (
     CalibratePanel,
@@ -41,6 +40,7 @@ from rhot_viewer.panels import (
     ViewPanel,
 )
 from rhot_viewer.panels.live import STATUS_AGE_S
+from rhot_viewer.process_priority import end_within, lower_priority
 from rhot_viewer.rig.capture_settings import CaptureSettings
 from rhot_viewer.rig.history import History
 from rhot_viewer.rig.inbox import Inbox
@@ -244,7 +244,7 @@ async def serve_page(
         DeviceError: the port is taken.
     """
     page = Page(host, port, access)
-    give_way()
+    lower_priority()
     try:
         service = ViewerService(page, rig, bus_config, recordings, other_page)
         _announce(page, access, token_file)

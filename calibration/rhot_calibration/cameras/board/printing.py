@@ -92,7 +92,7 @@ def board_sheet(board: Board, paper: str) -> Sheet:
         raise CalibrationError(f"paper '{paper}' is unknown; one of {', '.join(PAPERS)}")
     square = 1e3 * board.square_m
     width, height = (board.columns + 1) * square, (board.rows + 1) * square
-    page = _turned(PAPERS[paper.lower()], board, square)
+    page = _oriented(PAPERS[paper.lower()], board, square)
     if page is None:
         raise CalibrationError(_misfit(board, paper))
     # Board and foot stand in the middle of the page together.
@@ -167,7 +167,7 @@ def _foot(page_width: float) -> float:
     return (_RULER_FOOT_MM if _side_by_side(page_width) else _STACKED_FOOT_MM) + MIN_MARGIN_MM
 
 
-def _turned(paper: tuple[float, float], board: Board, square: float) -> tuple[float, float] | None:
+def _oriented(paper: tuple[float, float], board: Board, square: float) -> tuple[float, float] | None:
     """Return (width, height) of the paper in the direction in which the board fits, or None."""
     width = max((board.columns + 1) * square + 2.0 * _margin(square), RULER_MM + 2.0 * MIN_MARGIN_MM)
     height = (board.rows + 1) * square + 2.0 * _margin(square)
@@ -179,8 +179,8 @@ def _turned(paper: tuple[float, float], board: Board, square: float) -> tuple[fl
 
 def _misfit(board: Board, paper: str) -> str:
     square = 1e3 * board.square_m
-    fitting = [name for name, size in PAPERS.items() if _turned(size, board, square)]
-    smaller = next((s for s in _steps(square) if _turned(PAPERS[paper.lower()], board, s)), None)
+    fitting = [name for name, size in PAPERS.items() if _oriented(size, board, square)]
+    smaller = next((s for s in _steps(square) if _oriented(PAPERS[paper.lower()], board, s)), None)
     ways = ([f"print on {fitting[0]}"] if fitting else []) + (
         [f"take squares of {smaller:g} mm"] if smaller is not None else []
     )

@@ -138,13 +138,13 @@ class BundleEquations:
         return replace(
             geometry,
             lenses=lenses,
-            camera_R=_turned(camera_step[:, :3], geometry.camera_R),
+            camera_R=_rotated(camera_step[:, :3], geometry.camera_R),
             camera_t=geometry.camera_t + camera_step[:, 3:],
-            board_R=_turned(board_step[:, :3], geometry.board_R),
+            board_R=_rotated(board_step[:, :3], geometry.board_R),
             board_t=geometry.board_t + board_step[:, 3:],
             corners=corners,
         )
 
 
-def _turned(vectors: FloatArray, R: FloatArray) -> FloatArray:
+def _rotated(vectors: FloatArray, R: FloatArray) -> FloatArray:
     return np.stack([rotation_from_vector(vector) @ each for vector, each in zip(vectors, R, strict=True)])

@@ -82,7 +82,7 @@ class RosMessages:
                 continue
             self._sent_ns[name] = poses.t_ns
             header = self._header(poses.t_ns)
-            positions, orientations = self._turned(poses)
+            positions, orientations = self._rotated(poses)
             ros = [_pose(*each) for each in zip(positions.tolist(), orientations.tolist(), strict=True)]
             if len(ros) == 1:
                 found.append(_message(f"/rhot/{name}", POSE_STAMPED, header=header, pose=ros[0]))
@@ -98,7 +98,7 @@ class RosMessages:
         stamp = _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
         return _make("std_msgs/msg/Header", stamp=stamp, frame_id=self.frame_id)
 
-    def _turned(self, poses: Poses) -> tuple[FloatArray, FloatArray]:
+    def _rotated(self, poses: Poses) -> tuple[FloatArray, FloatArray]:
         if not self._turn:
             return poses.positions, poses.orientations
         return poses.positions @ R_ROS_STAGE.T, poses.orientations @ _MULTIPLY.T

@@ -104,12 +104,12 @@ def refuse_pose(
         "other": other is not None and _is_nearer(position, other, expected),
         "motion": expected is not None
         and innovation_distance(position, pose.covariance[3:, 3:], expected) > GATE_SIGMAS,
-        "turn": prior is not None and _is_turned(pose, prior),
+        "turn": prior is not None and _is_rotated(pose, prior),
     }
     return next((reason for reason, holds in wrong.items() if holds), None)
 
 
-def _is_turned(pose: MarkerPose, prior: OrientationPrior) -> bool:
+def _is_rotated(pose: MarkerPose, prior: OrientationPrior) -> bool:
     turn = rotation_between(prior.R_camera_marker, pose.R_camera_marker)
     sigmas = math.sqrt(squared_distance(turn, pose.covariance[:3, :3] + prior.covariance))
     return float(np.linalg.norm(turn)) > SETTINGS.most_rotation_rad and sigmas > SETTINGS.rotation_sigmas

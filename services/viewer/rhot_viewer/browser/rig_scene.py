@@ -21,7 +21,7 @@ from rhot_viewer.browser.page import Page
 from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.truth_track import TruthTrack
 from rhot_viewer.scene.hand import fingertips, ghost_shape, hand_shape
-from rhot_viewer.scene.instances import Rgb, turn_of_z, unit_ball, unit_box, unit_rod
+from rhot_viewer.scene.instances import Rgb, rotation_of_z, unit_ball, unit_box, unit_rod
 from rhot_viewer.scene.limits import LINES, limit_lines
 from rhot_viewer.scene.things import UNKNOWN_COLOR, body_rods, foot_boxes, marker_balls, object_copies
 from rhot_viewer.scene.trails import Trails
@@ -136,7 +136,7 @@ class RigScene:
             section_color=(84, 94, 108),
             plane="xy",
             position=tuple(middle),
-            wxyz=tuple(turn_of_z(up[None])[0]),
+            wxyz=tuple(rotation_of_z(up[None])[0]),
         )
         volume = volume_lines(*self._rig.config.fusion.volume_m).astype(np.float32)
         return scene.add_line_segments("/volume", volume, _VOLUME_COLOR, thickness=0.0016)

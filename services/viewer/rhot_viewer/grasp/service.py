@@ -37,8 +37,8 @@ from rhot_viewer.grasp.newest import Newest
 from rhot_viewer.grasp.server import Browser, GraspServer
 from rhot_viewer.grasp.text import text_of
 from rhot_viewer.grasp.uplink import CONTROLLER, HEAD, WEBXR, Devices, Left, Moved, Shown, controller_pose, head_pose
-from rhot_viewer.manners import end_within, give_way
 from rhot_viewer.page_token import links
+from rhot_viewer.process_priority import end_within, lower_priority
 
 logger = logging.getLogger(__name__)
 
@@ -288,7 +288,7 @@ async def serve_grasp(
     Raises:
         DeviceError: the port is taken.
     """
-    give_way(_NICE)
+    lower_priority(_NICE)
     service = GraspService(rig, access, other_page)
     found = await service.server.open(host, port, tls)
     scheme = "http" if tls is None else "https"

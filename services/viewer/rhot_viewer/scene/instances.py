@@ -71,10 +71,10 @@ def rods(starts: FloatArray, ends: FloatArray, radii: FloatArray, colors: ArrayL
     along = ends - starts
     lengths = np.linalg.norm(along, axis=1)
     scales = np.stack([radii, radii, lengths], axis=1)
-    return instances(0.5 * (starts + ends), turn_of_z(along), scales, colors)
+    return instances(0.5 * (starts + ends), rotation_of_z(along), scales, colors)
 
 
-def turn_of_z(directions: FloatArray) -> FloatArray:
+def rotation_of_z(directions: FloatArray) -> FloatArray:
     """Return quaternions (N, 4), w first, that rotate +z into directions (N, 3) of any length; none for length 0.
 
     The half-way quaternion (1 + z·d, z × d), normalised; where d is −z, half a turn about x.

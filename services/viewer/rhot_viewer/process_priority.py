@@ -1,4 +1,4 @@
-"""How the page behaves beside what tracks: it gives way, and it ends when it is asked to."""
+"""The page's process beside those that track: its priority, and its end when it is asked to."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ _NICE: Final = 10
 """Where processors are short, tracking goes first and the page shows fewer frames."""
 
 
-def give_way(levels: int = _NICE) -> None:
-    """Let everything that tracks go first, by so many levels of niceness."""
+def lower_priority(levels: int = _NICE) -> None:
+    """Raise this process's niceness by so many levels: what tracks goes first."""
     with contextlib.suppress(AttributeError, OSError):  # not on every system
         os.nice(levels)
 
