@@ -58,6 +58,7 @@ _OWN: Final = (3 * _TIPS[:, None, None] + np.arange(3)[:, None]) * SIZE + np.con
 _SHIFT, _TILT, _LENGTHS = (
     slice(part.start - PERSON.start, part.stop - PERSON.start) for part in (BASE_SHIFT, PATCH_TILT, LONGER)
 )
+_TURNS: Final = np.array([*range(3), *range(ANGLES.start, ANGLES.stop)])
 _UNIT: Final = np.eye(3)
 
 
@@ -144,8 +145,7 @@ class HandFilter(HandProcess):
             dx -= granted * (posterior[:, PERSON] @ np.linalg.solve(posterior[PERSON, PERSON], denied))
             dx[PERSON] -= (1.0 - granted) * denied
             at = self.moved(prior, dx)
-            moved = np.abs(dx - about)
-            if max(moved[ROTATION].max(), moved[ANGLES].max()) < self.settings.close_rad:
+            if np.abs((dx - about)[_TURNS]).max() < self.settings.close_rad:
                 break
         kept = (1.0 - learned) ** 2
         posterior[PERSON, PERSON] = kept * prior.P[PERSON, PERSON] + (1.0 - kept) * posterior[PERSON, PERSON]
@@ -291,17 +291,20 @@ class HandFilter(HandProcess):
         for _ in range(3):
             q = angles + dx[ANGLES]
             over = np.minimum(np.maximum(q, self._low), self._high) - q
-            if not over.any():
-                break
             bad = np.flatnonzero(np.abs(over) > 1e-6)
             if not len(bad):
                 break
             columns = P[:, ANGLES.start + bad]
+            own = columns[ANGLES.start + bad]
             if len(bad) == 1:
-                gain: FloatArray = columns.T / (columns[ANGLES.start + bad] + 1e-6)
+                gain: FloatArray = columns.T / (own + 1e-6)
+            elif len(bad) == 2:
+                # The most usual case by far (a last hinge goes with its middle one), and half of the cost that way.
+                (a, b), (_, c) = own.tolist()
+                a, c = a + 1e-6, c + 1e-6
+                gain = np.array([[c, -b], [-b, a]]) / (a * c - b * b) @ columns.T
             else:
-                own = columns[ANGLES.start + bad] + 1e-6 * np.eye(len(bad))
-                gain = np.asarray(np.linalg.solve(own, columns.T), dtype=np.float64)
+                gain = np.linalg.solve(own + 1e-6 * np.eye(len(bad)), columns.T)
             dx, P = dx + over[bad] @ gain, P - columns @ gain
         return dx, P
 
