@@ -304,7 +304,7 @@ class HandFilter(HandProcess):
                 a, c = a + 1e-6, c + 1e-6
                 gain = np.array([[c, -b], [-b, a]]) / (a * c - b * b) @ columns.T
             else:
-                gain = np.linalg.solve(own + 1e-6 * np.eye(len(bad)), columns.T)
+                gain = np.asarray(np.linalg.solve(own + 1e-6 * np.eye(len(bad)), columns.T), dtype=np.float64)
             dx, P = dx + over[bad] @ gain, P - columns @ gain
         return dx, P
 
