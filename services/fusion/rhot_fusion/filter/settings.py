@@ -99,6 +99,8 @@ class TrackSettings:
         ray_reach_m: no marker begins on its ray further from the middle of its hand's, metres; a hand's length.
         loose_m: a marker whose place is less certain (standard deviation) is found anew by two views, metres: beyond it
             a depth is no longer linear in the pixels.
+        extent_m: standard deviation in depth of a marker about the middle of its hand's, metres: fingertips that one
+            camera sees are 0.026 behind it, plus or minus 0.027 (15 even rigs of the ruler).
         lost_periods: one that nothing has shown for so many frame periods is not moved by a single view.
         measured_m: a point is called measured up to this standard deviation (root of the covariance's trace), metres:
             two fingers' breadths; at 0.03 a hand's first frame at 30 fps (0.037) would not be measured any more.
@@ -124,6 +126,7 @@ class TrackSettings:
     fewest: int = 1
     ray_reach_m: float = 0.2
     loose_m: float = 0.03
+    extent_m: float = 0.037
     lost_periods: float = 2.5
     measured_m: float = 0.04
     uncalibrated_measured_m: float = 0.1

@@ -23,11 +23,12 @@ from rhot_fusion.filter.record import outcomes
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
 from rhot_fusion.filter.state import ROUND, Innovation, State, Views
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.filter.tracks import Belief, Track, outcome_of
+from rhot_fusion.filter.tracks import Belief, Track, outcome_of, within_hand
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
 from rhot_fusion.views.sightings import NOTHING, NOWHERE, FloatArray, IndexArray, Outcome, Sightings
+from rhot_fusion.views.vectors import vector
 
 _LONGEST_HISTORY = 32
 
@@ -79,6 +80,7 @@ class FilterTracker:
         self._paint = Paint(cameras, radii, settings.paint)
         self._systematic = Systematic(cameras, rig.quality, calibration_px, radii, settings.systematic)
         self._calibrated = rig.calibrated
+        self._middle = vector(np.mean([camera.center for camera in cameras], axis=0))
         self._time_variance = 0.0 if rig.calibrated else settings.noise.uncalibrated_s**2
         self.gates: dict[int, tuple[IndexArray, Innovation, FloatArray]] = {}
         self._history: deque[tuple[Sightings, list[State]]] = deque(maxlen=_LONGEST_HISTORY)
@@ -151,6 +153,8 @@ class FilterTracker:
                 track = self.tracks[marker]
                 if track.belief is Belief.BELIEVED:
                     position[marker], covariance[marker], shown[marker] = place, own, track.views(since_s)
+            known = [marker for marker in hand.markers if self.tracks[marker].belief is Belief.BELIEVED]
+            within_hand(position, covariance, known, shown, self._middle, self._settings.track.extent_m)
         settled = [self._paint.is_settled(marker, sees) for marker, sees in enumerate(shown)]
         seen = [list(column) for column in zip(*shown, strict=True)]
         outcome = outcome_of(then_s, position, covariance, seen, self._systematic, settled, self._settings.track)

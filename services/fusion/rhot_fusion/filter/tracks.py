@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from statistics import fmean
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from rhot.messages import PointState
 from rhot_fusion.filter.settings import DEFAULT, TrackSettings
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.views.sightings import Outcome, Upper
-from rhot_fusion.views.vectors import Vector
+from rhot_fusion.views.vectors import Vector, unit
 
 
 class Belief(IntEnum):
@@ -89,6 +90,46 @@ class Track:
     def views(self, since_s: Sequence[float]) -> list[bool]:
         """Tell which cameras (C,) have shown it since these times."""
         return [last >= since for last, since in zip(self.accepted_s, since_s, strict=True)]
+
+
+def within_hand(
+    position: list[Vector],
+    covariance: list[Upper],
+    markers: Sequence[int],
+    shown: Sequence[Sequence[bool]],
+    eye: Vector,
+    extent_m: float,
+) -> None:
+    """Let markers of one hand that a single camera shows be about as far away as those that two show.
+
+    That is for what is published. In the filter it would count as new evidence with every frame. Markers that nothing
+    shows are left to inverse kinematics, which knows more of the hand.
+
+    Args:
+        position: (M,) of all markers, metres; changed in place.
+        covariance: (M,) of them; changed in place.
+        markers: of the hand, as far as they are known.
+        shown: (M,) which cameras show each.
+        eye: the middle of the cameras, metres.
+        extent_m: standard deviation of a marker in depth about the middle of its hand's.
+    """
+    fixed = [position[marker] for marker in markers if sum(shown[marker]) >= 2]
+    if not fixed or len(fixed) == len(markers):
+        return
+    middle = tuple(fmean(column) for column in zip(*fixed, strict=True))
+    variance = extent_m**2 * (1.0 + 1.0 / len(fixed))
+    for marker in markers:
+        if sum(shown[marker]) != 1:
+            continue
+        (px, py, pz), (xx, xy, xz, yy, yz, zz) = position[marker], covariance[marker]
+        x, y, z = unit((px - eye[0], py - eye[1], pz - eye[2]))
+        a, b, c = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+        gain = 1.0 / (a * x + b * y + c * z + variance)
+        off = gain * ((middle[0] - px) * x + (middle[1] - py) * y + (middle[2] - pz) * z)
+        position[marker] = px + off * a, py + off * b, pz + off * c
+        less = gain * a * a, gain * a * b, gain * a * c, gain * b * b, gain * b * c, gain * c * c
+        xx, xy, xz, yy, yz, zz = (own - known for own, known in zip(covariance[marker], less, strict=True))
+        covariance[marker] = xx, xy, xz, yy, yz, zz
 
 
 def state_of(views: int, certain: bool) -> PointState:

@@ -1,0 +1,54 @@
+"""What is published of tracks: a hand is one body in depth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rhot_fusion.filter.tracks import within_hand
+from rhot_fusion.views.sightings import Upper
+from rhot_fusion.views.vectors import Vector
+
+EXTENT_M = 0.037
+LONG: Upper = (1e-6, 0.0, 0.0, 1e-6, 0.0, 0.08**2)
+SHARP: Upper = (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6)
+BOTH, ONE, NONE = [True, True], [True, False], [False, False]
+
+
+def published(shown: list[list[bool]]) -> tuple[list[Vector], list[Upper]]:
+    """Return two markers 0.8 m away, and a third that is 1 m away for all that its filter knows."""
+    places: list[Vector] = [(0.05, 0.0, 0.79), (-0.05, 0.0, 0.81), (0.0, 0.0, 1.0)]
+    covariances = [SHARP, SHARP, LONG]
+    within_hand(places, covariances, [0, 1, 2], shown, (0.0, 0.0, 0.0), EXTENT_M)
+    return places, covariances
+
+
+def test_what_one_camera_sees_is_about_as_far_away_as_its_hand() -> None:
+    places, covariances = published([BOTH, BOTH, ONE])
+    # The mean of 1.0 with 80 mm and of 0.8 with 37 mm and the error of a middle of two.
+    prior = 1.5 * EXTENT_M**2
+    share = LONG[5] / (LONG[5] + prior)
+    assert places[2] == pytest.approx((0.0, 0.0, 1.0 - 0.2 * share))
+    assert covariances[2][5] == pytest.approx(LONG[5] * prior / (LONG[5] + prior))
+    assert covariances[2][:5] == pytest.approx(LONG[:5])
+    assert places[:2] == [(0.05, 0.0, 0.79), (-0.05, 0.0, 0.81)]
+
+
+def test_off_the_axis_it_moves_along_its_ray() -> None:
+    sight = np.array([0.3, -0.2, 0.9])
+    ray = sight / np.linalg.norm(sight)
+    P = 0.08**2 * np.outer(ray, ray) + 1e-6 * np.eye(3)
+    xx, xy, xz, yy, yz, zz = P[np.triu_indices(3)].tolist()
+    places: list[Vector] = [(0.25, -0.17, 0.75), (0.3, -0.2, 0.9)]
+    covariances: list[Upper] = [SHARP, (xx, xy, xz, yy, yz, zz)]
+    within_hand(places, covariances, [0, 1], [BOTH, ONE], (0.0, 0.0, 0.0), EXTENT_M)
+    moved = np.array(places[1]) - sight
+    assert np.linalg.norm(np.cross(moved, ray)) < 1e-6
+    assert moved @ ray < -0.05
+
+
+@pytest.mark.parametrize("shown", [[BOTH, BOTH, NONE], [ONE, NONE, ONE], [BOTH, BOTH, BOTH]])
+def test_else_nothing_changes(shown: list[list[bool]]) -> None:
+    places, covariances = published(shown)
+    assert places[2] == (0.0, 0.0, 1.0)
+    assert covariances[2] == LONG
