@@ -38,6 +38,7 @@ JPEG_QUALITY = 80
 """Text stays clean; 60 to 150 kB a picture, where a PNG of a camera's noise takes 480."""
 SELDOM = "window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 200);"
 """Drawing without a graphics card takes all that it gets, and what is drawn comes late."""
+ALL_WELL = "document.body.innerText.includes('all fingers') && !document.body.innerText.includes('no status')"
 NOTICE = "[class*=Notification-closeButton]"
 
 
@@ -60,6 +61,7 @@ def main(rate_hz: float, hands: str) -> None:
             with open_browser("about:blank", *TABLET) as browser:
                 draw_seldom(browser, url)
                 ready(browser)
+                browser.wait_for(ALL_WELL, UP_S)
                 save(browser, "tablet")
                 errors += browser.errors
         finally:
@@ -127,7 +129,7 @@ def take_desktop(browser: Browser) -> None:
     # Last, and not first: by now the scene is as bright as it gets.
     browser.click_text("Live", "[role=tab]")
     time.sleep(SETTLE_S)
-    browser.wait_for("document.body.innerText.includes('all fingers')", UP_S)
+    browser.wait_for(ALL_WELL, UP_S)
     save(browser, "live")
 
 

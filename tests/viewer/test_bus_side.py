@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections.abc import AsyncIterator, Awaitable
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from bus_watch import PATIENCE_S, answers, until
 from stub_rig import StubRig
 
-from rhot.bus import Answer, Bus, Request
+from rhot.bus import Answer, Bus, Request, Sample
 from rhot.clock import LocalRigClock, SystemClock
 from rhot.errors import ConfigError
-from rhot.messages import HandPose, PointSet, encode
+from rhot.messages import HandPose, PointSet, ServiceStatus, encode
 from rhot.rig import BusConfig
 from rhot.service import Node, StatusBoard
 from rhot.service.configuration import changed, config_answer, parse_change
@@ -92,6 +95,37 @@ async def test_the_inbox_keeps_the_newest_and_counts_garbage(bus: Bus, viewer_bu
         )
         assert inbox.newest("rhot/points", PointSet, 10 * PATIENCE_S) is None
         assert node.status.counts["invalid"] == 2, "each once, however often it is looked at"
+
+
+class WaitingStatuses:
+    """A bus on which the statuses of a large rig wait, and nothing else comes."""
+
+    async def latest(self, key_expr: str) -> AsyncIterator[Sample]:
+        for number in range(20 if key_expr == "rhot/status/*/*" else 0):
+            status = ServiceStatus(t_ns=1, service="capture", instance=f"c{number}", state="running")
+            yield Sample(f"rhot/status/capture/c{number}", encode(status), "", False, time.monotonic_ns())
+        await asyncio.Event().wait()
+
+    def liveliness(self, key_expr: str) -> AsyncIterator[Sample]:
+        return self.latest(key_expr)
+
+
+async def test_all_statuses_that_wait_are_taken_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    rests: list[float] = []
+    sleep = asyncio.sleep
+
+    async def counted(delay_s: float) -> None:
+        rests.append(delay_s)
+        await sleep(0)
+
+    inbox = Inbox()
+    monkeypatch.setattr("rhot_viewer.rig.inbox.asyncio.sleep", counted)
+    node = SimpleNamespace(bus=WaitingStatuses(), refuse=None)
+    async with Running(inbox.run(cast(Node, node), lambda: False)):
+        for _ in range(100):
+            await sleep(0)
+        assert len(inbox.all_newest("rhot/status/", ServiceStatus, 10 * PATIENCE_S)) == 20
+    assert len(rests) == 1
 
 
 class StubCamera:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -66,10 +67,13 @@ class Inbox:
             tasks.create_task(self._follow_alive(node.bus))
 
     async def _receive(self, bus: Bus, key_expr: str, hurry: Callable[[], bool]) -> None:
+        rested_s = -math.inf
         async for sample in bus.latest(key_expr):
-            if not hurry():
-                # While nothing is taken, newer samples replace older ones without waking anybody.
+            if not hurry() and time.monotonic() - rested_s >= _IDLE_S:
+                # While nothing is taken, newer samples replace older ones without waking anybody. All that wait then
+                # are taken at once: one rest for each would keep a status back for seconds.
                 await asyncio.sleep(_IDLE_S)
+                rested_s = time.monotonic()
             if sample.deleted or (sample.key not in self._slots and len(self._slots) >= _MAX_KEYS):
                 continue
             self._slots[sample.key] = _Slot(sample)
