@@ -21,7 +21,7 @@ import click
 DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent / "tests" / "support"))
 
-from make_screenshots import page_of, put_notice_away, save  # noqa: E402
+from make_screenshots import draw_seldom, page_of, put_notice_away, save  # noqa: E402
 from page.actions import choose, chosen, look_through, place_of_pixel, press_until, text_shows  # noqa: E402
 from page.browser import CHROMIUM, Browser, open_browser, wait_until  # noqa: E402
 
@@ -181,7 +181,9 @@ def main(rate_hz: float, images: bool) -> None:
         command = [*rhot, "sim", "--rig", str(rig_path), "--listen", free_endpoint("tcp/127.0.0.1:0")]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as simulation:
             try:
-                with open_browser(f"{page_of(simulation)}/?fixedDpr=1", *WINDOW) as browser:
+                url = page_of(simulation)
+                with open_browser("about:blank", *WINDOW) as browser:
+                    draw_seldom(browser, url)
                     newcomer = Newcomer(browser, rig_path, images)
                     newcomer.go()
                     errors = browser.errors
