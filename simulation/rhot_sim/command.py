@@ -205,15 +205,13 @@ def sim(
             not feet and missing_calibration(rig)
         )
         pages = free_pages(page_port, grasp=not calibrating) if viewer and not headless else Pages()
-        for line in pages.lines():
-            console.print(line, soft_wrap=True)
         if calibrating:
             limit_s = duration_s if _is_given(context, "duration_s") else None
-            work_on_it = run_for_calibration(rig, chosen, limit_s, work, console, pages.commands())
+            work_on_it = run_for_calibration(rig, chosen, limit_s, work, console, pages.commands(), pages.lines())
             return 128 + signal.SIGINT if asyncio.run(_unless_interrupted(work_on_it)) else 0
         run = (WalkerRun if feet else SimRun)(rig, chosen, duration_s, work, pages.commands())
-        interrupted = asyncio.run(_unless_interrupted(run.execute(console, live=not headless and console.is_terminal)))
-        if interrupted:
+        shown = run.execute(console, live=not headless and console.is_terminal, announce=pages.lines())
+        if asyncio.run(_unless_interrupted(shown)):
             console.print("interrupted; no summary")
             return 128 + signal.SIGINT
         if not headless:

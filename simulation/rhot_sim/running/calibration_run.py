@@ -59,6 +59,7 @@ async def run_for_calibration(
     work: Path,
     console: Console,
     pages: Mapping[str, Sequence[str]] | None = None,
+    announce: Sequence[str] = (),
 ) -> None:
     """Run router and all services until the time is over or cancelled, and say what to do.
 
@@ -69,6 +70,7 @@ async def run_for_calibration(
         work: folder for logs.
         console: takes what to do next.
         pages: the commands that open web pages, see `service_commands`.
+        announce: what is said once everything is up, such as where the page is.
 
     Raises:
         RhotError: the router or a service did not come up, or one ended by itself.
@@ -76,10 +78,14 @@ async def run_for_calibration(
     tracking = "fusion" if rig.config.cameras else "feet"
     names = [tracking, "ik", "truth", *(["objects"] if rig.config.objects else [])]
     services = service_commands(rig, endpoint, names, pages)
-    await with_processes(endpoint, services, work, partial(_stay, rig, endpoint, duration_s, console))
+    await with_processes(endpoint, services, work, partial(_stay, rig, endpoint, duration_s, console, announce))
 
 
-async def _stay(rig: Rig, endpoint: str, duration_s: float | None, console: Console, bus: Bus) -> None:
+async def _stay(
+    rig: Rig, endpoint: str, duration_s: float | None, console: Console, announce: Sequence[str], bus: Bus
+) -> None:
+    for line in announce:
+        console.print(line, soft_wrap=True)
     await broadcast(bus, "start", "calibrate", _START_DELAY_S, wait_s=5.0)
     sim = rig.config.sim
     if sim.motion in ("board", "desk_board"):

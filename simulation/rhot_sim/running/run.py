@@ -41,14 +41,14 @@ class SimRun(WatchedRun):
         self._world = World.from_rig(rig)
         self._collected = Collected()
 
-    async def execute(self, console: Console, *, live: bool) -> None:
+    async def execute(self, console: Console, *, live: bool, announce: Sequence[str] = ()) -> None:
         """Start everything, run for the duration, end everything; see `WatchedRun.execute`."""
         # This process takes the time of arrival of every pose: neither its table nor the collector, which would look
         # through all that was received so far again and again, may hold that up.
         sys.setswitchinterval(_SWITCH_S)
         gc.disable()
         try:
-            await super().execute(console, live=live)
+            await super().execute(console, live=live, announce=announce)
         finally:
             gc.enable()
 

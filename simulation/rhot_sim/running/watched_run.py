@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from rich.console import Console, RenderableType
 from rich.live import Live
+from rich.status import Status
 
 from rhot.bus import Bus
 from rhot.messages import ServiceStatus
@@ -80,15 +81,25 @@ class WatchedRun(ABC):
     def report(self) -> dict[str, Any]:
         """Return every figure of the run, JSON-ready."""
 
-    async def execute(self, console: Console, *, live: bool) -> None:
+    async def execute(self, console: Console, *, live: bool, announce: Sequence[str] = ()) -> None:
         """Start everything, run for the duration, end everything.
+
+        Args:
+            console: where it is shown.
+            live: with a table that is drawn anew, instead of a line now and then.
+            announce: what is said once everything is up, such as where the pages are.
 
         Raises:
             RhotError: the router or a service did not come up, or one ended by itself.
         """
-        await with_processes(self._endpoint, self._services, self._logs, partial(self._follow, console, live))
+        with console.status("starting router, cameras, tracker and pages") as starting:
+            follow = partial(self._follow, console, live, announce, starting)
+            await with_processes(self._endpoint, self._services, self._logs, follow)
 
-    async def _follow(self, console: Console, live: bool, bus: Bus) -> None:
+    async def _follow(self, console: Console, live: bool, announce: Sequence[str], starting: Status, bus: Bus) -> None:
+        starting.stop()
+        for line in announce:
+            console.print(line, soft_wrap=True)
         async with asyncio.TaskGroup() as tasks:
             collecting = tasks.create_task(self._collect(bus))
             control = await broadcast(bus, "start", "sim", _START_DELAY_S, wait_s=5.0)
