@@ -26,11 +26,11 @@ R_TRUE = rotation_from_vector(np.array([0.4, -0.3, 0.2]))
 P_TRUE = np.array([0.02, 0.05, 0.8])
 
 
-def filter_of(side: Side = "right") -> HandFilter:
+def filter_of(side: Side = "right", settings: HandSettings | None = None) -> HandFilter:
     return HandFilter(
         FingerGeometry.of(HandModel.from_file(HandFile(), side), {}),
         BASE_OFFSET,
-        HandSettings(),
+        settings or HandSettings(),
         np.zeros(6, dtype=np.bool_),
     )
 
@@ -72,6 +72,21 @@ def test_one_sample_of_all_points_gives_pose_and_angles() -> None:
     missed = np.linalg.norm(hand.tips(state) - evidence_of(hand, truth).tips, axis=1)
     assert missed.max() < 0.0005
     assert np.degrees(np.abs(state.angles - truth).reshape(5, 4)[1:, 2]).max() < 4.0
+
+
+def test_a_sample_teaches_a_share_of_the_person_and_moves_all_else_in_full() -> None:
+    slow, quick = filter_of(), filter_of(settings=HandSettings(lasts_s=1 / 60))
+    model = HandModel.from_file(HandFile(), "right")
+    before = slow.predict(slow.start(R_TRUE, P_TRUE, coupled(model, 30.0, 50.0)), 1 / 60)
+    evidence = evidence_of(slow, coupled(model, 32.0, 52.0))
+    evidence = dataclasses.replace(evidence, base=evidence.base + np.array([0.002, 0.0, 0.001]))
+    one, all_of_it = (hand.update(before, evidence, steps=1) for hand in (slow, quick))
+    assert np.allclose(one.R, all_of_it.R)
+    assert np.allclose(one.p, all_of_it.p)
+    assert np.allclose(one.angles, all_of_it.angles)
+    assert np.abs(all_of_it.person).max() > 1e-4
+    share = (1 / 60) / HandSettings().lasts_s
+    assert np.allclose(one.person, share * all_of_it.person)
 
 
 def test_angles_never_leave_their_limits_and_the_tips_still_fit() -> None:

@@ -10,7 +10,9 @@ are set to the limit and all others moved by what that says about them (projecti
 Simon & Chia 2002).
 
 Points come from fusion's filter, so their errors last over samples. The process is therefore loose where a sample
-tells: pose and seen fingers follow each sample anew, and memory serves what it leaves open.
+tells: pose and seen fingers follow each sample anew, and memory serves what it leaves open. The person is learned by a
+share of what a sample says of him, the rest of the hand moves by all of it (partial-update Schmidt–Kalman filter,
+Brink 2017).
 """
 
 from __future__ import annotations
@@ -111,8 +113,6 @@ class HandFilter(HandProcess):
         if rows is None:
             return dataclasses.replace(prior, prior_covariance=prior.P)
         P, given, dx = prior.P, rows.noise, np.zeros(SIZE)
-        # One sample cannot tell a patch or paint that sits elsewhere from fingers that are off their mean.
-        granted = self.settings.person_given if prior.dt_s > 0.0 else 1.0
         learned = min(1.0, (prior.dt_s or self.settings.first_lasts_s) / self.settings.lasts_s)
         at = prior
         modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
@@ -140,10 +140,13 @@ class HandFilter(HandProcess):
             gain = PHt @ np.linalg.inv(S)
             posterior = P - gain @ PHt.T
             about, (dx, posterior) = dx, self._within_limits(gain @ innovation, prior.angles, posterior)
-            # What is not learned at once is partly given for all the rest, whose mean moves towards that under it.
             denied = (1.0 - learned) * dx[PERSON]
-            dx -= granted * (posterior[:, PERSON] @ np.linalg.solve(posterior[PERSON, PERSON], denied))
-            dx[PERSON] -= (1.0 - granted) * denied
+            if prior.dt_s > 0.0:
+                dx[PERSON] -= denied
+            else:
+                # One sample cannot tell a patch or paint that sits elsewhere from fingers that are off their mean, so
+                # the hand is taken as under what was learned.
+                dx -= posterior[:, PERSON] @ np.linalg.solve(posterior[PERSON, PERSON], denied)
             at = self.moved(prior, dx)
             if np.abs((dx - about)[_TURNS]).max() < self.settings.close_rad:
                 break

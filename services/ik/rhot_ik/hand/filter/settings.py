@@ -24,10 +24,6 @@ class HandSettings:
         lasts_s: errors of the points last about so long (fusion's own memory, a posture in which the paint that is seen
             lies off its middle), so that only one sample in this time tells something new of a person.
         first_lasts_s: what the very first sample tells of a person counts as one that comes this much later.
-        person_given: how far pose and angles take the person as he is known so far for granted: 1 lets one wild tip not
-            turn the palm, 0 lets a palm whose patch sits elsewhere be found at once. Half of each: on the develop
-            seeds 0 to 36 of the ruler both ends were 1 to 5 mm worse in some clips, better in none by more. The very
-            first sample takes him for granted.
         base_shift_m: how far the patch sits from where the model has it, standard deviations across, above and along
             the hand. A hand's back is 11 to 18 mm above the wrist's joint; people paint by eye, 8 mm along the hand;
             and palms of hands of one length differ by 4.5 mm.
@@ -72,7 +68,6 @@ class HandSettings:
     person_s: float = 60.0
     lasts_s: float = 0.25
     first_lasts_s: float = 0.1
-    person_given: float = 0.5
     base_shift_m: tuple[float, float, float] = (0.005, 0.004, 0.0092)
     palm_share: float = 0.24
     patch_tilt_rad: float = 0.09
