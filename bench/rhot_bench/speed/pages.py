@@ -194,11 +194,9 @@ async def _turn(bus: Bus, pages: int, seconds: float) -> Turn:
 @asynccontextmanager
 async def _windows(bus: Bus, browser: str, url: str, profiles: Path) -> AsyncIterator[None]:
     """Open the windows, each in a browser of its own so that none is in the background, and end them afterwards."""
-    is_root, setpriv = os.geteuid() == 0, shutil.which("setpriv")
     # Chromium's own sandbox does not work for root; the only page that it opens is ours.
-    flags = [*_FLAGS, *(["--no-sandbox"] if is_root else [])]
-    # As root it would also take a niceness of −8, before the tracker, which it gets from nobody else.
-    without_priority = [setpriv, "--bounding-set", "-sys_nice"] if is_root and setpriv is not None else []
+    flags = [*_FLAGS, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
+    without_priority = await _without_priority()
     async with AsyncExitStack() as stack:
         for number in range(_PAGES):
             process = await asyncio.create_subprocess_exec(
@@ -214,6 +212,15 @@ async def _windows(bus: Bus, browser: str, url: str, profiles: Path) -> AsyncIte
             stack.push_async_callback(_ended, process)
         await _until(bus, lambda figures: figures.get("browsers", 0.0) == _PAGES and "pictures_hz" in figures)
         yield
+
+
+async def _without_priority() -> list[str]:
+    """Return what keeps Chromium as root from a niceness of −8, before the tracker: it gets that from nobody else."""
+    prefix = ["setpriv", "--bounding-set", "-sys_nice"]
+    if os.geteuid() != 0 or shutil.which(prefix[0]) is None:
+        return []
+    allowed = await asyncio.create_subprocess_exec(*prefix, "true", stderr=asyncio.subprocess.DEVNULL)
+    return prefix if await allowed.wait() == 0 else []
 
 
 async def _ended(process: asyncio.subprocess.Process) -> None:
