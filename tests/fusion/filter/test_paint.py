@@ -36,6 +36,20 @@ def test_hidden_paint_is_made_up_for_on_its_own_side() -> None:
     assert np.abs(level).max() == 0.0
 
 
+@pytest.mark.parametrize(("missing", "least", "most"), [(0.0, 0.0, 0.0), (0.08, 0.05, 0.35), (0.5, 0.85, 1.0)])
+def test_a_small_difference_is_hardly_hidden_paint_and_a_large_one_is_all_of_it(
+    missing: float, least: float, most: float
+) -> None:
+    paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
+    for number in range(20):
+        paint.correct(0, [0], number / 60.0, [100.0], [0.8], 1.0 / 60.0, [True])
+        areas = [100.0 * (1.0 - missing)]
+        shift, _ = paint.correct(1, [0], number / 60.0 + 0.005, areas, [0.8], 1.0 / 60.0, [True])
+    # The strip is as high as the square that has the marker's area.
+    strip_px = 0.5 * missing * 10.0
+    assert least * strip_px <= shift[0, 0] * FOCAL_PX <= most * strip_px
+
+
 def test_views_that_show_unlike_shares_of_the_paint_do_not_measure_it() -> None:
     paint = half_hidden(60.0)[0]
     assert paint.unlike(0) == pytest.approx(0.5, abs=0.01)

@@ -16,7 +16,8 @@ either tells: its end points elsewhere, and a small area is that of paint which 
 
 What hides part of a marker is nearer than it, so it hides more of it in the camera on its own side: of two cameras the
 one that sees less paint sees the middle of that too far towards the other camera, by half of the strip that is hidden.
-With the share h that is hidden in one view and not in the fullest one, and w the marker's width, that is ½ h w.
+With the share h that is hidden in one view and not in the fullest one, and w the marker's width, that is ½ h w. Whole
+markers look unlike, too: of a small difference little counts.
 What hides some of a patch comes from any side: it is where it is seen, and how far that may be off is told.
 """
 
@@ -206,8 +207,10 @@ class Paint:
         if area_px <= 0.0:
             return 0.0, 0.0
         width = every[camera].width_m
-        uneven = settings.uneven + settings.rim_px / max(side_px, 1.0)
-        hidden = min(max(1.0 - (width / max(full, 1e-9)) ** 2 - uneven, 0.0), 1.0)
+        less = 1.0 - (width / full) ** 2 if full > width else 0.0
+        uneven = settings.doubtful * (settings.uneven + settings.rim_px / max(side_px, 1.0))
+        # Wiener's filter: what differs by more than whole markers do is hidden, all of it.
+        hidden = less**3 / (less * less + uneven * uneven)
         if tip:
             strip = hidden * full / depth_m
             return strip, settings.doubt * strip
