@@ -168,6 +168,16 @@ def test_two_views_begin_a_marker_where_it_is() -> None:
     assert off.misfit > DEFAULT.track.birth_gate
 
 
+@pytest.mark.parametrize("variance", [1e9, 1e10, 1e11])
+def test_a_view_that_tells_nothing_begins_no_marker_with_another(variance: float) -> None:
+    views = [
+        View(one, 0.002 * k, np.array([0.1 - 0.17 * k, 0.1 + 0.001 * k]), [1e-7, variance][k])
+        for k, one in enumerate(CAMERAS)
+    ]
+    birth = from_views(views, 0.0, np.zeros(3), 0.5)
+    assert birth is None or birth.covariance.diagonal().min() > 0.0
+
+
 def test_noise_and_transition_of_a_motion_compose() -> None:
     """Law of every linear motion: two steps are one step of the sum, in mean and in noise."""
     settings = replace(DEFAULT.motion, joining_s=np.inf)

@@ -105,6 +105,14 @@ def test_a_patch_that_is_half_hidden_is_where_it_is_seen() -> None:
     assert 5.0 < doubt[0] * FOCAL_PX < 10.0
 
 
+def test_a_patch_of_unknown_distance_is_doubted_by_no_more_than_its_own_size() -> None:
+    """One camera sees more of it than the other before anything tells how large it is."""
+    paint = Paint(CAMERAS, np.zeros(1), DEFAULT.paint)
+    paint.correct(1, [0], 0.0, [173.0], [0.75], 1.0 / 60.0, [False])
+    _, doubt = paint.correct(0, [0], 0.002, [125.0], [0.75], 1.0 / 60.0, [False])
+    assert 0.0 < doubt[0] * FOCAL_PX < np.sqrt(173.0)
+
+
 def test_paint_that_one_camera_loses_first_is_made_up_for_at_once() -> None:
     """Something passes before a thumb at 0.15 m/s, from the right: in a twentieth of a second a camera loses half."""
     paint, period_s = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), 1.0 / 60.0

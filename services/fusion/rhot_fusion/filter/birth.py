@@ -56,7 +56,7 @@ class Birth:
 
 
 def from_views(views: Sequence[View], t_s: float, velocity: FloatArray, speed_sigma: float) -> Birth | None:
-    """Return the state at a moment behind two views or more; None where they meet nowhere before the cameras.
+    """Return the state at a moment behind two views or more; None where they tell no place before the cameras.
 
     Args:
         views: of two cameras or more.
@@ -92,7 +92,10 @@ def from_views(views: Sequence[View], t_s: float, velocity: FloatArray, speed_si
         except np.linalg.LinAlgError:
             return None
     covariance = np.linalg.inv(information)
-    return Birth(mean, 0.5 * (covariance + covariance.T), misfit) if np.isfinite(mean).all() else None
+    # Of views that tell next to nothing, rounding makes variances below zero.
+    if not (np.isfinite(mean).all() and covariance.diagonal().min() > 0.0):
+        return None
+    return Birth(mean, 0.5 * (covariance + covariance.T), misfit)
 
 
 def on_ray(view: View, at: FloatArray, velocity: FloatArray, along_m: float, speed_sigma: float) -> Birth:

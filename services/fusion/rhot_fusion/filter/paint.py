@@ -194,7 +194,8 @@ class Paint:
                 if shown.own:
                     told_full = max(told_full, shown.width_m)
         # The largest area is not known at first: half way between that of a finger bent as usual and that of paint as
-        # long as it should be.
+        # long as it should be. What is seen before anything is told of its distance is the best guess until then.
+        told_full = told_full or full
         largest = self._largest_m[marker] or (
             (told_full / self._usual) ** settings.seen_first * self._flat_m[marker] ** (1.0 - settings.seen_first)
         )
