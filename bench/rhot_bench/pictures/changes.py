@@ -21,13 +21,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.errors import ConfigError
+from rhot.recording.picture_file import read_picture
+from rhot_bench.pictures.rendered import BOARDS, CAMERAS, COLOURS, SEQUENCES
 
 Image = NDArray[np.uint8]
 
-_FOLDERS: Final = ("C", "K", "G1", "G2")
-_MOVING: Final = ("G1", "G2")
-_CAMERAS: Final = ("left", "right")
 _JPEG_QUALITY: Final = 95
 """That of the pictures themselves, by their README."""
 
@@ -112,19 +110,19 @@ def changed_copy(data: Path, name: str, folder: Path, advance: Callable[[], None
     calibration = json.loads((data / "calib.json").read_text(encoding="utf-8"))
     width, height = calibration["image_size"]
     pixels = _Pixels(width, height, round(change.scale * width), round(change.scale * height), change.mirrored)
-    for sequence in _FOLDERS:
-        every = change.every if sequence in _MOVING else 1
-        for camera in _CAMERAS:
+    for sequence in (BOARDS, COLOURS, *SEQUENCES):
+        every = change.every if sequence in SEQUENCES else 1
+        for camera in CAMERAS:
             _copy_pictures(data / sequence / camera, folder / sequence / camera, change, pixels, every, advance)
         shutil.copy(data / sequence / "recording.toml", folder / sequence)
-        if sequence != "C":
+        if sequence != BOARDS:
             _copy_frames(data / sequence, folder / sequence, pixels, every)
             _copy_motion(data / sequence, folder / sequence, change.mirrored)
-    boxes = json.loads((data / "K" / "boxes.json").read_text(encoding="utf-8"))
+    boxes = json.loads((data / COLOURS / "boxes.json").read_text(encoding="utf-8"))
     for camera in boxes["cameras"].values():
         for marker in camera.values():
             marker["box"] = pixels.box(*marker["box"])
-    (folder / "K" / "boxes.json").write_text(json.dumps(boxes), encoding="utf-8")
+    (folder / COLOURS / "boxes.json").write_text(json.dumps(boxes), encoding="utf-8")
     (folder / "calib.json").write_text(json.dumps(_changed_cameras(calibration, pixels)), encoding="utf-8")
     shutil.copy(data / "hand.json", folder)
     # Last: by it a copy that was interrupted is known.
@@ -176,10 +174,7 @@ def _copy_pictures(
         number = int(row.partition(",")[0])
         if number % every == 0:
             name = f"{number:06d}.jpg"
-            image = cv2.imread(str(source / name))
-            if image is None:
-                raise ConfigError(f"{source / name}: cannot be read as a picture")
-            image = change.picture(pixels.image(np.asarray(image, dtype=np.uint8)))
+            image = change.picture(pixels.image(read_picture(source / name)))
             cv2.imwrite(str(folder / name), image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
             kept.append(row)
         advance()
@@ -228,7 +223,7 @@ def _changed_cameras(calibration: dict[str, Any], pixels: _Pixels) -> dict[str, 
     """Return `calib.json` of the copy: mirrored by x alone, rotations stay rotations and lenses turn p2 about."""
     across, down = pixels.scales
     calibration["image_size"] = [pixels.width, pixels.height]
-    for name in _CAMERAS:
+    for name in CAMERAS:
         K = calibration[name]["K"]
         K[0][0], K[0][2] = K[0][0] * across, pixels.u(K[0][2])
         K[1][1], K[1][2] = K[1][1] * down, pixels.v(K[1][2])

@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 
 from rhot.errors import CalibrationError, ConfigError
 from rhot.messages import MarkerFrame, Side
 from rhot.offline import core
 from rhot.recording import Recording, load_recording
+from rhot.recording.picture_file import read_picture
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import CAMERAS_FILE, COLORS_FILE, HAND_FILE, RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
@@ -31,11 +31,11 @@ from rhot.rig.toml_edit import change_rig_file
 
 CAMERAS: Final = ("left", "right")
 SEQUENCES: Final = ("G1", "G2")
-_BOARDS, _COLOURS = "C", "K"
+BOARDS, COLOURS = "C", "K"
 _PARTS: Final = (
-    *(f"{sequence}/{camera}/timestamps.csv" for sequence in (_BOARDS, _COLOURS, *SEQUENCES) for camera in CAMERAS),
+    *(f"{sequence}/{camera}/timestamps.csv" for sequence in (BOARDS, COLOURS, *SEQUENCES) for camera in CAMERAS),
     *(f"{sequence}/{truth}" for sequence in SEQUENCES for truth in ("truth_frames.csv", "truth_500hz.csv.gz")),
-    f"{_COLOURS}/boxes.json",
+    f"{COLOURS}/boxes.json",
     "calib.json",
     "hand.json",
 )
@@ -102,15 +102,15 @@ def prepare_rig(data: Path, folder: Path, measures: Measures | None = None) -> R
             sides=(measures.side,),
         )
         write_text_atomic(folder / RIG_FILE, text)
-        across, down = _picture_size(data / _COLOURS / CAMERAS[0])
+        down, across = read_picture(min((data / COLOURS / CAMERAS[0]).glob("*.jpg"))).shape[:2]
         change_rig_file(folder, {("markers", "base"): {"size_m": list(measures.patch_m)}})
         change_rig_file(folder, {("cameras", camera): {"width": across, "height": down} for camera in CAMERAS})
     columns, rows = measures.board
     if not (folder / CAMERAS_FILE).exists():
         square = f"{1e3 * measures.square_m:g}"
-        _calibrate(folder, "cameras", str(data / _BOARDS), "--board", f"{columns}x{rows}", "--square-mm", square)
+        _calibrate(folder, "cameras", str(data / BOARDS), "--board", f"{columns}x{rows}", "--square-mm", square)
     if not (folder / COLORS_FILE).exists():
-        _calibrate(folder, "colors", *_colour_boxes(data / _COLOURS))
+        _calibrate(folder, "colors", *_colour_boxes(data / COLOURS))
     if not (folder / HAND_FILE).exists():
         length, width = f"{1e3 * measures.length_m:g}", f"{1e3 * measures.width_m:g}"
         _calibrate(folder, "hand", "--length-mm", length, "--width-mm", width)
@@ -165,16 +165,6 @@ def read_marker_frames(file: Path) -> Iterator[MarkerFrame]:
 def _line(frame: MarkerFrame) -> str:
     value = frame.model_dump_json(exclude_none=True)
     return f'{{"key": "rhot/markers/{frame.camera}", "value": {value}}}\n'
-
-
-def _picture_size(folder: Path) -> tuple[int, int]:
-    """Return width and height of the pictures in a folder, pixels."""
-    path = min(folder.glob("*.jpg"))
-    image = cv2.imread(str(path))
-    if image is None:
-        raise ConfigError(f"{path}: cannot be read as a picture")
-    height, width = image.shape[:2]
-    return width, height
 
 
 def _colour_boxes(data: Path) -> list[str]:
