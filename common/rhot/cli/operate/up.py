@@ -34,7 +34,8 @@ def up(no_start: bool, viewer: bool, page_port: int, rig_path: Path) -> int:
     So do the bridges to other programs that rig.toml names, as [bridges.NAME].
 
     The capture services run on the Pis (rhot capture --camera NAME) and join by themselves. If a router already
-    answers, it is used instead of a second one. A service that ends by itself is started again.
+    answers, it is used instead of a second one; where another rig tracks on it, this one is refused. A service that
+    ends by itself is started again.
     """
     pages = free_pages(page_port) if viewer else Pages()
     return asyncio.run(_up(rig_path, pages, start=not no_start))
