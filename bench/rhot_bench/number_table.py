@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
-
-FloatArray = NDArray[np.float64]
 
 
 def read_table(path: Path) -> dict[str, FloatArray]:

@@ -18,9 +18,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 
-FloatArray = NDArray[np.float64]
 Bits = NDArray[np.uint8]
 
 R_FOOT_MARKER: FloatArray = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

@@ -18,11 +18,9 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.errors import BusError
-
-FloatArray = NDArray[np.float64]
 
 WINDOW: Final = 120
 """Exchanges kept: one minute at two a second."""

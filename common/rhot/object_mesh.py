@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.hull import hull_planes
 from rhot.messages import MeshShape, ObjectShape
@@ -21,7 +22,6 @@ from rhot.rig.kept_file import file_stamp
 from rhot.rig.shape_config import MeshConfig
 from rhot.sparing_log import SparingLog
 
-FloatArray = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 
 MOST_BYTES: Final = 20_000_000

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from bridged import poses as bridge_poses
 from bus_watch import PATIENCE_S
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
 from rhot.messages import Side
 from rhot_bridge.axes import Converter
@@ -22,8 +22,6 @@ from rhot_bridge.scene import Hand, Scene
 from rhot_bridge.targets.osc import Template, bundles
 from rhot_bridge.targets.vmc import VmcTarget
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
 
 SCALE = 1.25
 """The avatar's hand is larger than ours."""

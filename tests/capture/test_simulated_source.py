@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rhot.arrays import ImageArray
 from rhot.clock import SkewedClock, SystemClock
 from rhot.errors import ConfigError
 from rhot.rig import CameraConfig, load_rig
 from rhot.rig.colors import nominal_colors
-from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources import Frame, open_source
 from rhot_sim.sources.camera import SimulatedSource

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+
+from rhot.arrays import FloatArray
 
 pytest.importorskip("manifold3d", reason="the holder is made with manifold3d: pip install 'rhot[holder]'")
 
-FloatArray = NDArray[np.float64]
 
 DOCS = Path(__file__).parents[2] / "docs"
 

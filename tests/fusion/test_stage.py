@@ -11,15 +11,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from marker_streams import EPOCH_NS, MARKERS, Motion, Seen, pinhole_cameras, truth_figures, watch
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Marker, MarkerFrame, PointSet
 from rhot.rig import FusionConfig, Rig
 from rhot_fusion.stage import FusionStage
-
-FloatArray = NDArray[np.float64]
 
 STILL = Motion(amplitude_m=(0.0, 0.0, 0.0))
 SLOW = Motion(frequency_hz=(0.35, 0.45, 0.25))

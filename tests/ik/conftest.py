@@ -5,15 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandJoints, HandModel
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import Point, PointSet, Position, Side
 from rhot.rig import CameraConfig, HandFile, MarkerConfig, RegistrationFile, Rig, RigConfig
 
-FloatArray = NDArray[np.float64]
 START_NS = 1_700_000_000_000_000_000
 
 MakePoints = Callable[..., PointSet]

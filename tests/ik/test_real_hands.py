@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import FloatArray
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_bench.hands.recorded_hands import (
     fit_person,
@@ -26,8 +26,6 @@ from rhot_ik.fabrik.finger_chains import FabrikFingers
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 from rhot_ik.hand.solver import HandObservation, HandSolver
-
-FloatArray = NDArray[np.float64]
 
 RATE_HZ = 30.0
 

@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
 from rhot.messages import HandPose, Point, PointSet, State
 from rhot.rig import CameraConfig, HandFile, MarkerConfig, RegistrationFile, Rig, RigConfig
 from rhot_ik.hand.solver import HandObservation, HandSolution, HandSolver
 from rhot_ik.hand.stage import HandStage
 
-FloatArray = NDArray[np.float64]
 MakePoints = Callable[..., PointSet]
 Wrist = Callable[..., FloatArray]
 

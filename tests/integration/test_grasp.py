@@ -12,13 +12,13 @@ from typing import Any, Final
 import numpy as np
 import pytest
 import things
-from numpy.typing import NDArray
 from page.browser import CHROMIUM, Browser, open_browser, wait_until
 from page.viewer_process import ViewerProcess
 from stub_rig import StubRig, StubThread
 from wall_clock import figures_in_time
 
 from rhot.anatomy.skeleton import JOINTS
+from rhot.arrays import FloatArray
 from rhot.bus import Bus
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
 from rhot.geometry.transforms import inverse, rigid
@@ -33,8 +33,6 @@ from rhot_sim.rig.folder import write_simulated_rig
 from rhot_sim.running.run import free_endpoint
 from rhot_viewer.grasp.files import is_built
 from rhot_viewer.grasp.hello import stage_of
-
-FloatArray = NDArray[np.float64]
 
 EMULATOR: Final = Path(__file__).parents[2] / "web" / "node_modules" / "iwer" / "build" / "iwer.min.js"
 pytestmark = [

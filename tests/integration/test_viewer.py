@@ -17,6 +17,7 @@ from page.browser import CHROMIUM, Browser, open_browser, wait_until
 from page.viewer_process import ViewerProcess
 from stub_rig import StubRig, StubThread
 
+from rhot.arrays import FloatArray
 from rhot.rig import load_rig
 from rhot.rig.colors import load_colors
 from rhot_sim.running.run import free_endpoint
@@ -28,7 +29,6 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: apt install chromium)"),
 ]
 
-FloatArray = NDArray[np.float64]
 
 SIZE = (820, 460)
 KEYS = {"ArrowRight": 39, "End": 35}

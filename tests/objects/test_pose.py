@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from rhot.geometry.rotations import FloatArray
+from rhot.arrays import FloatArray
 from rhot_objects.pose import Pose, angle_between, interpolate
 
 METRES = st.floats(-10.0, 10.0)

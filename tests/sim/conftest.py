@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Side
 from rhot.rig import CameraConfig, HandFile, MarkerConfig
@@ -20,7 +20,6 @@ from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.world.motion import MotionSample, StillMotion
 from rhot_sim.world.world import World
 
-FloatArray = NDArray[np.float64]
 Measure = Callable[[World, CameraModel, str], Callable[[float, float, float], FloatArray]]
 
 

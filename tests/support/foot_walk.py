@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import (
     quaternion_from_rotation,
     rotation_between,
@@ -22,8 +23,6 @@ from rhot_bench.thesis.foot_filter import ThesisFilter
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.model import FootState
 from rhot_feet.imu.conversion import FusedImuConverter
-
-FloatArray = NDArray[np.float64]
 
 START_NS = 1_700_000_000_000_000_000
 UP = np.array([0.0, 1.0, 0.0])

@@ -8,13 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import marker_cells
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector, rotation_z
 from rhot_feet.frames import ColorImage, DepthImage, pinhole
 from rhot_feet.marker.pose import square_corners
-
-FloatArray = NDArray[np.float64]
 
 SIZE_M = 0.06
 DICTIONARY = "3X3_32"

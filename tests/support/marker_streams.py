@@ -10,13 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Marker, MarkerFrame, PointSet
 from rhot.recording import MarkerTrack, load_recording, marker_track_frames
 from rhot.rig import CameraCalibration, CamerasFile, Rig, load_rig, write_json_model
 from rhot_fusion.stage import FusionStage
-
-FloatArray = NDArray[np.float64]
 
 SQUARE_M = 0.0259
 MARKERS = ("thumb", "index", "middle", "ring", "little", "base")

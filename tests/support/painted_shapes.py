@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray, ImageArray
 from rhot.rig import MarkerConfig
 from rhot.rig.colors import RgbColor, nominal_colors
-from rhot_capture.detection.color_table import ColorTable, ImageArray, build_color_table
-
-FloatArray = NDArray[np.float64]
+from rhot_capture.detection.color_table import ColorTable, build_color_table
 
 PAINTS: dict[str, RgbColor] = {
     "thumb": (30, 120, 60),

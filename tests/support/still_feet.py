@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import HeadPose
 from rhot.rig.feet_config import BodyConfig, DepthCameraConfig, FeetConfig, FootConfig, ImuConfig
@@ -15,8 +15,6 @@ from rhot_feet.frames import DepthFrame, pinhole
 from rhot_feet.imu.samples import ImuSamples
 from rhot_sim.walker.pictures.disturbances import Disturbances
 from rhot_sim.walker.world import WalkerWorld
-
-FloatArray = NDArray[np.float64]
 
 AT_S = 1.0
 """The moment of the still program that all pictures show; only their noise differs."""

@@ -15,9 +15,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.bus import Answer, Bus, Request
 from rhot.errors import ConfigError
 from rhot.messages import (
@@ -43,8 +43,6 @@ from rhot_capture.settings import CameraSettings
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.world.paint import paints_of
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
 
 RATE_HZ = 60.0
 OFFSET_M = 0.002

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig, FootConfig
 from rhot_viewer.grasp.hello import hello_text
@@ -23,8 +23,6 @@ from rhot_viewer.scene.viewpoint import (
     up_direction,
     volume_lines,
 )
-
-FloatArray = NDArray[np.float64]
 
 
 def on_screen(view: Viewpoint, points: FloatArray, aspect: float = 1.0) -> FloatArray:

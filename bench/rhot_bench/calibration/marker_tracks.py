@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import FloatArray
 from rhot.messages import MarkerFrame
 from rhot_calibration.cameras.solve.views import ViewSet
 from rhot_fusion.views.calibration_check import Track

@@ -15,19 +15,17 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 from scipy.optimize import minimize
 
+from rhot.arrays import FloatArray
 from rhot_bench.detection.true_frames import BURST, rig_colors, simulated_rig, true_frames
 from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.detection.score import BIAS, RIGHT_PX, WEIGHTS, Evidence
 from rhot_sim.rendering.coverage import MarkerView
-
-FloatArray = NDArray[np.float64]
 
 FIT_SEEDS: Final = (11, 12, 13, 14, 15)
 CHECK_SEEDS: Final = (21, 22, 23, 24)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import BodyPose
 from rhot_bench.feet.heads import START_NS
 from rhot_sim.walker.world import WalkerWorld
-
-FloatArray = NDArray[np.float64]
 
 
 def knee_errors(bodies: Sequence[BodyPose], world: WalkerWorld) -> tuple[FloatArray, int]:

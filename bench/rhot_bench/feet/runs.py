@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import BoolArray, FloatArray
 from rhot.messages import BodyPose, FootPose, Side
 from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig, FootConfig, WalkProgram
@@ -30,9 +31,6 @@ from rhot_sim.sources.imu import SimulatedSource
 from rhot_sim.walker.person import person_of
 from rhot_sim.walker.pictures.disturbances import Cover, Disturbances
 from rhot_sim.walker.world import WalkerWorld
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
 STEP_S: Final = 0.01

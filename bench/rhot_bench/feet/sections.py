@@ -6,15 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot_bench.feet.runs import COMPUTE_S, LEARN_S, SIDES, STAGES, Played, Track
 from rhot_bench.feet.stages import cell_rows
 from rhot_bench.feet.table_5_1 import TASKS, printed_m, table_5_1_rows
 from rhot_bench.measures.rows import Row, Section
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SETTLE_S: Final = 2.0
 """Averages are taken from here on; what is worst counts from the start."""

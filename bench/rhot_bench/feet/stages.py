@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.report.svg import line_plot
 from rhot.rig.feet_config import WalkProgram
 from rhot_bench.feet.runs import LEARN_S, SIDES, Played, Run, Track
 from rhot_bench.measures.rows import Row
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 CellStage = Literal["marker", "depth", "inertial"]
 
 SETTLED_S: Final = 2.0

@@ -12,14 +12,13 @@ from html import escape
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
+from rhot.arrays import FloatArray
 from rhot.report.tables import figures_table
 from rhot_bench.feet.runs import SIDES, Played
 from rhot_bench.measures.rows import Row
 
-FloatArray = NDArray[np.float64]
 Three = tuple[float, float, float]
 
 TASKS: Final = ("step", "side_steps", "line", "circle", "bend_knees", "turn_body")

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import FloatArray, IntArray
 from rhot.messages import HandPose
 from rhot_bench.motion.estimates import MEASURED, Estimates
-from rhot_bench.motion.recordings import FloatArray
-from rhot_bench.motion.tracks import IntArray, Tracks
+from rhot_bench.motion.tracks import Tracks
 
 SWAP_M: Final = 0.010
 """A point counts as swapped when it is nearer to another marker and at least this far from its own (as in score.py)."""

@@ -9,11 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray, IntArray
 from rhot.geometry.covariances import stated_covariance
 from rhot.messages import Point, PointSet
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 STATES: Final = ("measured", "one_view", "predicted")
 MEASURED, ONE_VIEW, PREDICTED = range(3)

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot_bench.measures.rows import Row, Section
 from rhot_bench.motion.errors import HandErrors, PointErrors, joined_hands, joined_points
-from rhot_bench.motion.recordings import FloatArray
 from rhot_bench.motion.run import RigResult, Stratum
-
-BoolArray = NDArray[np.bool_]
 
 _MM: Final = 1e3
 _FAR_M: Final = 0.050

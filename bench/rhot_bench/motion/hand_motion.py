@@ -15,9 +15,10 @@ from scipy.interpolate import make_interp_spline
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.rig import HandFile
 from rhot_bench.hands.recorded_joints import RATE_HZ
-from rhot_bench.motion.recordings import FloatArray, RecordedHand
+from rhot_bench.motion.recordings import RecordedHand
 
 _MARGIN: Final = 8
 """Recorded frames beyond a clip's ends that its spline runs through."""

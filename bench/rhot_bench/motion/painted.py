@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot_bench.motion.hand_motion import HandShape
-from rhot_bench.motion.recordings import FloatArray
 
 _AROUND: Final = 10
 _BALL: Final = 4

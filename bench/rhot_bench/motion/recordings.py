@@ -16,14 +16,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot_bench.hands.recorded_hands import fit_person
 from rhot_bench.hands.recorded_joints import RATE_HZ, Recorded, fit_open_hand, read_joints, whole_chains
-
-FloatArray = NDArray[np.float64]
 
 CUTOFF_HZ: Final = 6.0
 _FIT_FRAMES: Final = 120

@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector, rotation_z
 from rhot.geometry.transforms import inverse, rigid
@@ -23,7 +24,6 @@ from rhot.rig import CamerasFile, HandFile, Rig, load_rig, write_json_model
 from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
 from rhot.rig.toml_edit import change_rig_file
-from rhot_bench.motion.recordings import FloatArray
 from rhot_calibration.cameras.bundle.adjustment import adjust_views
 from rhot_calibration.cameras.bundle.lens import lens_of
 from rhot_calibration.cameras.calibration import Calibrated, cameras_file, models_of

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import FloatArray, IntArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame
 from rhot_bench.motion.hand_motion import HandMotion
 from rhot_bench.motion.painted import Flesh, Surface, seen_samples
-from rhot_bench.motion.recordings import FloatArray
 from rhot_bench.motion.rigs import RigDraw
-from rhot_bench.motion.truth import MARKERS, START_NS, IntArray, marker_frames_of
+from rhot_bench.motion.truth import MARKERS, START_NS, marker_frames_of
 
 MarkerKind = Literal["caps", "points"]
 

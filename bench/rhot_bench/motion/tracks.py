@@ -12,9 +12,9 @@ from rhot.rig import Rig
 from rhot_bench.motion.drawn_hands import draw_clip, draw_hand
 from rhot_bench.motion.rigs import Family, RigDraw, draw_rig, write_rig
 from rhot_bench.motion.sights import MarkerKind, camera_sights
-from rhot_bench.motion.truth import MARKERS, START_NS, IntArray, Truth
+from rhot_bench.motion.truth import MARKERS, START_NS, Truth
 
-__all__ = ["MARKERS", "START_NS", "IntArray", "MarkerKind", "Tracks", "Truth", "make_tracks"]
+__all__ = ["MARKERS", "START_NS", "MarkerKind", "Tracks", "Truth", "make_tracks"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import FloatArray, IntArray
 from rhot_bench.motion.hand_motion import HandMotion, HandShape
 from rhot_bench.motion.painted import Surface
-from rhot_bench.motion.recordings import FloatArray
-
-IntArray = NDArray[np.int64]
 
 MARKERS: Final = (*FINGERS, "base")
 START_NS: Final = 1_000_000_000_000

@@ -12,6 +12,7 @@ from typing import Final
 import click
 from rich.console import Console
 
+from rhot.arrays import ImageArray
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError, RhotError
 from rhot.export.source import RecordedMessages
@@ -32,7 +33,7 @@ from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
 from rhot_bench.rig.session import depth_rows, pictures_of
 from rhot_bench.rig.simulated import simulated_truth
 from rhot_bench.rig.stages import stage_sections, stage_times, thread_section
-from rhot_capture.detection.color_table import ImageArray, build_color_table
+from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.sources.pictures import read_pictures
 

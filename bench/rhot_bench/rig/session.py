@@ -10,6 +10,7 @@ import click
 import numpy as np
 from rich.console import Console
 
+from rhot.arrays import ImageArray
 from rhot.bus import Bus
 from rhot.errors import ConfigError
 from rhot.rig import BusConfig, Rig
@@ -17,7 +18,6 @@ from rhot_bench.rig.depth import DepthRow, calibration_px, disparities, row_at, 
 from rhot_bench.rig.heard import Heard, listen
 from rhot_calibration.colors.live import decoded
 from rhot_calibration.depth.fit import LEAST_ROWS
-from rhot_capture.detection.color_table import ImageArray
 
 _HOLD_S: Final = 3.0
 _SPACING_S: Final = 0.1

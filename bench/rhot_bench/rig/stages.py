@@ -10,13 +10,12 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rhot.arrays import FloatArray
+from rhot.arrays import FloatArray, ImageArray
 from rhot.messages import MarkerFrame
 from rhot_bench.measures.rows import Row, Section
 from rhot_bench.rig.heard import Heard
 from rhot_bench.rig.rows import figure_row, truth_row
 from rhot_bench.rig.statistics import Figure, deviation, mean
-from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.detection.detector import MarkerDetector
 
 _MS: Final = 1e3

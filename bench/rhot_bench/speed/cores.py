@@ -7,15 +7,15 @@ from collections.abc import Callable, Sequence
 from typing import Final, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray, ImageArray
 from rhot.messages import HandPose, MarkerFrame, PointSet, encode
 from rhot.rig import Rig
 from rhot_bench.measures.rows import Row, Section
 from rhot_bench.speed.interleaved import Spread, interleaved, no_collection, ratio_rows, time_rows, timed
 from rhot_bench.speed.plain_algebra import saving_rows
-from rhot_bench.speed.simulated import Cameras, Capture, ImageArray, Moment, moments
+from rhot_bench.speed.simulated import Cameras, Capture, Moment, moments
 from rhot_bench.thesis.capture import ThesisDetector
 from rhot_bench.thesis.fusion import Arrival, ThesisFusion
 from rhot_bench.thesis.ik import HINGES_DEG, ROTOR_DEG, ThesisFinger, ThesisHand, Vector
@@ -27,7 +27,6 @@ from rhot_ik.hand.stage import HandStage
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.world.world import World
 
-FloatArray = NDArray[np.float64]
 Advance = Callable[[], None]
 
 FROM_S: Final = 0.5

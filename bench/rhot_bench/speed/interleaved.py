@@ -11,11 +11,10 @@ from random import Random
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_bench.measures.rows import Row
 
-FloatArray = NDArray[np.float64]
 T = TypeVar("T")
 _SEED = 1
 

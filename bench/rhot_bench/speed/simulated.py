@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray, ImageArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Marker, MarkerFrame
 from rhot.rig import Rig
@@ -28,9 +28,6 @@ from rhot_sim.rig.folder import true_cameras
 from rhot_sim.rig.schedule import FrameSchedule
 from rhot_sim.world.motion import Motion, MotionSample
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)

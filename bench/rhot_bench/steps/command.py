@@ -11,9 +11,9 @@ from typing import Final
 
 import click
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot_bench.measures.rows import Row, Section, check_output
 from rhot_bench.output import counted, json_option, show
@@ -26,7 +26,6 @@ from rhot_bench.steps.toes import NEAR_PX, ToeWalk, follow_toes, thesis_toes
 from rhot_bench.steps.walks import hide_swings, read_places, read_step_trial
 from rhot_feet.sources.imu.recorded import read_samples
 
-FloatArray = NDArray[np.float64]
 Advance = Callable[[], None]
 
 MM: Final = 1e3

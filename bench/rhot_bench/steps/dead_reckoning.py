@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot_feet.filter.inertial import InertialModel
 from rhot_feet.filter.strapdown import (
@@ -27,9 +27,6 @@ from rhot_feet.imu.conversion import level_rotation
 from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
 from rhot_feet.imu.track import InertialStep
 from rhot_feet.imu.zero_velocity_detector import MOVING, ZeroVelocity, ZeroVelocityDetector, ZeroVelocitySettings
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _AT_REST: Final = 20
 """Samples at the start in which the foot stands, for the direction of up."""

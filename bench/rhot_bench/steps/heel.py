@@ -11,13 +11,11 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion, vector_from_rotation
 from rhot_bench.steps.dead_reckoning import reckon
 from rhot_bench.steps.walks import StepTrial
-
-FloatArray = NDArray[np.float64]
 
 LEAST_LIFT_RAD: Final = math.radians(25.0)
 _STANDS_M_S: Final = 0.25

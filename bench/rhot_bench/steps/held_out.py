@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_bench.measures.rows import Row
 from rhot_bench.steps.dead_reckoning import faster, horizontal_error_m, reckon
 from rhot_bench.steps.walks import read_places
 from rhot_feet.imu.zero_velocity_detector import ZeroVelocitySettings
 from rhot_feet.sources.imu.recorded import read_samples
-
-FloatArray = NDArray[np.float64]
 
 MM: Final = 1e3
 OF_PUBLISHED: Final = 1.2

@@ -19,14 +19,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.frames import pinhole
 from rhot_feet.marker.orientation_track import OrientationTrack
 from rhot_feet.marker.pose import marker_poses, square_corners, view_square
-
-FloatArray = NDArray[np.float64]
 
 SIDE_M: Final = 0.050
 INSET_PX: Final = 0.42

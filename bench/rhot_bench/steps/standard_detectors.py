@@ -13,12 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_feet.imu.samples import GRAVITY_M_S2
 from rhot_feet.imu.zero_velocity_detector import ACCELERATION_NOISE, RATE_NOISE
-
-FloatArray = NDArray[np.float64]
 
 
 def _windows(values: FloatArray, size: int) -> FloatArray:

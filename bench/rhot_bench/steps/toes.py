@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import marker_dictionary
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
@@ -24,8 +24,6 @@ from rhot_feet.depth.tracker import DepthTracker
 from rhot_feet.frames import DepthFrame, pinhole
 from rhot_feet.prediction import FootPrediction
 from rhot_feet.sources.depth_camera.recorded_frames import load_depth_recording
-
-FloatArray = NDArray[np.float64]
 
 NEAR_PX: Final = 15.0
 FOCAL_PX: Final = 610.0

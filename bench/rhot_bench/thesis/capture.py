@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-ImageArray = NDArray[np.uint8]
+from rhot.arrays import ImageArray
 
 REGION_MARGIN_PX: Final = 40
 _KERNEL: Final = cv2.getStructuringElement(cv2.MORPH_RECT, (4, 4))

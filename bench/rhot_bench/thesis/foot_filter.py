@@ -18,14 +18,12 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_z
 from rhot_feet.filter.model import FootFilterSettings, FootState, Stage
 from rhot_feet.imu.conversion import up_rotation
 from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
-
-FloatArray = NDArray[np.float64]
 
 ALPHA: Final = 0.2
 """Share of a new reading in the smoothed position."""

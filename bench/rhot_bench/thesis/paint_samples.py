@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rhot.arrays import ImageArray
 from rhot.rig import Rig
-from rhot_bench.speed.simulated import Capture, ImageArray
+from rhot_bench.speed.simulated import Capture
 from rhot_bench.thesis.capture import RgbBox, rgb_boxes
 from rhot_capture.detection.cutouts import marker_mask
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.transforms import inverse
 from rhot.rig import CameraCalibration, CamerasFile
@@ -33,7 +34,7 @@ from rhot_calibration.cameras.refusals import (
 )
 from rhot_calibration.cameras.solve.causes import Cause, contradiction_cause, unfit_cause
 from rhot_calibration.cameras.solve.solve import Solution, solve
-from rhot_calibration.cameras.solve.views import FloatArray, ViewSet
+from rhot_calibration.cameras.solve.views import ViewSet
 
 _FOLDS: Final = 3
 

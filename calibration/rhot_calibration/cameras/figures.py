@@ -9,13 +9,12 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.camera import CameraModel, essential_matrix
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector
 from rhot.geometry.transforms import inverse, rigid
 from rhot_calibration.cameras.bundle.adjustment import Adjusted
 from rhot_calibration.cameras.bundle.lens import LENS_NAMES, LENS_SIZE, camera_matrix
-from rhot_calibration.cameras.bundle.model import BoolArray
-from rhot_calibration.cameras.solve.views import FloatArray
 
 DISTANCES_M: Final = (0.50, 0.75, 1.00)
 """Where the error in space is stated, along the reference camera's axis."""

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
 from rhot_calibration.cameras.bundle.adjustment import Key
@@ -19,7 +20,7 @@ from rhot_calibration.cameras.solve.bump import find_bump
 from rhot_calibration.cameras.solve.causes import Cause
 from rhot_calibration.cameras.solve.refusals import MIN_COMMON, MIN_VIEWS
 from rhot_calibration.cameras.solve.solve import Solution
-from rhot_calibration.cameras.solve.views import BoardView, FloatArray, ViewSet
+from rhot_calibration.cameras.solve.views import BoardView, ViewSet
 
 MAX_CONTRADICTING: Final = 0.34
 """Share of two cameras' common pictures that may contradict the others."""

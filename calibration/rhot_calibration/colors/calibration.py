@@ -14,20 +14,20 @@ from typing import Final
 import cv2
 import numpy as np
 
+from rhot.arrays import BoolArray, FloatArray, ImageArray
 from rhot.rig.calibration import today
-from rhot.rig.colors import ColorComponent, ColorsFile, FloatArray, GaussianColor, log_ratio
+from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, log_ratio
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import own_paints, worn_paints
 from rhot_calibration.colors.model.fit import COUNTER_FLOOR, MARKER_FLOOR, fit_component, fit_mixture
 from rhot_calibration.colors.model.quality import MarkerQuality, class_pixels, marker_quality, quality_as_plain
 from rhot_calibration.colors.model.samples import ClassPixels, marker_pixels
 from rhot_calibration.colors.model.separability import Separability, separability
-from rhot_calibration.colors.picking.boxes import BoolArray
 from rhot_calibration.colors.picking.checks import check_places, check_quality, check_regions
 from rhot_calibration.colors.picking.picks import Places
 from rhot_calibration.colors.picking.regions import regions
 from rhot_capture.detection.blob import find_blobs
-from rhot_capture.detection.color_table import ImageArray, build_color_table
+from rhot_capture.detection.color_table import build_color_table
 
 _MARKER_COMPONENTS: Final = 3
 _PIXELS_PER_COMPONENT: Final = 400

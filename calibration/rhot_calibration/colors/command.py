@@ -11,6 +11,7 @@ import click
 import cv2
 from rich.console import Console
 
+from rhot.arrays import ImageArray
 from rhot.atomic_file import write_atomic
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
@@ -26,7 +27,6 @@ from rhot_calibration.colors.picking.picks import parse_places
 from rhot_calibration.colors.report.console import confusion_table, marker_table
 from rhot_calibration.colors.report.picture import report_picture
 from rhot_calibration.writing import replace_found
-from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.preview import preview_jpeg
 
 _PICTURES: Final = (".png", ".jpg", ".jpeg")

@@ -8,17 +8,17 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import BoolArray, ImageArray
 from rhot.calibration_step import Figures, Remark
 from rhot.rig.colors import ColorsFile
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import own_paints
 from rhot_calibration.colors.calibration import ColorCalibration, calibrate
-from rhot_calibration.colors.picking.boxes import BoolArray
 from rhot_calibration.colors.picking.clicks import ClickedPicture
 from rhot_calibration.colors.picking.picks import Places
 from rhot_calibration.colors.report.console import suggestions, warnings
 from rhot_calibration.colors.report.picture import overlay_picture
-from rhot_capture.detection.color_table import ColorTable, ImageArray, build_color_table
+from rhot_capture.detection.color_table import ColorTable, build_color_table
 from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.preview import preview_jpeg
 

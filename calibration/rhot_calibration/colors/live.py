@@ -8,10 +8,10 @@ from typing import Final
 import cv2
 import numpy as np
 
+from rhot.arrays import ImageArray
 from rhot.bus import Bus, Reply
 from rhot.errors import BusError, DeviceError
 from rhot.rig import BusConfig
-from rhot_capture.detection.color_table import ImageArray
 
 _CONNECT_TIMEOUT_S: Final = 2.0
 _ANSWER_TIMEOUT_S: Final = 3.0

@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import patch_outline
 from rhot.anatomy.skeleton import FINGERS
-from rhot.arrays import BoolArray, FloatArray
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.errors import CalibrationError
 from rhot.messages import PointSet, Side
 from rhot.rig import HandFile, Rig
@@ -36,8 +35,6 @@ from rhot_calibration.hand.samples.phases import (
     straight_stretch,
 )
 from rhot_calibration.hand.samples.samples import read_samples
-
-IntArray = NDArray[np.intp]
 
 SMALLEST_ARC_RAD: Final = np.radians(30.0)
 """A finger that bent less than this at its knuckle does not tell where the knuckle is."""
@@ -151,7 +148,7 @@ def _refitted(frame: PalmFrame, chosen: Chosen, x: FloatArray, typed_length_m: f
     return fit(StraightFingers(frame, chosen, x), frame.parameters, x, typed_length_m)
 
 
-def _thinned(rows: IntArray, most: int) -> IntArray:
+def _thinned(rows: IndexArray, most: int) -> IndexArray:
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(np.intp)]
 
 

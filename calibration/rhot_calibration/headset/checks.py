@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import FloatArray
 from rhot.messages.base import wire_position
 from rhot.rig import HeadsetFile, Rig, RigidTransform
 from rhot.rig.calibration import today

@@ -7,10 +7,11 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import marker_dictionary
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import FloatArray, rotation_between, vector_from_rotation
+from rhot.geometry.rotations import rotation_between, vector_from_rotation
 from rhot.messages import HeadPose
 from rhot.rig.feet_config import FeetConfig
 from rhot_calibration.headset.first_poses import HeadsetView

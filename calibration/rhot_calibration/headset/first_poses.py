@@ -15,9 +15,10 @@ from typing import Final
 import cv2
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import FloatArray, cross_matrix, nearest_rotation, rotation_from_vector
+from rhot.geometry.rotations import cross_matrix, nearest_rotation, rotation_from_vector
 from rhot.geometry.transforms import rigid
 
 _STEPS: Final = 12

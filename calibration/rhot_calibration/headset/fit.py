@@ -19,14 +19,10 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import (
-    FloatArray,
-    cross_matrix,
-    rotation_from_vector,
-    vector_from_rotation,
-)
+from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
 from rhot.geometry.transforms import rigid
 from rhot_calibration.headset.first_poses import HeadsetView, first_poses
 from rhot_feet.view import HEAD_POSITION_M, HEAD_ROTATION_RAD

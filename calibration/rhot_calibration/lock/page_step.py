@@ -10,12 +10,12 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import ImageArray
 from rhot.bus import Bus
 from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView
 from rhot.errors import BusError, ConfigError, RhotError
 from rhot.rig.folder import load_config
 from rhot_calibration.colors.live import decoded
-from rhot_capture.detection.color_table import ImageArray
 
 CLIPPED_LEVEL: Final = 250
 MAX_CLIPPED: Final = 0.02

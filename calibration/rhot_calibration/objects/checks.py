@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import FloatArray
 from rhot_calibration.objects.fit import LEVER, Places, RegistrationFit, free_scale
 
 LEAST_PLACES = 3

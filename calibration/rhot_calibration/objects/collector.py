@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhot.geometry.rotations import FloatArray, rotation_from_quaternion
+from rhot.arrays import FloatArray
+from rhot.geometry.rotations import rotation_from_quaternion
 from rhot_calibration.objects.fit import Places
 from rhot_calibration.objects.stillness import angle_between, covers, forget_old, held_pose
 from rhot_objects.pose import Pose

@@ -11,9 +11,9 @@ import click
 import numpy as np
 from rich.console import Console
 
+from rhot.arrays import FloatArray
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
-from rhot.geometry.rotations import FloatArray
 from rhot.rig import BusConfig, RegistrationFile, Rig, load_rig
 from rhot.rig.config import ObjectSource
 from rhot.rig.folder import registration_name, registration_path

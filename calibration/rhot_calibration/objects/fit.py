@@ -16,12 +16,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import FloatArray, nearest_rotation, rotation_from_vector
-
-BoolArray = NDArray[np.bool_]
+from rhot.geometry.rotations import nearest_rotation, rotation_from_vector
 
 PARAMETERS = 9
 """Rotation vector (rad, rig frame, applied on the left), position of the centre (m), lever arm (m)."""

@@ -8,8 +8,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import FloatArray, quaternion_from_rotation, rotation_from_quaternion
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.messages import first_problem
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import RegistrationFile, RigidTransform

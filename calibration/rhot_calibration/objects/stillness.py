@@ -8,7 +8,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from rhot.geometry.rotations import FloatArray, nearest_rotation
+from rhot.arrays import FloatArray
+from rhot.geometry.rotations import nearest_rotation
 
 STILL_S = 0.5
 """How long things are held still."""

@@ -14,17 +14,15 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.geometry.transforms import rigid
 from rhot_calibration.cameras.board.boards import half_turn_ambiguous
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
-
-FloatArray = NDArray[np.float64]
 
 SAME_PLANE_M: Final = 0.004
 """RMS distance of a board's corners from the desk's plane up to which it lies on the desk: twice what the intrinsics'

@@ -15,8 +15,8 @@ from __future__ import annotations
 from typing import Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.transforms import rigid
@@ -24,8 +24,6 @@ from rhot.rig import RegistrationFile, RigidTransform, StageFile
 from rhot.rig.calibration import today
 from rhot.rig.quality import figure
 from rhot_calibration.stage.desk import DeskFit
-
-FloatArray = NDArray[np.float64]
 
 Forward = Literal["down", "up", "left", "right"]
 FORWARDS: Final[tuple[Forward, ...]] = get_args(Forward)

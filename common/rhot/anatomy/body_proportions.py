@@ -21,11 +21,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.rig.feet_config import BodyConfig
-
-FloatArray = NDArray[np.float64]
 
 THIGH: Final = 0.245
 SHANK: Final = 0.246

@@ -21,16 +21,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand_proportions import RestGeometry, rest_geometry
 from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot.rig.calibration import HandFile
 from rhot.rig.config import MarkerConfig
 from rhot.rig.file_model import Vector3
-
-FloatArray = NDArray[np.float64]
 
 CAP_SHARE: Final = 0.75
 """A painted fingertip is painted over this share of its last segment, from the very tip. People stop between the root

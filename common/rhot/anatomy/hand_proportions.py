@@ -18,14 +18,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import rotation_x, rotation_y, rotation_z
 from rhot.rig.calibration import HandFile
-
-FloatArray = NDArray[np.float64]
 
 REFERENCE_LENGTH_M: Final = 0.18491
 """Wrist joint to the end of the middle finger of the hand that the following millimetres describe."""

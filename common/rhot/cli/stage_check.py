@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.bus import Bus
 from rhot.cli.findings import Finding
 from rhot.errors import WireError
@@ -15,8 +15,6 @@ from rhot.geometry.transforms import inverse
 from rhot.messages import HandPose, decode
 from rhot.rig import Rig, StageFile
 from rhot.rig.folder import STAGE_FILE, registration_path
-
-FloatArray = NDArray[np.float64]
 
 _CAMERA_HEIGHTS_M: Final = (0.3, 4.0)
 """Where a camera can be over the floor: not under a low table, not above a high ceiling."""

@@ -6,11 +6,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.messages import HandPose, MarkerFrame, Message, PointSet
 
-FloatArray = NDArray[np.float64]
 Line = tuple[FloatArray, FloatArray]
 
 

@@ -22,7 +22,7 @@ from typing import Final
 
 import numpy as np
 
-from rhot.export.poses import FloatArray
+from rhot.arrays import FloatArray
 from rhot.export.skeleton_motion import SkeletonMotion
 
 CM_PER_M: Final = 100.0

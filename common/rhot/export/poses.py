@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import BODY_PARENTS, JOINTS, PARENTS
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import BodyPose, FootPose, HandPose, Message, ObjectPose, Side
 from rhot.messages.base import Pose
 from rhot.messages.objects import ObjectShape
-
-FloatArray = NDArray[np.float64]
 
 HAND_PARENTS: Final = tuple(-1 if (parent := PARENTS[name]) is None else JOINTS.index(parent) for name in JOINTS)
 """(26,) index in `JOINTS` of each joint's parent, −1 for the wrist."""

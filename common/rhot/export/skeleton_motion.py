@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.export.poses import FloatArray, Motion
+from rhot.arrays import FloatArray
+from rhot.export.poses import Motion
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from rhot.export.poses import FloatArray
+from rhot.arrays import FloatArray
 from rhot.geometry.transforms import inverse
 from rhot.messages import Message, Space
 from rhot.rig import Rig

@@ -12,12 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.distortion import RATIONAL, distorted
 from rhot.geometry.rotations import cross_matrix
 from rhot.geometry.transforms import rigid
 from rhot.rig.calibration import CameraCalibration, matrix3, matrix4
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

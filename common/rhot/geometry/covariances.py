@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.messages import Point
-
-FloatArray = NDArray[np.float64]
 
 
 def symmetric_inverse(M: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from rhot.arrays import FloatArray
 
 _APART_DEG: Final = range(1, 91)
 """Angles that normals are made to keep, until few enough are left; the box's six keep 90° anyway."""

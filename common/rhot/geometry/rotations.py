@@ -9,9 +9,8 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from rhot.arrays import FloatArray
 
 _IDENTITY: Final = np.eye(3)
 

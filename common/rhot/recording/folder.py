@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
+from rhot.arrays import IntArray
 from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.messages import first_problem
 from rhot.recording.model import (
     CameraTrack,
-    IntArray,
     PictureTrack,
     Recording,
     RecordingFile,

@@ -7,15 +7,12 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from rhot.arrays import FloatArray, IntArray
 from rhot.errors import ConfigError
 from rhot.messages import Name
 from rhot.rig.file_model import FileModel, NotNegative
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 MOST_CAMERAS: Final = 64
 """Of a recording, as of a rig."""

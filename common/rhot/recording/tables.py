@@ -10,9 +10,10 @@ from typing import NoReturn
 
 import numpy as np
 
+from rhot.arrays import IntArray
 from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
-from rhot.recording.model import IntArray, MarkerTrack, TrackTiming, frozen_array
+from rhot.recording.model import MarkerTrack, TrackTiming, frozen_array
 
 TIMES_HEADER = ("frame", "t_ns")
 MARKERS_HEADER = ("frame", "t_ns", "marker", "u", "v")

@@ -8,9 +8,8 @@ from html import escape
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from rhot.arrays import FloatArray
 
 WIDTH: Final = 760
 HEIGHT: Final = 260

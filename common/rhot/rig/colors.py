@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.messages import Name, first_problem
 from rhot.rig.calibration import CalibrationFile
@@ -35,8 +35,6 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 DARK_OFFSET: Final = 20.0
 """Grey levels added before logarithms: ratios of dark pixels are noise and must count for little."""
-
-FloatArray = NDArray[np.float64]
 
 
 def log_ratio(rgb: FloatArray) -> FloatArray:

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from rhot.geometry.rotations import FloatArray, rotation_x
+from rhot.arrays import FloatArray
+from rhot.geometry.rotations import rotation_x
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot.rig.file_model import FileModel, HoldS, Positive, Vector3

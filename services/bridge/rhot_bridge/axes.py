@@ -26,13 +26,11 @@ from collections.abc import Mapping
 from typing import Final, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
 from rhot.geometry.transforms import inverse
 from rhot_bridge.scene import Axes, Poses, Scene
-
-FloatArray = NDArray[np.float64]
 
 _UNITY_POSITION: Final = np.array([1.0, 1.0, -1.0])
 _UNITY_ORIENTATION: Final = np.array([-1.0, -1.0, 1.0, 1.0])

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.bus import LatestSubscriber
 from rhot.errors import BusError, WireError
 from rhot.messages import BodyPose, FootPose, HandPose, HeadPose, ObjectPose, Space, decode
@@ -20,7 +20,6 @@ from rhot_bridge.scene import Axes, Tracked, tracked
 
 logger = logging.getLogger(__name__)
 
-FloatArray = NDArray[np.float64]
 
 STAGE_KEY: Final = "rhot/space/stage"
 _STAGE_RETRY_S: Final = 1.0

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import JOINTS
+from rhot.arrays import FloatArray
 from rhot.errors import WireError
 from rhot.messages import BodyPose, FootPose, HandPose, ObjectPose, ObjectShape, Side
-
-FloatArray = NDArray[np.float64]
 
 Axes = Literal["rig", "stage", "unity"]
 """The frame and handedness of a scene's numbers; see `rhot_bridge.axes`."""

@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
+from rhot.arrays import FloatArray
 from rhot.messages import Name
-from rhot.rig.colors import ColorsFile, FloatArray, HsvRangeColor, Share
+from rhot.rig.colors import ColorsFile, HsvRangeColor, Share
 from rhot.rig.file_model import FileModel
 from rhot_capture.detection.color_table import ColorTable, table_colors
 

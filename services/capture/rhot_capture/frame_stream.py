@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 
+from rhot.arrays import ImageArray
 from rhot.bus import Bus
 from rhot.recording.camera_picture import CameraPicture, jpeg_of
 from rhot.recording.picture_stream import PictureStream
-from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.sources import Frame
 
 

@@ -8,8 +8,8 @@ from typing import Final
 import cv2
 import numpy as np
 
+from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
-from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.detection.detector import Detection
 
 _QUALITY: Final = 85

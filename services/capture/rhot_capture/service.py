@@ -12,6 +12,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
+from rhot.arrays import ImageArray
 from rhot.bus import Answer, Publisher, Request, json_answer
 from rhot.clock import NodeClock
 from rhot.errors import ConfigError, DeviceError, RhotError
@@ -21,7 +22,7 @@ from rhot.rig.folder import latest_rig
 from rhot.rig.marker_config import own_paints, worn_paints
 from rhot.service import Node
 from rhot.service.grabber import Grabber
-from rhot_capture.detection.color_table import ColorTable, ImageArray
+from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.cutouts import marker_mask
 from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.frame_stream import FrameStream

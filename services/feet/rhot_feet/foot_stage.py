@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import marker_dictionary
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.messages import FootPose, HeadPose, Side
@@ -33,8 +33,6 @@ from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.marker.tracker import FootMarker, MarkerTracker
 from rhot_feet.prediction import OTHER_FOOT, FootPrediction
 from rhot_feet.view import HEAD_ROTATION_RAD, FootDetections, View
-
-FloatArray = NDArray[np.float64]
 
 RIG_FRAME: Final = "rig"
 

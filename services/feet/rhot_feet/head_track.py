@@ -6,13 +6,11 @@ from bisect import bisect_left, insort
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
 from rhot.geometry.transforms import rigid
 from rhot.messages import HeadPose
-
-FloatArray = NDArray[np.float64]
 
 _KEPT_NS: Final = 1_000_000_000
 _GAP_NS: Final = 100_000_000

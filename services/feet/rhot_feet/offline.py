@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
 from rhot.messages import HeadPose, Side
@@ -18,8 +17,6 @@ from rhot_feet.foot_stage import RIG_FRAME, FootStage
 from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.sources.depth_camera.recorded_frames import load_depth_recording
 from rhot_feet.sources.imu.recorded import read_samples
-
-IntArray = NDArray[np.int64]
 
 HEAD_KEY: Final = "rhot/head"
 PERIOD_NS: Final = 10_000_000

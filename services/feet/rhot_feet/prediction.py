@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.covariances import squared_distance
 from rhot.messages import Side
-
-FloatArray = NDArray[np.float64]
 
 OTHER_FOOT: Final[dict[Side, Side]] = {"left": "right", "right": "left"}
 GATE_SIGMAS = 4.0

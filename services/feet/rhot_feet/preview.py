@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.bus import Answer, Request, json_answer
 from rhot.errors import ConfigError, DeviceError
 from rhot.geometry.camera import CameraModel
@@ -21,7 +21,6 @@ from rhot_feet.marker.tracker import MarkerObservations
 from rhot_feet.prediction import GATE_SIGMAS, FootPrediction
 from rhot_feet.view import FootDetections
 
-FloatArray = NDArray[np.float64]
 Color = tuple[int, int, int]
 
 COLORS: Final[dict[Side, Color]] = {"left": (80, 220, 80), "right": (255, 170, 60)}

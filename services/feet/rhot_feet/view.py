@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot_feet.depth.tracker import DepthObservations
 from rhot_feet.frames import DepthFrame
 from rhot_feet.marker.tracker import MarkerObservations
 from rhot_feet.prediction import FootPrediction
-
-FloatArray = NDArray[np.float64]
 
 HEAD_ROTATION_RAD: Final = float(np.radians(0.1))
 """Noise of the head's orientation, per axis; it swings the camera's line of sight."""

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhot.geometry.rotations import FloatArray, product_matrix, quaternion_from_rotation, rotation_from_quaternion
+from rhot.arrays import FloatArray
+from rhot.geometry.rotations import product_matrix, quaternion_from_rotation, rotation_from_quaternion
 from rhot.rig.calibration import RigidTransform
 
 _ROTATION_TOLERANCE = 1e-2

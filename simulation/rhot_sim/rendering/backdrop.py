@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from rhot_sim.world.paint import DESK
 
 Image = NDArray[np.uint8]
-FloatArray = NDArray[np.float64]
 
 _LIGHT_LEVELS: Final = 5
 _NOISE_MARGIN_PX: Final = 128

@@ -11,14 +11,13 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_sim.rendering.backdrop import Image
 from rhot_sim.rendering.canvas import Window
 from rhot_sim.world.board import RIM_SQUARES, ChessBoard
 
-FloatArray = NDArray[np.float64]
 Poses = Callable[[FloatArray], FloatArray]
 
 PAPER: Final = 205.0

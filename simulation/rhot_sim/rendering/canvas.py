@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_sim.world.body import Group
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
-IntArray = NDArray[np.int32]
+Int32Array = NDArray[np.int32]
 
 FIXED_BITS: Final = 6
 """Binary places of polygon corners on the canvas."""
@@ -117,7 +117,7 @@ def paint_groups(
             cv2.fillConvexPoly(canvas, hull, colors[stroke.color], cv2.LINE_AA, FIXED_BITS)
 
 
-def on_canvas(points: FloatArray, window: Window, scale: int) -> IntArray:
+def on_canvas(points: FloatArray, window: Window, scale: int) -> Int32Array:
     """Return picture pixels as fixed-point pixels of a canvas that is `scale` times as fine.
 
     Pixel centres lie on integers in both, so a picture's pixel u covers the canvas from (u − ½ + ½)·s − ½ on:

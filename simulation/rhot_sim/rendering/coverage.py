@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_sim.rendering.canvas import FIXED_BITS, PLAIN_GROWTH, Window, far_to_near, on_canvas
 from rhot_sim.rendering.outline import Outliner
 from rhot_sim.world.body import Body, Group
 from rhot_sim.world.world import World
 
-FloatArray = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
 

@@ -15,10 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_sim.world.body import BALL, DISC, PATCH, Rings
-
-FloatArray = NDArray[np.float64]
 
 _NEAR_M: Final = 0.02
 """Nothing is drawn nearer to the lens than this."""

@@ -18,10 +18,10 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import ImageArray
 from rhot.errors import DeviceError
 from rhot.geometry.camera import CameraModel
 from rhot.rig import load_rig
-from rhot_capture.detection.color_table import ImageArray
 from rhot_sim.rendering.picture_child import end, keep_out_of_the_way
 
 AHEAD: Final = 16

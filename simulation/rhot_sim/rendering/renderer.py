@@ -13,8 +13,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig.config import CameraConfig, SimConfig
 from rhot.rig.marker_config import own_paints, worn_paints
@@ -27,8 +27,6 @@ from rhot_sim.world.body import Body, Group
 from rhot_sim.world.paint import OBJECT, SKIN, Bgr, paints_of, shaded
 from rhot_sim.world.script import seeded
 from rhot_sim.world.world import World
-
-FloatArray = NDArray[np.float64]
 
 SCALE: Final = 2
 VERTICES: Final = 16

@@ -9,16 +9,14 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.geometry.transforms import inverse, rigid
 from rhot.rig.calibration import CameraCalibration, CamerasFile, today
 from rhot.rig.config import CameraConfig
 from rhot_sim.world.script import seeded
-
-FloatArray = NDArray[np.float64]
 
 BASELINE_M: Final = 0.075
 """Distance of the second camera, to the right of the first."""

@@ -19,10 +19,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_y
 from rhot_sim.world.spline import ramp
-
-FloatArray = NDArray[np.float64]
 
 PUSH_SHARE: Final = 0.31
 LAND_SHARE: Final = 0.15

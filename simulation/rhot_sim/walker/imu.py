@@ -24,6 +24,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import cross_matrix, nearest_rotation, quaternion_from_rotation
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
@@ -33,7 +34,6 @@ from rhot_sim.walker.plan import OUTWARDS, SIDES
 from rhot_sim.world.script import seeded
 from rhot_sim.world.spline import evaluate_spline
 
-FloatArray = NDArray[np.float64]
 Poses = Callable[[FloatArray], FloatArray]
 
 ACCELERATION_STEP: Final = 2.0**-8

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot_sim.walker.foot_path import FootPath, Sole, rotations
 from rhot_sim.walker.leg import Leg, solve_leg
@@ -21,8 +22,6 @@ from rhot_sim.walker.plan import OUTWARDS, SIDES, Posture
 from rhot_sim.walker.programs import plan_program
 from rhot_sim.world.script import seeded
 from rhot_sim.world.spline import evaluate_spline, ramp
-
-FloatArray = NDArray[np.float64]
 
 KNOT_S: Final = 0.1
 SHOE_M: Final = 0.022

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_y
 from rhot.messages import Side
 from rhot_sim.walker.foot_path import Print, Sole, Step, Waypoint, rotations
-
-FloatArray = NDArray[np.float64]
 
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
 OUTWARDS: Final[dict[Side, float]] = {"left": -1.0, "right": 1.0}

@@ -12,9 +12,9 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot_sim.walker.foot_path import Print, Sole
 from rhot_sim.walker.plan import OUTWARDS, SIDES, Choreographer, Plan, Posture
@@ -22,7 +22,6 @@ from rhot_sim.walker.sway import draw_wave, swaying
 from rhot_sim.walker.walking_tasks import around, bend_knees, circle, line, near, side_steps, step, turn_body
 from rhot_sim.world.spline import bump
 
-FloatArray = NDArray[np.float64]
 Bends = list[tuple[float, float, float]]
 
 _STATIONARY_S: Final = 30.0

@@ -6,12 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_sim.walker.plan import Posture
 from rhot_sim.world.spline import bump
-
-FloatArray = NDArray[np.float64]
 
 
 def draw_wave(rng: np.random.Generator, band_hz: tuple[float, float]) -> Callable[[FloatArray], FloatArray]:

@@ -11,16 +11,14 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot_sim.walker.foot_path import Print
 from rhot_sim.walker.plan import SIDES, Choreographer, Plan, Posture
 from rhot_sim.walker.sway import swaying
 from rhot_sim.world.spline import bump
-
-FloatArray = NDArray[np.float64]
 
 LINE_M: Final = 2.0
 CIRCLE_M: Final = 2.0

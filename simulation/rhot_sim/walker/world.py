@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import marker_cells
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import rotation_from_vector, rotation_x, rotation_y
@@ -34,8 +35,6 @@ from rhot_sim.walker.plan import SIDES
 from rhot_sim.walker.programs import LOOK_AT_MARKER
 from rhot_sim.world.motion import true_pose
 from rhot_sim.world.script import seeded
-
-FloatArray = NDArray[np.float64]
 
 INSTEP_RAD: Final = float(np.radians(18.0))
 """How far the marker on the instep is tilted, toes down, while the foot stands flat."""

@@ -13,15 +13,13 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.geometry.transforms import rigid
 from rhot_sim.world.motion import MotionSample
 from rhot_sim.world.script import seeded
-
-FloatArray = NDArray[np.float64]
 
 BOARD: Final = "board"
 """Name of the board among the world's objects."""

@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.hand import METACARPALS, MOVING, WRIST, HandJoints, HandModel
 from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot.rig.config import MarkerConfig
 from rhot_sim.world.motion import OBJECT_SIZE_M
 from rhot_sim.world.paint import FLAT_SHADES, PAINT_SHADES, SKIN_SHADES
 from rhot_sim.world.world import World, WorldSample
-
-FloatArray = NDArray[np.float64]
 
 SEAM_OVERLAP_M: Final = 0.0015
 LAST_HINGE_OVERLAP_M: Final = 0.003

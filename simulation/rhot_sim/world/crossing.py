@@ -12,17 +12,15 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import MOVING, HandModel
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.messages import Side
 from rhot_sim.world.gestures import EASE_DEG, GESTURES
 from rhot_sim.world.motion import PALM_FORWARD_M, MotionSample, home_x_m, wrist_poses
 from rhot_sim.world.script import GESTURE_KNOTS, KNOT_S, seeded
 from rhot_sim.world.spline import bump, evaluate_spline
-
-FloatArray = NDArray[np.float64]
 
 CYCLE_S: Final = 12.0
 _CYCLE_KNOTS: Final = round(CYCLE_S / KNOT_S)

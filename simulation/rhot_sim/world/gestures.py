@@ -11,11 +11,10 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_sim.world.spline import bump, ramp
 
-FloatArray = NDArray[np.float64]
 Random = np.random.Generator
 
 GESTURE_S: Final = 4.0

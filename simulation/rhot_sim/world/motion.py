@@ -9,11 +9,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import Side, TruePose
 from rhot.messages.base import wire_position, wire_quaternion
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

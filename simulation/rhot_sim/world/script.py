@@ -12,15 +12,13 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot_sim.world.gestures import GESTURE_S, GESTURES, grasp
 from rhot_sim.world.motion import OBJECT_SIZE_M, PALM_FORWARD_M, MotionSample, home_x_m, lying_pose, wrist_poses
 from rhot_sim.world.spline import evaluate_spline, ramp
-
-FloatArray = NDArray[np.float64]
 
 KNOT_S: Final = 0.1
 CYCLE_S: Final = 4.0 * GESTURE_S

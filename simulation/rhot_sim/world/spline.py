@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from rhot.arrays import FloatArray
 
 
 def evaluate_spline(t_s: FloatArray, knot_s: float, control: Callable[[int], FloatArray]) -> FloatArray:

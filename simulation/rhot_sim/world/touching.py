@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import MOVING, HandModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
@@ -27,8 +27,6 @@ from rhot_sim.world.motion import (
     wrist_poses,
 )
 from rhot_sim.world.spline import evaluate_spline
-
-FloatArray = NDArray[np.float64]
 
 T_DEVICE_OBJECT: Final[FloatArray] = rigid(
     rotation_from_vector(np.array([0.5, -0.9, 0.7])), np.array([0.02, 0.055, -0.03])

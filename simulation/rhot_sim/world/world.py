@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandJoints, HandModel
 from rhot.anatomy.skeleton import JOINTS
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import quaternion_from_rotation
@@ -25,8 +25,6 @@ from rhot_sim.world.crossing import CrossingMotion
 from rhot_sim.world.motion import OBJECT_SIZE_M, Motion, StillMotion, true_pose
 from rhot_sim.world.script import ScriptedMotion
 from rhot_sim.world.touching import TouchMotion
-
-FloatArray = NDArray[np.float64]
 
 HEAD: Final = "head"
 """The object that is the headset."""

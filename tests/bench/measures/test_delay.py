@@ -2,11 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_bench.measures.delay import delay_s, stream_delay
-
-FloatArray = NDArray[np.float64]
 
 
 def path(t_s: FloatArray) -> FloatArray:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rhot_bench.motion.estimates import MEASURED, Estimates, FloatArray
+from rhot.arrays import FloatArray
+from rhot_bench.motion.estimates import MEASURED, Estimates
 from rhot_bench.motion.references.plain_ekf import plain_ekf
 from rhot_bench.motion.references.spline_reference import spline_reference
 from rhot_bench.motion.references.views import Views, triangulated

@@ -8,17 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.hand_proportions import BONES_MM, METACARPAL_MM, RADII_MM, REFERENCE_LENGTH_M, width_across_knuckles
 from rhot.anatomy.skeleton import CHAINS, FINGERS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import Point, PointSet, Position
 from rhot.rig import CameraConfig, HandFile, MarkerConfig, RegistrationFile, Rig, RigConfig
 from rhot.rig.folder import nominal_camera
 
-FloatArray = NDArray[np.float64]
 START_NS = 1_700_000_000_000_000_000
 RATE_HZ, DURATION_S = 30.0, 24.0
 FLAT_S, KNUCKLES_S, FREE_S = (1.0, 4.0), (5.0, 15.0), (16.0, 24.0)

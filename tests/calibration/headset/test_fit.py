@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from headset_feet.looked_at import SIZE_M, corners_of, looked_at, views_of
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import FloatArray, rotation_from_vector, vector_from_rotation
+from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.rig import Rig, load_rig
 from rhot_calibration.headset.checks import camera_angles_rad, headset_file, judged
 from rhot_calibration.headset.collector import ViewCollector

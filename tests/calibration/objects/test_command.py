@@ -11,11 +11,11 @@ import pytest
 from bus_watch import PATIENCE_S
 from click.testing import CliRunner, Result
 
+from rhot.arrays import FloatArray
 from rhot.bus import Bus
 from rhot.calibration_step import StepContext
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.geometry.rotations import (
-    FloatArray,
     quaternion_from_rotation,
     rotation_from_quaternion,
     rotation_from_vector,

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import FloatArray, rotation_from_vector, vector_from_rotation
+from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
 from rhot_calibration.objects.fit import Estimate, Places, RegistrationFit, first_prior, fit_registration
 

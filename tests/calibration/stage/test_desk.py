@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from boards.views import BOARD, CAMERAS
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector, rotation_z
@@ -19,8 +19,6 @@ from rhot_calibration.stage.desk import SAME_PLANE_M, fit_desk, triangulated
 from rhot_calibration.stage.floor import FORWARDS, desk_file, stage_from_desk
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.rig.folder import true_stage
-
-FloatArray = NDArray[np.float64]
 
 SIM = SimConfig()
 T_RIG_STAGE = true_stage(SIM)

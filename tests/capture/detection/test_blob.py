@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rhot.arrays import ImageArray
 from rhot_capture.detection.blob import PADDING_PX, find_blobs, pixel_area
-from rhot_capture.detection.color_table import ImageArray
 
 
 def ellipse(labels: ImageArray, centre: tuple[int, int], axes: tuple[int, int], label: int) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from simulated_take import simulated_rig
 
+from rhot.arrays import ImageArray
 from rhot.rig import Rig
 from rhot_bench.speed.simulated import Cameras, Moment, moments, world_of
-from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.detection.explain import PictureExplainer
 
 # In one worker: what they share takes seconds.

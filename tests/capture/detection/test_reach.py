@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from painted_shapes import CLOTH, PAINTS, SKIN
 
+from rhot.arrays import ImageArray
 from rhot.rig import MarkerConfig
 from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, RgbColor
-from rhot_capture.detection.color_table import ColorTable, ImageArray, build_color_table
+from rhot_capture.detection.color_table import ColorTable, build_color_table
 from rhot_capture.detection.detector import MarkerDetector
 
 STRIP = "index"

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rhot.arrays import ImageArray
 from rhot_capture.detection.blob import Blob, find_blobs
-from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.detection.seams import is_mixture, neighbour_of
 
 SKIN, CLOTH = (150.0, 180.0, 220.0), (70.0, 65.0, 60.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from foot_walk import UP, Walk, ns
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_between, rotation_from_quaternion
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.kinematic import KINEMATIC
@@ -14,7 +14,6 @@ from rhot_feet.filter.model import FootFilterSettings, FootState
 from rhot_feet.imu.conversion import FusedImuConverter
 
 SIGMA_M = 0.002
-FloatArray = NDArray[np.float64]
 
 
 def filter_of_a_standing_foot() -> FootFilter:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from foot_walk import SIGMA_M, Walk, follow, ns
-from numpy.typing import NDArray
 
 from rhot_bench.thesis.foot_filter import ThesisFilter
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.model import FootFilterSettings
 from rhot_feet.imu.samples import ImuSamples
-
-FloatArray = NDArray[np.float64]
 
 
 def test_walking_with_sensor_and_marker() -> None:

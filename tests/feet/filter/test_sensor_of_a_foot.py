@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from foot_walk import LATE_S, ROTATION_SIGMA, SIGMA_M, Walk, follow, ns
-from numpy.typing import NDArray
 
 from rhot.geometry.rotations import (
     rotation_between,
@@ -19,8 +18,6 @@ from rhot_feet.filter.strapdown import ATTITUDE, InertialNoise, InertialState, S
 from rhot_feet.imu.alignment.equations import Alignment
 from rhot_feet.imu.conversion import up_rotation
 from rhot_feet.imu.track import InertialStep
-
-FloatArray = NDArray[np.float64]
 
 
 def test_a_foot_that_is_never_seen_swinging_is_aligned_by_its_first_step() -> None:

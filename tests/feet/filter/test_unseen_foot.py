@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from foot_walk import LATE_S, SIGMA_M, Walk, follow, ns
-from numpy.typing import NDArray
 
 from rhot.geometry.rotations import (
     quaternion_from_rotation,
@@ -13,8 +12,6 @@ from rhot.geometry.rotations import (
 )
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.imu.samples import ImuSamples
-
-FloatArray = NDArray[np.float64]
 
 
 def test_hidden_in_steps() -> None:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from hands.pinholes import CAMERAS, FOCAL_PX
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_fusion.filter.birth import View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.motion import motion_of
@@ -18,8 +18,6 @@ from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
-
-FloatArray = NDArray[np.float64]
 
 COUNT = 6
 SHAPE = np.random.default_rng(3).uniform(-0.06, 0.06, (COUNT, 3))

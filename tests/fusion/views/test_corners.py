@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from marker_streams import EPOCH_NS, FloatArray, models
+from marker_streams import EPOCH_NS, models
 
+from rhot.arrays import FloatArray
 from rhot.messages import Marker, MarkerFrame, PixelPoint
 from rhot.rig import Rig
 from rhot_fusion.views.corners import Corners, PatchCorners

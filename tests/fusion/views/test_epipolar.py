@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from marker_streams import FloatArray, models, pinhole_cameras
+from marker_streams import models, pinhole_cameras
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig import Rig
 from rhot_fusion.views.epipolar import EpipolarModel

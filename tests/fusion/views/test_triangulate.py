@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from marker_streams import FloatArray, pinhole_cameras
+from marker_streams import pinhole_cameras
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.views.triangulate import Prior, Triangulation, Views
 

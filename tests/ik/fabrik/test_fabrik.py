@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_z
 from rhot.rig import HandFile
 from rhot_ik.fabrik.chains import FLEXION, Chains
 from rhot_ik.fabrik.fabrik import solve
 from rhot_ik.fabrik.finger_chains import FabrikFingers, finger_chains
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-
-FloatArray = NDArray[np.float64]
 
 
 def leg() -> Chains:

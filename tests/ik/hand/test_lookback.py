@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hands.moving_hand import MakePoints, Wrist, moving_angles, positions
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import JOINTS
+from rhot.arrays import FloatArray
 from rhot.messages import HandPose, PointSet
 from rhot.rig import Rig
 from rhot.stage import Output
 from rhot_ik.hand.lookback import LookBack
 from rhot_ik.hand.stage import HandStage
 
-FloatArray = NDArray[np.float64]
 RATE_HZ = 40.0
 TIP = JOINTS.index("ring_tip")
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import (
     BodyPose,
@@ -31,7 +31,6 @@ from rhot_sim.walker.world import WalkerWorld
 
 MS = 1_000_000
 START_NS = 1_700_000_000 * 1_000 * MS
-FloatArray = NDArray[np.float64]
 PLAIN_FEET = """
 [feet]
 [feet.left]

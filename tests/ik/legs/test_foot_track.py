@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_x, rotation_y
 from rhot.geometry.transforms import rigid
 from rhot.messages import FootPose, Side
@@ -16,7 +16,6 @@ ANKLE_M = np.array([0.0, 0.0, 0.07])
 USUAL_M = np.array([0.09, -0.86, 0.0])
 STEP_NS = 10_000_000
 HIPS = HipMotion(rigid(np.eye(3), np.array([0.0, 0.95, 0.0])), np.zeros(3))
-FloatArray = NDArray[np.float64]
 
 
 def track() -> FootTrack:

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import BodyPose, FootPose, HeadPose, Side
 from rhot.messages.base import wire_position, wire_quaternion
@@ -19,8 +20,6 @@ from rhot_sim.walker.person import Person, person_of
 from rhot_sim.walker.plan import SIDES
 from rhot_sim.walker.programs import PROGRAMS
 from rhot_sim.walker.world import WalkerWorld
-
-FloatArray = NDArray[np.float64]
 
 START_NS = 1_700_000_000_000_000_000
 RATE_HZ = 88.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.geometry.transforms import rigid
@@ -16,7 +15,6 @@ from rhot_ik.legs.stature import Stature
 
 BODY = BodyModel.from_config(BodyConfig(height_m=1.75))
 SIDES: tuple[Side, Side] = ("left", "right")
-FloatArray = NDArray[np.float64]
 
 
 def stand(stature: Stature, seconds: float, *, legs_m: float, head_m: float, raised_m: float = 0.0) -> None:

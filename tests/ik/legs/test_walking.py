@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
@@ -21,7 +21,6 @@ from rhot_sim.walker.programs import PROGRAMS
 
 UP = np.array([0.0, 1.0, 0.0])
 RATE_HZ = 15.0
-FloatArray = NDArray[np.float64]
 
 
 def solve_program(program: str, height_m: float, seed: int) -> tuple[FloatArray, FloatArray, list[BodySolution]]:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot_ik.trunk.arm import LONGEST, hand_axes, solve_arm
-
-FloatArray = NDArray[np.float64]
 
 SIDES: tuple[Side, Side] = ("left", "right")
 OUT = {"left": -1.0, "right": 1.0}

@@ -18,14 +18,13 @@ from click.testing import CliRunner
 from exported import person
 from exported.bvh_reader import read_bvh_file, world_positions
 from exported.gltf_reader import GltfScene
-from numpy.typing import NDArray
 from trc import TRCData
 
 from rhot.anatomy.skeleton import CHAINS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.cli.recordings.export import export
 from rhot.messages import Side
 
-FloatArray = NDArray[np.float64]
 At = Callable[[float, str], FloatArray]
 """Seconds from the first pose and a name of ours to a position (3,), metres, y up."""
 

@@ -5,11 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-
-FloatArray = NDArray[np.float64]
 
 # Distortions as real modules have them: five coefficients, and the rational model of the 2018 rig's right camera.
 DISTORTIONS = {

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from rhot.arrays import FloatArray
 from rhot.geometry.covariances import squared_distance, symmetric_inverse
 from rhot.geometry.rotations import (
     cross_matrix,
@@ -20,8 +20,6 @@ from rhot.geometry.rotations import (
     rotation_z,
     vector_from_rotation,
 )
-
-FloatArray = NDArray[np.float64]
 
 angle = st.one_of(st.floats(-3.1, 3.1), st.sampled_from([0.0, 1e-9, -1e-7, 1e-4]))
 vector = st.tuples(angle, angle, angle).filter(lambda v: float(np.linalg.norm(v)) < np.pi - 1e-3)

@@ -9,9 +9,9 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Side
 from rhot.rig import CameraConfig, MarkerConfig
@@ -21,7 +21,6 @@ from rhot_sim.rendering.renderer import Renderer
 from rhot_sim.world.motion import StillMotion
 from rhot_sim.world.world import World
 
-FloatArray = NDArray[np.float64]
 Shares = Callable[[float, float, float], FloatArray]
 Measure = Callable[[World, CameraModel, str], Shares]
 Slide = Callable[[tuple[float, float, float]], World]

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.rig import DepthCameraConfig, FeetConfig, FootConfig, ImuConfig
 from rhot_sim.walker.imu import R_UP_RIG, ImuErrors
 from rhot_sim.walker.plan import SIDES
 from rhot_sim.walker.world import WalkerWorld
-
-FloatArray = NDArray[np.float64]
 
 
 def feet_at(rate_hz: float) -> FeetConfig:

@@ -7,14 +7,13 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.rig.feet_config import WalkProgram
 from rhot_sim.walker.person import Person, PersonSample
 from rhot_sim.walker.plan import SIDES
 from rhot_sim.walker.programs import PROGRAMS
 
-FloatArray = NDArray[np.float64]
 MakePerson = Callable[..., Person]
 STATIONARY = ("still", "head_moving")
 

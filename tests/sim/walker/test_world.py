@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import marker_corners_m, marker_dictionary
 from rhot.errors import ConfigError
 from rhot.messages import Side, Truth, decode, encode
@@ -23,7 +24,6 @@ from rhot_sim.walker.plan import SIDES
 from rhot_sim.walker.world import WalkerWorld
 from rhot_sim.world.world import World
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 BARE = Disturbances(hems=False)
 MARKERS: dict[Side, int] = {"left": 0, "right": 1}

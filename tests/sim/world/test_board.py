@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Truth, decode, encode
 from rhot.rig import CameraConfig, load_rig
@@ -19,7 +20,6 @@ from rhot_sim.world.board import BOARD, FAR_M, HOLD_S, MAX_TILT_DEG, MOVE_S, NEA
 from rhot_sim.world.motion import MotionSample
 from rhot_sim.world.world import World
 
-FloatArray = NDArray[np.float64]
 CORNERS = (9, 6)
 PLACE_S = HOLD_S + MOVE_S
 

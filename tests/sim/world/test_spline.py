@@ -3,11 +3,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_sim.world.spline import basis, bump, evaluate_spline, ramp
-
-FloatArray = NDArray[np.float64]
 
 
 def control_of(knot: int) -> FloatArray:

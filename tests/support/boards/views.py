@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.rig.config import CameraConfig
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 from rhot_sim.rig.calibration import simulated_rig_calibration
-
-FloatArray = NDArray[np.float64]
 
 CAMERAS = ("left", "right", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
 BOARD = Board(9, 6, 0.025)

@@ -6,18 +6,16 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_x, rotation_y, rotation_z
 from rhot.geometry.transforms import rigid
 from rhot.messages import HandPose, Joint, ObjectPose, Side, Space
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import HandFile
 from rhot_bridge.scene import Hand, Scene, Thing
-
-FloatArray = NDArray[np.float64]
 
 MODELS: Final[Mapping[Side, HandModel]] = {
     side: HandModel.from_file(HandFile(length_m=0.189), side) for side in ("left", "right")

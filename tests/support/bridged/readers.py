@@ -12,13 +12,11 @@ from typing import Any, Final
 
 import numpy as np
 from bridged.samples import lsl_samples, ros_messages
-from numpy.typing import NDArray
 from pythonosc.osc_bundle import OscBundle
 from pythonosc.osc_message import OscMessage
 
 from rhot.anatomy.skeleton import FINGERS, JOINTS
-
-FloatArray = NDArray[np.float64]
+from rhot.arrays import FloatArray
 
 MIRROR: Final = np.diag([1.0, 1.0, -1.0])
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_x
 from rhot.geometry.transforms import rigid
 from rhot.messages import BodyJoint, BodyPose, FootPose, HeadPose, LegAngles, Side
 from rhot.messages.base import Position, Quaternion, wire_position, wire_quaternion
-
-FloatArray = NDArray[np.float64]
 
 BEGIN_NS: Final = 1_800_000_000_123_456_789
 RATE_HZ: Final = 60.0

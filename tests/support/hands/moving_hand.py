@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandJoints, HandModel
 from rhot.anatomy.skeleton import JOINTS
+from rhot.arrays import FloatArray
 from rhot.messages import HandPose, PointSet
 from rhot_ik.hand.stage import HandStage
 
-FloatArray = NDArray[np.float64]
 MakePoints = Callable[..., PointSet]
 Wrist = Callable[..., FloatArray]
 

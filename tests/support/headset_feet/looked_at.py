@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import marker_corners_m
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
@@ -17,8 +17,6 @@ from rhot_feet.frames import pinhole
 from rhot_sim.sources.objects import ORIENTATION_NOISE_RAD, POSITION_NOISE_M
 from rhot_sim.walker.programs import LOOK_AT_MARKER
 from rhot_sim.walker.world import DEFAULT_FEET, WalkerWorld
-
-FloatArray = NDArray[np.float64]
 
 SIZE_M = DEFAULT_FEET.marker_size_m
 SECONDS = 28.0

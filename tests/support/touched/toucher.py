@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rhot.geometry.rotations import FloatArray, rotation_from_vector
+from rhot.arrays import FloatArray
+from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import BoxShape, CylinderShape, FacedShape, SphereShape
 from rhot_calibration.objects.touch.fit import TOUCH_SD_M, Touch
 

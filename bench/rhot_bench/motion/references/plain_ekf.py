@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhot_bench.motion.estimates import MEASURED, ONE_VIEW, PREDICTED, Estimates, FloatArray
+from rhot.arrays import FloatArray
+from rhot_bench.motion.estimates import MEASURED, ONE_VIEW, PREDICTED, Estimates
 from rhot_bench.motion.references.views import Views, triangulated
 
 

@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rhot_bench.motion.estimates import MEASURED, Estimates, FloatArray, IntArray
+from rhot.arrays import FloatArray, IntArray
+from rhot_bench.motion.estimates import MEASURED, Estimates
 from rhot_bench.motion.references.views import Views, triangulated
 
 _SHORTEST: Final = 4

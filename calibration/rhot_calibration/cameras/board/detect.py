@@ -9,10 +9,11 @@ from typing import Final
 import cv2
 import numpy as np
 
+from rhot.arrays import FloatArray, IntArray
 from rhot_calibration.cameras.board.boards import MIN_CORNERS, aruco_dictionary, charuco_board
 from rhot_calibration.cameras.board.grid import GrayImage, extra_corners, find_grid, is_blank, oriented
 from rhot_calibration.cameras.board.sharpness import edge_width_px
-from rhot_calibration.cameras.solve.views import Board, BoardView, FloatArray, IntArray
+from rhot_calibration.cameras.solve.views import Board, BoardView
 
 MIN_CHARUCO_CORNERS: Final = 6
 MIN_MARKERS: Final = 3

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot_calibration.cameras.solve.views import FloatArray
+from rhot.arrays import FloatArray
 
 GrayImage = NDArray[np.uint8]
 

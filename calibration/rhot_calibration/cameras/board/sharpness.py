@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot_calibration.cameras.solve.views import Board, FloatArray, IntArray
+from rhot.arrays import FloatArray, IntArray
+from rhot_calibration.cameras.solve.views import Board
 
 _SAMPLES: Final = 33
 _REACH: Final = 0.3  # of a square, to either side of an edge

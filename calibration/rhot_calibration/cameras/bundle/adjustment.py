@@ -8,10 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.geometry.transforms import rigid
 from rhot_calibration.cameras.bundle.bundle import Bundle, adjust
 from rhot_calibration.cameras.bundle.model import Geometry, Observations, Prior
-from rhot_calibration.cameras.solve.views import Board, BoardView, FloatArray
+from rhot_calibration.cameras.solve.views import Board, BoardView
 
 Key = tuple[str, int]
 Place = tuple[int, str]

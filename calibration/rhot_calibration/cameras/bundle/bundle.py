@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.errors import CalibrationError
 from rhot_calibration.cameras.bundle.equations import HUBER, BundleEquations
-from rhot_calibration.cameras.bundle.model import BoolArray, Geometry, Observations, Prior, residuals_of
-from rhot_calibration.cameras.solve.views import FloatArray
+from rhot_calibration.cameras.bundle.model import Geometry, Observations, Prior, residuals_of
 
 _MAX_STEPS = 60
 _DONE = 1e-6

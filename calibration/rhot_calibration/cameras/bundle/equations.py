@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector
 from rhot_calibration.cameras.bundle.lens import LENS_SIZE, project_with_derivatives
 from rhot_calibration.cameras.bundle.model import Geometry, Observations, Prior
-from rhot_calibration.cameras.solve.views import FloatArray
 
 HUBER = 2.5
 """Residuals above so many σ weigh less."""

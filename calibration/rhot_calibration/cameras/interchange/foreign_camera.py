@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.atomic_file import why_unread
 from rhot.errors import CalibrationError
-from rhot_calibration.cameras.solve.views import FloatArray
 
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 _ROTATION_TOLERANCE = 1e-3

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.transforms import inverse
 from rhot.rig import CameraCalibration, CamerasFile
@@ -15,7 +16,6 @@ from rhot_calibration.cameras.interchange.foreign_camera import ForeignCamera, r
 from rhot_calibration.cameras.interchange.opencv_yaml import read_opencv, write_opencv
 from rhot_calibration.cameras.interchange.ros_yaml import read_ros
 from rhot_calibration.cameras.interchange.toml_files import read_toml
-from rhot_calibration.cameras.solve.views import FloatArray
 
 MAX_BASELINE_M = 20.0
 MIN_BASELINE_M = 0.005

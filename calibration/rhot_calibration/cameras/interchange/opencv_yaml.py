@@ -9,6 +9,7 @@ from typing import Final
 import cv2
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import cross_matrix
 from rhot.geometry.transforms import inverse, rigid
@@ -24,7 +25,6 @@ from rhot_calibration.cameras.interchange.foreign_camera import (
     refuse_fisheye,
     rotation,
 )
-from rhot_calibration.cameras.solve.views import FloatArray
 
 INTRINSICS_FILE: Final = "intrinsics.yml"
 EXTRINSICS_FILE: Final = "extrinsics.yml"

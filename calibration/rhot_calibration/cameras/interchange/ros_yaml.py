@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.transforms import rigid
 from rhot_calibration.cameras.interchange.foreign_camera import (
@@ -21,7 +22,6 @@ from rhot_calibration.cameras.interchange.foreign_camera import (
     refuse_fisheye,
     rotation,
 )
-from rhot_calibration.cameras.solve.views import FloatArray
 
 _MODELS: Final = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "thin_prism": (12,)}
 _FISHEYE: Final = ("equidistant", "fisheye", "kannala_brandt")

@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.geometry.transforms import inverse, rigid
@@ -19,7 +20,6 @@ from rhot_calibration.cameras.interchange.foreign_camera import (
     refuse_fisheye,
     rotation,
 )
-from rhot_calibration.cameras.solve.views import FloatArray
 
 
 def read_toml(file: Path) -> tuple[ForeignCamera, ...]:

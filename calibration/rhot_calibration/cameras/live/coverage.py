@@ -27,7 +27,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot_calibration.cameras.solve.views import Board, BoardView, FloatArray, ViewSet
+from rhot.arrays import FloatArray
+from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 
 WANTED_VIEWS: Final = 15
 """Of each camera; with well spread tilts the focal length is then right to about 0.3 %."""

@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import vector_from_rotation
 from rhot.geometry.transforms import inverse
 from rhot_calibration.cameras.bundle.adjustment import Adjusted
-from rhot_calibration.cameras.solve.views import FloatArray
 
 _LEAST: Final = 3
 """Pictures needed before and after."""

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.geometry.transforms import inverse, rigid
 from rhot_calibration.cameras.board.boards import half_turn_ambiguous
 from rhot_calibration.cameras.bundle.adjustment import Adjusted, Key, Place, adjust_views
@@ -19,7 +20,7 @@ from rhot_calibration.cameras.solve.placement import (
     relate,
     spanning_tree,
 )
-from rhot_calibration.cameras.solve.views import Board, BoardView, FloatArray
+from rhot_calibration.cameras.solve.views import Board, BoardView
 
 _SHAPE_VIEWS = 8
 """So many views of (nearly) the whole board let its shape be estimated together with a lens."""

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot_calibration.cameras.solve.placement import Candidate, pose_candidates, relate
-from rhot_calibration.cameras.solve.views import Board, BoardView, FloatArray, ViewSet
+from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 
 
 def mirrored(board: Board, view: BoardView, width: int) -> BoardView:

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot_calibration.cameras.bundle.adjustment import Adjusted, Key, Place, adjust_views
 from rhot_calibration.cameras.solve.consensus import Placement, place_cameras, single_camera
 from rhot_calibration.cameras.solve.joint_fit import fit_together
@@ -19,7 +20,7 @@ from rhot_calibration.cameras.solve.refusals import (
     refuse_too_few_views,
     refuse_unlinked,
 )
-from rhot_calibration.cameras.solve.views import Board, BoardView, FloatArray, ViewSet
+from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 
 _ROUNDS: Final = 6
 _BAD_TIMES: Final = 3.0

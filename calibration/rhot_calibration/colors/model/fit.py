@@ -7,7 +7,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rhot.rig.colors import DARK_OFFSET, ColorComponent, FloatArray, log_ratio
+from rhot.arrays import FloatArray
+from rhot.rig.colors import DARK_OFFSET, ColorComponent, log_ratio
 
 MARKER_FLOOR: Final = (0.06, 0.06, 0.22)
 """Least σ of a marker's class: light changes between calibration and use, mostly its strength."""

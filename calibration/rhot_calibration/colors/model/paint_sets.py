@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from rhot.arrays import BoolArray
-from rhot.rig.colors import ColorComponent, FloatArray, RgbColor
+from rhot.arrays import BoolArray, FloatArray
+from rhot.rig.colors import ColorComponent, RgbColor
 from rhot_calibration.colors.model.fit import bhattacharyya
 from rhot_calibration.colors.model.paints import PAINTS, TYPICAL_SKIN, Illumination
 

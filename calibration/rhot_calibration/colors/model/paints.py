@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from rhot.rig.colors import ColorComponent, ColorsFile, FloatArray, GaussianColor, RgbColor, log_ratio
+from rhot.arrays import FloatArray
+from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, RgbColor, log_ratio
 from rhot_calibration.colors.model.fit import bhattacharyya, rgb_of
 from rhot_calibration.colors.model.samples import ClassPixels
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhot.rig.colors import ColorsFile, FloatArray, log_ratio
+from rhot.arrays import BoolArray, FloatArray, ImageArray
+from rhot.rig.colors import ColorsFile, log_ratio
 from rhot_calibration.colors.model.samples import ClassPixels, thinned
 from rhot_calibration.colors.model.separability import Separability
-from rhot_calibration.colors.picking.boxes import BoolArray
-from rhot_capture.detection.color_table import ColorTable, ImageArray, mixture_fit
+from rhot_capture.detection.color_table import ColorTable, mixture_fit
 
 
 @dataclass(frozen=True, slots=True)

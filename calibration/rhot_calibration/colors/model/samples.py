@@ -9,10 +9,9 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rhot.rig.colors import ColorComponent, FloatArray, log_ratio
+from rhot.arrays import BoolArray, FloatArray, ImageArray
+from rhot.rig.colors import ColorComponent, log_ratio
 from rhot_calibration.colors.model.fit import fit_mixture, rgb_of
-from rhot_calibration.colors.picking.boxes import BoolArray
-from rhot_capture.detection.color_table import ImageArray
 
 LIGHT_CHANGE: Final = 0.2
 """Light is expected to change by at most this share between calibration and use."""

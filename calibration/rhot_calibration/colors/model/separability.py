@@ -14,10 +14,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.rig.colors import ColorComponent, ColorsFile, FloatArray, GaussianColor, log_ratio
+from rhot.arrays import FloatArray, ImageArray
+from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, log_ratio
 from rhot_calibration.colors.model.fit import bhattacharyya
 from rhot_calibration.colors.model.samples import ClassPixels, drawn, in_other_light
-from rhot_capture.detection.color_table import ColorTable, ImageArray, mixture_fit
+from rhot_capture.detection.color_table import ColorTable, mixture_fit
 
 SKIN: Final = "skin"
 BACKGROUND: Final = "background"

@@ -6,14 +6,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from rhot.rig.colors import FloatArray, GaussianColor
+from rhot.arrays import BoolArray, FloatArray
+from rhot.rig.colors import GaussianColor
 from rhot_calibration.colors.model.fit import COUNTER_FLOOR, fit_component, fit_mixture
 from rhot_calibration.colors.picking.picks import Box
 from rhot_capture.detection.color_table import mixture_fit
-
-BoolArray = NDArray[np.bool_]
 
 _RING_SHARE: Final = 0.5
 _LEAST_RING_PX: Final = 6

@@ -7,12 +7,11 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import BoolArray, ImageArray
 from rhot.errors import CalibrationError
 from rhot.rig.config import MarkerConfig
 from rhot_calibration.colors.model.quality import MarkerQuality
-from rhot_calibration.colors.picking.boxes import BoolArray
 from rhot_calibration.colors.picking.picks import Box, Place, Places, place_text
-from rhot_capture.detection.color_table import ImageArray
 
 _LEAST_BOX_PX: Final = 4
 _LEAST_MARKED: Final = 0.4

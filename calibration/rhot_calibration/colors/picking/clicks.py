@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from rhot_calibration.colors.picking.boxes import BoolArray
+from rhot.arrays import BoolArray, ImageArray
 from rhot_calibration.colors.picking.picks import Place, Places
 from rhot_calibration.colors.picking.regions import regions
-from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.preview import mark_positions, preview_jpeg
 
 

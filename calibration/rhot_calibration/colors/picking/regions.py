@@ -13,11 +13,12 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rhot.rig.colors import FloatArray, GaussianColor, log_ratio
+from rhot.arrays import BoolArray, FloatArray, ImageArray
+from rhot.rig.colors import GaussianColor, log_ratio
 from rhot_calibration.colors.model.fit import COUNTER_FLOOR, fit_component, fit_mixture
-from rhot_calibration.colors.picking.boxes import BoolArray, box_region
+from rhot_calibration.colors.picking.boxes import box_region
 from rhot_calibration.colors.picking.picks import Box, Place, Places
-from rhot_capture.detection.color_table import ImageArray, mixture_fit
+from rhot_capture.detection.color_table import mixture_fit
 
 SEARCH_PX: Final = 12
 _PATCH_PX: Final = 2

@@ -8,9 +8,10 @@ from typing import Final
 import cv2
 import numpy as np
 
+from rhot.arrays import ImageArray
 from rhot_calibration.colors.calibration import ColorCalibration
 from rhot_calibration.colors.report.plot import INK, PAPER, matrix_picture, ratio_plot, text_width, write
-from rhot_capture.detection.color_table import ColorTable, ImageArray
+from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.detector import Detection
 
 _WIDTH: Final = 1280

@@ -8,10 +8,10 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rhot.rig.colors import ColorsFile, FloatArray, GaussianColor, log_ratio
+from rhot.arrays import FloatArray, ImageArray
+from rhot.rig.colors import ColorsFile, GaussianColor, log_ratio
 from rhot_calibration.colors.model.samples import ClassPixels
 from rhot_calibration.colors.model.separability import CONFUSABLE, Separability
-from rhot_capture.detection.color_table import ImageArray
 
 INK: Final = (40, 40, 40)
 PAPER: Final = (255, 255, 255)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import FloatArray
 from rhot.messages import BoxShape, CylinderShape, FacedShape
 from rhot_calibration.objects.touch.faces import faces_of, gaps
 from rhot_calibration.objects.touch.fit import OffsetFit, Touch, fit_offset

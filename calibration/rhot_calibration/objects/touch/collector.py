@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhot.geometry.rotations import FloatArray, rotation_from_quaternion
+from rhot.arrays import FloatArray
+from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import FacedShape
 from rhot_calibration.objects.stillness import LEAST_COVERED, covers, forget_old, held_pose
 from rhot_calibration.objects.touch.checks import LARGEST_OFF_M, face_at

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
-from rhot.geometry.rotations import FloatArray
 from rhot.messages import BoxShape, CylinderShape, FacedShape
 
 _BOX_FACES: Final = {

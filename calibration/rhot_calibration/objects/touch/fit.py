@@ -20,14 +20,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import (
-    FloatArray,
-    nearest_rotation,
-    rotation_cosine,
-    rotation_from_quaternion,
-    rotation_from_vector,
-)
+from rhot.geometry.rotations import nearest_rotation, rotation_cosine, rotation_from_quaternion, rotation_from_vector
 from rhot.messages import CylinderShape, FacedShape, SphereShape
 from rhot_calibration.objects.touch.faces import free_rotations, gaps
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rhot.geometry.rotations import FloatArray, quaternion_from_rotation, rotation_from_quaternion
+from rhot.arrays import FloatArray
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import RegistrationFile, RigidTransform
 from rhot.rig.calibration import today

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 
 from rhot.anatomy.skeleton import CHAINS, FINGERS
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import FloatArray
 from rhot.messages import FacedShape, HandPose, Message, ObjectPose, Side
 from rhot.object_mesh import configured_mesh
 from rhot.rig import Rig

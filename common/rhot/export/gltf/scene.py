@@ -12,9 +12,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.export.gltf.document import Document
 from rhot.export.gltf.shapes import Mesh, bone, box, joined, mesh_of, octahedron
-from rhot.export.poses import FloatArray, Motion
+from rhot.export.poses import Motion
 from rhot.export.skeleton_motion import SkeletonMotion, skeleton_motion
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.geometry.transforms import inverse, rigid

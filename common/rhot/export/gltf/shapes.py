@@ -8,10 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.hull import hull_surface
 from rhot.messages.objects import BoxShape, CylinderShape, MeshShape, ObjectShape, SphereShape
-
-FloatArray = NDArray[np.float64]
 
 _ROUND: Final = 24
 """Corners of a circle."""

@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.export.poses import FloatArray, Motion
+from rhot.arrays import FloatArray
+from rhot.export.poses import Motion
 
 MAX_GAP_S: Final = 0.1
 """Longest pause between two poses that is bridged: a hand that turns back with 10 m/s² leaves the straight line by

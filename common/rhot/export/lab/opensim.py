@@ -19,8 +19,8 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.export.lab.frames import Frames
-from rhot.export.poses import FloatArray
 
 _LEG_ANGLES: Final = {
     "hip_flexion": ("hip_flexion", 1.0),

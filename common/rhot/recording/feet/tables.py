@@ -14,16 +14,13 @@ from pathlib import Path
 from typing import IO, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray, IntArray
 from rhot.atomic_file import why, why_unread
 from rhot.errors import ConfigError
 from rhot.messages import HeadPose
 from rhot.recording.feet.sensor_samples import SensorSamples
-from rhot.recording.model import IntArray
 from rhot.recording.stamps import StampGate
-
-FloatArray = NDArray[np.float64]
 
 HEAD_FILE: Final = "head.csv"
 HEAD_HEADER: Final = ("t_ns", "x", "y", "z", "qx", "qy", "qz", "qw")

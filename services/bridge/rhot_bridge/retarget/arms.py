@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import (
     FOREARM,
@@ -25,6 +24,7 @@ from rhot.anatomy.body_proportions import (
     UPPER_ARM,
 )
 from rhot.anatomy.hand import WRIST
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import (
     quaternion_from_rotation,
     rotation_from_quaternion,
@@ -34,8 +34,6 @@ from rhot.geometry.rotations import (
 from rhot.messages import Side
 from rhot_bridge.retarget.vrm import avatar_rotations
 from rhot_bridge.scene import Body, Scene
-
-FloatArray = NDArray[np.float64]
 
 _ELBOW: Final = np.array([0.4, -1.0, -0.3])
 """Where an elbow likes to be: outwards, up, forwards of the trunk. A choice that looks natural, no measurement."""

@@ -26,12 +26,11 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.hand import METACARPALS, WRIST
 from rhot.anatomy.skeleton import FINGERS, JOINTS, PARENTS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation, rotation_from_quaternion
 from rhot.messages import Side
 from rhot_bridge.retarget.quaternions import relative, right_product
 from rhot_bridge.scene import Hand
-
-FloatArray = NDArray[np.float64]
 
 BONES: Final = 31
 _C: Final[dict[Side, FloatArray]] = {

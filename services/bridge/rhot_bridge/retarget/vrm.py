@@ -23,12 +23,11 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.hand import WRIST
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.messages import Side
 from rhot_bridge.retarget.quaternions import conjugate, faded, relative, right_product
 from rhot_bridge.scene import Hand
-
-FloatArray = NDArray[np.float64]
 
 _SEGMENTS: Final = ("Proximal", "Intermediate", "Distal")
 _DIAGONAL: Final = np.sqrt(0.5)

@@ -22,11 +22,12 @@ import json
 from typing import Final
 
 from rhot.anatomy.skeleton import JOINTS
+from rhot.arrays import FloatArray
 from rhot.messages import ObjectShape
 from rhot.rig import BridgeConfig
 from rhot_bridge.links import UdpLink, WebSocketLink
 from rhot_bridge.output import PacketOutput
-from rhot_bridge.scene import Axes, FloatArray, Hand, Poses, Scene, Thing
+from rhot_bridge.scene import Axes, Hand, Poses, Scene, Thing
 
 VERSION: Final = 1
 WEBSOCKET_PORT: Final = 8765

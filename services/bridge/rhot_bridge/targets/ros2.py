@@ -25,17 +25,15 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
 from rhot.anatomy.hand import WRIST
+from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
 from rhot.rig import BridgeConfig
 from rhot_bridge.links.rmw_zenoh import RmwZenohLink
 from rhot_bridge.scene import Axes, Body, Poses, Scene
-
-FloatArray = NDArray[np.float64]
 
 PORT: Final = 7447
 """Of rmw_zenoh's router, and of ours."""

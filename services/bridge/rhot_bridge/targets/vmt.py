@@ -15,9 +15,7 @@ from __future__ import annotations
 
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot.rig import BridgeConfig
 from rhot_bridge.links import UdpLink
@@ -25,8 +23,6 @@ from rhot_bridge.output import PacketOutput
 from rhot_bridge.retarget.openvr import BONES, openvr_bones
 from rhot_bridge.scene import Axes, Scene
 from rhot_bridge.targets.osc import Block, Template, bundles
-
-FloatArray = NDArray[np.float64]
 
 PORT: Final = 39570
 _ROOM_INTERVAL_NS: Final = 1_000_000_000

@@ -14,9 +14,7 @@ from __future__ import annotations
 
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot.rig import BridgeConfig
 from rhot_bridge.axes import unity_euler_deg
@@ -24,8 +22,6 @@ from rhot_bridge.links import UdpLink
 from rhot_bridge.output import PacketOutput
 from rhot_bridge.scene import Axes, Scene, Thing
 from rhot_bridge.targets.osc import Template, bundles
-
-FloatArray = NDArray[np.float64]
 
 PORT: Final = 9000
 _HEAD_TURN_NS: Final = 1_000_000_000

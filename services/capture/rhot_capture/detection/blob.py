@@ -10,11 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot_capture.detection.color_table import ImageArray
+from rhot.arrays import FloatArray, ImageArray
 from rhot_capture.detection.cutouts import Cutout, Region
 
 ContourArray = NDArray[np.int32]
-FloatArray = NDArray[np.float64]
 
 PADDING_PX: Final = 6
 """Room around a blob for its rim and a strip of what surrounds it."""

@@ -9,8 +9,8 @@ from typing import Final, Literal, NamedTuple
 import cv2
 import numpy as np
 
+from rhot.arrays import ImageArray
 from rhot_capture.detection.blob import Blob
-from rhot_capture.detection.color_table import ImageArray
 from rhot_capture.detection.cutouts import Cutouts
 from rhot_capture.detection.score import Evidence
 from rhot_capture.detection.seams import is_mixture, neighbour_of

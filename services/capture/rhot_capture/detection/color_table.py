@@ -18,18 +18,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray, ImageArray
 from rhot.errors import ConfigError
-from rhot.rig.colors import (
-    ColorComponent,
-    ColorsFile,
-    FloatArray,
-    GaussianColor,
-    HsvRangeColor,
-    RgbBoxColor,
-    log_ratio,
-)
-
-ImageArray = NDArray[np.uint8]
+from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, HsvRangeColor, RgbBoxColor, log_ratio
 
 TABLE_SIZE: Final = 1 << 16
 _FAINT: Final = 2.0

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_capture.detection.blob import ContourArray
 from rhot_capture.detection.subpixel.shares import CoverageArray, Shares
 
-FloatArray = NDArray[np.float64]
 Point = tuple[float, float]
 
 _POINTS_PER_SIDE: Final = 12

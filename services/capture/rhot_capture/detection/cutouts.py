@@ -13,8 +13,9 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
+from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
-from rhot_capture.detection.color_table import ColorTable, ImageArray
+from rhot_capture.detection.color_table import ColorTable
 
 _GAP_PX: Final = 2
 """Round parts, so that no outline runs from one into the next."""

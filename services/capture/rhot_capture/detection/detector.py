@@ -13,14 +13,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray, ImageArray
 from rhot.errors import ConfigError
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import own_paints, worn_paints
 from rhot_capture.detection.blob import Blob, Outsized, blobs_of
 from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Reason, Refusal, judge, likeliest
-from rhot_capture.detection.color_table import ColorTable, ImageArray
+from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.corners import find_corners
 from rhot_capture.detection.cutouts import Cutouts, Region
 from rhot_capture.detection.reach import HandReach
@@ -30,8 +30,6 @@ from rhot_capture.detection.sharing import SharedPaints, spot_of
 from rhot_capture.detection.subpixel.centers import find_centres
 from rhot_capture.detection.subpixel.windows import Window
 from rhot_capture.detection.track import MarkerTrack
-
-FloatArray = NDArray[np.float64]
 
 _SURVEY_FRAMES: Final = 30
 

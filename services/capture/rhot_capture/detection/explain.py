@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
 from rhot.explain import Explanation, ExplanationRow, Outline, PictureExplanation, Verdict
 from rhot.recording import PictureTrack, VideoTrack
@@ -20,7 +21,7 @@ from rhot.rig.colors import load_colors
 from rhot.rig.marker_config import own_paints
 from rhot_capture.detection.blob import Blob
 from rhot_capture.detection.candidates import MIN_FILL, MIN_PLAUSIBILITY, MIN_SOLIDITY, Candidate, Reason, Refusal
-from rhot_capture.detection.color_table import ImageArray, build_color_table
+from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.cutouts import Region
 from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.sources.pictures import read_pictures

@@ -12,9 +12,10 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import ImageArray
 from rhot.rig.config import MarkerConfig
 from rhot_capture.detection.candidates import Candidate
-from rhot_capture.detection.color_table import ColorTable, ImageArray
+from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.cutouts import Region
 from rhot_capture.detection.search import find_regions
 

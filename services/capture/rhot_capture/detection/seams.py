@@ -12,9 +12,8 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
-from rhot.arrays import FloatArray
+from rhot.arrays import FloatArray, ImageArray
 from rhot_capture.detection.blob import Blob
-from rhot_capture.detection.color_table import ImageArray
 
 _LIKELY: Final = 0.75
 """A blob is a mixture when it is nearer to one than so many times what its neighbour is. 1 is where nothing speaks for

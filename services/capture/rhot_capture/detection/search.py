@@ -12,7 +12,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rhot_capture.detection.color_table import ImageArray
+from rhot.arrays import ImageArray
 from rhot_capture.detection.cutouts import Region
 
 _STEP: Final = 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from rhot_capture.detection.color_table import ImageArray
+from rhot.arrays import ImageArray
 from rhot_capture.settings import CameraSettings
 
 

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
+from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
 from rhot.recording import PictureTrack, VideoTrack
 from rhot.recording.picture_file import read_picture
-from rhot_capture.detection.color_table import ImageArray
 
 
 def read_pictures(track: PictureTrack | VideoTrack) -> Iterator[ImageArray]:

@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import cross_matrix
 from rhot_feet.depth.points import PointGrid
 from rhot_feet.depth.segmentation import FootBlob
 from rhot_feet.depth.visibility import SurfaceShape, SurfaceView, sample_shape
 from rhot_feet.prediction import GATE_SIGMAS, FootPrediction, innovation_distance
-
-FloatArray = NDArray[np.float64]
 
 BlobRefusal = Literal["hidden", "size", "cut", "unsettled", "other", "motion"]
 

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_feet.depth.points import PointGrid
-
-FloatArray = NDArray[np.float64]
 
 _SAMPLES: Final = 1500
 _TRIALS: Final = 80

@@ -13,12 +13,10 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_feet.frames import DepthImage
-
-FloatArray = NDArray[np.float64]
 
 INVERSE_DEPTH_SIGMA: Final = 0.004
 """Per pixel, 1/m: a D435 at 848x480 (focal length 425 px, baseline 50 mm) with 0.085 px of disparity noise."""

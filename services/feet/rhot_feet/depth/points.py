@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_feet.frames import DepthImage
 from rhot_feet.prediction import Region
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FINE_PX: Final = 2

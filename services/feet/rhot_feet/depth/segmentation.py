@@ -17,13 +17,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Side
 from rhot_feet.depth.floor import FloorPlane
 from rhot_feet.depth.points import Mask, PointGrid
 from rhot_feet.depth.visibility import SurfaceShape, visible_part
-
-FloatArray = NDArray[np.float64]
 
 _FLOOR_CLEARANCE_M: Final = 0.015
 _FLOOR_NOISE: Final = 0.008

@@ -12,8 +12,8 @@ from functools import reduce
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Side
 from rhot_feet.depth.blob_model import BlobModel, BlobRefusal, Neighbour, axes, update_blob_model
@@ -22,8 +22,6 @@ from rhot_feet.depth.points import COARSE_PX, FINE_PX, PixelRays
 from rhot_feet.depth.segmentation import RADIUS_M, BlobSeed, find_blobs
 from rhot_feet.frames import DepthFrame
 from rhot_feet.prediction import OTHER_FOOT, FootPrediction, Region, predicted_region
-
-FloatArray = NDArray[np.float64]
 
 DepthRefusal = Literal["unknown", "vague"] | BlobRefusal
 

@@ -15,12 +15,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_feet.depth.points import FINE_PX, Mask, PointGrid
-
-FloatArray = NDArray[np.float64]
 
 _POINTS: Final = 150
 _NEARER_M: Final = 0.04

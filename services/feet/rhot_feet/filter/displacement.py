@@ -23,14 +23,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import cross_matrix, rotation_cosine, rotation_z, vector_from_rotation
 from rhot_feet.filter.model import FootMotion
 from rhot_feet.imu.samples import GRAVITY_M_S2
 from rhot_feet.imu.track import DROPOUT, ImuInterval
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,8 @@ from dataclasses import replace
 from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot_feet.filter.displacement import UnseenDisplacement
 from rhot_feet.filter.inertial import InertialModel
@@ -33,7 +33,6 @@ from rhot_feet.imu.conversion import up_rotation
 from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
 from rhot_feet.imu.track import ImuTrack
 
-FloatArray = NDArray[np.float64]
 State = TypeVar("State")
 
 _NO_RATE: Final = np.zeros(3)

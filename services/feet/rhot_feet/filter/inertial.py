@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.covariances import squared_distance
 from rhot.geometry.rotations import cross_matrix, rotation_between, rotation_z
 from rhot_feet.filter.model import FootMotion, Observation
@@ -28,8 +28,6 @@ from rhot_feet.filter.strapdown import (
 from rhot_feet.filter.zero_velocity_update import ZUPT
 from rhot_feet.imu.alignment.equations import Alignment
 from rhot_feet.imu.track import InertialStep
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

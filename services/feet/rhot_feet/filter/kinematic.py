@@ -14,15 +14,13 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.covariances import squared_distance
 from rhot.geometry.rotations import orthonormal, rotation_between, rotation_from_vector
 from rhot_feet.filter.model import FootMotion, Observation
 from rhot_feet.imu.samples import GRAVITY_M_S2
 from rhot_feet.imu.track import InertialStep
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,12 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.covariances import squared_distance
 from rhot_feet.filter.strapdown import InertialNoise
 from rhot_feet.imu.track import InertialStep
 from rhot_feet.imu.zero_velocity_detector import ZeroVelocitySettings
-
-FloatArray = NDArray[np.float64]
 
 Stage = Literal["marker", "depth", "inertial", "lost"]
 

@@ -21,12 +21,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import cross_matrix, orthonormal, rotation_from_vector
 from rhot_feet.imu.track import InertialStep
-
-FloatArray = NDArray[np.float64]
 
 POSITION: Final = slice(0, 3)
 VELOCITY: Final = slice(3, 6)

@@ -11,13 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rhot.arrays import FloatArray
 from rhot_feet.filter.model import FootModel
 from rhot_feet.imu.zero_velocity_detector import ZeroVelocity
 
-FloatArray = NDArray[np.float64]
 State = TypeVar("State")
 
 

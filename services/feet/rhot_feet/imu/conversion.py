@@ -18,8 +18,8 @@ from collections.abc import Callable, Reversible
 from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray, IntArray
 from rhot.geometry.rotations import (
     orthonormal,
     quaternion_from_rotation,
@@ -28,8 +28,6 @@ from rhot.geometry.rotations import (
 )
 from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 S = TypeVar("S")
 
 LONGEST_STEP_S: Final = 0.25

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from rhot.arrays import FloatArray, IntArray
 
 GRAVITY_M_S2: Final = 9.81
 """What sensors scale to, wherever they are."""

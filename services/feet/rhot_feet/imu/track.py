@@ -10,14 +10,12 @@ from operator import attrgetter
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_cosine
 from rhot_feet.imu.conversion import LONGEST_STEP_S, nearest_sample
 from rhot_feet.imu.samples import GRAVITY_M_S2
 from rhot_feet.imu.zero_velocity_detector import ZeroVelocity, ZeroVelocityDetector, ZeroVelocitySettings
-
-FloatArray = NDArray[np.float64]
 
 _GRAVITY: Final = np.array([0.0, 0.0, GRAVITY_M_S2])
 

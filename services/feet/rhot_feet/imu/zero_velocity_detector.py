@@ -18,11 +18,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_feet.imu.samples import GRAVITY_M_S2
-
-FloatArray = NDArray[np.float64]
 
 ACCELERATION_NOISE: Final = 0.01
 """σ_a, m/s²: the scale of the accelerations in the test, a convention as in the source above."""

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
+from rhot.arrays import FloatArray, ImageArray
 
 _CROSSINGS: Final = 14
 _RIM: Final = 0.12

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.covariances import squared_distance
 from rhot.geometry.rotations import rotation_between
@@ -21,8 +21,6 @@ from rhot_feet.marker.detection import MarkerDetection
 from rhot_feet.marker.pose import MarkerPose, SquareView, pose_covariance
 from rhot_feet.marker.pose_choice import OrientationPrior
 from rhot_feet.prediction import GATE_SIGMAS, FootPrediction, innovation_distance
-
-FloatArray = NDArray[np.float64]
 
 Refusal = Literal["border", "shape", "size", "depth", "tilt", "floor", "other", "motion", "turn"]
 

@@ -16,13 +16,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_cosine, rotation_from_vector
 from rhot_feet.imu.conversion import rotation_vectors
 from rhot_feet.marker.pose import MarkerPose
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

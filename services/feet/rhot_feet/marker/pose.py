@@ -17,13 +17,11 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector
 from rhot_feet.depth.plane import DepthPlane
-
-FloatArray = NDArray[np.float64]
 
 CORNER_SIGMA_PX: Final = 0.2
 """Of a sub-pixel corner, per axis, where nothing better is known."""

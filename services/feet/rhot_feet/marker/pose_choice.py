@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.covariances import squared_distance
 from rhot.geometry.rotations import rotation_between
 from rhot_feet.marker.pose import MarkerPose
-
-FloatArray = NDArray[np.float64]
 
 CLEAR_MARGIN: Final = 6.0
 """Difference of −2·log-likelihood from which the better pose is believed: odds of 20 to 1."""

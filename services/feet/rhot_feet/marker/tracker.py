@@ -8,8 +8,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import R_FOOT_MARKER
 from rhot.messages import Side
 from rhot_feet.depth.floor import FloorPlane
@@ -21,8 +21,6 @@ from rhot_feet.marker.orientation_track import OrientationTrack
 from rhot_feet.marker.pose import MarkerPose, marker_poses, view_square
 from rhot_feet.marker.pose_choice import OrientationPrior, PoseChoice, choose_pose
 from rhot_feet.prediction import OTHER_FOOT, FootPrediction, Region, predicted_region
-
-FloatArray = NDArray[np.float64]
 
 _CONFIRM: Final = 3
 """Pictures in which a marker that nobody expects has to be seen before it is believed."""

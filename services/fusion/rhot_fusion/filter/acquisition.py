@@ -11,6 +11,7 @@ import numpy as np
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig import FusionConfig, Rig
 from rhot_fusion.filter.birth import Birth, View, on_ray
@@ -22,7 +23,7 @@ from rhot_fusion.filter.smoother import Event
 from rhot_fusion.filter.tracks import Belief, Track
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
-from rhot_fusion.views.sightings import BoolArray, FloatArray, IndexArray, Sightings
+from rhot_fusion.views.sightings import Sightings
 from rhot_fusion.views.vectors import Vector
 
 

@@ -11,11 +11,12 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig.quality import epipolar_limit_px
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.epipolar import EpipolarModel
-from rhot_fusion.views.sightings import FloatArray, Sightings
+from rhot_fusion.views.sightings import Sightings
 from rhot_fusion.views.tracks import DEPTH, LONGEST_GAP, ROWS_SHARE, Tracks
 
 _LEAST_VIEWS = 200.0

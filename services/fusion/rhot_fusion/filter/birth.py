@@ -11,11 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-
-FloatArray = NDArray[np.float64]
 
 _STEPS = 3
 _NEAREST_M = 0.05

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Position
 from rhot_fusion.filter.birth import Birth, View, from_views
 from rhot_fusion.filter.settings import TrackSettings
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
-from rhot_fusion.views.sightings import BoolArray, FloatArray
 
 
 class Candidates:

@@ -12,9 +12,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot_fusion.filter.motion import Motion, motion_of
 from rhot_fusion.filter.settings import MotionSettings
-from rhot_fusion.filter.state import ROUND, SHARED, BoolArray, FloatArray, IndexArray, Innovation, State, Step, Views
+from rhot_fusion.filter.state import ROUND, SHARED, Innovation, State, Step, Views
 from rhot_fusion.views.sightings import Upper
 
 _HUBER = 9.0

@@ -25,8 +25,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot_fusion.filter.settings import MotionSettings
-from rhot_fusion.filter.state import SHARED, BoolArray, FloatArray
+from rhot_fusion.filter.state import SHARED
 
 _EYE: FloatArray = np.eye(3)
 _SERIES = 0.05

@@ -13,14 +13,12 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig.quality import figure
 from rhot_fusion.filter.settings import NoiseSettings
 from rhot_fusion.filter.state import Innovation
-
-FloatArray = NDArray[np.float64]
 
 _CLEAR = 9.0
 """Innovations beyond this squared Mahalanobis distance teach as if they were at it: outliers are not noise."""

@@ -30,9 +30,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhot.anatomy.hand import CAP_LENGTH_M
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import PaintSettings
-from rhot_fusion.filter.state import FloatArray
 from rhot_fusion.views.vectors import Vector, across, dot, interpolated, unit, vector
 
 

@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import FilterSettings
 from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import outcome_of
-from rhot_fusion.views.sightings import NOTHING, NOWHERE, FloatArray, IndexArray, Outcome, Sightings
+from rhot_fusion.views.sightings import NOTHING, NOWHERE, Outcome, Sightings
 
 _BRIDGED = 1.6
 """A camera shows a marker, looked back at, if it did so within this many periods before and after: one frame lost."""

@@ -17,10 +17,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot_fusion.filter.birth import Birth
 from rhot_fusion.filter.joint import JointFilter, squared_distance
 from rhot_fusion.filter.settings import FilterSettings
-from rhot_fusion.filter.state import ROUND, SHARED, BoolArray, FloatArray, IndexArray, State, Step, Views
+from rhot_fusion.filter.state import ROUND, SHARED, State, Step, Views
 
 _JITTER: float = 1e-13
 """Keeps covariances of markers that were just found invertible, m² and m²/s²."""

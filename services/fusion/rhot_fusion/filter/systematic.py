@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import SystematicSettings
-from rhot_fusion.filter.state import FloatArray
 from rhot_fusion.views.sightings import Upper
 from rhot_fusion.views.vectors import Vector, interpolated, vector
 

@@ -11,6 +11,7 @@ from statistics import fmean
 
 import numpy as np
 
+from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import HandPose
 from rhot.rig import FusionConfig, Rig
@@ -27,7 +28,7 @@ from rhot_fusion.filter.tracks import Belief, Track, outcome_of, within_hand
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
-from rhot_fusion.views.sightings import NOTHING, NOWHERE, FloatArray, IndexArray, Outcome, Sightings
+from rhot_fusion.views.sightings import NOTHING, NOWHERE, Outcome, Sightings
 from rhot_fusion.views.vectors import vector
 
 _LONGEST_HISTORY = 32

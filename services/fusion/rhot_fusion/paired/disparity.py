@@ -12,9 +12,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rhot.arrays import BoolArray, FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
-from rhot_fusion.views.triangulate import BoolArray, FloatArray, Prior, Solution, Views
+from rhot_fusion.views.triangulate import Prior, Solution, Views
 
 
 def depth_from_disparity(disparity_px: FloatArray, law: tuple[float, float]) -> FloatArray:

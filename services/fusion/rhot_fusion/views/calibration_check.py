@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel, essential_matrix
-from rhot.geometry.rotations import FloatArray
 
 PRIOR_SD_RAD = np.radians(2.0)
 """Cameras that are bumped turn by degrees at most."""

@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import FloatArray
 from rhot.rig.quality import epipolar_limit_px, pair_epipolar_p95_px
 from rhot_fusion.views.calibration_check import (
     LEAST_OBSERVATIONS,

@@ -10,14 +10,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.messages import HandPose, PointState
 from rhot.rig import FusionConfig
 from rhot_fusion.views.epipolar import EpipolarModel
 from rhot_fusion.views.vectors import Vector
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.intp]
 CountArray = NDArray[np.int64]
 Upper = tuple[float, float, float, float, float, float]
 """xx, xy, xz, yy, yz and zz of a covariance."""

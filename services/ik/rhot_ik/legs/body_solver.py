@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot_ik.legs.hips import OUTWARDS, hip_joint
 from rhot_ik.legs.leg import Ankle, LegPose, bend_leg
-
-FloatArray = NDArray[np.float64]
 
 _FOOT_WEIGHT: Final = 0.75
 """How much a knee points where the toes do, and how much where the hips do."""

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.geometry.transforms import rigid
 from rhot.messages import (
@@ -32,8 +32,6 @@ from rhot_ik.legs.hips import OUTWARDS, hip_joint, hips_under_head, stride, with
 from rhot_ik.legs.jumps import FOOT, HEAD, JumpBridge
 from rhot_ik.legs.stature import Stature
 from rhot_ik.trunk.upper_body import solve_upper_body
-
-FloatArray = NDArray[np.float64]
 
 BODY_KEY: Final = "rhot/body"
 _ANGLES: Final = tuple(LegAngles.model_fields)

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import (
     orthonormal,
     rotation_between,
@@ -31,8 +31,6 @@ from rhot.geometry.rotations import (
 from rhot.geometry.transforms import rigid
 from rhot.messages import FootPose, State
 from rhot_ik.legs.leg import Ankle
-
-FloatArray = NDArray[np.float64]
 
 LEAD_S: Final = 0.06
 """A foot is carried on by its velocity for so long."""

@@ -18,14 +18,12 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot_ik.legs.leg import Ankle
-
-FloatArray = NDArray[np.float64]
 
 OUTWARDS: Final[Mapping[Side, float]] = {"left": -1.0, "right": 1.0}
 """Direction of a leg from the middle, along the body's +X."""

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from rhot.arrays import FloatArray
 
 _LEAST_REACH: Final = 0.25
 """Ankle to hip is no shorter than this share of the leg: the flesh of thigh and calf meets at about 150° of flexion."""

@@ -14,14 +14,12 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot_ik.legs.hips import hip_joint
 from rhot_ik.legs.leg import Ankle
-
-FloatArray = NDArray[np.float64]
 
 _STANDING: Final = 0.999
 """Hip to ankle of a standing leg over its length: 5° of flexion."""

@@ -11,15 +11,13 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import shortest_rotation
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot_ik.legs.hips import OUTWARDS
 from rhot_ik.legs.leg import bend_leg
-
-FloatArray = NDArray[np.float64]
 
 _AHEAD: Final = np.array([0.0, 0.0, -1.0])
 _ELBOW: Final = np.array([0.34, -0.94, 0.0])

@@ -16,13 +16,11 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import SPINE_SHARES, BodyModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_y
 from rhot.geometry.transforms import rigid
-
-FloatArray = NDArray[np.float64]
 
 _RANGES_DEG: Final = (10.0, 35.0, 80.0)
 _TWIST_SHARES: Final = (

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot_ik.legs.hips import OUTWARDS
 from rhot_ik.trunk.arm import solve_arm
 from rhot_ik.trunk.spine import spine
-
-FloatArray = NDArray[np.float64]
 
 
 def solve_upper_body(

@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS
@@ -35,8 +34,6 @@ from rhot_viewer.scene.viewpoint import (
     up_direction,
     volume_lines,
 )
-
-FloatArray = NDArray[np.float64]
 
 SIDES: Final[tuple[Side, ...]] = ("right", "left")
 _HAND_AGE_S: Final = 0.4

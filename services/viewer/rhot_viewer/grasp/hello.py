@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
@@ -20,7 +20,6 @@ from rhot.rig.folder import registration_path
 from rhot_viewer.grasp.text import space_text
 from rhot_viewer.scene.viewpoint import desk_middle, up_direction
 
-FloatArray = NDArray[np.float64]
 Rgb = tuple[int, int, int]
 
 _SPREAD_DEG: Final = {"thumb": 25.0, "index": 15.0, "middle": 2.0, "ring": -12.0, "little": -15.0}

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 
+from rhot.arrays import FloatArray
 from rhot.errors import WireError
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.geometry.transforms import rigid
 from rhot.messages import HeadPose, ObjectPose, ObjectShape, first_problem
 from rhot.messages.base import Position, Quaternion, unit_quaternion, wire_position, wire_quaternion
-
-FloatArray = NDArray[np.float64]
 
 MOST_BYTES: Final = 2048
 """Of a message from a browser; a head and two controllers take 500, a second of waits 1,500."""

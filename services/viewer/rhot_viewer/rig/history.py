@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.messages import ServiceStatus
-
-FloatArray = NDArray[np.float64]
 
 SECONDS: Final = 120
 _LOST: Final = ("dropped_late", "missed", "invalid", "overwritten", "failed")

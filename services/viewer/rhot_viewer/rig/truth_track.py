@@ -7,12 +7,10 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS
+from rhot.arrays import FloatArray
 from rhot.messages import HandPose, Truth
-
-FloatArray = NDArray[np.float64]
 
 _KEPT: Final = 64
 _MAX_GAP_NS: Final = 100_000_000

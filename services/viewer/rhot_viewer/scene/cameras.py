@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.rig.calibration import CameraCalibration
-
-FloatArray = NDArray[np.float64]
 
 PICTURE_DISTANCE_M: Final = 0.055
 """The picture hangs this far in front of its camera: narrow enough not to cut into that of a neighbour 75 mm away."""

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS, PARENTS
+from rhot.arrays import FloatArray
 from rhot.messages import HandPose, Side, State, TruePose
 from rhot_viewer.scene.instances import Instances, Rgb, balls, rods
-
-FloatArray = NDArray[np.float64]
 
 BONE_COLOR: Final[dict[str, Rgb]] = {"right": (226, 184, 150), "left": (196, 176, 208)}
 JOINT_COLOR: Final[dict[str, Rgb]] = {"right": (186, 128, 92), "left": (140, 112, 160)}

@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
+from rhot.arrays import FloatArray
+
 Rgb = tuple[int, int, int]
 
 _SCALE_STEP_M: Final = 1e-5

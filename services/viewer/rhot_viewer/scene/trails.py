@@ -9,9 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_viewer.scene.instances import Rgb
-
-FloatArray = NDArray[np.float64]
 
 _STEP_NS: Final = 50_000_000
 _BREAK_NS: Final = 400_000_000

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.rig import Rig
 from rhot_viewer.scene.cameras import PicturePlane
-
-FloatArray = NDArray[np.float64]
 
 OVERVIEW_FOV_RAD: Final = float(np.radians(48.0))
 _CLOSE_M: Final = 0.45

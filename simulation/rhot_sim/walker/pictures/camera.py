@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.rig.feet_config import DepthCameraConfig
 from rhot_sim.rig.schedule import uniforms
-
-FloatArray = NDArray[np.float64]
 
 COLOR_FOCAL_PX: Final = (613.037, 612.738)
 COLOR_CENTER_PX: Final = (429.842, 237.867)

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import R_FOOT_MARKER, marker_corners_m
 from rhot.messages import Side
 from rhot_sim.walker.pictures.solids import CARD_SHARE, SHIRT, SHOE, TROUSERS, Cone, Limbs
 from rhot_sim.walker.pictures.textures import CELL_PX, FLOOR_M, FLOOR_PX_PER_M, card_texture, floor_texture
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Bgr = tuple[float, float, float]
 

@@ -20,10 +20,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_sim.walker.pictures.camera import BASELINE_M, DEPTH_FOCAL_PX
 from rhot_sim.walker.pictures.solids import Cone
 
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 DepthImage = NDArray[np.uint16]
 

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot_sim.walker.plan import SIDES
 from rhot_sim.world.script import seeded
-
-FloatArray = NDArray[np.float64]
 
 _STREAM: Final = 41
 _HEM_SLOT_S: Final = 2.5

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot_sim.walker.person import Person, PersonSample
 from rhot_sim.walker.plan import SIDES
-
-FloatArray = NDArray[np.float64]
 
 CARD_SHARE: Final = 1.3
 """Side of the white card over that of the marker's black square."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from boards.views import CAMERAS, SimulatedViews, nominal_lens, simulated_views
 
+from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import vector_from_rotation
 from rhot.geometry.transforms import inverse
@@ -19,7 +20,7 @@ from rhot_calibration.cameras.calibration import Calibrated, bow_mm, calibrate, 
 from rhot_calibration.cameras.refusals import Expected
 from rhot_calibration.cameras.solve.mistakes import mirrored
 from rhot_calibration.cameras.solve.solve import Solution, solve
-from rhot_calibration.cameras.solve.views import Board, BoardView, FloatArray, ViewSet
+from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 
 Views = Mapping[tuple[str, int], BoardView]
 

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 from touched.toucher import BOX, P_DEVICE_OBJECT, R_DEVICE_OBJECT, RADIUS_M, Toucher, surface
 
-from rhot.geometry.rotations import FloatArray, quaternion_from_rotation, rotation_from_vector
+from rhot.arrays import FloatArray
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vector
 from rhot_calibration.objects.touch.checks import judged
 from rhot_calibration.objects.touch.collector import TouchCollector
 from rhot_objects.pose import Pose

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from touched.toucher import BOX, CYLINDER, P_DEVICE_OBJECT, R_DEVICE_OBJECT, SPHERE, Toucher
 
-from rhot.geometry.rotations import FloatArray, rotation_between, rotation_from_vector
+from rhot.arrays import FloatArray
+from rhot.geometry.rotations import rotation_between, rotation_from_vector
 from rhot.messages import FacedShape
 from rhot_calibration.objects.touch.faces import faces_of, gaps, usual_faces
 from rhot_calibration.objects.touch.fit import OffsetFit, fit_offset

@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.messages import Side
 from rhot.rig import HandFile
@@ -17,8 +17,6 @@ from rhot_ik.hand.filter.prior import angle_covariance, closed_angles, hidden_an
 from rhot_ik.hand.filter.process import ANGLES, HandState
 from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-
-FloatArray = NDArray[np.float64]
 
 KNOWN = np.zeros(6, dtype=np.bool_)
 BASE_OFFSET = np.array([0.0, 0.014, -0.025])

@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel, patch_outline
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.rig import HandFile, MarkerConfig
 from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
@@ -12,8 +12,6 @@ from rhot_ik.hand.filter.initialisation import HandInitialiser
 from rhot_ik.hand.filter.prior import rest_angles
 from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-
-FloatArray = NDArray[np.float64]
 
 P_TRUE = np.array([0.02, 0.05, 0.8])
 BASE_OFFSET = np.array([0.0, 0.014, -0.025])

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
@@ -11,8 +10,6 @@ from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-
-FloatArray = NDArray[np.float64]
 
 
 def geometry_of(side: Side) -> FingerGeometry:

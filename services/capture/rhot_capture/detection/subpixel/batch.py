@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhot_capture.detection.color_table import ImageArray
+from rhot.arrays import ImageArray
 from rhot_capture.detection.subpixel.shares import LEAST, MIN_STEP, MOST, CoverageArray
 from rhot_capture.detection.subpixel.windows import Grid
 

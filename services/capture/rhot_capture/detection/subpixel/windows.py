@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
-from rhot_capture.detection.color_table import ImageArray
+from rhot.arrays import ImageArray
 from rhot_capture.detection.subpixel.shares import Shares
 
 _COARSE_FROM_PX: Final = 40

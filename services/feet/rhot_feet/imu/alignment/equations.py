@@ -16,11 +16,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import nearest_rotation
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,14 +27,12 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_feet.imu.alignment.equations import PRIOR, SETTINGS, UNKNOWNS, Alignment, AlignmentEquations
 from rhot_feet.imu.alignment.steps import Step, StepTracker
 from rhot_feet.imu.conversion import LONGEST_STEP_S, nearest_sample
 from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

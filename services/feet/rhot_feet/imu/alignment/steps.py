@@ -17,12 +17,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot_feet.imu.alignment.equations import SETTINGS
 from rhot_feet.imu.samples import GRAVITY_M_S2
-
-FloatArray = NDArray[np.float64]
 
 _GRAVITY: Final = np.array([0.0, 0.0, GRAVITY_M_S2])
 

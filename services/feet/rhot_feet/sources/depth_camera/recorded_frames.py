@@ -18,9 +18,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from rhot.arrays import IntArray
 from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
@@ -30,8 +30,6 @@ from rhot.recording.picture_file import read_picture
 from rhot.recording.tables import read_times
 from rhot.rig.calibration import Intrinsics
 from rhot_feet.frames import DepthFrame, DepthImage, pinhole
-
-IntArray = NDArray[np.int64]
 
 _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
 _DEPTH_SUFFIXES = (".png",)

@@ -15,8 +15,9 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot_feet.imu.conversion import RawImuConverter
-from rhot_feet.imu.samples import FloatArray, ImuSamples
+from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.sources.imu.device_clock import DeviceClock
 
 SYNC: Final = b"\xa5\x5a"

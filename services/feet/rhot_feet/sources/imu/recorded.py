@@ -14,15 +14,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.recording.feet.tables import SENSOR_HEADER, read_table
 from rhot_feet.imu.conversion import FusedImuConverter, RawImuConverter
 from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
-
-FloatArray = NDArray[np.float64]
 
 _FUSED: Final = ("t", "qw", "qx", "qy", "qz", "lax", "lay", "laz")
 _RAW: Final = ("t", "ax", "ay", "az", "gx", "gy", "gz")
