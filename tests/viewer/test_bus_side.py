@@ -48,6 +48,25 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "_TIMEOUT_S", PATIENCE_S)
 
 
+class Audience:
+    """Somebody who looks at a page, or nobody."""
+
+    def __init__(self, *, looking: bool) -> None:
+        self._looking, self._away = asyncio.Event(), asyncio.Event()
+        self.look(looking)
+
+    def look(self, looking: bool) -> None:
+        come, go = (self._looking, self._away) if looking else (self._away, self._looking)
+        come.set()
+        go.clear()
+
+    async def looked_at(self) -> None:
+        await self._looking.wait()
+
+    async def left(self) -> None:
+        await self._away.wait()
+
+
 class Running:
     """A task that is ended with the block."""
 
@@ -66,7 +85,7 @@ async def test_the_inbox_keeps_the_newest_and_counts_garbage(bus: Bus, viewer_bu
     clock = SystemClock()
     node = Node("viewer", "main", viewer_bus, clock, LocalRigClock(clock), StatusBoard())
     inbox = Inbox()
-    async with Running(inbox.run(node, lambda: True)):
+    async with Running(inbox.run(node, Audience(looking=True))):
         await asyncio.sleep(0)  # it subscribes
         bus.alive("rhot/alive/ik/main")
         hands = bus.publisher("rhot/hand/right", HandPose)
@@ -97,11 +116,27 @@ async def test_the_inbox_keeps_the_newest_and_counts_garbage(bus: Bus, viewer_bu
         assert node.status.counts["invalid"] == 2, "each once, however often it is looked at"
 
 
+async def test_what_moves_is_subscribed_to_only_while_somebody_looks(bus: Bus, viewer_bus: Bus, stub: StubRig) -> None:
+    clock = SystemClock()
+    node = Node("viewer", "main", viewer_bus, clock, LocalRigClock(clock), StatusBoard())
+    inbox, audience = Inbox(), Audience(looking=False)
+    hands = bus.publisher("rhot/hand/right", HandPose)
+    statuses = bus.publisher("rhot/status/ik/main", ServiceStatus)
+    async with Running(inbox.run(node, audience)):
+        assert await statuses.wait_for_reader(PATIENCE_S)
+        assert not hands.has_reader
+        for _ in range(2):
+            audience.look(True)
+            assert await hands.wait_for_reader(PATIENCE_S)
+            audience.look(False)
+            await until(lambda: not hands.has_reader)
+
+
 class WaitingStatuses:
     """A bus on which the statuses of a large rig wait, and nothing else comes."""
 
-    async def latest(self, key_expr: str) -> AsyncIterator[Sample]:
-        for number in range(20 if key_expr == "rhot/status/*/*" else 0):
+    async def latest(self, *key_exprs: str) -> AsyncIterator[Sample]:
+        for number in range(20 if key_exprs == ("rhot/status/*/*",) else 0):
             status = ServiceStatus(t_ns=1, service="capture", instance=f"c{number}", state="running")
             yield Sample(f"rhot/status/capture/c{number}", encode(status), "", False, time.monotonic_ns())
         await asyncio.Event().wait()
@@ -121,7 +156,7 @@ async def test_all_statuses_that_wait_are_taken_at_once(monkeypatch: pytest.Monk
     inbox = Inbox()
     monkeypatch.setattr("rhot_viewer.rig.inbox.asyncio.sleep", counted)
     node = SimpleNamespace(bus=WaitingStatuses(), refuse=None)
-    async with Running(inbox.run(cast(Node, node), lambda: False)):
+    async with Running(inbox.run(cast(Node, node), Audience(looking=False))):
         for _ in range(100):
             await sleep(0)
         assert len(inbox.all_newest("rhot/status/", ServiceStatus, 10 * PATIENCE_S)) == 20

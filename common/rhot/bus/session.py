@@ -44,7 +44,7 @@ class Bus:
         self.config = config
         self._session = session
         self._declared: list[_Undeclarable] = []
-        self._mailboxes: list[LatestSubscriber | EventSubscriber] = []
+        self._subscribed: dict[LatestSubscriber | EventSubscriber, list[_Undeclarable]] = {}
         self._workers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="rhot-answer")
         self._room = threading.BoundedSemaphore(MAX_WAITING_ANSWERS)
         self._limits = LimitCounts()
@@ -131,19 +131,24 @@ class Bus:
     _Mail = TypeVar("_Mail", LatestSubscriber, EventSubscriber)
 
     def _subscribe(self, mailbox: _Mail, *key_exprs: str) -> _Mail:
-        for key_expr in key_exprs:
+        self._subscribed[mailbox] = [
             # indirect=False: no queue and no thread of zenoh's own between the network and the mailbox.
-            handler = zenoh.handlers.Callback(mailbox, indirect=False)
-            self._declared.append(self._session.declare_subscriber(key_expr, handler))
-        self._mailboxes.append(mailbox)
+            self._session.declare_subscriber(key_expr, zenoh.handlers.Callback(mailbox, indirect=False))
+            for key_expr in key_exprs
+        ]
         return mailbox
+
+    async def unsubscribe(self, mailbox: LatestSubscriber | EventSubscriber) -> None:
+        """Take a subscription back, so that its keys no longer travel to this process, and end its mailbox."""
+        mailbox.close()
+        for subscriber in self._subscribed.pop(mailbox, []):
+            await asyncio.to_thread(_undeclare, subscriber)
 
     def liveliness(self, key_expr: str) -> EventSubscriber:
         """Subscribe to who comes and goes; those already there are reported first."""
         mailbox = EventSubscriber(_EVENT_LIMIT, self._limits)
         handler = zenoh.handlers.Callback(mailbox, indirect=False)
-        self._declared.append(self._session.liveliness().declare_subscriber(key_expr, handler, history=True))
-        self._mailboxes.append(mailbox)
+        self._subscribed[mailbox] = [self._session.liveliness().declare_subscriber(key_expr, handler, history=True)]
         return mailbox
 
     async def who_is_alive(self, key_expr: str = "rhot/alive/**", *, timeout_s: float = 1.0) -> list[Reply]:
@@ -277,7 +282,7 @@ class Bus:
         if self._closed:
             return
         self._closed = True
-        for mailbox in self._mailboxes:
+        for mailbox in self._subscribed:
             mailbox.close()
         self._workers.shutdown(wait=False, cancel_futures=True)
         # A daemon thread: a close that hangs must not keep the process alive.
@@ -293,15 +298,20 @@ class Bus:
             logger.warning("the Zenoh session did not close within %.0f s", _CLOSE_LIMIT_S)
 
     def _close_session(self, loop: asyncio.AbstractEventLoop, closed: asyncio.Event) -> None:
-        for declared in reversed(self._declared):
-            try:
-                declared.undeclare()
-            # RuntimeError: a thread is still inside a `put` on it ("Already borrowed"); it ends with the session.
-            except (zenoh.ZError, RuntimeError) as error:
-                logger.debug("undeclare: %s", error)
+        subscribers = [subscriber for declared in self._subscribed.values() for subscriber in declared]
+        for declared in reversed([*self._declared, *subscribers]):
+            _undeclare(declared)
         try:
             self._session.close()  # type: ignore[no-untyped-call]
         except zenoh.ZError as error:
             logger.debug("close: %s", error)
         with contextlib.suppress(RuntimeError):  # the loop gave up waiting and is closed
             loop.call_soon_threadsafe(closed.set)
+
+
+def _undeclare(declared: _Undeclarable) -> None:
+    try:
+        declared.undeclare()
+    # RuntimeError: a thread is still inside a `put` on it ("Already borrowed"); it ends with the session.
+    except (zenoh.ZError, RuntimeError) as error:
+        logger.debug("undeclare: %s", error)

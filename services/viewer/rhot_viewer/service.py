@@ -157,7 +157,7 @@ class ViewerService:
         """Feed the page until cancelled."""
         node = await self._node
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._inbox.run(node, lambda: self._page.browsers > 0))
+            tasks.create_task(self._inbox.run(node, self._page))
             tasks.create_task(self._settings.run(node.bus))
             tasks.create_task(
                 self._pictures.run(node.bus, lambda: 1.0 / self._config.picture_rate_hz, self._page.looked_at)

@@ -56,6 +56,8 @@ class Page:
         self._loop = asyncio.get_running_loop()
         self._browsers: set[int] = set()
         self._looked_at = asyncio.Event()
+        self._alone = asyncio.Event()
+        self._alone.set()
         _check_free(host, port)
         wake_senders_safely()
         self.guard = Guard(access or Access())
@@ -100,12 +102,14 @@ class Page:
     def _came(self, browser: int) -> None:
         self._browsers.add(browser)
         self._looked_at.set()
+        self._alone.clear()
         logger.info("browser %d connected, %d in all", browser, len(self._browsers))
 
     def _left(self, browser: int) -> None:
         self._browsers.discard(browser)
         if not self._browsers:
             self._looked_at.clear()
+            self._alone.set()
         logger.info("browser %d left, %d remain", browser, len(self._browsers))
 
     @property
@@ -116,6 +120,10 @@ class Page:
     async def looked_at(self) -> None:
         """Return once a browser is connected."""
         await self._looked_at.wait()
+
+    async def left(self) -> None:
+        """Return once no browser is connected."""
+        await self._alone.wait()
 
     def on_loop(self, work: Callable[[E], None]) -> Callable[[E], None]:
         """Return a callback for viser that does its work on our event loop."""

@@ -79,6 +79,7 @@ class GraspServer:
     Attributes:
         browsers: who looks.
         rate_hz: most frames per second for each.
+        audience_changed: set whenever a browser comes, goes, or wishes for something else.
     """
 
     def __init__(
@@ -104,6 +105,7 @@ class GraspServer:
         """
         self.browsers: set[Browser] = set()
         self.rate_hz = 120.0
+        self.audience_changed = asyncio.Event()
         self._guard = guard
         self._newest = newest
         self._hello = hello
@@ -167,6 +169,7 @@ class GraspServer:
     async def _stay(self, connection: ServerConnection) -> None:
         browser = Browser(connection, self._guard.role_of(connection))
         self.browsers.add(browser)
+        self.audience_changed.set()
         logger.info("a browser has connected, %d now", len(self.browsers))
         feeding: asyncio.Task[None] | None = None
         try:
@@ -179,6 +182,7 @@ class GraspServer:
             pass
         finally:
             self.browsers.discard(browser)
+            self.audience_changed.set()
             self._guard.forget(connection)
             self._gone(browser)
             logger.info("a browser has gone, %d left", len(self.browsers))
@@ -197,6 +201,7 @@ class GraspServer:
             browser.wake()
         elif isinstance(message, Wish):
             browser.wished_hz, browser.wants_truth = message.rate_hz, message.truth
+            self.audience_changed.set()
             browser.pace.rate_hz, browser.pace.ahead = min(message.rate_hz, self.rate_hz), message.ahead
         elif isinstance(message, Shown):
             browser.shown = message

@@ -10,7 +10,6 @@ import socket
 import ssl
 import time
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -54,7 +53,6 @@ _KEYS: Final[Mapping[str, type[Message]]] = {
 _HAND: Final = "rhot/hand/"
 _TRUTH: Final = "rhot/truth"
 _SPACES: Final = "rhot/space/*"
-_IDLE_S: Final = 0.1
 _LEAD_S: Final = 0.1
 """So long after a hand, only hands make a frame go: what else is new goes with them."""
 _LOOK_S: Final = 0.5
@@ -120,9 +118,7 @@ class GraspService:
         """Take the bus."""
         self._node = node
         node.status.watch(self._figures)
-        for keys, model in _KEYS.items():
-            mailbox = node.bus.latest(keys)
-            node.beside(partial(self._follow, node, keys, mailbox, model))
+        node.beside(lambda: self._follow_as_wanted(node))
         node.beside(self._close_server_before_bus)
         node.beside(lambda: self._ask_for_spaces(node))
         node.beside(lambda: self._follow_folder(node))
@@ -147,24 +143,39 @@ class GraspService:
         """Nothing begins or ends with a session."""
         await asyncio.Event().wait()
 
+    async def _follow_as_wanted(self, node: Node) -> None:
+        """Subscribe to what browsers want while they want it: nobody's poses cost 5 % of a core here, and the router's.
+
+        Spaces are rare and wanted always.
+        """
+        followed: dict[str, LatestSubscriber] = {}
+        async with asyncio.TaskGroup() as tasks:
+            while True:
+                self.server.audience_changed.clear()
+                for keys, model in _KEYS.items():
+                    if self._wanted(keys) and keys not in followed:
+                        followed[keys] = node.bus.latest(keys)
+                        tasks.create_task(self._follow(node, keys, followed[keys], model))
+                    elif keys in followed and not self._wanted(keys):
+                        await node.bus.unsubscribe(followed.pop(keys))
+                await self.server.audience_changed.wait()
+
     async def _follow(self, node: Node, keys: str, mailbox: LatestSubscriber, model: type[Message]) -> None:
         async for sample in mailbox:
-            rare = keys == _SPACES
-            if not rare and not self._wanted(keys):
-                # While nothing is taken, newer samples replace older ones without waking anybody.
-                await asyncio.sleep(_IDLE_S)
-                continue
             message = node.read(sample, model)
             if message is None:
                 continue
             mailbox.keep_slot_of(sample.key)
             waited_s = (time.monotonic_ns() - sample.arrived_ns) / 1e9
+            rare = keys == _SPACES
             self._take(sample.key, message, math.nan if rare else self._now_ms() - 1e3 * waited_s)
             if not rare:
                 node.status.tick("input")
                 node.status.latency("to_page", (time.monotonic_ns() - sample.arrived_ns) / 1e9)
 
     def _wanted(self, keys: str) -> bool:
+        if keys == _SPACES:
+            return True
         if keys == _TRUTH:
             return any(browser.wants_truth for browser in self.server.browsers)
         return bool(self.server.browsers)
