@@ -66,8 +66,8 @@ class MarkerCoverage:
 
     def at(self, t_s: float) -> dict[str, MarkerView]:
         """Return the view of each marker at `t_s`, seconds since the world's start."""
-        rings, groups = self._body.rings(self.world.sample(np.array([t_s])), self.camera.center)
-        paths = self._outliner.paths(rings)
+        rings, (groups,) = self._body.rings(self.world.sample(np.array([t_s])), self.camera.center)
+        (paths,) = self._outliner.paths(rings)
         points = paths.middle
         outlines = {name: points[list(indices)].reshape(-1, 2) for name, indices in self._body.marker_rings.items()}
         window = Window.around(np.concatenate(list(outlines.values())), self.camera.width, self.camera.height)

@@ -67,8 +67,8 @@ class Outliner:
         self._circle = grow * np.stack([np.cos(phi), np.sin(phi)])
         self._square = _square(vertices)
 
-    def paths(self, rings: Rings) -> OutlinePaths:
-        """Return the paths of rings at three moments (or at one, which stands still)."""
+    def paths(self, rings: Rings, pictures: int = 1) -> list[OutlinePaths]:
+        """Return the paths of rings in each picture, at three moments of it (or at one, which stands still)."""
         to_camera = self.camera.R_camera_rig.T
         C = rings.centers @ to_camera + self.camera.t_camera_rig
         C[..., 2] = np.maximum(C[..., 2], _NEAR_M)
@@ -77,7 +77,8 @@ class Outliner:
         extents = np.repeat(rings.extents[None], len(C), axis=0)
         distance = np.sqrt(np.einsum("krc,krc->kr", C, C))
         view = C / distance[..., None]
-        distances = distance[len(C) // 2].copy()
+        each = len(C) // pictures
+        distances = distance[each // 2 :: each].copy()
         balls, discs, patches = (np.flatnonzero(rings.kinds == kind) for kind in (BALL, DISC, PATCH))
         self._outline_balls(C, axes, extents, balls)
         extents[:, balls] = np.maximum(extents[:, balls] - shrink[:, balls, None], 1e-5)
@@ -94,9 +95,8 @@ class Outliner:
             slanted = shrink[:, patches, None] / np.sqrt(np.maximum(1.0 - slant**2, 0.01))
             extents[:, patches] = np.maximum(extents[:, patches] - slanted, 1e-5)
         pixels = self._project(C, axes * extents[..., None], patches)
-        if len(pixels) == 1:
-            return OutlinePaths(pixels[0], pixels[0], pixels[0], distances)
-        return OutlinePaths(pixels[0], pixels[1], pixels[2], distances)
+        first, middle, last = (pixels[moment::each] for moment in (0, each // 2, each - 1))
+        return [OutlinePaths(*parts) for parts in zip(first, middle, last, distances, strict=True)]
 
     @staticmethod
     def _outline_balls(C: FloatArray, axes: FloatArray, extents: FloatArray, balls: NDArray[np.intp]) -> None:

@@ -28,6 +28,9 @@ AHEAD: Final = 16
 """Pictures that may be begun and not yet taken. A quarter of a second at 60 Hz: longer than a machine with two cores is
 busy with something else at a time (6 pictures lost 119 and 143 frames of 3,600 where 16 lost 71 and 92, of which 72 are
 lost on purpose), and short enough to be filled within the start-up."""
+BATCH: Final = 4
+"""Pictures that are best begun at once: where everything is in them is then worked out together. Larger batches save
+little more (2.6 ms a picture alone, 2.2 of four, 2.1 of eight) and keep the processor from others for longer."""
 _REQUEST: Final = struct.Struct("d")
 _DONE: Final = b"."
 
@@ -65,8 +68,8 @@ class RenderProcess:
         """
         self._wait_for_byte()
 
-    def begin(self, t_first_row_s: float) -> None:
-        """Ask for the picture whose first row begins at a time, seconds since the world's start.
+    def begin(self, *t_first_rows_s: float) -> None:
+        """Ask for the pictures whose first rows begin at these times, seconds since the world's start.
 
         At most `AHEAD` pictures may be begun and not yet taken: the next would be drawn over the first.
 
@@ -76,7 +79,7 @@ class RenderProcess:
         try:
             if self._child.stdin is None:
                 raise BrokenPipeError
-            self._child.stdin.write(_REQUEST.pack(t_first_row_s))
+            self._child.stdin.write(b"".join(map(_REQUEST.pack, t_first_rows_s)))
             self._child.stdin.flush()
         except (OSError, ValueError) as error:
             raise self._ended() from error
@@ -133,12 +136,18 @@ def serve(rig_path: Path, camera: str, file: int) -> None:
     number = 0
     with contextlib.suppress(BrokenPipeError):
         _say_done()
-        while request := sys.stdin.buffer.read(_REQUEST.size):
-            if len(request) < _REQUEST.size:
-                return
-            renderer.render(_REQUEST.unpack(request)[0], out=ring[number % AHEAD])
-            number += 1
-            _say_done()
+        while requests := _requests():
+            slots = [ring[(number + place) % AHEAD] for place in range(len(requests))]
+            for _ in renderer.render_all(requests, slots):
+                _say_done()
+            number += len(requests)
+
+
+def _requests() -> list[float]:
+    """Wait for requests, and return those that are there, a batch at most; none when nobody will ask any more."""
+    # A pipe hands over whole requests: each batch is written at once, and is smaller than what a pipe never cuts.
+    asked = os.read(sys.stdin.fileno(), BATCH * _REQUEST.size)
+    return [t_s for (t_s,) in _REQUEST.iter_unpack(asked[: len(asked) // _REQUEST.size * _REQUEST.size])]
 
 
 def _say_done() -> None:

@@ -22,7 +22,7 @@ from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.pacing import Pacer
 from rhot_sim.rendering.picture_settings import with_picture
-from rhot_sim.rendering.render_process import AHEAD, RenderProcess
+from rhot_sim.rendering.render_process import AHEAD, BATCH, RenderProcess
 from rhot_sim.sources.stride import Stride
 
 logger = logging.getLogger(__name__)
@@ -184,20 +184,24 @@ class SimulatedSource:
         return self._is_ready
 
     def _begin_ahead(self) -> None:
-        """Begin to render the next frames that are not lost and can be ready in time."""
-        while len(self._begun) < AHEAD and not self._pacer.stopped:
+        """Begin to render the next frames that are not lost and can be ready in time, a batch at a time."""
+        if len(self._begun) > AHEAD - BATCH:
+            return
+        batch: list[tuple[int, FrameMoment]] = []
+        while len(self._begun) + len(batch) < AHEAD and not self._pacer.stopped:
             number, moment = self._number, self._schedule.frame(self._number)
             self._number = self._stride.next_after(number)
             if moment.dropped:
                 continue
             # Where rendering does not keep up, frames fall out as they would from a camera that nobody empties.
-            late = self._is_late(moment, len(self._begun) * self._drawing_s)
+            late = self._is_late(moment, (len(self._begun) + len(batch)) * self._drawing_s)
             if self._stride.count(late):
                 self._tell_rate()
-            if late:
-                continue
-            self._renderer.begin(moment.t_first_row_s)
-            self._begun.append((number, moment))
+            if not late:
+                batch.append((number, moment))
+        if batch:
+            self._renderer.begin(*(moment.t_first_row_s for _, moment in batch))
+            self._begun.extend(batch)
 
     def _tell_rate(self) -> None:
         rate_hz = self._camera.rate_hz

@@ -143,12 +143,15 @@ class Body:
         }
         """Marker name to the rings whose hull is all of it, seen or hidden."""
 
-    def rings(self, sample: WorldSample, camera_center: FloatArray) -> tuple[Rings, list[Group]]:
-        """Return all rings at the sample's moments, and the groups as seen from a camera at the middle moment.
+    def rings(
+        self, sample: WorldSample, camera_center: FloatArray, pictures: int = 1
+    ) -> tuple[Rings, list[list[Group]]]:
+        """Return all rings at the sample's moments, and the groups of each picture, as seen at its middle moment.
 
         Args:
-            sample: K moments.
+            sample: K moments, as many for each picture, picture by picture.
             camera_center: (3,) metres, rig frame.
+            pictures: of these moments.
         """
         k = len(sample.t_s)
         rings = Rings(
@@ -158,11 +161,11 @@ class Body:
             np.zeros(self.ring_count, dtype=np.int8),
             np.zeros((k, self.ring_count, 3)),
         )
-        groups: list[Group] = []
+        groups: list[list[Group]] = [[] for _ in range(pictures)]
         for side, hand_body in self._hands.items():
-            groups += hand_body.place(sample.joints[side], camera_center, rings, self.owner_rings[side].start)
+            hand_body.place(sample.joints[side], camera_center, rings, self.owner_rings[side].start, groups)
         for name in self._objects:
-            groups += _place_box(name, sample.objects[name], camera_center, rings, self.owner_rings[name].start)
+            _place_box(name, sample.objects[name], camera_center, rings, self.owner_rings[name].start, groups)
         return rings, groups
 
 
@@ -194,7 +197,10 @@ class _HandBody:
         # A hand shows few of its sides, and for many frames the same: the parts of each are put together once.
         self._groups = lru_cache(maxsize=256)(self._groups_of)
 
-    def place(self, joints: HandJoints, camera: FloatArray, rings: Rings, first: int) -> tuple[Group, ...]:
+    def place(
+        self, joints: HandJoints, camera: FloatArray, rings: Rings, first: int, groups: list[list[Group]]
+    ) -> None:
+        """Set the hand's rings from `first` on, and add its groups to those of each picture."""
         hand = self._hand
         centers, axes = rings.centers[:, first:], rings.axes[:, first:]
         extents, kinds = rings.extents[first:], rings.kinds[first:]
@@ -205,9 +211,9 @@ class _HandBody:
         frames = joints.rotations[:, MOVING[:, 3]]
         Z = frames[..., 2]
         cut = tips + self._cut_m[:, None] * Z
-        middle = k // 2
-        skin_in_front = ((camera - cut[middle]) * Z[middle]).sum(-1) > 0.0
-        sign = np.where(skin_in_front, 1.0, -1.0)[:, None]
+        middles = _middles(k, len(groups))
+        skin_in_front = ((camera - cut[middles]) * Z[middles]).sum(-1) > 0.0
+        sign = np.repeat(np.where(skin_in_front, 1.0, -1.0), k // len(groups), axis=0)[..., None]
         centers[:, 20:25] = cut
         centers[:, 25:30] = cut + SEAM_OVERLAP_M * sign * Z
         rings.shift_axes[:, first + 20 : first + 25] = sign * Z
@@ -235,14 +241,14 @@ class _HandBody:
             joint = JOINTS.index(self._markers[name].joint)
             centers[:, place] = joints.positions[:, joint]
             extents[place] = hand.radii[joint] * 1.03
-        facing = tuple(
-            name
-            for place, name in enumerate(self._patches)
-            if (camera - centers[middle, FIXED_RINGS + place])
-            @ joints.rotation(self._markers[name].joint)[middle, :, 1]
-            > 0.0
-        )
-        return self._groups(first, tuple(skin_in_front.tolist()), facing)
+        outwards = [joints.rotation(self._markers[name].joint)[middles, :, 1] for name in self._patches]
+        facing = [
+            (((camera - centers[middles, FIXED_RINGS + place]) * outward).sum(-1) > 0.0).tolist()
+            for place, outward in enumerate(outwards)
+        ]
+        for picture, in_front in enumerate(skin_in_front.tolist()):
+            patches = tuple(name for name, faces in zip(self._patches, facing, strict=True) if faces[picture])
+            groups[picture] += self._groups(first, tuple(in_front), patches)
 
     def _place_arm(self, joints: HandJoints, centers: FloatArray, extents: FloatArray) -> None:
         """Set two balls at the wrist, two at the forearm's end and one in the web of the thumb."""
@@ -303,17 +309,25 @@ _FACES: Final = tuple(
 _FACE_BRIGHTNESS: Final = {(0, -1): 0.7, (0, 1): 0.8, (1, -1): 0.5, (1, 1): 1.0, (2, -1): 0.75, (2, 1): 0.62}
 
 
-def _place_box(name: str, T: FloatArray, camera: FloatArray, rings: Rings, first: int) -> list[Group]:
-    """Set the eight balls of a rounded box with poses T (K, 4, 4)."""
+def _middles(moments: int, pictures: int) -> slice:
+    """Return the middle moment of each picture."""
+    each = moments // pictures
+    return slice(each // 2, None, each)
+
+
+def _place_box(
+    name: str, T: FloatArray, camera: FloatArray, rings: Rings, first: int, groups: list[list[Group]]
+) -> None:
+    """Set the eight balls of a rounded box with poses T (K, 4, 4), and add it to the groups of each picture."""
     eight = slice(first, first + 8)
     inner = _CORNERS * (OBJECT_SIZE_M / 2.0 - CORNER_RADIUS_M)
     rings.centers[:, eight] = inner @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]
     rings.extents[eight] = CORNER_RADIUS_M
-    middle = T[len(T) // 2]
-    to_camera = camera - middle[:3, 3]
-    parts = [Part(tuple(range(first, first + 8)), "object", ((1.0, 0.5),))]
-    for axis, sign, corners in _FACES:
-        if sign * float(to_camera @ middle[:3, axis]) > OBJECT_SIZE_M[axis] / 2.0:
-            shades = ((0.85, _FACE_BRIGHTNESS[axis, sign]),)
-            parts.append(Part(tuple(first + corner for corner in corners), "object", shades))
-    return [Group.of((part,), tuple(range(first, first + 8)), name) for part in parts]
+    for drawn, middle in zip(groups, T[_middles(len(T), len(groups))], strict=True):
+        to_camera = camera - middle[:3, 3]
+        parts = [Part(tuple(range(first, first + 8)), "object", ((1.0, 0.5),))]
+        for axis, sign, corners in _FACES:
+            if sign * float(to_camera @ middle[:3, axis]) > OBJECT_SIZE_M[axis] / 2.0:
+                shades = ((0.85, _FACE_BRIGHTNESS[axis, sign]),)
+                parts.append(Part(tuple(first + corner for corner in corners), "object", shades))
+        drawn += [Group.of((part,), tuple(range(first, first + 8)), name) for part in parts]

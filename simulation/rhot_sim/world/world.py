@@ -15,7 +15,7 @@ from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import BoxShape, Side, TruePose, Truth
-from rhot.messages.base import wire_position, wire_quaternion
+from rhot.messages.base import wire_position
 from rhot.rig.config import MarkerConfig, SimConfig
 from rhot.rig.folder import Rig
 from rhot_sim.rig.calibration import simulated_rig_calibration
@@ -174,8 +174,8 @@ def _board_motion(rig: Rig, board: ChessBoard) -> Motion:
 
 
 def _joint_poses(joints: HandJoints) -> dict[str, TruePose]:
-    quaternions = quaternion_from_rotation(joints.rotations[0])
+    positions, quaternions = joints.positions[0].tolist(), quaternion_from_rotation(joints.rotations[0]).tolist()
     return {
-        name: TruePose(position=wire_position(position), orientation=wire_quaternion(quaternion))
-        for name, position, quaternion in zip(JOINTS, joints.positions[0], quaternions, strict=True)
+        name: TruePose(position=tuple(position), orientation=tuple(quaternion))
+        for name, position, quaternion in zip(JOINTS, positions, quaternions, strict=True)
     }
