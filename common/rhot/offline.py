@@ -101,10 +101,7 @@ def track_with(
         yield f"rhot/markers/{frame.camera}", frame
         for points_key, points in fusion.feed(frame):
             yield points_key, points
-            hands = ik.feed(points)
-            yield from hands
-            for _, hand in hands:
-                fusion.feed(hand)
+            yield from ik.feed(points)
     yield from _walked(feet, ik)
 
 
@@ -127,10 +124,7 @@ def track_smoothly(
     fusion, ik = core("fusion")(rig, record=True), core("ik")(rig)
     for frame in frames:
         yield f"rhot/markers/{frame.camera}", frame
-        for _, points in fusion.feed(frame):
-            for _, hand in ik.feed(points):
-                fusion.feed(hand)
-    ik = core("ik")(rig)
+        fusion.feed(frame)
     for known, points, hands in _looked_back(ik, _objects(rig), fusion.smoothed()):
         yield from known
         yield from _walked(feet, ik, points.t_ns)

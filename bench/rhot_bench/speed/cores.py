@@ -10,7 +10,7 @@ import numpy as np
 
 from rhot.anatomy.hand import HandModel
 from rhot.arrays import FloatArray, ImageArray
-from rhot.messages import HandPose, MarkerFrame, PointSet, encode
+from rhot.messages import MarkerFrame, PointSet, encode
 from rhot.rig import Rig
 from rhot_bench.measures.rows import Row, Section
 from rhot_bench.speed.interleaved import Spread, interleaved, no_collection, ratio_rows, time_rows, timed
@@ -202,7 +202,6 @@ def pipeline_section(scene: Scene) -> tuple[Section, Spread]:
         for _, points in fusion.feed(capture.frame(moment, image)):
             for _, pose in ik.feed(cast(PointSet, points)):
                 sent.append(len(encode(pose)))
-                fusion.feed(cast(HandPose, pose))
 
     seconds = []
     with no_collection():

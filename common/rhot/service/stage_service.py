@@ -47,8 +47,7 @@ class StageService(Generic[M, C]):
             config: the first configuration.
             make_stage: makes a stage for a session.
             owns_clock: this machine's clock is the rig clock.
-            side_inputs: keys and models of what the stage is handed beside its input, such as what others made of its
-                output.
+            side_inputs: keys and models of what the stage is handed beside its input.
         """
         self.name = name
         self.instance = instance

@@ -1,12 +1,11 @@
 """The fusion service: newest marker frames in, points out; owns the rig clock.
 
-Hands come back from inverse kinematics: where fingers point tells which part of a painted tip the cameras see. What the
-rig folder knows of further frames, such as the floor's, is published beside.
+What the rig folder knows of further frames, such as the floor's, is published beside.
 """
 
 from __future__ import annotations
 
-from rhot.messages import HandPose, MarkerFrame
+from rhot.messages import MarkerFrame
 from rhot.rig import FusionConfig, Rig
 from rhot.rig.folder import latest_rig
 from rhot.service import Node, StageService
@@ -14,7 +13,7 @@ from rhot.service.spaces import publish_spaces
 from rhot_fusion.stage import FusionStage
 
 
-class _FusionService(StageService[MarkerFrame | HandPose, FusionConfig]):
+class _FusionService(StageService[MarkerFrame, FusionConfig]):
     def __init__(self, rig: Rig) -> None:
         def make_stage(config: FusionConfig) -> FusionStage:
             stage = FusionStage(latest_rig(rig))
@@ -25,11 +24,10 @@ class _FusionService(StageService[MarkerFrame | HandPose, FusionConfig]):
             "fusion",
             input_keys="rhot/markers/*",
             model=MarkerFrame,
-            key_of=lambda message: f"rhot/markers/{message.camera}" if isinstance(message, MarkerFrame) else "",
+            key_of=lambda frame: f"rhot/markers/{frame.camera}",
             config=rig.config.fusion,
             make_stage=make_stage,
             owns_clock=True,
-            side_inputs={"rhot/hand/*": HandPose},
         )
         self._rig_path = rig.path
 
@@ -38,6 +36,6 @@ class _FusionService(StageService[MarkerFrame | HandPose, FusionConfig]):
         publish_spaces(node, self._rig_path)
 
 
-def fusion_service(rig: Rig) -> StageService[MarkerFrame | HandPose, FusionConfig]:
+def fusion_service(rig: Rig) -> StageService[MarkerFrame, FusionConfig]:
     """Return the service that turns `rhot/markers/*` into `rhot/points`."""
     return _FusionService(rig)

@@ -12,7 +12,7 @@ import numpy as np
 from rhot.errors import ConfigError
 from rhot.explain import Explanation
 from rhot.geometry.camera import CameraModel
-from rhot.messages import HandPose, MarkerFrame, Point, PointSet, PointState, Position
+from rhot.messages import MarkerFrame, Point, PointSet, PointState, Position
 from rhot.messages.base import wire_position
 from rhot.rig import FusionConfig, Rig
 from rhot.stage import Output
@@ -128,21 +128,14 @@ class FusionStage:
             )
         return ""
 
-    def feed(self, message: MarkerFrame | HandPose) -> list[Output]:
-        """Take one frame of one camera and return the point set that it made possible, if any.
-
-        A hand that inverse kinematics made of earlier points may be handed back: the directions of its fingers tell
-        which part of each painted tip the cameras see.
-        """
-        if isinstance(message, HandPose):
-            self._tracker.learn(message)
-            return []
-        verdict = self._guard.judge(message)
+    def feed(self, frame: MarkerFrame) -> list[Output]:
+        """Take one frame of one camera and return the point set that it made possible, if any."""
+        verdict = self._guard.judge(frame)
         if verdict == "refuse":
             return []
         known_ns = None if verdict == "restart" else self._base_ns
-        base_ns = self._begin(message.t_ns) if known_ns is None else known_ns
-        sightings = self._sightings(message, base_ns)
+        base_ns = self._begin(frame.t_ns) if known_ns is None else known_ns
+        sightings = self._sightings(frame, base_ns)
         self._newest_s = sightings.t_s
         outcome = self._tracker.advance(sightings)
         if outcome is None:

@@ -13,7 +13,6 @@ import numpy as np
 
 from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
-from rhot.messages import HandPose
 from rhot.rig import FusionConfig, Rig
 from rhot.rig.quality import pair_epipolar_p95_px
 from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of
@@ -109,9 +108,6 @@ class FilterTracker:
         """Change the settings."""
         self._config = self._acquisition.config = config
         self.epipolar.set_limit(config.epipolar_limit_px)
-
-    def learn(self, hand: HandPose) -> None:
-        """Nothing: what is needed of a hand follows from its markers."""
 
     def clear(self) -> None:
         """Forget all markers; what was learnt of the cameras stays."""

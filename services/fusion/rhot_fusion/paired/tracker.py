@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rhot.geometry.camera import CameraModel
-from rhot.messages import HandPose
 from rhot.rig import FusionConfig, HandFile, MarkerConfig
 from rhot_fusion.paired.association import Association
 from rhot_fusion.paired.pixel_filter import PixelFilters
@@ -64,9 +63,6 @@ class PairedTracker:
         self._association.configure(config)
         self._config = config
         self._pixels.configure(config)
-
-    def learn(self, hand: HandPose) -> None:
-        """Nothing: these methods publish what the cameras see."""
 
     def clear(self) -> None:
         """Forget all markers; what was learnt of the cameras stays."""

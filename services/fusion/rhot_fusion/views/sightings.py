@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import BoolArray, FloatArray, IndexArray
-from rhot.messages import HandPose, PointState
+from rhot.messages import PointState
 from rhot.rig import FusionConfig
 from rhot_fusion.views.epipolar import EpipolarModel
 from rhot_fusion.views.vectors import Vector
@@ -93,10 +93,6 @@ class Tracker(Protocol):
 
     def advance(self, sightings: Sightings) -> Outcome | None:
         """Take one frame in order of arrival; return the markers at the moment that it made possible, if any."""
-        ...
-
-    def learn(self, hand: HandPose) -> None:
-        """Take what inverse kinematics made of earlier points."""
         ...
 
     def clear(self) -> None:
