@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
-from rhot_sim.world.body import Group
+from rhot_sim.world.parts import Group
 
 Image = NDArray[np.uint8]
 Int32Array = NDArray[np.int32]

@@ -17,7 +17,8 @@ from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_sim.rendering.canvas import FIXED_BITS, PLAIN_GROWTH, Window, far_to_near, on_canvas
 from rhot_sim.rendering.outline import Outliner
-from rhot_sim.world.body import Body, Group
+from rhot_sim.world.body import Body
+from rhot_sim.world.parts import Group
 from rhot_sim.world.world import World
 
 Labels = NDArray[np.uint8]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot_sim.world.body import BALL, DISC, PATCH, Rings
+from rhot_sim.world.parts import BALL, DISC, PATCH, Rings
 
 _NEAR_M: Final = 0.02
 """Nothing is drawn nearer to the lens than this."""

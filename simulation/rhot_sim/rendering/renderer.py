@@ -24,8 +24,9 @@ from rhot_sim.rendering.board_painter import BoardPainter
 from rhot_sim.rendering.canvas import AA_GROWTH, AA_SEAM, Window, disjoint, far_to_near, paint_groups
 from rhot_sim.rendering.outline import OutlinePaths, Outliner, row_timed
 from rhot_sim.world.board import BOARD
-from rhot_sim.world.body import Body, Group
+from rhot_sim.world.body import Body
 from rhot_sim.world.paint import OBJECT, SKIN, Bgr, paints_of, shaded
+from rhot_sim.world.parts import Group
 from rhot_sim.world.script import seeded
 from rhot_sim.world.world import World
 

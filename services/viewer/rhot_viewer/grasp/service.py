@@ -144,10 +144,7 @@ class GraspService:
         await asyncio.Event().wait()
 
     async def _follow_as_wanted(self, node: Node) -> None:
-        """Subscribe to what browsers want while they want it: nobody's poses cost 5 % of a core here, and the router's.
-
-        Spaces are rare and wanted always.
-        """
+        """Subscribe to what browsers want while they want it: unread poses cost 5 % of a core here."""
         followed: dict[str, LatestSubscriber] = {}
         async with asyncio.TaskGroup() as tasks:
             while True:
@@ -162,8 +159,7 @@ class GraspService:
 
     async def _follow(self, node: Node, keys: str, mailbox: LatestSubscriber, model: type[Message]) -> None:
         async for sample in mailbox:
-            message = node.read(sample, model)
-            if message is None:
+            if (message := node.read(sample, model)) is None:
                 continue
             mailbox.keep_slot_of(sample.key)
             waited_s = (time.monotonic_ns() - sample.arrived_ns) / 1e9
