@@ -12,47 +12,29 @@ from rhot.rig import write_json_model
 
 
 def write_found(
-    console: Console, file: Path, found: BaseModel, before: BaseModel | None, *, dry_run: bool, then: str
+    console: Console, file: Path, found: BaseModel, then: str, *, before: Path | None = None, dry_run: bool = False
 ) -> None:
-    """Write a file of the rig folder, keep the one before as NAME.previous.json, and say so.
+    """Write a file of the rig folder, keep the one that it replaces as NAME.previous.json, and say so.
 
     Args:
         console: where it is said.
         file: of the rig folder.
         found: what is to stand in it.
-        before: what stood there; None where nothing did.
+        then: who takes it, and when; a sentence.
+        before: the file that it replaces, where that has another name.
         dry_run: write nothing.
-        then: who takes it, and when.
 
     Raises:
         ConfigError: the folder cannot be written.
     """
     if dry_run:
-        console.print(f"nothing was written (--dry-run); {file} is as before")
+        console.print(f"nothing was written (--dry-run); {file} is as before", markup=False, highlight=False)
         return
-    if before is not None:
-        write_json_model(file.with_suffix(".previous.json"), before)
-    write_json_model(file, found)
-    console.print(f"written: {file}; {then}")
-
-
-def replace_found(console: Console, file: Path, found: BaseModel, then: str) -> None:
-    """Write a file of the rig folder whatever stood there, keep that as NAME.previous.json, and say so.
-
-    Args:
-        console: where it is said.
-        file: of the rig folder.
-        found: what is to stand in it.
-        then: who takes it, and when.
-
-    Raises:
-        ConfigError: the folder cannot be written.
-    """
-    kept = ""
-    if file.exists():
-        # As it is: one that cannot be read is replaced, too.
+    replaced, kept = before or file, ""
+    if replaced.exists():
+        # Byte by byte: one that cannot be read is replaced, too.
         previous = file.with_suffix(".previous.json")
-        write_atomic(previous, file.read_bytes())
+        write_atomic(previous, replaced.read_bytes())
         kept = f"; the one before is {previous}"
     write_json_model(file, found)
     console.print(f"written: {file}{kept}. {then}", markup=False, highlight=False)

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
-from rhot.rig import CamerasFile, Rig, load_rig, read_json_model, write_json_model
+from rhot.rig import CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import CAMERAS_FILE, nominal_camera
 from rhot_calibration.cameras.board.boards import DEFAULT_DICTIONARY, parse_board
 from rhot_calibration.cameras.calibration import cameras_file
@@ -24,8 +24,8 @@ from rhot_calibration.cameras.pictures import PictureReading, read_pictures
 from rhot_calibration.cameras.report import print_problems, print_report
 from rhot_calibration.cameras.rig_calibration import calibrate_rig, refuse_other_board
 from rhot_calibration.cameras.solve.views import Board
+from rhot_calibration.writing import write_found
 
-PREVIOUS_FILE: Final = "cameras.previous.json"
 _UNITS_M: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
@@ -178,14 +178,8 @@ def _import(
 
 
 def _write(rig_path: Path, file: CamerasFile, dry_run: bool, console: Console) -> None:
-    target = rig_path / CAMERAS_FILE
-    if dry_run:
-        console.print(f"dry run: {target} is left as it is")
-        return
-    if target.exists():
-        target.replace(rig_path / PREVIOUS_FILE)
-    write_json_model(target, file)
-    console.print(f"{target} written; running services read it when they start again")
+    then = "Running services read it when they start again."
+    write_found(console, rig_path / CAMERAS_FILE, file, then, dry_run=dry_run)
 
 
 def _export(rig_path: Path, folder: Path, console: Console) -> None:

@@ -26,7 +26,7 @@ from rhot_calibration.colors.live import live_pictures
 from rhot_calibration.colors.picking.picks import parse_places
 from rhot_calibration.colors.report.console import confusion_table, marker_table
 from rhot_calibration.colors.report.picture import report_picture
-from rhot_calibration.writing import replace_found
+from rhot_calibration.writing import write_found
 from rhot_capture.preview import preview_jpeg
 
 _PICTURES: Final = (".png", ".jpg", ".jpeg")
@@ -235,7 +235,7 @@ def _write(console: Console, rig: Rig, colors: ColorsFile) -> None:
             highlight=False,
         )
     camera = next(iter(rig.config.cameras))
-    replace_found(
+    write_found(
         console,
         rig.colors_path,
         colors,

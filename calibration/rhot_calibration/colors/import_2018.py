@@ -115,13 +115,7 @@ def _limits(where: str, entry: Any) -> RgbBoxColor:
             field = f"{channel}{end}"
             if field not in entry:
                 raise ConfigError(f"{where}.{field} is missing")
-            try:
-                value = float(entry[field])
-            except (TypeError, ValueError) as error:
-                raise ConfigError(f"{where}.{field} = {entry[field]!r} is not a number from 0 to 255") from error
-            if not 0.0 <= value <= 255.0:
-                raise ConfigError(f"{where}.{field} = {value:g} is out of bounds, 0 to 255")
-            values.append(value)
+            values.append(_number(f"{where}.{field}", entry[field], 255.0))
         if limits["Lower"][-1] > limits["Upper"][-1]:
             raise ConfigError(
                 f"{where}: {channel}Lower = {limits['Lower'][-1]:g} is above {channel}Upper = {limits['Upper'][-1]:g}; "
@@ -144,14 +138,19 @@ def _read(path: Path) -> dict[str, float]:
     for name in (*_PERCENTAGES, *_WHITE_BALANCE):
         if name not in data:
             raise ConfigError(f"{path}: {name} is missing; a cameraCalib.json of the 2018 tracker has it")
-        try:
-            value = float(data[name])
-        except (TypeError, ValueError) as error:
-            raise ConfigError(f"{path}: {name} = {data[name]!r} is not a number") from error
-        if not 0.0 <= value <= 100.0:
-            raise ConfigError(f"{path}: {name} = {value:g} is out of bounds, 0 to 100")
-        values[name] = value
+        values[name] = _number(f"{path}: {name}", data[name], 100.0)
     return values
+
+
+def _number(field: str, value: Any, most: float) -> float:
+    """Return a number from 0 to `most`; `field` names file and field in errors."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{field} = {value!r} is not a number from 0 to {most:g}") from error
+    if not 0.0 <= number <= most:
+        raise ConfigError(f"{field} = {number:g} is out of bounds, 0 to {most:g}")
+    return number
 
 
 def _json(path: Path) -> Any:

@@ -23,7 +23,7 @@ from rhot_calibration.hand.calibration import measure_hand
 from rhot_calibration.hand.proportions import typed_hand
 from rhot_calibration.hand.samples.phases import LIVE_PHASES, LIVE_S, Phases, Window, prompt_at
 from rhot_calibration.hand.samples.sources import live_points, recorded_points, stored_points
-from rhot_calibration.writing import replace_found
+from rhot_calibration.writing import write_found
 
 
 class _Stretch(click.ParamType[Window]):
@@ -130,11 +130,11 @@ def hand(
             found = measure_hand(points, rig, chosen, phases, typed_m, report)
     file = rig_path / HAND_FILE
     _report(found)
-    replace_found(
+    write_found(
         Console(soft_wrap=True),
         file,
         found.model_copy(update={"date": today()}),
-        "`rhot ik` takes it at the next `rhot start`",
+        "`rhot ik` takes it at the next `rhot start`.",
     )
 
 

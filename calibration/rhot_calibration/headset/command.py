@@ -11,7 +11,7 @@ from rich.console import Console
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
-from rhot.rig import BusConfig, HeadsetFile, load_rig, read_json_model
+from rhot.rig import BusConfig, load_rig
 from rhot.rig.folder import HEADSET_FILE
 from rhot_calibration.headset.checks import headset_file, judged, report_lines
 from rhot_calibration.headset.collector import WANTED, ViewCollector
@@ -79,9 +79,8 @@ def headset(
     for note in found.notes:
         console.print(f"note: {note}", style="yellow")
     file = rig_path / HEADSET_FILE
-    before = read_json_model(file, HeadsetFile) if file.exists() else None
-    then = "`rhot feet` takes it at the next start (`rhot start`)"
-    write_found(console, file, headset_file(found), before, dry_run=dry_run, then=then)
+    then = "`rhot feet` takes it at the next start (`rhot start`)."
+    write_found(console, file, headset_file(found), then, dry_run=dry_run)
 
 
 def _look(bus: BusConfig, collector: ViewCollector) -> None:

@@ -198,8 +198,8 @@ def objects(
     for note in filter(None, notes):
         console.print(f"note: {note}", style="yellow")
     written = registration_file(fit, places, before, object_id=shown.object_id, marker=shown.marker, prior=prior)
-    kept = None if held is None else before
-    write_found(console, file, written, kept, dry_run=dry_run, then="`rhot objects` takes it when it is started again")
+    then = "`rhot objects` takes it when it is started again."
+    write_found(console, file, written, then, before=held, dry_run=dry_run)
 
 
 def _realign_prior(

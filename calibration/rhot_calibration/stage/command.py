@@ -13,7 +13,7 @@ from rhot.bus import Bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.geometry.camera import CameraModel
-from rhot.rig import Rig, StageFile, load_rig, read_json_model
+from rhot.rig import Rig, StageFile, load_rig
 from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
 from rhot.rig.folder import STAGE_FILE, registration_name, registration_path
 from rhot_calibration.cameras.board.boards import DEFAULT_DICTIONARY, parse_board
@@ -119,9 +119,8 @@ def stage(
         found = desk_file(fit, first, 1e-3 * desk_mm, 1e-3 * thickness_mm, forward)
     _tell(console, rig, found)
     file = rig.path / STAGE_FILE
-    before = read_json_model(file, StageFile) if file.exists() else None
-    then = "a running rig publishes it on rhot/space/stage within a second"
-    write_found(console, file, found, before, dry_run=dry_run, then=then)
+    then = "A running rig publishes it on rhot/space/stage within a second."
+    write_found(console, file, found, then, dry_run=dry_run)
 
 
 async def _look(rig_path: Path, connect: tuple[str, ...], namespace: str | None, rig: Rig, board: Board) -> ViewSet:

@@ -54,9 +54,8 @@ def calibrate_by_touch(rig: Rig, task: TouchTask, source: BusConfig | Path, *, d
     file = rig.path / registration_name(task.source)
     held, before = registration_path(rig.path, task.source), rig.registration_of(task.source)
     written = touched_registration(before, task, found, len(collector.touches))
-    kept = None if held is None else before
-    then = "`rhot objects` takes it at the next start (`rhot start`)"
-    write_found(console, file, written, kept, dry_run=dry_run, then=then)
+    then = "`rhot objects` takes it at the next start (`rhot start`)."
+    write_found(console, file, written, then, before=held, dry_run=dry_run)
 
 
 def report_lines(task: TouchTask, found: Judged) -> tuple[str, ...]:
