@@ -73,46 +73,29 @@ class HandJoints:
 
 
 @dataclass(frozen=True, slots=True)
-class HandModel:
-    """One person's hand of one side; see the module for frames and angles.
+class HandModel(RestGeometry):
+    """One person's hand of one side; see the module for frames and angles. Its arrays are read-only.
 
     Attributes:
         side: left or right.
         length_m: from the wrist crease to the tip of the middle finger.
-        metacarpals: (5, 3) metres, wrist frame: each finger's first joint (the thumb's is its first moving one).
-        knuckles: (5, 3) metres, wrist frame: each finger's two-axis joint (MCP; thumb: carpometacarpal).
-        frames: (5, 3, 3) rest frames F_f in the wrist frame.
-        metacarpal_frames: (5, 3, 3) axes of the metacarpal joints in the wrist frame (thumb: its rest frame).
-        bones: (5, 3) metres: lengths of the moving bones from the knuckle outwards, the last up to the tip joint.
-        palm: (3,) metres, wrist frame: the palm joint, the middle of the middle metacarpal.
-        radii: (26,) metres: flesh around each joint.
-        angle_min, angle_max: (5, 4) radians, limits of the angles.
-        coupling: (5,) last hinge = coupling · middle hinge, in a hand at ease.
         marker_offsets_m: marker name to measured offset from its joint, metres, in the joint's frame.
     """
 
     side: Side
     length_m: float
-    metacarpals: FloatArray
-    knuckles: FloatArray
-    frames: FloatArray
-    metacarpal_frames: FloatArray
-    bones: FloatArray
-    palm: FloatArray
-    radii: FloatArray
-    angle_min: FloatArray
-    angle_max: FloatArray
-    coupling: FloatArray
     marker_offsets_m: Mapping[str, Vector3]
 
     @classmethod
     def from_file(cls, hand: HandFile, side: Side) -> HandModel:
-        """Build the model from `hand.json`; what it leaves out follows from the hand's length."""
-        return cls.from_geometry(rest_geometry(hand), side, hand)
+        """Build the model from `hand.json`; what it leaves out follows from the hand's length.
 
-    @classmethod
-    def from_geometry(cls, rest: RestGeometry, side: Side, hand: HandFile) -> HandModel:
-        """Build the model from the rest geometry of a right hand, mirrored at x = 0 for a left one."""
+        A left hand is a right one mirrored at x = 0.
+
+        Raises:
+            CalibrationError: width and bones contradict one another.
+        """
+        rest = rest_geometry(hand)
         mirror = np.array([1.0 if side == "right" else -1.0, 1.0, 1.0])
         # A rotation R mirrors to M·R·M, which keeps it a rotation.
         mirror_axes = mirror[:, None] * mirror[None, :]

@@ -124,11 +124,22 @@ SPREAD_LIMITS: Final = (0.5, 2.0)
 
 @dataclass(frozen=True, slots=True)
 class RestGeometry:
-    """A right hand with all angles zero; the fields are those of `rhot.anatomy.hand.HandModel`.
+    """The bones of a hand with all angles zero, and the ranges of its angles; see `rhot.anatomy.hand` for frames.
 
-    With the default length of 189 mm the knuckles stand, in millimetres of the wrist frame, at index (−21, 2, −87),
-    middle (0, 4, −87), ring (18, 2, −79), little (32, −3, −73), and the thumb's carpometacarpal joint at
-    (−20, −11, −14).
+    With the default length of 189 mm the knuckles of a right hand stand, in millimetres of the wrist frame, at index
+    (−21, 2, −87), middle (0, 4, −87), ring (18, 2, −79), little (32, −3, −73), and the thumb's carpometacarpal joint
+    at (−20, −11, −14).
+
+    Attributes:
+        metacarpals: (5, 3) metres, wrist frame: each finger's first joint (the thumb's is its first moving one).
+        knuckles: (5, 3) metres, wrist frame: each finger's two-axis joint (MCP; thumb: carpometacarpal).
+        frames: (5, 3, 3) rest frames F_f in the wrist frame.
+        metacarpal_frames: (5, 3, 3) axes of the metacarpal joints in the wrist frame (thumb: its rest frame).
+        bones: (5, 3) metres: lengths of the moving bones from the knuckle outwards, the last up to the tip joint.
+        palm: (3,) metres, wrist frame: the palm joint, the middle of the middle metacarpal.
+        radii: (26,) metres: flesh around each joint.
+        angle_min, angle_max: (5, 4) radians, limits of the angles.
+        coupling: (5,) last hinge = coupling · middle hinge, in a hand at ease.
     """
 
     metacarpals: FloatArray
