@@ -38,7 +38,7 @@ _PRINTED_MM: Final[dict[tuple[WalkProgram, CellStage], tuple[float, float | None
     ("marker_moving", "depth"): (41.0, None),
     ("marker_moving", "inertial"): (169.0, 481.0),
 }
-"""Average and worst in the thesis's room, as far as they are known to us (design.md)."""
+"""Average and worst in the thesis's room, millimetres; None = not known to us."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -203,7 +203,7 @@ class JointFilter:
         """Return the derivatives H (2 N, n) of N views by the state, and their innovations (N, 2).
 
         What acts on a marker between the frame's moment and its row's is left out: it is a third of a millimetre after
-        5 ms, half a read-out, at the scale 1.6 of fast hands, and no figure of the ruler tells it.
+        5 ms, half a read-out, at the scale 1.6 of fast hands, and no figure of `rhot evaluate motion` tells it.
         """
         half, number, index = 3 * self._count, len(views.index), views.index
         place, velocity = state.x[:-SHARED].reshape(2, self._count, 3).take(index, axis=1)

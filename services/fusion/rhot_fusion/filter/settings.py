@@ -1,4 +1,8 @@
-"""What the filter assumes of hands, cameras and paint: every figure with its unit and where it comes from."""
+"""What the filter assumes of hands, cameras and paint: every figure with its unit and where it comes from.
+
+*Develop rigs* are those of `rhot evaluate motion --half develop`, the *rendered pictures* those of `rhot evaluate
+pictures`, *simulated hands* those of `rhot evaluate tracking`.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +33,7 @@ class MotionSettings:
             hidden markers with it.
         first_m_s2, first_rad_s2: standard deviations of that acceleration when a hand is first seen, each component.
         switch_s: time constant within which a scale gives way to those shares, seconds. Longer is calmer at rest and
-            less honest in motion: on eight even rigs of the ruler at 60 fps 0.03 and 0.1 hold 93 and 91 % of errors
+            less honest in motion: on eight develop rigs at 60 fps 0.03 and 0.1 hold 93 and 91 % of errors
             within two sigma, with a 95th percentile of 7.6 and 8.2 mm.
     """
 
@@ -100,7 +104,7 @@ class TrackSettings:
         loose_m: a marker whose place is less certain (standard deviation) is found anew by two views, metres: beyond it
             a depth is no longer linear in the pixels.
         extent_m: standard deviation in depth of a marker about the middle of its hand's, metres: fingertips that one
-            camera sees are 0.026 behind it, plus or minus 0.027 (15 even rigs of the ruler).
+            camera sees are 0.026 behind it, plus or minus 0.027 (15 develop rigs).
         lost_periods: one that nothing has shown for so many frame periods is not moved by a single view.
         measured_m: a point is called measured up to this standard deviation (root of the covariance's trace), metres:
             two fingers' breadths; at 0.03 a hand's first frame at 30 fps (0.037) would not be measured any more.
@@ -142,19 +146,19 @@ class PaintSettings:
         compare_s: areas further apart in time are not compared, seconds.
         settle_s: time constant of the widths that are compared, while they differ by less than `uneven` of late,
             seconds. A larger change is followed at once: a lag of 0.03 made 20 mm of depth within 0.1 s of a thumb that
-            one camera loses first. On the ruler's 15 even rigs, three simulated hands and the rendered pictures 0.03
+            one camera loses first. On 15 develop rigs, three simulated hands and the rendered pictures 0.03
             and 0.1 are alike, longer is calmer at rest.
         uneven: views of a whole marker differ by this share of its area, by the cameras' places.
         rim_px: and by this much of its rim, pixels: a quarter of a pixel of its radius.
         doubtful: where two views of a marker differ by this many times as much as those of a whole one, half of that is
             taken for hidden: less of smaller differences, nearly all of larger ones. 1 and 1.5 beside a dead zone as
-            wide as that: 79 and 86 swapped points of 102 on the ruler's 15 even rigs, 29 and 22 false ones of 31 in six
+            wide as that: 79 and 86 swapped points of 102 on 15 develop rigs, 29 and 22 false ones of 31 in six
             simulated scenes; medians are alike at 1.5, and 0.1 mm worse at 1.
         shift: of the middle, as a share of the width that is hidden: a strip moves it by half of itself.
         doubt: standard deviation of that, in the same unit.
         lasts_s: how long that error stays the same, seconds: a finger passes behind another, 15 mm at 0.15 m/s; without
             it a strip of paint that is left becomes depth and speed, however little one believes each frame. Between
-            0.1 and 0.3 alike on eight even rigs of the ruler; smoothed pictures are worse by 1.5 mm at 0.3.
+            0.1 and 0.3 alike on eight develop rigs; smoothed pictures are worse by 1.5 mm at 0.3.
         side: (π/4) ρ of `paint`.
         shaft: λ of `paint`: tips are painted over 15 to 20 mm and 6 to 7 mm thick.
         first_bend: c of a finger at ease, bent away from the camera by a quarter of a right angle or a little more.
@@ -164,7 +168,7 @@ class PaintSettings:
         appearing: standard deviation of where the middle of a marker is that comes out from behind something, as a
             share of its width: half of what one can see is hidden at the median; 0.1 to 0.25 alike.
         settled: a marker is not called measured while its visible paint has changed by more than this share within
-            `appears_s`: it is being hidden or comes out. On the ruler's 15 even rigs 0.3 instead of 0.4 keeps one of
+            `appears_s`: it is being hidden or comes out. On 15 develop rigs 0.3 instead of 0.4 keeps one of
             ten swapped points from being called measured, and one of eighty of all; at 0.25 coverage of the rendered
             pictures falls below 95 %.
         unlike: nor while one camera shows less of its paint than another, or than in its frame before, by more than
@@ -173,7 +177,7 @@ class PaintSettings:
         seen_first: how far the largest area of a marker is taken from its first one rather than from how long paint
             should be: between 0 and 0.5 alike on rendered and simulated hands, 1 is worse by 0.4 mm on the latter.
         curled, straight: shares of a finger's reach from beside the patch, between which what is told of its end's
-            direction grows from nothing to all. On the ruler's 15 even rigs (60 fps, the side that is seen beside
+            direction grows from nothing to all. On 15 develop rigs (60 fps, the side that is seen beside
             the truth) the best factor of that shift is −0.2, 0.3, 0.6, 1.1 and 0.9 at 0.51, 0.63, 0.78, 0.86 and 0.97
             of the reach; a twentieth less is alike. It errs on the side of nothing: little paint is oftener hidden.
         most_turned: share of its area that a patch shows at least when it is turned away: that of 60 degrees, beyond

@@ -22,7 +22,7 @@ class RejoinSettings:
 
     Attributes:
         step_m: a tip's marker goes no further than this on the palm from one sample to the next; joints beside it go
-            up to a third further, and the ruler's limit for a step beyond the true motion is 10 mm.
+            up to a third further; a step beyond the true motion was to stay below 10 mm (`rhot evaluate motion`).
         first_m, share: nor further than this much and this share of what is left of its way, so that it sets out and
             arrives gently.
         speed_m_s: and by the way of a finger that moves at this speed on top: closing hands take about half a second

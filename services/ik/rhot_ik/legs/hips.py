@@ -34,18 +34,28 @@ _CROUCHING_LEAN: Final = 0.4
 """Usual lean of an upright trunk; what is added for looking straight down; and per leg's length by which the pivot is
 lowered. Chosen, not measured: walking trunks lean by 2 to 7°, squatting ones by 30 to 45° with the thighs level."""
 _STRIDE_M: Final = 0.2
+"""Distance between the feet, along the body's front, that halves the lean of crouching. Chosen."""
 _LEAN_SIGMA: Final = 0.20
+"""σ_lean, a share of the trunk's length: 11°. Chosen, not measured."""
 _BALANCE_SIGMA_M: Final = 0.08
+"""σ_balance, about a third of a foot's length. Chosen, not measured."""
 _BALANCE_FADES_M: Final = 0.25
+"""How far behind the heels the weight lies when w has fallen to a quarter. Chosen, not measured."""
 _TRUNK_WEIGHT: Final = 0.62
-"""Of head, arms and trunk, as a share of what must be balanced; the rest is thighs and hips."""
+"""s: of head, arms and trunk, as a share of what must be balanced; the rest is thighs and hips. Chosen."""
 _MOST_LEAN: Final = 0.95
+"""Sine of 72°: beyond it the level direction of the trunk is not defined any more."""
 _HEAD_WEIGHT: Final = 0.35
+"""Of the head's heading beside that of both feet, 1. Chosen: heads turn without the hips, too."""
 _STRAIGHTEST: Final = 0.997
+"""Share of a leg's length that the hips may be away from its ankle: 9° of flexion are left to the knee."""
 _ROUNDS: Final = 12
+"""Most rounds of projections onto the balls of reach."""
 _LEAST_TRUST: Final = 0.01
+"""Keeps the slack of a foot that is not trusted finite: 10 m."""
 _DOUBT_M: Final = 0.1
-"""How far a foot that is trusted by half may be out of reach before it pulls the hips."""
+"""How far a foot that is trusted by half may be out of reach before it pulls the hips. Chosen: `pendulum_m` of
+`FootTrackSettings`, the error of such a foot."""
 
 
 def estimate_hips(T_rig_head: FloatArray, ankles: Mapping[Side, Ankle], up: FloatArray, body: BodyModel) -> FloatArray:

@@ -28,10 +28,16 @@ _STANDS: Final = 0.05
 _MOST: Final = 0.05
 """Of what is learned, as a share of legs and trunk."""
 _FIRST_S: Final = 0.5
+"""Half of what is off is learned in the first half second of standing. Chosen: people are asked to stand for two
+or three (`docs/feet.md`)."""
 _SLOWEST_S: Final = 30.0
+"""From so much standing on, what is new is averaged over this time; chosen."""
 _UPWARDS: Final = 3.0
+"""How much faster lengths grow than shrink; chosen."""
 _LEGS_SHARE: Final = 0.5
+"""Of what is learned, the part that the legs get where nobody measured them."""
 _MOST_ANKLE_M: Final = 0.015
+"""Bound of what is learned of an ankle's height; chosen."""
 
 
 class Stature:

@@ -11,7 +11,7 @@ class HandSettings:
 
     Attributes:
         acceleration: random acceleration of the wrist, m/s² per √Hz. Hands in the recordings reach 5 to 20 m/s² for
-            some 0.1 s (design.md); fusion has smoothed the points already, so the wrist is to follow them.
+            some 0.1 s (`rhot evaluate motion`); fusion has smoothed the points already, so the wrist is to follow them.
         turn_acceleration: the same of its rotation, rad/s² per √Hz: 50 rad/s² for 0.1 s.
         speed_fades_s: an unseen wrist stops in this time: voluntary movements are bells of about half a second.
         angles_s: time constant with which an unseen finger comes to be anywhere that fingers are: people hold a thing,
