@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-# Without compiled modules every process that a test starts, and every worker, would compile all of them anew.
+# Without compiled modules every process that a test starts, and every worker, would compile all of them again.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help sim foreign test faults lint web page holder format clean

@@ -9,7 +9,7 @@ from typing import Final
 from rhot.text import printable
 
 EXIT_AGAIN: Final = 75
-"""What a process ends with that should be started anew, as after `HungDeviceError`: EX_TEMPFAIL of sysexits.h."""
+"""What a process ends with that should be restarted, as after `HungDeviceError`: EX_TEMPFAIL of sysexits.h."""
 
 
 class RhotError(Exception):

@@ -33,7 +33,7 @@ LIMIT_S = 60.0
 
 
 class Camera:
-    """A camera that delivers fifty pictures a second, unless it is silent; each opening finds it anew."""
+    """A camera that delivers fifty pictures a second, unless it is silent; each opening finds it again."""
 
     def __init__(self) -> None:
         self.silent = False

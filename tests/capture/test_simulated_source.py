@@ -149,7 +149,7 @@ def test_the_real_simulation_shows_markers(write_rig: Callable[..., Path]) -> No
     assert set(found) == set(names)
 
 
-def test_simulated_light_cannot_be_exposed_anew() -> None:
+def test_simulated_light_cannot_be_exposed_again() -> None:
     source = source_with(SystemClock())
     settings = CameraSettings.from_config(CameraConfig(), nominal_colors({}))
     source.apply(settings)

@@ -32,7 +32,7 @@ def deaf_port() -> Iterator[int]:
             one.close()
 
 
-async def test_a_connection_that_nobody_answers_is_given_up_and_begun_anew(deaf_port: int) -> None:
+async def test_a_connection_that_nobody_answers_is_given_up_and_started_over(deaf_port: int) -> None:
     """The kernel repeats a SYN after 1, 3, 7, 15 s: an attempt begun before the network came back may hear it late."""
     begun = time.monotonic()
     with pytest.raises(BusError, match="no Zenoh router answers"):

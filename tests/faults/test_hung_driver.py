@@ -1,4 +1,4 @@
-"""A real capture process whose camera falls silent and whose driver hangs: it ends, is started anew and delivers."""
+"""A real capture process whose camera falls silent and whose driver hangs: it ends, is restarted and delivers."""
 
 from __future__ import annotations
 

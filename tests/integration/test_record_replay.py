@@ -1,4 +1,4 @@
-"""A session recorded, replayed and recorded again: nothing lost, nothing changed, the spacing kept; tracked anew."""
+"""A session recorded, replayed and recorded again: nothing lost, nothing changed, the spacing kept; tracked again."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ CLICK_AGAIN_S = 5.0
 TRAIL_S = 6.0
 """Trails last two seconds, and a busy browser shows them later."""
 CHANGED = 24
-"""Grey levels by which a pixel must differ to have changed: far more than a translucent edge that is drawn anew."""
+"""Grey levels by which a pixel must differ to have changed: far more than a translucent edge that is redrawn."""
 
 
 @pytest.fixture

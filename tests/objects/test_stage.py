@@ -40,7 +40,7 @@ def test_an_object_states_its_shape_measured_or_predicted() -> None:
     _, held = only(stage.feed({}, MS))
     assert (held.state, held.shape) == ("predicted", cup)
     assert only(ObjectStage(SHIFTED, shapes={"cup": cup}).feed({"pen": sample(0)}, 0))[1].shape is None
-    assert only(stage.registered(SHIFTED).feed({"cup": sample(0)}, 0))[1].shape == cup, "registered anew"
+    assert only(stage.registered(SHIFTED).feed({"cup": sample(0)}, 0))[1].shape == cup, "registered again"
 
 
 def test_the_headset_has_its_own_key_and_message() -> None:

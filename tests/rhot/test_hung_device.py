@@ -1,4 +1,4 @@
-"""A service whose driver hangs says so and ends, so that systemd or `rhot up` starts it anew."""
+"""A service whose driver hangs says so and ends, so that systemd or `rhot up` restarts it."""
 
 from __future__ import annotations
 

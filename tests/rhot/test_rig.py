@@ -96,7 +96,7 @@ def test_calibrated_cameras_are_used(rig_folder: Path) -> None:
     ("content", "names"),
     [
         ("{", "not JSON, perhaps cut off"),
-        ("{", "make it anew with `rhot calibrate cameras`"),
+        ("{", "make it again with `rhot calibrate cameras`"),
         (json.dumps({"camera": {}}), "cameras: is missing"),
         (json.dumps(_cameras(distorsion=[])), "cameras.left.distorsion: no such field; did you mean distortion?"),
         (json.dumps({"cameras": {"left": CAMERA}}), "no calibration of camera right"),

@@ -1,4 +1,4 @@
-"""`rhot up` keeps its services: one that ends by itself is started anew, one that cannot run ends the whole."""
+"""`rhot up` keeps its services: one that ends by itself is restarted, one that cannot run ends the whole."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ async def until_started(folder: Path, times: int) -> None:
 
 
 @pytest.mark.parametrize("ends", [f"sys.exit({EXIT_AGAIN})", "os.kill(os.getpid(), signal.SIGSEGV)"])
-async def test_a_service_whose_driver_hung_or_crashed_is_started_anew(
+async def test_a_service_whose_driver_hung_or_crashed_is_restarted(
     programs: Programs, tmp_path: Path, ends: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     other = await programs.start("other", ["import time; time.sleep(600)"])
@@ -63,7 +63,7 @@ async def test_a_service_whose_driver_hung_or_crashed_is_started_anew(
     keeping.cancel()
 
 
-async def test_a_service_that_ran_and_then_failed_is_started_anew(
+async def test_a_service_that_ran_and_then_failed_is_restarted(
     programs: Programs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_PROVEN_S", 0.0)
@@ -97,7 +97,7 @@ async def test_one_that_crashes_again_and_again_is_given_up(programs: Programs) 
     assert failed.process.returncode == -signal.SIGKILL
 
 
-async def test_what_was_started_anew_ends_with_the_rest(programs: Programs, tmp_path: Path) -> None:
+async def test_what_was_restarted_ends_with_the_rest(programs: Programs, tmp_path: Path) -> None:
     await programs.start("feet", counting(tmp_path, f"sys.exit({EXIT_AGAIN})"))
     keeping = asyncio.create_task(programs.keep_running())
     await until_started(tmp_path, 2)

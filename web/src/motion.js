@@ -11,7 +11,7 @@ const FORGET_MS = 200;
 export class Track {
   #samples = [];
 
-  /** Keep a sample; an older one than the last is of another session and begins anew. */
+  /** Keep a sample; an older one than the last is of another session and starts over. */
   put(t, poses) {
     const last = this.#samples.at(-1);
     if (last && (t < last.t || t - last.t > FORGET_MS || poses.length !== last.poses.length)) this.#samples = [];

@@ -51,7 +51,7 @@ export class Pace {
     return this.software ? Math.max(0, this.#last + 1000 / this.rate - ASK_MS - ms) : 0;
   }
 
-  /** Whether a pose that came at `ms` should be asked for anew: it waited behind other work, or the picture is far off. */
+  /** Whether a pose that came at `ms` should be asked for again: it waited behind other work, or the picture is far off. */
   stale(ageMs, ms) {
     return ageMs > OLD_MS || this.rest(ms) > ASK_MS;
   }

@@ -68,7 +68,7 @@ test("a steady motion is carried on to the display's time, and not further than 
   near(toVector(qmul(ahead.q, invert(at(1068)[0]).q)).reduce((s, x) => s + Math.abs(x), 0), 0, 1e-6);
   near(track.at(5000)[0].p[0], 0.5e-3 * (1048 + MOST_AHEAD_MS), 1e-9);
   track.put(10, at(10));
-  assert.equal(track.at(20)[0].p[0], 0.005, "another session begins anew");
+  assert.equal(track.at(20)[0].p[0], 0.005, "another session starts over");
 });
 
 test("the rig's clock is that of the quickest answer", () => {
@@ -121,7 +121,7 @@ test("who draws seldom asks just before a picture is due, and waits a little for
   assert.equal(new Pace(false).rest(0), 0, "with a graphics card every pose is taken at once");
 });
 
-test("a pose that came too late for its picture is asked for anew", () => {
+test("a pose that came too late for its picture is asked for again", () => {
   const pace = new Pace(true);
   pace.drawn(1000, 5);
   assert.ok(!pace.stale(12, 1097), "asked for just before the picture, and answered");

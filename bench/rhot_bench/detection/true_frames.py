@@ -37,7 +37,7 @@ class TrueFrame:
     """A picture and what is true in it.
 
     Attributes:
-        burst: number of the burst; a detector starts anew with each.
+        burst: number of the burst; a detector starts over with each.
         image: (H, W, 3) uint8 BGR.
         views: of each marker at mid-exposure of its own row; one that wears no paint is absent.
     """

@@ -1,7 +1,7 @@
 """The rendered pictures made into other worlds: mirrored, smaller, half as often, paler, with another light.
 
 What was built while looking at one set of pictures may hold for that one alone. A changed copy is another rig: it is
-calibrated anew from its own chessboards and colours, and its truth is changed alike, so that the scorer beside it
+calibrated from its own chessboards and colours, and its truth is changed alike, so that the scorer beside it
 judges it as it judges the pictures themselves.
 """
 

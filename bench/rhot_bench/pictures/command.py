@@ -73,7 +73,7 @@ _OFFSET: Final = "after one constant offset per marker, along its bone and along
     "--changed",
     "change",
     type=click.Choice(list(CHANGES)),
-    help="Look at a changed copy of the pictures instead, made and calibrated anew: "
+    help="Look at a changed copy of the pictures instead, made and calibrated for the run: "
     + "; ".join(f"{name}: {change.about}" for name, change in CHANGES.items())
     + ". What holds for one set of pictures alone shows here.",
 )

@@ -72,7 +72,9 @@ def require_pictures(data: Path) -> Path:
     for folder in (data, data / "rendered"):
         if (folder / "score.py").is_file() and (folder / SEQUENCES[0]).is_dir():
             if missing := [part for part in _PARTS if not (folder / part).exists()]:
-                raise ConfigError(f"{folder}: {', '.join(missing)} missing; copy the rendered pictures anew and whole")
+                raise ConfigError(
+                    f"{folder}: {', '.join(missing)} missing; copy the whole set of rendered pictures again"
+                )
             return folder
     raise ConfigError(
         f"{data}: holds no rendered pictures (score.py, {', '.join(SEQUENCES)}); name the folder that does"

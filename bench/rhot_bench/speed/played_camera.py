@@ -36,7 +36,7 @@ NOISE_PX: Final = 0.1
 _PHASE_S: Final = 0.007
 """Each further camera is so much behind; no two cameras are in step."""
 _WORLD_LOOP_NS: Final = 10**15
-"""The world begins anew after 11 days, so that its time keeps its precision."""
+"""The world starts over after 11 days, so that its time keeps its precision."""
 
 
 class PlayedSettings(BaseModel):

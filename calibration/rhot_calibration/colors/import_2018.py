@@ -70,7 +70,7 @@ def load_camera_settings(path: Path) -> ImportedSettings:
     else:
         remarks.append(
             "awb red, awb blue = 0 was automatic white balance; rhot locks it: set white_balance so that white paper "
-            "looks grey. Colours taken under an automatic one fit only roughly: calibrate anew from pictures"
+            "looks grey. Colours taken under an automatic one fit only roughly: calibrate again from pictures"
         )
     remarks += [
         f"{name} = {values[name]:g} (neutral was {_NEUTRAL:g}) has no equivalent: rhot leaves the image processor's "

@@ -33,7 +33,7 @@ class ColorStep(PageStep[ColorsFile]):
     buttons = (
         Button("take", "take pictures", "One of each camera; hold still. Press again for more; your clicks stay."),
         Button("unclick", "undo last click"),
-        Button("anew", "start over", "Forget all pictures and clicks."),
+        Button("start_over", "start over", "Forget all pictures and clicks."),
         *trial_buttons(COLORS_FILE, "colours", "The running cameras use the colours; nothing is saved yet."),
     )
 
@@ -58,7 +58,7 @@ class ColorStep(PageStep[ColorsFile]):
         """Return pictures, figures and what is missing."""
         pictures, missing, learnt = self._clicks.pictures, self._clicks.missing, self._learnt
         enabled = {"take"} if len(pictures) < MAX_ROUNDS * len(self._cameras) else set()
-        enabled |= {"anew"} if pictures else set()
+        enabled |= {"start_over"} if pictures else set()
         enabled |= {"unclick"} if self._clicks.can_take_back else set()
         enabled |= self._trial_actions()
         return StepView(
@@ -132,7 +132,7 @@ class ColorStep(PageStep[ColorsFile]):
             await self._take()
         elif button == "unclick" and self._clicks.can_take_back:
             self._changed(self._clicks.take_back())
-        elif button == "anew":
+        elif button == "start_over":
             self._clicks = Clicks(self._markers)
             self._changed(next(iter(self._markers)))
         else:

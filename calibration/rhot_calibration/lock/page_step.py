@@ -79,7 +79,7 @@ class LockStep:
 
     def view(self) -> StepView:
         """Return how the cameras stood a moment ago; while another step is shown, when all answered last."""
-        # Left while the rig was being started anew, the last look of all would have it that no camera is there.
+        # Left while the rig was being restarted, the last look of all would have it that no camera is there.
         looks = self._looks if self._looking or not self._complete else self._complete
         remarks = [Remark(self._problem, "wrong")] if self._looking and self._problem else look_remarks(looks)
         answering = sum(not look.problem for look in looks.values())

@@ -177,5 +177,5 @@ def check_session(start: Control | None, file: Path) -> None:
     if file.stat().st_mtime > start.start_t_ns / 1e9 + _CLOCKS_S:
         raise ConfigError(
             f"{file} was written after this session began, so `rhot objects` still uses an earlier registration; start "
-            "the rig anew (`rhot start`), then repeat this"
+            "the rig again (`rhot start`), then repeat this"
         )

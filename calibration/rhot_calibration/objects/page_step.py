@@ -132,7 +132,7 @@ class ObjectStep(PageStep[RegistrationFile]):
         device, marker = values.get("object", ""), values["marker"]
         if not device:
             raise ConfigError("rig.toml names no objects; add [objects.NAME] with source and serial")
-        self._begin_anew()
+        self._start_over()
         rig = load_rig(self._context.rig_path)
         source = rig.config.objects[device].source
         self._keep_in(registration_name(source))
@@ -163,7 +163,7 @@ class ObjectStep(PageStep[RegistrationFile]):
     async def _touch(self, device: str) -> None:
         rig = load_rig(self._context.rig_path)
         task = touch_task(rig, device)
-        self._begin_anew()
+        self._start_over()
         self._keep_in(registration_name(task.source))
         self._touches = touches = task.new_collector()
         with self._busy("taking touches"):
@@ -193,7 +193,7 @@ class ObjectStep(PageStep[RegistrationFile]):
         if self._kept.path.name != name:
             self._kept = KeptFile(self._context.rig_path / name, RegistrationFile)
 
-    def _begin_anew(self) -> None:
+    def _start_over(self) -> None:
         self._collector, self._touches = PlaceCollector(), None
         self._hint, self._found, self._fitted = "", None, ((), ())
 

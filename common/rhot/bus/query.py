@@ -119,7 +119,7 @@ def respond(query: zenoh.Query, key: str, answerer: Answerer, arrived_ns: int) -
             query.reply_err(str(error).encode(), encoding=zenoh.Encoding("text/plain"))
         except Exception as error:
             if (quiet := _sparing.due(key)) is not None:
-                logger.exception("%s: answering a query failed; %d times unsaid before", key, quiet)
+                logger.exception("%s: answering a query failed (%d similar messages suppressed)", key, quiet)
             query.reply_err(f"internal error: {error}".encode(), encoding=zenoh.Encoding("text/plain"))
 
 

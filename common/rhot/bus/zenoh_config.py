@@ -38,7 +38,7 @@ def session_config(config: BusConfig) -> zenoh.Config:
             # On by default from 3 kB; drops under load without a word.
             "shared_memory": {"enabled": False},
             # The kernel repeats an unanswered SYN after 1, 3, 7, 15 s: after a dead network an old attempt would hear
-            # of the new one seconds late. It is given up and begun anew instead; Zenoh's own limit is 10 s.
+            # of the new one seconds late. It is given up and started over instead; Zenoh's own limit is 10 s.
             "unicast": {"open_timeout": 1500},
             "link": {
                 # A frozen process is noticed in 2 s instead of 10.

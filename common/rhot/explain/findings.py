@@ -63,7 +63,7 @@ def _seen(camera: str, name: str, trace: Trace, pictures: Mapping[str, PictureEx
 
 
 def said_then(moment: Moment, trace: Trace) -> list[Explanation]:
-    """Return what the rig itself published last, beside what was computed anew, and how its services were."""
+    """Return what the rig itself published last, beside what was recomputed, and how its services were."""
     rows, services = [], []
     for key, message in sorted(moment.said.items()):
         if isinstance(message, ServiceStatus):
@@ -98,10 +98,10 @@ def said_then(moment: Moment, trace: Trace) -> list[Explanation]:
     if rows:
         tables.append(
             Explanation(
-                "What the rig said, and the same computed anew",
+                "What the rig said, and the same recomputed",
                 ("key", "ms before the moment", "largest difference, mm"),
                 tuple(rows),
-                "Computed anew from the recorded markers with the rig folder's settings. They differ where samples "
+                "Recomputed from the recorded markers with the rig folder's settings. They differ where samples "
                 "were lost on the way to fusion or ik, settings were changed while it ran, or the run-up is too short "
                 "(--lead).",
             )

@@ -38,7 +38,7 @@ def make_keys(rig_path: Path, addresses: Sequence[str], port: int = PORT) -> tup
     folder = rig_path / KEYS_FOLDER
     if certificate_file(folder, AUTHORITY).exists():
         raise ConfigError(
-            f"{folder} holds keys already: `rhot keys add` makes one more. To begin anew, move the folder away; all "
+            f"{folder} holds keys already: `rhot keys add` makes one more. To start over, move the folder away; all "
             "machines then need new ones"
         )
     try:

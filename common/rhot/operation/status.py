@@ -50,7 +50,7 @@ def status_table(alive: set[str], statuses: dict[str, ServiceStatus]) -> Rendera
         table.add_row(Text(name), status.state if name in alive else "[red]gone[/]", *_cells(status))
         trouble += [Text.assemble((f"{name}: ", "bold"), text) for text in (status.problem, status.last_error) if text]
     if len(names) > _MOST_ROWS:
-        trouble.append(Text(f"… and {len(names) - _MOST_ROWS} more: does somebody flood the bus?", "yellow"))
+        trouble.append(Text(f"… and {len(names) - _MOST_ROWS} more: is somebody flooding the bus?", "yellow"))
     return Group(table, *trouble)
 
 

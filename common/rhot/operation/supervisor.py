@@ -25,11 +25,11 @@ _PROVEN_S: Final = 5.0
 """A service that has run for so long is able to: what ends it then is a fault that may pass."""
 _AGAIN_FIRST_S: Final = 0.5
 _AGAIN_MOST_S: Final = 5.0
-"""Before a service is started anew; twice as long each time that it did not prove itself."""
+"""Before a service is restarted; twice as long each time that it did not prove itself."""
 _MOST_CRASHES: Final = 4
 """In a row, of a service that did not prove itself in between."""
 _WRONG_USE: Final = 2
-"""The exit code of wrong settings, which starting anew does not mend."""
+"""The exit code of wrong settings, which restarting does not mend."""
 
 
 @dataclass(slots=True)
@@ -102,7 +102,7 @@ class Supervisor:
                 task.cancel()
 
     async def keep_running(self) -> Child:
-        """Start children anew that end by themselves; return the first that this does not help.
+        """Restart children that end by themselves; return the first that this does not help.
 
         That is one whose settings are wrong, that fails at its first start, or that crashes again and again.
         """
@@ -123,7 +123,7 @@ class Supervisor:
             if code == _WRONG_USE or not able:
                 return child
             wait_s = min(_AGAIN_MOST_S, _AGAIN_FIRST_S * 2**crashes)
-            logger.warning("%s; it is started anew in %.1f s, the others go on", self.failure(child), wait_s)
+            logger.warning("%s; it restarts in %.1f s; the others keep running", self.failure(child), wait_s)
             await asyncio.sleep(wait_s)
             self.children.remove(child)
             child = await self.start(child.name, child.arguments, module=child.module)

@@ -105,7 +105,7 @@ def _no_folder(path: Path) -> str:
         return "no such recording folder"
     if path.suffix == ".mcap":
         return (
-            "a file of messages; what is tracked anew is a folder of pictures, as `rhot record --frames` writes it "
+            "a file of messages; only a folder of pictures can be tracked again, as `rhot record --frames` writes it "
             "beside such a file"
         )
     return "a file; a recording is a folder with one folder or video per camera"

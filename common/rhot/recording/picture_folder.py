@@ -171,7 +171,7 @@ class PictureFolder:
             return
         folder, times = self._place_of(camera, picture)
         if picture.frame + camera.offset <= camera.frame:
-            # The source counts anew: the rig was stopped and started.
+            # The counter of the source starts over: the rig was stopped and started.
             camera.offset = camera.frame + 1 - picture.frame
         camera.frame, camera.t_ns = picture.frame + camera.offset, picture.t_ns
         name = f"{camera.frame:06d}"

@@ -233,7 +233,7 @@ def _remedy(file: Path) -> str:
     """Return how to get a calibration file back that is missing or damaged; empty for other files."""
     command = next((f"rhot calibrate {what}" for start, what in _MADE_BY.items() if file.name.startswith(start)), "")
     former = file.with_name(f"{file.stem}.previous{file.suffix}")
-    ways = [f"make it anew with `{command}`"] if command else []
+    ways = [f"make it again with `{command}`"] if command else []
     ways += [f"copy {former.name} over it"] if former.exists() else []
     return "; " + ", or ".join(ways) if ways else ""
 

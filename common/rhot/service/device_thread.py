@@ -91,6 +91,6 @@ def hung(name: str, what: str, limit_s: float) -> HungDeviceError:
     """Return the error of a driver that does not return."""
     return HungDeviceError(
         f"{name}: {what}: its driver has not returned for {limit_s:g} s and holds the device; this process "
-        "ends, and systemd or `rhot up` starts it anew (started by hand: start it again). If it comes back again and "
+        "ends, and systemd or `rhot up` restarts it (started by hand: start it again). If it comes back again and "
         "again, unplug the device or restart this machine"
     )

@@ -105,7 +105,7 @@ class Node:
         text = f"{key}: {error}"
         self.status.error(text)
         if (quiet := self._sparing.due(key)) is not None:
-            logger.warning("invalid sample dropped: %s (%d unsaid before)", text, quiet)
+            logger.warning("invalid sample dropped: %s (%d similar messages suppressed)", text, quiet)
 
     def failed(self, error: Exception) -> None:
         """Count a sample that the core could not digest, and log why, with a traceback at most once in five seconds."""
@@ -113,7 +113,10 @@ class Node:
         self.status.error(f"{self.service}: {type(error).__name__}: {error}")
         if (quiet := self._sparing.due("failed")) is not None:
             logger.error(
-                "%s could not digest a sample and starts afresh (%d unsaid before)", self.service, quiet, exc_info=error
+                "%s could not process a sample and starts over (%d similar messages suppressed)",
+                self.service,
+                quiet,
+                exc_info=error,
             )
 
     def _check_time(self, message: Message) -> None:

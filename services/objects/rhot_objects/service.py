@@ -91,7 +91,7 @@ class ObjectsService:
     async def _follow(self, node: Node, start: Control, name: str, registration: RegistrationFile) -> None:
         device = DeviceThread(name)
         if self._outdated.get(name) == registration:
-            # Published nevertheless: registering anew needs the poses.
+            # Published nevertheless: registering again needs the poses.
             self._trouble(
                 name,
                 f"the space of {name} has moved since it was registered, so all its poses are wrong until it "
@@ -113,7 +113,7 @@ class ObjectsService:
                 finally:
                     await self._close(name, device)
                 if moved:
-                    registration = await self._registered_anew(name, registration)
+                    registration = await self._reregistered(name, registration)
                 else:
                     await asyncio.sleep(_RETRY_S)
         finally:
@@ -135,7 +135,7 @@ class ObjectsService:
             logger.warning("%s: %s", name, text)
         self._troubles[name] = text
 
-    async def _registered_anew(self, name: str, old: RegistrationFile) -> RegistrationFile:
+    async def _reregistered(self, name: str, old: RegistrationFile) -> RegistrationFile:
         """Wait for another registration, and use it."""
         while True:
             new = (await asyncio.to_thread(latest_rig, self._rig)).registration_of(source_kind(name))

@@ -86,7 +86,7 @@ class WatchedRun(ABC):
 
         Args:
             console: where it is shown.
-            live: with a table that is drawn anew, instead of a line now and then.
+            live: with a table that is redrawn, instead of a line now and then.
             announce: what is said once everything is up, such as where the pages are.
 
         Raises:

@@ -154,4 +154,4 @@ async def test_another_step_does_not_let_the_cameras_look_gone(
     await until(lambda: not step.view().done)
     following.cancel()
     await asyncio.gather(following, return_exceptions=True)
-    assert step.view().done, "the rig was started anew as the step was left"
+    assert step.view().done, "the rig was restarted as the step was left"

@@ -94,7 +94,7 @@ def test_corners_of_a_smeared_patch_are_those_at_mid_exposure(
     assert corner_errors(corners, patches[4].corners).max() < 0.4
 
 
-def test_corners_of_a_turning_patch_are_followed_as_well_as_found_anew(
+def test_corners_of_a_turning_patch_are_followed_as_well_as_found_afresh(
     scene: Callable[..., Any], shape: type[Any], markers: Any, table: Any
 ) -> None:
     following = MarkerDetector(markers, table, 121, 121)

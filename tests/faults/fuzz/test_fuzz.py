@@ -72,7 +72,7 @@ MOST_MOVED_M = 5e-3
 undisturbed) and what frames lost in the flood leave it (3.6 mm). What is false and believed moves it by centimetres.
 """
 MOST_UNSTEADY_M = 2e-2
-"""The same while it begins anew, after frames were lost: up to 6 mm undisturbed."""
+"""The same while it starts over, after frames were lost: up to 6 mm undisturbed."""
 MOST_GROWN_MB = 20.0
 _RATE_HZ = 60.0
 _STALL_S = 0.1
@@ -197,7 +197,7 @@ class StillHand:
         while True:
             t_ns, now_s = time.time_ns(), time.monotonic()
             if now_s - self._published_s > _STALL_S:
-                # This process itself was held up: the tracker predicts, or begins anew, and is right to.
+                # This process itself was held up: the tracker predicts, or starts over, and is right to.
                 self.unsteady_until_s = now_s + _SETTLE_S
             self._published_s = now_s
             for name, frame in self.frames.items():
@@ -213,7 +213,7 @@ class StillHand:
                 continue
             now_s = time.monotonic()
             if pose.t_ns - self._pose_ns > _GAP_NS:
-                # Frames were lost on the way, beside the flood: the hand begins anew.
+                # Frames were lost on the way, beside the flood: the hand starts over.
                 self.unsteady_until_s = now_s + _SETTLE_S
             self._pose_ns = pose.t_ns
             if abs(pose.t_ns - time.time_ns()) >= 3e9:

@@ -59,7 +59,7 @@ def test_false_markers_do_not_move_it() -> None:
 
 
 def test_a_marker_that_is_really_elsewhere_is_followed() -> None:
-    """After enough observations that agree the filter starts anew there."""
+    """After enough observations that agree the filter starts over there."""
     foot = FootFilter()
     covariance = SIGMA_M**2 * np.eye(3)
     for k in range(60):

@@ -50,9 +50,9 @@ def test_a_moment_of_a_live_recording(take: Path, tmp_path: Path) -> None:
     assert image.shape == (480, 640, 3)
     assert not re.search(r"(src|href)='https?:", page), "nothing is loaded from elsewhere"
     assert [row[0] for row in rows_of(page, "In short")] == ["thumb", "index", "middle", "ring", "little", "base"]
-    anew = {row[0]: float(row[2]) for row in rows_of(page, "What the rig said")}
-    assert set(anew) == {"rhot/hand/right", "rhot/points"}
-    assert max(anew.values()) < 0.001, "the same cores on the same markers say the same, mm"
+    recomputed = {row[0]: float(row[2]) for row in rows_of(page, "What the rig said")}
+    assert set(recomputed) == {"rhot/hand/right", "rhot/points"}
+    assert max(recomputed.values()) < 0.001, "the same cores on the same markers say the same, mm"
     gates = rows_of(page, "Gates")
     assert {row[0] for row in gates} == {"left", "right"}
     assert all(float(row[6]) <= 5.0 for row in gates if row[-1] == "taken"), "standard deviations"

@@ -48,7 +48,7 @@ def test_what_is_written_is_a_recording(tmp_path: Path) -> None:
     }
 
 
-def test_a_rig_that_was_started_anew_goes_on_in_the_same_folder(tmp_path: Path) -> None:
+def test_a_rig_that_was_restarted_goes_on_in_the_same_folder(tmp_path: Path) -> None:
     with PictureFolder(tmp_path / "take") as folder:
         for t_ns, frame in enumerate((100, 101, 0, 1, 5)):
             folder.write(picture("left", frame, START_NS + t_ns))

@@ -33,7 +33,7 @@ def test_only_files_that_sessions_read_begin_one(rig: Rig) -> None:
 async def test_a_rig_that_is_not_there_is_named(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sessions, "_CONNECT_S", 0.1)
     with pytest.raises(BusError, match="no Zenoh router answers"):
-        await Sessions(StepContext(rig.path, BusConfig(connect=("tcp/127.0.0.1:1",)))).start_anew()
+        await Sessions(StepContext(rig.path, BusConfig(connect=("tcp/127.0.0.1:1",)))).restart()
 
 
 def test_what_stands_before_simulated_cameras_is_written_down(rig: Rig, rig_folder: Path) -> None:
@@ -52,5 +52,5 @@ async def test_two_sessions_within_a_second_are_two(rig: Rig, router: BusConfig)
     async with await Bus.open(router) as bus:
         serve_clock(bus)
         page = Sessions(StepContext(rig.path, router))
-        names = await asyncio.gather(page.start_anew(), page.start_anew())
+        names = await asyncio.gather(page.restart(), page.restart())
     assert len(set(names)) == 2

@@ -39,7 +39,7 @@ def test_without_a_truth_around_it_there_is_no_error(stub: StubRig) -> None:
     assert track.fingertip_errors(pose_at(stub, 0.5).model_copy(update={"joints": {}})) is None
 
 
-def test_another_session_begins_anew(stub: StubRig) -> None:
+def test_another_session_starts_over(stub: StubRig) -> None:
     track = TruthTrack()
     for t_s in (5.0, 5.02, 1.0, 1.02):
         track.add(truth_at(stub, t_s))

@@ -5,7 +5,7 @@ Minimised over lenses, camera poses, board poses and corner positions, by Levenb
 
     Σ ρ(|uv − project(lens_c, T_camera_rig,c · T_rig_board,p · X_j)| / σ) + Σ ((q − q_prior) / σ_q)²
 
-with Huber's ρ. σ is estimated anew in every step.
+with Huber's ρ. σ is re-estimated in every step.
 
 The normal equations are summed view by view. On the thesis's chessboards one step of `scipy.optimize.least_squares`,
 with the same derivatives, took 35 to 60 ms and a problem 40 steps or more; here a whole problem takes 50 to 100 ms, and
@@ -66,7 +66,7 @@ def adjust(
         geometry: where to start.
         observations: of the board.
         prior: what is known beforehand.
-        sigma_px: standard deviation of a coordinate to start with; it is estimated anew along the way.
+        sigma_px: standard deviation of a coordinate to start with; it is re-estimated in every step.
         robust: weigh large residuals down.
 
     Raises:

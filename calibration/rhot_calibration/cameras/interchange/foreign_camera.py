@@ -120,7 +120,7 @@ def refuse_fisheye(place: str) -> None:
     """
     raise CalibrationError(
         f"{place}: a fisheye lens model; RHOT's cameras have OpenCV's pinhole model with up to 14 distortion "
-        "coefficients. Calibrate the camera anew: rhot calibrate cameras RECORDING"
+        "coefficients. Calibrate the camera again: rhot calibrate cameras RECORDING"
     )
 
 

@@ -53,7 +53,7 @@ def _camera(place: str, table_name: str, table: dict[str, Any]) -> ForeignCamera
     if table.get("rotation_count", 0):
         raise CalibrationError(
             f"{place}.rotation_count is {table['rotation_count']}: the pictures were turned before the calibration, "
-            "RHOT tracks in raw ones; calibrate the camera anew: rhot calibrate cameras RECORDING"
+            "RHOT tracks in raw ones; calibrate the camera again: rhot calibrate cameras RECORDING"
         )
     for name in ("size", "distortions"):
         if name not in table:

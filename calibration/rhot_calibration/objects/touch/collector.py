@@ -107,7 +107,7 @@ class TouchCollector:
             self.touches.pop()
             self.rough = None
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         """Forget everything: another session began."""
         self.touches.clear()
         self._tips.clear()

@@ -45,7 +45,7 @@ def touches_recorded(
         except WireError:
             continue
         if isinstance(message, Control) and message.action == "start":
-            collector.begin_anew()
+            collector.start_over()
             from_ns = message.start_t_ns
         elif isinstance(message, HandPose | ObjectPose) and message.t_ns >= from_ns:
             touch = feed(task, collector, sample.key, message)

@@ -109,7 +109,7 @@ def _page(rig: Rig, moment: Moment, path: Path, lead_s: float) -> str:
     about = (
         f"{path}, {moment.since_s:.3f} s after its first marker frame, t_ns {moment.t_ns} on the rig clock. "
         f"Rig {rig.config.name}, fusion method {rig.config.fusion.method}, hand solver {rig.config.ik.solver}. "
-        f"Tracked anew from up to {lead_s:g} s before: {len(moment.frames)} marker frames."
+        f"Tracked again from up to {lead_s:g} s before: {len(moment.frames)} marker frames."
     )
     first = [in_short(rig, trace, pictures), *said_then(moment, trace)]
     return explanation_page(f"{path.name} at {moment.since_s:.3f} s", about, rig, trace, first, pictures, tables)

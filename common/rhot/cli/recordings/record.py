@@ -222,7 +222,7 @@ def record(
 
     With --frames the capture services also send every picture in which they looked for markers, as JPEG of quality 90,
     after the messages and only while somebody records; the feet service sends colour and depth of its camera, and the
-    ankles' sensors. `rhot process` tracks such a folder anew.
+    ankles' sensors. `rhot process` tracks such a folder again.
 
     \b
     rhot record                                until Ctrl-C, into recordings/

@@ -268,7 +268,7 @@ def replay(
     publishes are refused.
 
     Services do not believe messages from the past. With --now times are moved to today, and with --only markers a
-    running fusion and ik (`rhot up`) track the recorded markers anew. At another pace than 1 the hand then moves at
+    running fusion and ik (`rhot up`) track the recorded markers again. At another pace than 1 the hand then moves at
     another speed, too.
 
     \b

@@ -52,7 +52,7 @@ def clock_skew_ns(samples: Iterable[RecordedSample]) -> int:
 class Restamp:
     """Gives samples, in the order in which they leave, the times of a replay.
 
-    The first one sets the time for all that follow; it is set anew when a recording begins again and when the replay
+    The first one sets the time for all that follow; it is set again when a recording starts over and when the replay
     has fallen behind.
     """
 

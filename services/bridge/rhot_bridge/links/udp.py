@@ -73,7 +73,7 @@ class UdpLink:
         if now_ns < self._silent_until_ns:
             return False
         if self._problem and self._probed:
-            logger.info("somebody receives at %s port %d now", self._host, self._port)
+            logger.info("somebody receives at %s port %d again", self._host, self._port)
             self._problem, self._probed = "", False
         elif self._problem:
             # Whether the probe is refused shows until the silence ends.

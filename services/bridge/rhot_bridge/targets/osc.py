@@ -1,6 +1,6 @@
 """OSC 1.0 packets whose addresses and types never change, at the price of a `struct.pack` each.
 
-python-osc makes each message once, with zeros; what comes later replaces only its floats. Building 35 messages anew for
+python-osc makes each message once, with zeros; what comes later replaces only its floats. Building 35 messages for
 every frame would cost more than everything else together.
 """
 

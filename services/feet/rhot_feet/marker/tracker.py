@@ -28,7 +28,7 @@ _CONFIRM_GAP_S: Final = 0.15
 _CONFIRM_STEP_M: Final = 0.03
 _CONFIRM_SPEED_M_S: Final = 6.0
 _FORGET_S: Final = 0.5
-"""After so long without its marker a foot's own orientation track begins anew."""
+"""After so long without its marker a foot's own orientation track starts over."""
 _WHOLE_NS: Final = 40_000_000
 """While one foot is expected and the other is not, the whole picture is searched this often."""
 _CROP_SHARE: Final = 0.5

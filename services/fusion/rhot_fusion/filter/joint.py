@@ -26,7 +26,7 @@ _ADJOINT: FloatArray = np.array([1.0, -2.0, 1.0])
 _NEAREST_M = 0.05
 """A marker on or behind the image plane has no useful derivative; its innovation refuses it."""
 _REACH = 0.02
-"""Levers are computed anew when a marker has moved this far about its hand, metres."""
+"""Levers are recomputed when a marker has moved this far about its hand, metres."""
 
 
 class JointFilter:

@@ -101,8 +101,8 @@ class TrackSettings:
         ray_views: views in a row of one camera that put a marker on its ray.
         fewest: markers of a hand that tell how far away it is; in a grasp the patch is often the only one.
         ray_reach_m: no marker begins on its ray further from the middle of its hand's, metres; a hand's length.
-        loose_m: a marker whose place is less certain (standard deviation) is found anew by two views, metres: beyond it
-            a depth is no longer linear in the pixels.
+        loose_m: a marker whose place is less certain (standard deviation) is found again by two views, metres: beyond
+            it a depth is no longer linear in the pixels.
         extent_m: standard deviation in depth of a marker about the middle of its hand's, metres: fingertips that one
             camera sees are 0.026 behind it, plus or minus 0.027 (15 develop rigs).
         lost_periods: one that nothing has shown for so many frame periods is not moved by a single view.

@@ -54,7 +54,7 @@ class PixelFilters:
             markers: (K,) indices.
             t_s: (K,) times, later than the newest of these markers.
             xy: (K, 2) normalised coordinates.
-            max_rate: fastest believable motion, normalised units per second; beyond it a filter starts anew.
+            max_rate: fastest believable motion, normalised units per second; beyond it a filter starts over.
         """
         if not self._on or not len(markers):
             return xy

@@ -28,7 +28,7 @@ class RejoinSettings:
         speed_m_s: and by the way of a finger that moves at this speed on top: closing hands take about half a second
             for 0.05 m of a tip on the palm.
         lasts_s: for at least this long, until fusion has settled on a marker that is new to it.
-        fastest_m_s: a tip that goes faster on the palm was found anew rather than moved: 20 rad/s of a finger 80 mm
+        fastest_m_s: a tip that goes faster on the palm was found again rather than moved: 20 rad/s of a finger 80 mm
             long.
         sure_m: a marker known no better than this, the worst way, has not come back yet: one camera sees it.
     """

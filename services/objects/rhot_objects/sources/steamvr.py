@@ -68,7 +68,7 @@ class SteamVrSource:
         self._event: Any = None
         self._ids_by_index: dict[int, str | None] = {}
         self._last_connected_ns: int | None = None
-        # Kept when SteamVR is started anew: its space may have been set up anew, too.
+        # Kept when SteamVR is restarted: its space may have been set up again, too.
         self._space: TrackingSpace | None = None
         self._has_tracked = False
         self._moved = ""

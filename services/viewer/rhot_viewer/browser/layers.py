@@ -74,7 +74,7 @@ class InstanceLayer:
             opacity=GHOST_OPACITY if self._ghost else None,
             side="back" if self._ghost else "front",
             lod="off",
-            # Shadows of moving things are drawn anew in every frame by every browser.
+            # Shadows of moving things are redrawn in every frame by every browser.
             cast_shadow=False,
             receive_shadow=False,
         )

@@ -154,7 +154,7 @@ class GraspServer:
             browser.pace.rate_hz = min(browser.wished_hz, rate_hz)
 
     async def tell_hello(self) -> None:
-        """Tell every browser anew what it was told first: the rig has changed."""
+        """Tell every browser again what it was told first: the rig has changed."""
         for browser in list(self.browsers):
             with contextlib.suppress(ConnectionClosed):
                 await browser.send(self._hello(browser.role))

@@ -129,7 +129,7 @@ class GraspService:
         if self._moved:
             problem = (
                 "the headset's floor has been moved since it was registered: `rhot calibrate objects --live --object "
-                f"{CONTROLLER}` places it anew"
+                f"{CONTROLLER}` registers it again"
             )
         figures = {"browsers": float(len(self.server.browsers)), "headset": float(self._wearer is not None), **refused}
         shown = [browser.shown for browser in self.server.browsers if browser.shown is not None]

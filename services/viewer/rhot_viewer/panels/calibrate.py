@@ -241,9 +241,9 @@ class CalibratePanel:
             await self._restart()
 
     async def _restart(self) -> None:
-        self._restarted.content = about_html("The rig is started anew …")
+        self._restarted.content = about_html("The rig restarts …")
         try:
-            session = await self._sessions.start_anew()
+            session = await self._sessions.restart()
         except RhotError as error:
             self._restarted.content = remarks_html(str(error), ())
         else:

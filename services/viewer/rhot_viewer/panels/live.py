@@ -60,7 +60,7 @@ class LivePanel:
             self._trouble = gui.add_html("")
 
     def update(self) -> None:
-        """Write them anew; what has not changed is not sent."""
+        """Write them again; what has not changed is not sent."""
         statuses = self._inbox.all_newest("rhot/status/", ServiceStatus, STATUS_AGE_S)
         feet = self._inbox.all_newest("rhot/foot/", FootPose, FOOT_AGE_S) if self._has_feet else {}
         told = [feet_html(feet, self._waiting_for(statuses, _FEET, _NO_FOOT))] if self._has_feet else []

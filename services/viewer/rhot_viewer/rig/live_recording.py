@@ -166,7 +166,7 @@ async def explain(recording: Path, at: str, rig_path: Path) -> Path:
         raise ConfigError(f"{printable(at, _LONGEST_NAME)}: not a number of seconds, such as 12.5") from error
     page = recording.with_suffix(".html")
     words = ["explain", str(recording), "--at", at, "--out", str(page), "--rig", str(rig_path)]
-    # A process of its own: it tracks ten seconds anew, and the page must go on meanwhile.
+    # A process of its own: it tracks ten seconds again, and the page must go on meanwhile.
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "rhot", "-q", *words),
         stdout=asyncio.subprocess.DEVNULL,

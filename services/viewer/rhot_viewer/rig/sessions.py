@@ -34,7 +34,7 @@ class Sessions:
         before, self._stamps = self._stamps, self._now()
         return self._stamps != before
 
-    async def start_anew(self) -> str:
+    async def restart(self) -> str:
         """Begin a new session and return its name.
 
         Raises:

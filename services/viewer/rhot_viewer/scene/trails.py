@@ -14,7 +14,7 @@ from rhot_viewer.scene.instances import Rgb
 
 _STEP_NS: Final = 50_000_000
 _BREAK_NS: Final = 400_000_000
-"""After a longer pause the path begins anew: a straight line would show a motion nobody saw."""
+"""After a longer pause the path starts over: a straight line would show a motion nobody saw."""
 
 
 class Trails:

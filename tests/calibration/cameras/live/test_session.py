@@ -70,7 +70,7 @@ def test_a_moving_board_is_never_taken(clocked: Clocked) -> None:
     assert clocked.session.progress.state is State.MOVING
 
 
-def test_a_jerk_begins_the_countdown_anew(clocked: Clocked) -> None:
+def test_a_jerk_restarts_the_countdown(clocked: Clocked) -> None:
     assert clocked.hold(0.8, left=seen(100.0))[-1] is State.HOLDING
     assert clocked.hold(0.2, left=seen(104.0)) == [State.MOVING]
     assert clocked.session.progress.sets == 0

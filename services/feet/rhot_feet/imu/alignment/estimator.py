@@ -60,7 +60,7 @@ class AlignmentEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Start anew: it is another sensor now, or it was restarted."""
+        """Start over: it is another sensor now, or it was restarted."""
         self._samples.clear()
         self._sightings.clear()
         self._steps.reset()

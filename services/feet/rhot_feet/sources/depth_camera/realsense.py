@@ -233,7 +233,7 @@ class RealSenseSource:
         color, depth = frames.get_color_frame(), frames.get_depth_frame()
         if not color:
             return None
-        # Copied: the SDK fills its buffers anew.
+        # Copied: the SDK fills its buffers again.
         picture = np.array(np.asanyarray(color.get_data()), dtype=np.uint8)
         return DepthFrame(
             self._t_ns(color), picture, _millimetres(depth) if depth else None, camera, int(color.get_frame_number())

@@ -10,7 +10,7 @@ are set to the limit and all others moved by what that says about them (projecti
 Simon & Chia 2002).
 
 Points come from fusion's filter, so their errors last over samples. The process is therefore loose where a sample
-tells: pose and seen fingers follow each sample anew, and memory serves what it leaves open. The person is learned by a
+tells: pose and seen fingers follow each sample, and memory serves what it leaves open. The person is learned by a
 share of what a sample says of him, the rest of the hand moves by all of it (partial-update Schmidt–Kalman filter,
 Brink 2017).
 """

@@ -55,7 +55,7 @@ class HandSettings:
         gap_s: after a silence this long nothing of the past is used.
         late_s: a sample that is older than the last one by less than this came out of order and is left out.
         lost_m, lost_s: when the seen tips miss the model by more than this on average for this long, the hand is
-            looked for anew: more than wrong proportions explain, for longer than a wild marker lasts.
+            looked for again: more than wrong proportions explain, for longer than a wild marker lasts.
         lost_haste: time counts up to this many times when they miss it by as many times as much.
     """
 
