@@ -72,8 +72,8 @@ def _colors_learnt_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[No
     kept = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "colors"
     kept.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
-        learn = partial(copy_or_learn, simulated_rig_folder._calibrate_colors, kept)
-        patch.setattr(simulated_rig_folder, "_calibrate_colors", learn)
+        learn = partial(copy_or_learn, simulated_rig_folder.calibrate_colors, kept)
+        patch.setattr(simulated_rig_folder, "calibrate_colors", learn)
         yield
 
 

@@ -146,8 +146,8 @@ async def _measure(folder: Path, duration_s: float, rate_hz: float, console: Con
     by_key: dict[str, list[bytes]] = {}
     for key, digest in live.content:
         by_key.setdefault(key, []).append(digest)
-    lost = sum(_missing(sent, by_key.get(key, [])) for key, sent in traffic.sent.items())
-    misplaced = sum(_misplaced(sent, by_key.get(key, [])) for key, sent in traffic.sent.items())
+    lost = sum(missing_count(sent, by_key.get(key, [])) for key, sent in traffic.sent.items())
+    misplaced = sum(misplaced_count(sent, by_key.get(key, [])) for key, sent in traffic.sent.items())
     spacing_ms = np.abs(np.diff(again.log_ns) - np.diff(live.log_ns)) / 1e6 if again.content == live.content else None
     held_up = f"held up {traffic.stalls} times by this machine, at most by {1e3 * traffic.worst_late_s:.0f} ms"
     drift_ms = abs(float(np.ptp(again.log_ns)) - float(np.ptp(live.log_ns))) / 1e6
@@ -156,13 +156,13 @@ async def _measure(folder: Path, duration_s: float, rate_hz: float, console: Con
         Row("lost or changed in the recording", lost, most=0, note="by payloads"),
         Row("out of order in the recording", misplaced, most=0, note="key by key"),
         Row("size of the file", live.bytes / 1e6 / duration_s * 60.0, "MB a minute"),
-        Row("lost or changed in the replay", _missing(live.content, again.content), most=0, note="by payloads"),
-        Row("out of order in the replay", _misplaced(live.content, again.content), most=0, note="over all keys"),
+        Row("lost or changed in the replay", missing_count(live.content, again.content), most=0, note="by payloads"),
+        Row("out of order in the replay", misplaced_count(live.content, again.content), most=0, note="over all keys"),
         Row("spacing kept, median", _percentile(spacing_ms, 50), "ms"),
         Row("spacing kept, p99", _percentile(spacing_ms, 99), "ms", most=_SPACING_MS),
         Row("length of the replay off by", drift_ms, "ms"),
-        Row(f"lost or changed at {_FAST:g} times the pace", _missing(live.content, fast.content), most=0),
-        Row(f"out of order at {_FAST:g} times the pace", _misplaced(live.content, fast.content), most=0),
+        Row(f"lost or changed at {_FAST:g} times the pace", missing_count(live.content, fast.content), most=0),
+        Row(f"out of order at {_FAST:g} times the pace", misplaced_count(live.content, fast.content), most=0),
         Row(f"time that took, of {duration_s / _FAST:g} s", fast_s, "s", note="start of the process included"),
     ]
 
@@ -226,7 +226,7 @@ async def _publish(config: BusConfig, script: list[tuple[float, str, Message]], 
         traffic.note("rhot/config/fusion/main", change)
         begun = time.monotonic()
         begun_ns = time.time_ns()
-        for due_s, key, message in _endless(script):
+        for due_s, key, message in endless(script):
             if due_s >= duration_s:
                 break
             wait_s = begun + due_s - time.monotonic()
@@ -243,7 +243,8 @@ async def _publish(config: BusConfig, script: list[tuple[float, str, Message]], 
     return traffic
 
 
-def _endless(script: list[tuple[float, str, Message]]) -> Iterator[tuple[float, str, Message]]:
+def endless(script: list[tuple[float, str, Message]]) -> Iterator[tuple[float, str, Message]]:
+    """Yield the messages of a script with their keys and times, seconds, again and again, one round after the other."""
     passed_s = 0.0
     while True:
         for due_s, key, message in script:
@@ -284,12 +285,12 @@ async def _start(*arguments: str) -> asyncio.subprocess.Process:
     )
 
 
-def _missing(first: Sequence[Hashable], second: Sequence[Hashable]) -> int:
+def missing_count(first: Sequence[Hashable], second: Sequence[Hashable]) -> int:
     """Return how many entries of the first are not in the second."""
     return (Counter(first) - Counter(second)).total()
 
 
-def _misplaced(first: Sequence[Hashable], second: Sequence[Hashable]) -> float:
+def misplaced_count(first: Sequence[Hashable], second: Sequence[Hashable]) -> float:
     """Return how many entries stand elsewhere; NaN where some are missing."""
     if Counter(first) != Counter(second):
         return float("nan")

@@ -11,7 +11,7 @@ from hand_messages import point_set
 
 from rhot.messages import Message, encode, encoding_of
 from rhot.recording.mcap.writer import McapWriter
-from rhot_bench.recording import Take, _endless, _misplaced, _missing
+from rhot_bench.recording import Take, endless, misplaced_count, missing_count
 
 
 def write(file: Path, order: list[int]) -> Take:
@@ -27,13 +27,13 @@ def test_losses_and_order_are_told_apart(tmp_path: Path) -> None:
     assert np.diff(whole.log_ns).tolist() == [1, 1, 1]
     swapped = write(tmp_path / "swapped.mcap", [0, 2, 1, 3])
     short = write(tmp_path / "short.mcap", [0, 1, 3])
-    assert (_missing(whole.content, whole.content), _misplaced(whole.content, whole.content)) == (0, 0)
-    assert (_missing(whole.content, swapped.content), _misplaced(whole.content, swapped.content)) == (0, 2)
-    assert _missing(whole.content, short.content) == 1
-    assert math.isnan(_misplaced(whole.content, short.content))
+    assert (missing_count(whole.content, whole.content), misplaced_count(whole.content, whole.content)) == (0, 0)
+    assert (missing_count(whole.content, swapped.content), misplaced_count(whole.content, swapped.content)) == (0, 2)
+    assert missing_count(whole.content, short.content) == 1
+    assert math.isnan(misplaced_count(whole.content, short.content))
 
 
 def test_traffic_goes_on_evenly() -> None:
     script: list[tuple[float, str, Message]] = [(0.0, "a", point_set(1)), (4.9, "a", point_set(2))]
-    times = [due_s for due_s, _, _ in itertools.islice(_endless(script), 5)]
+    times = [due_s for due_s, _, _ in itertools.islice(endless(script), 5)]
     assert times == [0.0, 4.9, 5.0, 9.9, 10.0]

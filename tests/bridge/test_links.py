@@ -16,7 +16,7 @@ from websockets.typing import Origin
 
 from rhot.errors import DeviceError
 from rhot_bridge.links import UdpLink, WebSocketLink
-from rhot_bridge.links.websocket import _MOST_READERS
+from rhot_bridge.links.websocket import MOST_READERS
 
 SECOND = 1_000_000_000
 
@@ -121,9 +121,9 @@ async def test_web_socket_has_room_for_so_many_readers(free_port: int) -> None:
     link = WebSocketLink("127.0.0.1", free_port)
     await link.open()
     async with contextlib.AsyncExitStack() as stack:
-        for _ in range(_MOST_READERS):
+        for _ in range(MOST_READERS):
             await stack.enter_async_context(connect(f"ws://127.0.0.1:{free_port}"))
-        await until(lambda: link.readers == _MOST_READERS)
+        await until(lambda: link.readers == MOST_READERS)
         async with connect(f"ws://127.0.0.1:{free_port}") as further:
             await further.wait_closed()
             assert further.close_code == 1013

@@ -31,7 +31,7 @@ async def test_frames_are_sent_while_somebody_records(router: BusConfig) -> None
         async with await Bus.open(router) as recorder:
             mailbox = subscribe_pictures(recorder)
             async with asyncio.timeout(PATIENCE_S):
-                while not stream._publisher.has_reader:
+                while not stream.has_reader:
                     await asyncio.sleep(0.005)
             for index in range(3, 8):
                 stream.offer(frame(index), 10**18 + index)
@@ -55,7 +55,7 @@ async def test_frames_that_nobody_can_take_are_counted(router: BusConfig) -> Non
         stream = FrameStream("left", camera)
         subscribe_pictures(recorder)
         async with asyncio.timeout(PATIENCE_S):
-            while not stream._publisher.has_reader:
+            while not stream.has_reader:
                 await asyncio.sleep(0.005)
         noise = np.random.default_rng(0).integers(0, 255, (1080, 1920, 3), dtype=np.uint8)
         for index in range(20):

@@ -15,7 +15,7 @@ from rhot_feet.depth.floor import FloorPlane
 from rhot_feet.depth.tracker import DepthObservations, FootDepth
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame
-from rhot_feet.marker.tracker import MarkerObservations
+from rhot_feet.marker.tracker import MarkerObservations, MarkerTracker
 from rhot_feet.prediction import FootPrediction
 from rhot_feet.view import FootDetections
 
@@ -102,22 +102,22 @@ def test_a_foot_whose_sensor_is_shaken_is_not_held_where_it_was() -> None:
     assert "rhot/foot/left" not in later
 
 
-def test_the_marker_stage_knows_the_floor() -> None:
-    stage = FootStage(FEET)
+def test_markers_are_detected_with_the_floor_known(monkeypatch: pytest.MonkeyPatch) -> None:
     floors: list[FloorPlane | None] = []
-    detect = stage._markers.detect
+    detect = MarkerTracker.detect
 
     def noted(
+        self: MarkerTracker,
         frame: DepthFrame,
         expected: Mapping[Side, FootPrediction],
         up_camera: NDArray[np.float64] | None = None,
         floor: FloorPlane | None = None,
     ) -> MarkerObservations:
         floors.append(floor)
-        return detect(frame, expected, up_camera, floor)
+        return detect(self, frame, expected, up_camera, floor)
 
-    stage._markers.detect = noted  # type: ignore[method-assign]
-    see(stage, 0, 4)
+    monkeypatch.setattr(MarkerTracker, "detect", noted)
+    see(FootStage(FEET), 0, 4)
     assert floors and all(floor is not None for floor in floors)
 
 

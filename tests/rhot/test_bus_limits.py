@@ -116,18 +116,20 @@ async def test_questions_that_wait_for_a_worker_are_bounded(router: BusConfig) -
         released.wait(PATIENCE_S)
         return Answer(b"picture", "image/jpeg")
 
-    async with await Bus.open(router) as server, await Bus.open(router) as asker:
+    async with await Bus.open(router) as server, await Bus.open(router) as watcher:
         server.queryable("rhot/preview/left", answer, slow=True)
         await settled(server)
-        await settled(asker)
-        # At once, and without waiting, as somebody would who means harm.
-        ask = asker._session.get
-        asked = [ask("rhot/preview/left", timeout=PATIENCE_S) for _ in range(MAX_WAITING_ANSWERS + 3)]
+        await settled(watcher)
+        # A plain session: at once, and without waiting, as somebody would who means harm.
+        asker = await asyncio.to_thread(zenoh.open, session_config(router))
         try:
+            asked = [asker.get("rhot/preview/left", timeout=PATIENCE_S) for _ in range(MAX_WAITING_ANSWERS + 3)]
             await until(lambda: server.limit_counts().get("questions_refused") == 3)
+            released.set()
+            replies = [reply for found in asked for reply in received(found, PATIENCE_S)]
         finally:
             released.set()
-        replies = [reply for found in asked for reply in received(found, PATIENCE_S)]
+            await asyncio.to_thread(asker.close)
     refused = [reply.error for reply in replies if reply.error]
     assert len(refused) == 3
     assert "ask less often" in refused[0]

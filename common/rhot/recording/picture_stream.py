@@ -41,6 +41,11 @@ class PictureStream:
         self._room = threading.BoundedSemaphore(_MOST_WAITING)
         self._told = False
 
+    @property
+    def has_reader(self) -> bool:
+        """Whether somebody records."""
+        return self._publisher.has_reader
+
     def submit(self, copy: Callable[[], Callable[[], CameraPicture]]) -> None:
         """Send a frame if somebody listens; returns at once.
 
@@ -48,7 +53,7 @@ class PictureStream:
             copy: called here, only when the frame will be sent: copies what the camera may overwrite, and returns what
                 codes the picture, which is called on another thread.
         """
-        if not self._publisher.has_reader:
+        if not self.has_reader:
             return
         if not self._room.acquire(blocking=False):
             self.dropped += 1

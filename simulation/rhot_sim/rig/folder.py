@@ -106,7 +106,7 @@ def write_simulated_rig(
         desk_height_m=config.sim.desk_height_m,
     )
     write_json_model(path / STAGE_FILE, stage)
-    _calibrate_colors(path)
+    calibrate_colors(path)
     return load_rig(path)
 
 
@@ -140,8 +140,12 @@ def true_cameras(rig: Rig) -> dict[str, CameraModel]:
     return {name: CameraModel.from_calibration(camera) for name, camera in truth.items()}
 
 
-def _calibrate_colors(path: Path) -> None:
-    """Run `rhot calibrate colors` on rendered pictures, with picks where the markers are."""
+def calibrate_colors(path: Path) -> None:
+    """Run `rhot calibrate colors` on rendered pictures of a rig folder, with picks where the markers are.
+
+    Raises:
+        ConfigError: the folder is not a rig, or cannot be written.
+    """
     rig = load_rig(path)
     world = World.from_rig(rig)
     with tempfile.TemporaryDirectory() as folder:

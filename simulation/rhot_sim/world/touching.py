@@ -84,6 +84,11 @@ class TouchMotion:
         self._radius_m = float(hand.radii[MOVING[1, 3]])
         self._table = self._knots()
 
+    @property
+    def round_s(self) -> float:
+        """Time after which the motion repeats, the box turned by `_YAW_A_ROUND_RAD`, seconds."""
+        return KNOT_S * len(self._table)
+
     def sample(self, t_s: FloatArray) -> MotionSample:
         """Return the motion at times (N,), seconds since the world's start."""
         t = np.maximum(np.asarray(t_s, dtype=np.float64), 0.0)

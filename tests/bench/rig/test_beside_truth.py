@@ -30,7 +30,7 @@ pytestmark = pytest.mark.xdist_group("beside truth")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
     with pytest.MonkeyPatch.context() as patch:
         # Blobs without pictures need no colours, and learning them takes five seconds.
-        patch.setattr(folder, "_calibrate_colors", lambda _: None)
+        patch.setattr(folder, "calibrate_colors", lambda _: None)
         return folder.write_simulated_rig(tmp_path_factory.mktemp("beside") / "rig", rate_hz=30.0)
 
 

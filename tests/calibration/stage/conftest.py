@@ -21,7 +21,7 @@ def desk_pictures(tmp_path_factory: pytest.TempPathFactory) -> tuple[Rig, Path]:
     path, pictures = tmp_path_factory.mktemp("rig"), tmp_path_factory.mktemp("pictures")
     with pytest.MonkeyPatch.context() as patch:
         # A board on a desk needs no colours, and learning them takes four seconds.
-        patch.setattr(folder, "_calibrate_colors", lambda _: None)
+        patch.setattr(folder, "calibrate_colors", lambda _: None)
         rig = with_motion(folder.write_simulated_rig(path, seed=4), "desk_board")
     (path / STAGE_FILE).unlink()
     world = World.from_rig(rig)

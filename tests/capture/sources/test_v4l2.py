@@ -29,7 +29,7 @@ def pictures(*sequences: int, first_us: int = 4_990_000) -> list[Picture | None]
 
 def source_of(device: FakeV4l2, camera: CameraConfig = CAMERA) -> V4l2Source:
     def now_ns() -> int:
-        return max(device.clock_ns(), 1000 * device._stamp_us)
+        return max(device.clock_ns(), 1000 * device.stamp_us)
 
     return V4l2Source("left", camera, device.opencv(), now_ns, device.query)
 

@@ -133,8 +133,11 @@ def test_what_a_file_system_had_not_written_counts_as_lost(tmp_path: Path) -> No
     wanted, file = samples(), tmp_path / "a.mcap"
     write(file, wanted, flush_every=30)
     whole = file.read_bytes()
-    chunk = open_mcap(file)._chunks[2]
-    file.write_bytes(whole[: chunk.offset + 100] + bytes(len(whole) - chunk.offset - 100))
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    kept = summary.chunk_indexes[2].chunk_start_offset + 100
+    file.write_bytes(whole[:kept] + bytes(len(whole) - kept))
     recording = open_mcap(file)
     assert list(recording.samples()) == wanted[:60]
     assert "was cut off" in recording.note

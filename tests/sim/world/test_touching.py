@@ -38,8 +38,7 @@ def test_every_face_is_touched_at_four_corners_in_order_and_nothing_else_is_held
 
 def test_the_round_repeats_without_a_jump() -> None:
     motion = TouchMotion({"right": HAND}, ["cube"])
-    round_s = 0.1 * len(motion._table)
-    t = np.arange(round_s - 1.0, round_s + 1.0, 0.01)
+    t = np.arange(motion.round_s - 1.0, motion.round_s + 1.0, 0.01)
     sample = motion.sample(t)
     assert np.abs(np.diff(sample.wrists["right"][:, :3, 3], axis=0)).max() < 0.01
     assert np.abs(np.diff(sample.objects["cube"][:, :3, :3], axis=0)).max() < 0.05

@@ -112,7 +112,7 @@ class FakeV4l2:
     set_values: dict[str, float] = field(default_factory=dict)
     _format: dict[str, float] = field(default_factory=dict)
     _held: Picture | None = None
-    _stamp_us: int = 0
+    stamp_us: int = 0
 
     # What V4l2Source is made with.
 
@@ -157,7 +157,7 @@ class FakeV4l2:
     def get(self, identifier: int) -> float:
         name = self._name(identifier)
         if name == "POS_MSEC":
-            return 1e-3 * self._stamp_us
+            return 1e-3 * self.stamp_us
         if name in self.forced:
             return self.forced[name]
         if name in self.controls:
@@ -179,7 +179,7 @@ class FakeV4l2:
         if picture is None:
             self.now_ns += int(os.environ.get("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "10")) * 1_000_000_000
             return False
-        self._held, self._stamp_us = picture, picture.stamp_us
+        self._held, self.stamp_us = picture, picture.stamp_us
         return True
 
     def retrieve(self) -> tuple[bool, Any]:

@@ -14,7 +14,8 @@ from rhot.errors import DeviceError
 
 logger = logging.getLogger(__name__)
 
-_MOST_READERS: Final = 16
+MOST_READERS: Final = 16
+"""Programs and pages that may read at once; chosen."""
 _MOST_UNSENT_BYTES: Final = 65_536
 """A reader with more than about ten messages unread is slow: it misses messages instead of getting old ones."""
 _HERE: Final = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
@@ -73,7 +74,7 @@ class WebSocketLink:
             ) from error
 
     async def _stay(self, reader: ServerConnection) -> None:
-        if len(self._readers) >= _MOST_READERS:
+        if len(self._readers) >= MOST_READERS:
             await reader.close(1013, "too many readers")
             return
         self._readers.add(reader)
