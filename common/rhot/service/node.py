@@ -65,6 +65,11 @@ class Node:
         self.status.tick("output")
         self.status.latency("output_age", (self.clock.now_ns() - message.t_ns) / 1e9)
 
+    def has_reader(self, key: str) -> bool:
+        """Tell whether somebody subscribes to a key that this service publishes on."""
+        publisher = self._publishers.get(key)
+        return publisher is not None and publisher.has_reader
+
     async def receive(
         self,
         mailbox: LatestSubscriber | EventSubscriber,

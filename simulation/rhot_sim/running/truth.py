@@ -21,6 +21,9 @@ from rhot_sim.world.world import World
 
 TRUTH_KEY: Final = "rhot/truth"
 _RATE_HZ: Final = 60.0
+_UNREAD_S: Final = 0.1
+"""How often truth is made while nobody subscribes, for those who ask: making it 60 times a second costs 7 % of a core,
+which the tracker beside it can use."""
 
 
 class TruthService:
@@ -48,7 +51,7 @@ class TruthService:
         """Nothing to declare before the first truth."""
 
     async def run(self, node: Node, start: Control) -> None:
-        """Publish the world's truth at a steady rate until cancelled."""
+        """Publish the world's truth until cancelled: at a steady rate while somebody subscribes."""
         period_ns = round(1e9 / _RATE_HZ)
         self._rig = latest_rig(self._rig)
         self._config = self._rig.config.sim
@@ -58,7 +61,8 @@ class TruthService:
             elapsed_ns = now_ns - start.start_t_ns
             t_ns = now_ns - elapsed_ns % period_ns
             node.publish(TRUTH_KEY, world.truth((t_ns - start.start_t_ns) / 1e9, t_ns))
-            await asyncio.sleep((period_ns - elapsed_ns % period_ns) / 1e9)
+            to_next_s = (period_ns - elapsed_ns % period_ns) / 1e9
+            await asyncio.sleep(to_next_s if node.has_reader(TRUTH_KEY) else _UNREAD_S)
 
 
 @click.command()
