@@ -80,7 +80,6 @@ class Suggestion:
 
     Attributes:
         marker: whose paint to replace.
-        because: what that paint is too near to: a marker, skin or background.
         paint: name of the better paint.
         rgb: how it would look in the pictures, an estimate.
         distance: its least Bhattacharyya distance from everything else.
@@ -88,7 +87,6 @@ class Suggestion:
     """
 
     marker: str
-    because: str
     paint: str
     rgb: RgbColor
     distance: float
@@ -141,7 +139,7 @@ def suggest(
     spread = np.median([part.sigma for name in colors.markers for part in _parts(colors, name)], axis=0)
     sigma = (float(spread[0]), float(spread[1]), float(spread[2]))
     found = []
-    for marker, because in ((first, second), (second, first)):
+    for marker in (first, second):
         own = _parts(colors, marker)
         if not own:
             continue
@@ -151,7 +149,7 @@ def suggest(
             seen = illumination.seen(rgb)
             distance = _least_distance([ColorComponent(rgb=seen, sigma=sigma)], others)
             if distance > present and paint not in without:
-                found.append(Suggestion(marker, because, paint, seen, distance, present))
+                found.append(Suggestion(marker, paint, seen, distance, present))
     return max(found, key=lambda each: each.distance, default=None)
 
 

@@ -47,7 +47,6 @@ class _StepParts:
     shown: dict[str, bytes] = field(default_factory=dict)
     values: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
-    busy: int = 0
 
 
 class CalibratePanel:

@@ -60,7 +60,7 @@ def test_the_suggested_paint_is_far_from_everything_else() -> None:
     )
     found = suggest(colors, "ring", "index", WHITE)
     assert found is not None
-    assert {found.marker, found.because} == {"ring", "index"}
+    assert found.marker in {"ring", "index"}
     assert found.distance > 10.0 * found.present
     red, green, blue = PAINTS[found.paint]
     assert not (blue > red and blue > green), "no third blue"

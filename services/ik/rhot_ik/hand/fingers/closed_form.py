@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.anatomy.hand import HandModel
 from rhot.arrays import FloatArray
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 
@@ -32,16 +31,10 @@ class FingerPose:
     Attributes:
         angles: (..., 5, 4) radians, inside the limits.
         miss: (..., 5, 3) metres: modelled minus wanted marker, in the plane of the finger: across, up, along.
-        free_flexion: (..., 5) radians: flexion of the knuckle as if it had no limits.
-        lateral: (..., 5) metres: how far the target lies from the plane of the finger without abduction.
-        depth: (..., 5) metres: distance of the target from the abduction axis.
     """
 
     angles: FloatArray
     miss: FloatArray
-    free_flexion: FloatArray
-    lateral: FloatArray
-    depth: FloatArray
 
 
 class AnalyticFingers:
@@ -69,25 +62,6 @@ class AnalyticFingers:
             ]
         )
         self._rows = np.arange(len(self._step))
-
-    @property
-    def model(self) -> HandModel:
-        """The hand."""
-        return self._geometry.model
-
-    def reach(self, curl: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return how far (5, N), metres, and in which direction (5, N), radians, a marker lies from its knuckle.
-
-        Args:
-            curl: (5, N) radians: angles of the middle hinge, the last one following; knuckle unbent. Directions are
-                positive towards the palm.
-        """
-        y, z = self._curled(curl.T)
-        return np.hypot(y, z).T, np.arctan2(-y, -z).T
-
-    def last_hinge(self, curl: FloatArray) -> FloatArray:
-        """Return the last hinge (5, N) that follows the middle one (5, N), radians."""
-        return self._last_hinge(curl.T).T
 
     def solve(self, targets: FloatArray) -> FingerPose:
         """Return the pose for marker centres (..., 5, 3), metres, wrist frame; they must be finite."""
@@ -117,7 +91,7 @@ class AnalyticFingers:
         cos, sin = np.cos(legal), np.sin(legal)
         angles = np.stack([legal, abduction, curl, self._last_hinge(curl)], axis=-1)
         miss = np.stack([-off, cos * curled_y + sin * curled_z - y, -sin * curled_y + cos * curled_z - along], axis=-1)
-        return FingerPose(angles, miss, flexion, across, -z)
+        return FingerPose(angles, miss)
 
     def _last_hinge(self, curl: FloatArray) -> FloatArray:
         return np.minimum(np.maximum(self._coupling * curl, self._low[:, 3]), self._high[:, 3])
