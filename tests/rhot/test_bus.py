@@ -17,7 +17,7 @@ from bus_watch import PATIENCE_S, answers, settled
 from rhot.bus import Answer, Bus, Publisher, Request
 from rhot.bus.query import received
 from rhot.errors import BusError, ConfigError
-from rhot.messages import Control, Marker, MarkerFrame, decode
+from rhot.messages import Control, Marker, MarkerFrame, decode, encode
 from rhot.rig import BusConfig
 
 
@@ -47,6 +47,19 @@ async def test_a_message_arrives_as_sent_and_numbered(router: BusConfig) -> None
                 if len(received) == 3:
                     break
     assert [(message.t_ns, message.seq) for message in received] == [(10, 0), (20, 1), (30, 2)]
+
+
+async def test_invalid_messages_are_skipped(router: BusConfig) -> None:
+    async with await Bus.open(router) as sender, await Bus.open(router) as receiver:
+        mailbox = receiver.events("rhot/markers/*")
+        publisher = sender.publisher("rhot/markers/left", MarkerFrame)
+        assert await publisher.wait_for_reader(PATIENCE_S)
+        for payload in (b"", b"garbage", encode(Control(t_ns=1, action="stop")), encode(frame(20))):
+            await sender.put("rhot/markers/left", payload, "application/msgpack;MarkerFrame")
+        async with asyncio.timeout(PATIENCE_S):
+            async for sample, message in mailbox.messages(MarkerFrame):
+                assert (sample.key, message.t_ns) == ("rhot/markers/left", 20)
+                break
 
 
 async def test_a_slow_reader_gets_the_newest_of_each_key_and_the_loss_is_counted(router: BusConfig) -> None:

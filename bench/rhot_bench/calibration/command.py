@@ -14,9 +14,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from rhot.bus import Bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
-from rhot.errors import BusError, CalibrationError, ConfigError, WireError
+from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.geometry.camera import CameraModel
-from rhot.messages import MarkerFrame, decode
+from rhot.messages import MarkerFrame
 from rhot.offline import marker_frames
 from rhot.recording import load_recording
 from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
@@ -162,12 +162,9 @@ async def _listen(bus_config: BusConfig, seconds: float, gatherer: TrackGatherer
             begun = loop.time()
             try:
                 async with asyncio.timeout(seconds):
-                    async for sample in bus.events("rhot/markers/*"):
+                    async for _, frame in bus.events("rhot/markers/*").messages(MarkerFrame):
                         progress.update(task, completed=int(loop.time() - begun))
-                        try:
-                            gatherer.add([decode(sample.payload, MarkerFrame)])
-                        except WireError:
-                            continue
+                        gatherer.add([frame])
             except TimeoutError:
                 progress.update(task, completed=round(seconds))
     if not any(gatherer.frames.values()):

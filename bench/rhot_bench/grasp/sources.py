@@ -13,8 +13,8 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.bus import Bus
-from rhot.errors import BusError, ConfigError, WireError
-from rhot.messages import CylinderShape, HandPose, Message, ObjectPose, decode
+from rhot.errors import BusError, ConfigError
+from rhot.messages import CylinderShape, HandPose, Message, ObjectPose
 from rhot.messages.base import wire_position
 from rhot.offline import core, track_with
 from rhot.recording import load_recording
@@ -86,12 +86,9 @@ async def listened(
         begun = asyncio.get_running_loop().time()
 
         async def hear(keys: str, model: type[Message]) -> None:
-            async for sample in bus.events(keys):
+            async for sample, message in bus.events(keys).messages(model):
                 progress(asyncio.get_running_loop().time() - begun)
-                try:
-                    messages.append((sample.key, decode(sample.payload, model)))
-                except WireError:
-                    continue
+                messages.append((sample.key, message))
 
         try:
             async with asyncio.timeout(seconds), asyncio.TaskGroup() as tasks:

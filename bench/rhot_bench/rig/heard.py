@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from rhot.bus import Bus
-from rhot.errors import BusError, WireError
-from rhot.messages import Control, HandPose, MarkerFrame, Message, ObjectPose, PointSet, ServiceStatus, Truth, decode
+from rhot.errors import BusError
+from rhot.messages import Control, HandPose, MarkerFrame, Message, ObjectPose, PointSet, ServiceStatus, Truth
 from rhot.operation.control import newest_control
 from rhot.operation.live_rig import measured_rig_clock
 from rhot.rig import BusConfig
@@ -97,14 +97,11 @@ async def listen(bus_config: BusConfig, seconds: float, progress: Callable[[floa
         begun = loop.time()
 
         async def hear(keys: str, model: type[Message]) -> None:
-            async for sample in bus.events(keys):
+            async for sample, message in bus.events(keys).messages(model):
                 # When it was here, and not when this reader came to it.
                 arrived_ns = now_ns() - (time.monotonic_ns() - sample.arrived_ns)
                 progress(loop.time() - begun)
-                try:
-                    heard.note(sample.key, decode(sample.payload, model), arrived_ns)
-                except WireError:
-                    continue
+                heard.note(sample.key, message, arrived_ns)
 
         try:
             async with asyncio.timeout(seconds), asyncio.TaskGroup() as tasks:

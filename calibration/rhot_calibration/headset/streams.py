@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from rhot.bus import Bus
-from rhot.errors import BusError, ConfigError, WireError
+from rhot.errors import BusError, ConfigError
 from rhot.geometry.camera import CameraModel
-from rhot.messages import HeadPose, decode
+from rhot.messages import HeadPose
 from rhot.recording import load_recording
 from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
 from rhot.rig import BusConfig
@@ -56,11 +56,7 @@ async def collect_views(
     done = asyncio.Event()
 
     async def follow_head(bus: Bus) -> None:
-        async for sample in bus.events(HEAD_KEY):
-            try:
-                pose = decode(sample.payload, HeadPose)
-            except WireError:
-                continue
+        async for _, pose in bus.events(HEAD_KEY).messages(HeadPose):
             if pose.state == "measured":
                 heard_s["head"] = time.monotonic()
             if collector.add_head(pose):
@@ -69,11 +65,7 @@ async def collect_views(
                     done.set()
 
     async def follow_pictures(bus: Bus) -> None:
-        async for sample in bus.latest(_PICTURES):
-            try:
-                picture = decode(sample.payload, CameraPicture)
-            except WireError:
-                continue
+        async for _, picture in bus.latest(_PICTURES).messages(CameraPicture):
             camera = _lens(picture)
             if camera is None:
                 continue

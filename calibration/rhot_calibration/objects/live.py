@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from rhot.bus import Bus
-from rhot.errors import BusError, ConfigError, WireError
-from rhot.messages import Control, ObjectPose, PointSet, decode
+from rhot.errors import BusError, ConfigError
+from rhot.messages import Control, ObjectPose, PointSet
 from rhot.operation.control import newest_control
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import registration_name, registration_path
@@ -73,22 +73,14 @@ async def collect_places(
                 done.set()
 
     async def follow_points(bus: Bus) -> None:
-        async for sample in bus.events("rhot/points"):
-            try:
-                points = decode(sample.payload, PointSet)
-            except WireError:
-                continue
+        async for _, points in bus.events("rhot/points").messages(PointSet):
             heard.add("rhot/points")
             point = points.points.get(marker)
             if point is not None and point.state == "measured" and not done.is_set():
                 keep(collector.add_point(points.t_ns, np.array(point.position), point.sigma))
 
     async def follow_device(bus: Bus) -> None:
-        async for sample in bus.events(object_key):
-            try:
-                message = decode(sample.payload, ObjectPose)
-            except WireError:
-                continue
+        async for _, message in bus.events(object_key).messages(ObjectPose):
             heard.add(object_key)
             if message.state == "measured" and not done.is_set():
                 pose = Pose.from_arrays(message.position, message.orientation)

@@ -12,6 +12,7 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import zenoh
 
@@ -22,8 +23,11 @@ from rhot.bus.limits import (
     MAX_UNREAD_BYTES,
     LimitCounts,
 )
-from rhot.errors import BusError
+from rhot.errors import BusError, WireError
+from rhot.messages import Message, decode
 from rhot.text import printable
+
+M = TypeVar("M", bound=Message)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +132,20 @@ class _Mailbox:
                 yield sample
             if closed:
                 return
+
+    async def messages(self, model: type[M]) -> AsyncIterator[tuple[Sample, M]]:
+        """Yield samples with the messages in them; deletions and what is no valid `model` are skipped.
+
+        For tools; `rhot.service.Node.receive` also counts and logs what it refuses.
+        """
+        async for sample in self:
+            if sample.deleted:
+                continue
+            try:
+                message = decode(sample.payload, model)
+            except WireError:
+                continue
+            yield sample, message
 
 
 class LatestSubscriber(_Mailbox):

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from rhot.atomic_file import why_unread
 from rhot.bus import Bus
-from rhot.errors import BusError, CalibrationError, ConfigError, WireError
+from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.messages import MarkerFrame, PointSet, decode, first_problem
 from rhot.offline import marker_frames, track
 from rhot.recording import Recording
@@ -88,11 +88,8 @@ async def live_points(bus_config: BusConfig, seconds: float, on_time: Callable[[
     began = time.monotonic()
 
     async def listen(bus: Bus) -> None:
-        async for sample in bus.events(_POINTS_KEY):
-            try:
-                points.append(decode(sample.payload, PointSet))
-            except WireError:
-                continue
+        async for _, point_set in bus.events(_POINTS_KEY).messages(PointSet):
+            points.append(point_set)
 
     async with await Bus.open(bus_config, timeout_s=_CONNECT_S) as bus:
         listening = asyncio.create_task(listen(bus))

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import Final
 
 from rhot.bus import Bus
-from rhot.errors import CalibrationError, WireError
-from rhot.messages import HandPose, ObjectPose, decode
+from rhot.errors import CalibrationError
+from rhot.messages import HandPose, ObjectPose
 from rhot.operation.control import newest_control
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import registration_name, registration_path
@@ -63,11 +63,7 @@ async def collect_touches(
             changed.set()
 
     async def follow(bus: Bus, key: str, model: type[HandPose | ObjectPose]) -> None:
-        async for sample in bus.events(key):
-            try:
-                message = decode(sample.payload, model)
-            except WireError:
-                continue
+        async for _, message in bus.events(key).messages(model):
             if message.t_ns < from_ns:
                 continue
             heard.add(key)
