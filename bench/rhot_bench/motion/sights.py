@@ -24,6 +24,8 @@ _LEAST_SHARE: Final = 0.08
 """Share of its facing paint below which a marker is no blob of its own colour; capture's size gate acts beside it."""
 _CORNER_TIMES: Final = 2.0
 """Corners of the patch are found this much less surely than a centroid; measured on G1: 0.2 px beside 0.1."""
+_WHOLE_SHARE: Final = 0.97
+"""Share of its paint from which capture tells the corners of a patch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,25 @@ class CameraSights:
     whole: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class _MarkerViews:
+    """One marker in all F frames of a camera.
+
+    Attributes:
+        t_ns: (F,) mid-exposure of its own row.
+        uv: (F, 2) measured centre, pixels.
+        area: (F,) visible, square pixels.
+        share: (F,) of its facing paint that nothing hides.
+        corners: (F, 4, 2) measured, pixels; none but of the patch.
+    """
+
+    t_ns: IntArray
+    uv: FloatArray
+    area: FloatArray
+    share: FloatArray
+    corners: FloatArray | None
+
+
 def camera_sights(
     rng: np.random.Generator,
     number: int,
@@ -58,46 +79,19 @@ def camera_sights(
     camera = draw.true[name]
     period_s = 1.0 / draw.rate_hz
     half_s = 0.5 * (draw.exposure_s + draw.readout_s)
-    first = np.arange(draw.phases[number] * period_s, motion.seconds - 2.0 * half_s, period_s)
-    count = len(first)
+    first_s = np.arange(draw.phases[number] * period_s, motion.seconds - 2.0 * half_s, period_s)
+    count = len(first_s)
     visible, whole = np.zeros((count, len(MARKERS)), dtype=bool), np.zeros((count, len(MARKERS)))
     lost = rng.random(count) < draw.lost
-    seen: list[list[tuple[str, dict[str, object]]]] = [[] for _ in range(count)]
+    found: list[dict[str, dict[str, object]]] = [{} for _ in range(count)]
     for marker, label in enumerate(MARKERS):
-        t_s = _row_times(camera, first, draw, motion, surfaces[marker], marker)
-        hand = motion.at(t_s)
-        origin, R = marker_frames_of(hand, marker)
-        points = origin[:, None] + surfaces[marker].points @ np.swapaxes(R, 1, 2)
-        normals = surfaces[marker].normals @ np.swapaxes(R, 1, 2)
-        finger = marker if marker < len(FINGERS) else -1
-        facing, shown = seen_samples(points, normals, camera.center, flesh.capsules(hand), finger)
-        depth = camera.to_camera(points.reshape(-1, 3))[:, 2].reshape(count, -1)
-        to_px = float(camera.K[0, 0] * camera.K[1, 1]) * surfaces[marker].areas / depth**2
-        area, full = (shown * to_px).sum(axis=1), (facing * to_px).sum(axis=1)
-        uv = camera.project(points.reshape(-1, 3)).reshape(count, -1, 2)
-        uv_seen = ((shown * to_px)[..., None] * uv).sum(axis=1) / np.maximum(area, 1e-9)[:, None]
-        if kind == "points":
-            uv_seen = camera.project(origin + R @ surfaces[marker].centre)
-        share = area / np.maximum(full, 1e-9)
-        noise = rng.normal(0.0, draw.noise_px, (count, 2))
-        corner_noise = rng.normal(0.0, _CORNER_TIMES * draw.noise_px, (count, 4, 2))
-        uv_seen = uv_seen + noise
-        inside = camera.contains(np.nan_to_num(uv_seen, nan=-1e6))
-        visible[:, marker] = inside & (area > gate_px[marker]) & (share > _LEAST_SHARE)
-        whole[:, marker] = share
-        corners = None
-        if marker == len(FINGERS):
-            corners = camera.project(_patch_corners(surfaces[marker], origin, R).reshape(-1, 3)).reshape(count, 4, 2)
-            corners += corner_noise
-        for frame in np.flatnonzero(visible[:, marker] & ~lost):
-            u, v = uv_seen[frame].tolist()
-            row_ns = START_NS + round(1e9 * float(t_s[frame]))
-            found: dict[str, object] = {"u": u, "v": v, "area": float(area[frame]), "score": 0.5 + 0.5 * share[frame]}
-            found["t_ns"] = row_ns if draw.readout_s > 0.0 else None
-            if corners is not None and share[frame] > 0.97 and camera.contains(corners[frame]).all():
-                found["corners"] = tuple(map(tuple, _clockwise(corners[frame]).tolist()))
-            seen[frame].append((label, found))
-    t_ns = START_NS + np.round(1e9 * (first + half_s)).astype(np.int64)
+        views = _marker_views(rng, camera, first_s, draw, motion, surfaces[marker], flesh, marker, kind)
+        inside = camera.contains(np.nan_to_num(views.uv, nan=-1e6))
+        visible[:, marker] = inside & (views.area > gate_px[marker]) & (views.share > _LEAST_SHARE)
+        whole[:, marker] = views.share
+        for frame in np.flatnonzero(visible[:, marker] & ~lost).tolist():
+            found[frame][label] = _published(views, frame, camera, rolling=draw.readout_s > 0.0)
+    t_ns = START_NS + np.round(1e9 * (first_s + half_s)).astype(np.int64)
     frames = [
         MarkerFrame.model_validate(
             {
@@ -106,13 +100,63 @@ def camera_sights(
                 "camera": name,
                 "width": camera.width,
                 "height": camera.height,
-                "markers": dict(seen[frame]),
+                "markers": found[frame],
                 "frame": frame,
             }
         )
         for frame in np.flatnonzero(~lost).tolist()
     ]
     return CameraSights(frames, t_ns, visible, whole)
+
+
+def _marker_views(
+    rng: np.random.Generator,
+    camera: CameraModel,
+    first_s: FloatArray,
+    draw: RigDraw,
+    motion: HandMotion,
+    surface: Surface,
+    flesh: Flesh,
+    marker: int,
+    kind: MarkerKind,
+) -> _MarkerViews:
+    """Return a marker as a camera measures it in frames whose first rows are exposed from `first_s` (F,) on."""
+    count = len(first_s)
+    t_s = _row_times(camera, first_s, draw, motion, surface, marker)
+    hand = motion.at(t_s)
+    origin, R = marker_frames_of(hand, marker)
+    points = origin[:, None] + surface.points @ np.swapaxes(R, 1, 2)
+    normals = surface.normals @ np.swapaxes(R, 1, 2)
+    is_patch = marker == len(FINGERS)
+    facing, shown = seen_samples(points, normals, camera.center, flesh.capsules(hand), -1 if is_patch else marker)
+    depth = camera.to_camera(points.reshape(-1, 3))[:, 2].reshape(count, -1)
+    to_px = float(camera.K[0, 0] * camera.K[1, 1]) * surface.areas / depth**2
+    area, full = (shown * to_px).sum(axis=1), (facing * to_px).sum(axis=1)
+    if kind == "points":
+        uv = camera.project(origin + R @ surface.centre)
+    else:
+        every = camera.project(points.reshape(-1, 3)).reshape(count, -1, 2)
+        uv = ((shown * to_px)[..., None] * every).sum(axis=1) / np.maximum(area, 1e-9)[:, None]
+    # Drawn for every marker, so that no clip depends on which one is the patch.
+    noise = rng.normal(0.0, draw.noise_px, (count, 2))
+    corner_noise = rng.normal(0.0, _CORNER_TIMES * draw.noise_px, (count, 4, 2))
+    corners = None
+    if is_patch:
+        true_corners = camera.project(_patch_corners(surface, origin, R).reshape(-1, 3)).reshape(count, 4, 2)
+        corners = true_corners + corner_noise
+    t_ns = START_NS + np.round(1e9 * t_s).astype(np.int64)
+    return _MarkerViews(t_ns, uv + noise, area, area / np.maximum(full, 1e-9), corners)
+
+
+def _published(views: _MarkerViews, frame: int, camera: CameraModel, *, rolling: bool) -> dict[str, object]:
+    """Return the fields of a `Marker`; rows of a rolling shutter have a time of their own."""
+    u, v = views.uv[frame].tolist()
+    share = float(views.share[frame])
+    fields: dict[str, object] = {"u": u, "v": v, "area": float(views.area[frame]), "score": 0.5 + 0.5 * share}
+    fields["t_ns"] = int(views.t_ns[frame]) if rolling else None
+    if views.corners is not None and share > _WHOLE_SHARE and camera.contains(views.corners[frame]).all():
+        fields["corners"] = tuple(map(tuple, _clockwise(views.corners[frame]).tolist()))
+    return fields
 
 
 def _row_times(
