@@ -12,7 +12,7 @@ from typing import Final
 import click
 from rich.console import Console
 
-from rhot.messages import MarkerFrame
+from rhot.messages import MarkerFrame, Side
 from rhot.offline import track, track_smoothly
 from rhot.recording import load_recording
 from rhot.rig import Rig
@@ -77,8 +77,22 @@ _OFFSET: Final = "after one constant offset per marker, along its bone and along
     + "; ".join(f"{name}: {change.about}" for name, change in CHANGES.items())
     + ". What holds for one set of pictures alone shows here.",
 )
+@click.option(
+    "--width-mm",
+    type=click.FloatRange(40.0, 130.0),
+    help="Width of the hand across the knuckles, by a ruler; pictures state its length alone.  [default: 74 for a hand "
+    "of 172, and in proportion]",
+)
+@click.option("--left", "is_left", is_flag=True, help="The pictures show a left hand.")
 @json_option
-def pictures(data_path: Path, keep_path: Path | None, change: str | None, json_path: Path | None) -> None:
+def pictures(
+    data_path: Path,
+    keep_path: Path | None,
+    change: str | None,
+    width_mm: float | None,
+    is_left: bool,
+    json_path: Path | None,
+) -> None:
     """Track photo-real pictures of another rig and another hand, and score them with their own scorer.
 
     DATA is the folder of the rendered pictures, or the one that holds it. Cameras and colours are calibrated from its
@@ -92,11 +106,14 @@ def pictures(data_path: Path, keep_path: Path | None, change: str | None, json_p
         keep = keep_path or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-pictures-")))
         keep.mkdir(parents=True, exist_ok=True)
         progress = stack.enter_context(counted(Console(stderr=True, soft_wrap=True)))
-        measures = Measures()
         if change is not None:
-            keep, measures = keep / change, Measures(side="left" if CHANGES[change].mirrored else "right")
+            keep = keep / change
             task = progress.add_task("changing the pictures", total=len(list(data.glob("*/*/*.jpg"))))
             data = changed_copy(data, change, keep / "pictures", lambda task=task: progress.advance(task))  # type: ignore[misc]
+        mirrored = change is not None and CHANGES[change].mirrored
+        side: Side = "left" if is_left != mirrored else "right"
+        width_m = None if width_mm is None else 1e-3 * width_mm
+        measures = Measures.of(data, width_m=width_m, side=side)
         task = progress.add_task("calibrating the rig", total=None)
         rig = prepare_rig(data, keep / "rig", measures)
         progress.remove_task(task)

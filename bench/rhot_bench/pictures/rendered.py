@@ -9,7 +9,9 @@ that was glued on, and two measures of the hand by a ruler.
 from __future__ import annotations
 
 import json
+import math
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -42,25 +44,60 @@ _PARTS: Final = (
 MARKER_FRAMES: Final = "{sequence}.jsonl"
 
 
+_WIDTH_OF_LENGTH: Final = 74.0 / 172.0
+"""Width of a hand by its length where nobody measured it: what a ruler gave of the first set's hand."""
+_BOARD: Final = "9x6 inner corners, 25.0 mm"
+
+
 @dataclass(frozen=True, slots=True)
 class Measures:
     """What a person measures with a ruler before the first recording.
 
     Attributes:
-        length_m: of the hand that was drawn, wrist crease to the tip of the middle finger.
+        length_m: of the hand, wrist crease to the tip of the middle finger.
         width_m: of the same hand across the knuckles.
-        patch_m: the patch across and along the hand; the README of the pictures gives 35 by 25 mm.
-        board: inner corners along and across; the README of the pictures.
-        square_m: side of a chessboard's square; the README of the pictures.
+        patch_m: the patch across and along the hand.
+        board: the chessboard's inner corners along and across.
+        square_m: side of one of its squares.
         side: of the hand.
     """
 
-    length_m: float = 0.172
-    width_m: float = 0.074
-    patch_m: tuple[float, float] = (0.035, 0.025)
-    board: tuple[int, int] = (9, 6)
-    square_m: float = 0.025
+    length_m: float
+    width_m: float
+    patch_m: tuple[float, float]
+    board: tuple[int, int]
+    square_m: float
     side: Side = "right"
+
+    @classmethod
+    def of(cls, data: Path, *, width_m: float | None = None, side: Side = "right") -> Measures:
+        """Return what a ruler would have shown, in whole millimetres, of the things in a set of pictures.
+
+        Args:
+            data: the rendered pictures; `hand.json` describes the hand, `C/truth_boards.json` names the board.
+            width_m: of the hand, which the set does not state; by proportion when not given.
+            side: of the hand.
+
+        Raises:
+            ConfigError: the set does not say it in the form that its README gives.
+        """
+        hand_path, board_path = data / "hand.json", data / BOARDS / "truth_boards.json"
+        try:
+            hand = json.loads(hand_path.read_text(encoding="utf-8"))
+            knuckle = math.hypot(*hand["mcp_in_hand_frame_mm"]["middle"])
+            length_m = 1e-3 * round(knuckle + sum(hand["bone_lengths_mm"]["middle"].values()))
+            across, along, *_ = (1e-3 * float(edge) for edge in hand["base_patch_mm"])
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ConfigError(f"{hand_path}: does not describe a hand and its patch ({error!r})") from error
+        try:
+            # Changed copies have no truth of their boards.
+            pattern = json.loads(board_path.read_text(encoding="utf-8"))["pattern"] if board_path.exists() else _BOARD
+            columns, rows, square_mm = re.findall(r"[\d.]+", pattern)
+            board = int(columns), int(rows)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ConfigError(f"{board_path}: does not name its pattern as `{_BOARD}`") from error
+        width_m = 1e-3 * round(1e3 * _WIDTH_OF_LENGTH * length_m) if width_m is None else width_m
+        return cls(length_m, width_m, (across, along), board, 1e-3 * float(square_mm), side)
 
 
 def require_pictures(data: Path) -> Path:
@@ -87,12 +124,12 @@ def prepare_rig(data: Path, folder: Path, measures: Measures | None = None) -> R
     Args:
         data: the rendered pictures.
         folder: of the rig; made when it is not there.
-        measures: by ruler.
+        measures: by ruler; those of a right hand when not given.
 
     Raises:
         CalibrationError: one of the commands refused.
     """
-    measures = measures or Measures()
+    measures = measures or Measures.of(data)
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / RIG_FILE).exists():
         timing = load_recording(data / SEQUENCES[0]).cameras[CAMERAS[0]].timing

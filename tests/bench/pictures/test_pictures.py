@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -52,11 +53,31 @@ def test_what_is_missing_of_the_pictures_is_named(tmp_path: Path) -> None:
         require_pictures(tmp_path)
 
 
+def test_another_set_is_measured_by_what_it_states_of_its_hand_patch_and_board(tmp_path: Path) -> None:
+    hand = {
+        "bone_lengths_mm": {"middle": {"proximal": 45.0, "middle": 28.0, "distal_to_tip": 26.2}},
+        "mcp_in_hand_frame_mm": {"middle": [0.0, 90.0, 0.0]},
+        "base_patch_mm": [40, 30, 0.5],
+    }
+    (tmp_path / "hand.json").write_text(json.dumps(hand))
+    (tmp_path / "C").mkdir()
+    (tmp_path / "C" / "truth_boards.json").write_text('{"pattern": "8x5 inner corners, 30.0 mm"}')
+    measures = Measures.of(tmp_path, side="left")
+    assert (measures.length_m, measures.width_m) == pytest.approx((0.189, 0.081))
+    assert measures.patch_m == pytest.approx((0.040, 0.030))
+    assert (measures.board, measures.square_m, measures.side) == ((8, 5), pytest.approx(0.030), "left")
+    assert Measures.of(tmp_path, width_m=0.085).width_m == 0.085
+
+    (tmp_path / "hand.json").write_text("[]")
+    with pytest.raises(ConfigError, match=r"hand.json: does not describe a hand"):
+        Measures.of(tmp_path)
+
+
 def test_the_rig_is_what_a_person_would_have_set_up(kept: tuple[Path, Rig]) -> None:
     _, rig = kept
     first, second = (np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values())
     assert np.linalg.norm(second - first) == pytest.approx(0.090, abs=0.0005)
-    assert rig.hand.length_m == pytest.approx(Measures().length_m)
+    assert rig.hand.length_m == pytest.approx(0.172)
     assert rig.config.markers["base"].size_m == (0.035, 0.025)
     assert rig.config.cameras["left"].readout_s == pytest.approx(0.014)
 
