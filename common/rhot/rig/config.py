@@ -84,9 +84,9 @@ class FusionConfig(FileModel):
     """How two-dimensional markers become points.
 
     Attributes:
-        method: `filter` (a Kalman filter per marker that takes each camera's view at its own time), `triangulate`
-            (tracks read at a common moment, lens models) or `disparity` (the same with the depth law of the 2018
-            thesis).
+        method: `filter` (one Kalman filter for all markers of a hand, which takes each camera's frame at its own
+            time), `triangulate` (tracks read at a common moment, lens models) or `disparity` (the same with the depth
+            law of the 2018 thesis).
         depth_law: k and z of depth[cm] = k · disparity[px]^z, for `disparity`.
         one_euro: where the other methods than `filter` have their 1-euro filter, each marker its own: `points` (in
             space), or `pixels`, as in the thesis: on each camera's view, and then on the depth alone.
@@ -95,7 +95,7 @@ class FusionConfig(FileModel):
             1 Hz at rest, then β up until a hand at 0.4 m/s no longer lags (at 30 Hz, 0.5 px and 60 Hz, 0.15 px alike).
         volume_m: lowest and highest x, y, z of a believable point, rig frame.
         max_speed_m_s: fastest believable marker; published points move no faster, in depth by as much less as depth is
-            noisier.
+            noisier. Not used by `filter`.
         hold_s: how long a marker is predicted after it was last measured.
         extrapolation: longest time, as a share of a frame period, that one camera's track is carried on to meet a
             newer frame of another; 0 waits for the next frame instead (later, less noisy). Not used by `filter`.
