@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -109,7 +110,7 @@ def pictures(
         if change is not None:
             keep = keep / change
             task = progress.add_task("changing the pictures", total=len(list(data.glob("*/*/*.jpg"))))
-            data = changed_copy(data, change, keep / "pictures", lambda task=task: progress.advance(task))  # type: ignore[misc]
+            data = changed_copy(data, change, keep / "pictures", partial(progress.advance, task))
         mirrored = change is not None and CHANGES[change].mirrored
         side: Side = "left" if is_left != mirrored else "right"
         width_m = None if width_mm is None else 1e-3 * width_mm
@@ -122,10 +123,10 @@ def pictures(
             recording = load_recording(data / name)
             total = sum(len(track.t_ns) for track in recording.cameras.values())
             task = progress.add_task(f"finding markers, {name}", total=total)
-            frames = found_markers(rig, data, name, keep, lambda task=task: progress.advance(task))  # type: ignore[misc]
+            frames = found_markers(rig, data, name, keep, partial(progress.advance, task))
             task = progress.add_task(f"tracking, {name}", total=4)
             timed = at_rate_of(rig, recording)
-            scores = score_sequence(data, name, timed, frames, lambda t=task: progress.advance(t))  # type: ignore[misc]
+            scores = score_sequence(data, name, timed, frames, partial(progress.advance, task))
             rate_hz = next(iter(timed.config.cameras.values())).rate_hz
             title = f"{name}, {_TITLES[name]} at {rate_hz:.0f} fps{'' if change is None else f', {change}'}"
             sections.append(Section(title, _rows(_TARGETS[name], scores)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final, cast
 
 import numpy as np
@@ -207,7 +208,7 @@ def pipeline_section(scene: Scene) -> tuple[Section, Spread]:
     with no_collection():
         for turn, (moment, image) in enumerate(scene.shots):
             before = len(sent)
-            spent = timed(lambda moment=moment, image=image: run(moment, image))  # type: ignore[misc]
+            spent = timed(partial(run, moment, image))
             if turn >= 10 and len(sent) > before:
                 seconds.append(spent)
     spread = Spread(np.array(seconds))

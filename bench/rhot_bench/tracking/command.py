@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -104,7 +105,7 @@ def tracking(
         for name in chosen or tuple(scenes):
             scene = scenes[name]
             task = progress.add_task(f"scene {name}", total=round((SETTLE_S + scene.seconds) * rate_hz))
-            done[name] = run_scene(rig, scene, lambda task=task: progress.advance(task), look=name == "script")  # type: ignore[misc]
+            done[name] = run_scene(rig, scene, partial(progress.advance, task), look=name == "script")
     sections = tracking_sections(done)
     seconds = {name: one.scene.seconds for name, one in done.items()}
     show("evaluate tracking", sections, json_path, seed=seed, method=used, seconds=seconds)

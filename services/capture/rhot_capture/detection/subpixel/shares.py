@@ -55,6 +55,7 @@ class Shares(NamedTuple):
         Returns:
             (n, m) float32.
         """
+        # With an empty second map, which OpenCV's stubs do not know.
         found = cv2.remap(self.share, positions, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
         return np.asarray(found, dtype=np.float32)
 
