@@ -19,7 +19,7 @@ from rhot.messages import Side
 from rhot_feet.depth.blob_model import BlobModel, BlobRefusal, Neighbour, axes, update_blob_model
 from rhot_feet.depth.floor import FloorPlane, find_floor
 from rhot_feet.depth.points import COARSE_PX, FINE_PX, PixelRays
-from rhot_feet.depth.segmentation import RADIUS_M, BlobSeed, find_blobs
+from rhot_feet.depth.segmentation import RADIUS_M, BlobSeed, FootBlob, find_blobs
 from rhot_feet.frames import DepthFrame
 from rhot_feet.prediction import OTHER_FOOT, FootPrediction, Region, predicted_region
 
@@ -163,16 +163,11 @@ class DepthTracker:
         region = _joint_region([*hidden.values(), *(seen.values() if update_models else ())], frame.camera)
         if region is None:
             return DepthObservations({}, refused | dict.fromkeys(hidden, "hidden"), floor)
-        seeds: dict[Side, BlobSeed] = {}
-        for side, foot in (hidden | dict(seen)).items():
-            known = models.get(side)
-            if known is None:
-                seeds[side] = BlobSeed(foot.position, np.zeros(3), fixed=True)
-            else:
-                R = axes(foot)
-                seeds[side] = BlobSeed(foot.position, R @ known.mean, known.shape.rotated(R), fixed=side in seen)
         grid = self._rays(frame.camera).points(frame.depth_mm, region, self._depth_range_m)
         up = self._up(up_camera)
+        seeds = {
+            side: _seed(foot, models.get(side), fixed=side in seen) for side, foot in (hidden | dict(seen)).items()
+        }
         blobs = find_blobs(grid, seeds, floor, up, frame.camera)
         for side, foot in seen.items() if update_models else ():
             blob = blobs.get(side)
@@ -180,21 +175,11 @@ class DepthTracker:
             if now is not None:
                 self._models[side] = now
         feet: dict[Side, FootDepth] = {}
-        neighbours = {
-            side: Neighbour(blob.position, models[side].share(blob) if side in models else 1.0)
-            for side, blob in blobs.items()
-        }
-        for side, foot in hidden.items():
-            blob = blobs.get(side)
-            if blob is None:
-                refused[side] = "hidden"
-                continue
-            others = [neighbour for other, neighbour in neighbours.items() if other != side]
-            verdict = models[side].check(foot, blob, others, up)
+        for side, verdict in _verdicts(hidden, blobs, models, up).items():
             if isinstance(verdict, str):
                 refused[side] = verdict
             else:
-                feet[side] = FootDepth(frame.t_ns, blob.position, verdict, len(blob.points))
+                feet[side] = FootDepth(frame.t_ns, blobs[side].position, verdict, len(blobs[side].points))
         return DepthObservations(feet, refused, floor, {side: blob.points for side, blob in blobs.items()})
 
     def _rays(self, camera: CameraModel) -> PixelRays:
@@ -206,6 +191,33 @@ class DepthTracker:
         if up_camera is not None:
             return up_camera
         return _UPRIGHT if self._floor is None else self._floor.up
+
+
+def _seed(foot: FootPrediction, known: BlobModel | None, *, fixed: bool) -> BlobSeed:
+    """Return where the blob of a foot is looked for; what is not known of its shape is left open."""
+    if known is None:
+        return BlobSeed(foot.position, np.zeros(3), fixed=True)
+    R = axes(foot)
+    return BlobSeed(foot.position, R @ known.mean, known.shape.rotated(R), fixed=fixed)
+
+
+def _verdicts(
+    hidden: Mapping[Side, FootPrediction],
+    blobs: Mapping[Side, FootBlob],
+    models: Mapping[Side, BlobModel],
+    up: FloatArray,
+) -> dict[Side, FloatArray | BlobRefusal]:
+    """Return for each hidden foot the covariance (3, 3) of its blob's position, or why it is not believed."""
+    neighbours = {
+        side: Neighbour(blob.position, models[side].share(blob) if side in models else 1.0)
+        for side, blob in blobs.items()
+    }
+    verdicts: dict[Side, FloatArray | BlobRefusal] = {}
+    for side, foot in hidden.items():
+        blob = blobs.get(side)
+        others = [neighbour for other, neighbour in neighbours.items() if other != side]
+        verdicts[side] = "hidden" if blob is None else models[side].check(foot, blob, others, up)
+    return verdicts
 
 
 def _is_vague(foot: FootPrediction) -> bool:

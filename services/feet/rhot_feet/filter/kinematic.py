@@ -139,57 +139,23 @@ class KinematicModel:
     def predict(self, state: KinematicState, duration_s: float, step: InertialStep | None) -> KinematicState:
         """Return the state `duration_s` later; a sensor only shows how strongly the foot is accelerated at least."""
         if step is not None:
-            force = math.sqrt(float(step.force_after @ step.force_after))
-            rate = math.sqrt(float(step.rotation_rad @ step.rotation_rad)) / step.duration_s
-            acceleration_sigma = min(
-                max(abs(force - GRAVITY_M_S2), KINEMATIC.lever_m_s * rate), KINEMATIC.max_acceleration_m_s2
-            )
-            if acceleration_sigma > state.acceleration_sigma:
-                state = replace(state, acceleration_sigma=acceleration_sigma)
+            state = replace(state, acceleration_sigma=max(_shown_acceleration(step), state.acceleration_sigma))
         seen_s = KINEMATIC.seen_s - state.unseen_s
         if 0.0 < seen_s < duration_s:
             state, duration_s = self.predict(state, seen_s, step), duration_s - seen_s
-        h = duration_s
+        h, unseen = duration_s, state.unseen_s >= KINEMATIC.seen_s
         fades = math.exp(-h / KINEMATIC.correlation_s)
         path = KINEMATIC.correlation_s * (1.0 - fades)
-        keeps, glides = 1.0, h
-        if state.unseen_s >= KINEMATIC.seen_s:
-            keeps = math.exp(-h / KINEMATIC.stop_s)
-            glides = KINEMATIC.stop_s * (1.0 - keeps)
-        F = np.array(
-            [
-                [1.0, glides, KINEMATIC.correlation_s * (h - path) if keeps == 1.0 else 0.0],
-                [0.0, keeps, path if keeps == 1.0 else 0.0],
-                [0.0, 0.0, fades],
-            ]
-        )
-        q = 2.0 * state.acceleration_sigma**2 / KINEMATIC.correlation_s
-        Q = q * np.array(
-            [
-                [h**5 / 20.0, h**4 / 8.0, h**3 / 6.0],
-                [h**4 / 8.0, h**3 / 3.0, h**2 / 2.0],
-                [h**3 / 6.0, h**2 / 2.0, h],
-            ]
-        )
-        G = _on_each_axis(F)
-        P = G @ state.P @ G.T + _on_each_axis(Q)
-        if state.unseen_s >= KINEMATIC.seen_s:
+        F = _on_each_axis(_transition(h, unseen=unseen))
+        P = F @ state.P @ F.T + _on_each_axis(_process_noise(h, state.acceleration_sigma))
+        if unseen:
             P[:3, :3] += KINEMATIC.unseen_speed_m_s**2 * (2.0 * state.unseen_s + h) * h * _UNIT
-        A = np.array([[1.0, path], [0.0, fades]])
-        w = 2.0 * KINEMATIC.rate_rad_s**2 / KINEMATIC.correlation_s
-        rotation_covariance = A @ state.rotation_covariance @ A.T + w * np.array(
-            [[h**3 / 3.0, h**2 / 2.0], [h**2 / 2.0, h]]
-        )
-        most = max(KINEMATIC.most_rotation_rad**2, float(state.rotation_covariance[0, 0]))
-        if rotation_covariance[0, 0] > most:
-            within = np.array([math.sqrt(most / rotation_covariance[0, 0]), 1.0])
-            rotation_covariance *= np.outer(within, within)
         return KinematicState(
-            G @ state.motion,
+            F @ state.motion,
             P,
             orthonormal(rotation_from_vector(path * state.rate) @ state.R),
             fades * state.rate,
-            rotation_covariance,
+            _rotation_covariance(state.rotation_covariance, h),
             state.acceleration_sigma,
             max(state.unseen_s + h, KINEMATIC.seen_s) if h == seen_s else state.unseen_s + h,
         )
@@ -277,6 +243,48 @@ class KinematicModel:
             state.P[:3, :3].copy(),
             state.rotation_covariance[0, 0] * _UNIT,
         )
+
+
+def _shown_acceleration(step: InertialStep) -> float:
+    """Return how strongly a sensor shows that its foot is accelerated at least, m/s²."""
+    force = math.sqrt(float(step.force_after @ step.force_after))
+    rate = math.sqrt(float(step.rotation_rad @ step.rotation_rad)) / step.duration_s
+    return min(max(abs(force - GRAVITY_M_S2), KINEMATIC.lever_m_s * rate), KINEMATIC.max_acceleration_m_s2)
+
+
+def _transition(h: float, *, unseen: bool) -> FloatArray:
+    """Return F (3, 3) of position, velocity and acceleration over h seconds; a foot that is not seen comes to rest."""
+    fades = math.exp(-h / KINEMATIC.correlation_s)
+    if unseen:
+        keeps = math.exp(-h / KINEMATIC.stop_s)
+        return np.array([[1.0, KINEMATIC.stop_s * (1.0 - keeps), 0.0], [0.0, keeps, 0.0], [0.0, 0.0, fades]])
+    path = KINEMATIC.correlation_s * (1.0 - fades)
+    return np.array([[1.0, h, KINEMATIC.correlation_s * (h - path)], [0.0, 1.0, path], [0.0, 0.0, fades]])
+
+
+def _process_noise(h: float, acceleration_sigma: float) -> FloatArray:
+    """Return Q (3, 3) of position, velocity and acceleration over h seconds; Singer's, for h below the correlation."""
+    q = 2.0 * acceleration_sigma**2 / KINEMATIC.correlation_s
+    return q * np.array(
+        [
+            [h**5 / 20.0, h**4 / 8.0, h**3 / 6.0],
+            [h**4 / 8.0, h**3 / 3.0, h**2 / 2.0],
+            [h**3 / 6.0, h**2 / 2.0, h],
+        ]
+    )
+
+
+def _rotation_covariance(covariance: FloatArray, h: float) -> FloatArray:
+    """Return the covariance (2, 2) of rotation and rate about each axis h seconds later; a rotation is bounded."""
+    fades = math.exp(-h / KINEMATIC.correlation_s)
+    A = np.array([[1.0, KINEMATIC.correlation_s * (1.0 - fades)], [0.0, fades]])
+    w = 2.0 * KINEMATIC.rate_rad_s**2 / KINEMATIC.correlation_s
+    later: FloatArray = A @ covariance @ A.T + w * np.array([[h**3 / 3.0, h**2 / 2.0], [h**2 / 2.0, h]])
+    most = max(KINEMATIC.most_rotation_rad**2, float(covariance[0, 0]))
+    if later[0, 0] > most:
+        within = np.array([math.sqrt(most / later[0, 0]), 1.0])
+        later *= np.outer(within, within)
+    return later
 
 
 def _on_each_axis(matrix: FloatArray) -> FloatArray:
