@@ -16,9 +16,9 @@ from rhot_bench.recording import Take, endless, misplaced_count, missing_count
 
 def write(file: Path, order: list[int]) -> Take:
     with McapWriter(file, now_ns=0) as writer:
-        for place, number in enumerate(order):
+        for index, number in enumerate(order):
             points = point_set(10**18 + number)
-            writer.write("rhot/points", encoding_of(type(points)), encode(points), points.t_ns, 0, 10**18 + place)
+            writer.write("rhot/points", encoding_of(type(points)), encode(points), points.t_ns, 0, 10**18 + index)
     return Take.of(file)
 
 

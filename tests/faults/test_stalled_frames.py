@@ -47,10 +47,10 @@ def over(links: dict[str, Link], frames: list[Seen]) -> list[Seen]:
     late.sort(key=lambda one: (one.arrival_s, one.frame.t_ns))
     return [
         one
-        for place, one in enumerate(late)
+        for index, one in enumerate(late)
         if not any(
             other.frame.camera == one.frame.camera and other.arrival_s - one.arrival_s < BURST_S
-            for other in late[place + 1 : place + 30]
+            for other in late[index + 1 : index + 30]
         )
     ]
 
@@ -90,7 +90,7 @@ def test_lossy_links_cost_their_delay_and_little_more(
     rig = make_rig(rate_hz=RATE_HZ)
     frames = watch(rig, Motion(), duration_s, rate_hz=RATE_HZ, phase_s=phase_s)
     plain = published(rig, over({"left": Link(), "right": Link()}, frames))
-    links = {name: Link(DELAY_S, JITTER_S, STALL_SHARE, STALL_S, seed=place) for place, name in enumerate(CAMERAS)}
+    links = {name: Link(DELAY_S, JITTER_S, STALL_SHARE, STALL_S, seed=index) for index, name in enumerate(CAMERAS)}
     arrived = over(links, frames)
     lossy = published(rig, arrived)
     assert min(link.stalls for link in links.values()) > 1

@@ -87,7 +87,7 @@ def make_points() -> MakePoints:
         noise: FloatArray | None = None,
     ) -> PointSet:
         points = {}
-        for place, (name, centre) in enumerate(model.marker_positions(joints, markers).items()):
+        for index, (name, centre) in enumerate(model.marker_positions(joints, markers).items()):
             if name in hide:
                 continue
             patch: tuple[Position, Position, Position, Position] | None = None
@@ -95,7 +95,7 @@ def make_points() -> MakePoints:
                 # From another corner on and the other way round than the model's own order.
                 turned = np.roll(model.patch_corners(joints, markers[name])[::-1], 1, axis=0)
                 patch = (triple(turned[0]), triple(turned[1]), triple(turned[2]), triple(turned[3]))
-            moved = centre if noise is None else centre + noise[place]
+            moved = centre if noise is None else centre + noise[index]
             points[name] = Point(position=triple(moved), sigma=0.001, views=2, state="measured", corners=patch)
         return PointSet(t_ns=START_NS + round(t_s * 1e9), frame="rig", points=points)
 

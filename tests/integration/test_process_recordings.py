@@ -40,10 +40,10 @@ def record_simulation(rig_path: Path, folder: Path) -> None:
     rig = load_rig(rig_path)
     world = World.from_rig(rig)
     settings = []
-    for place, (name, camera) in enumerate(true_cameras(rig).items()):
+    for index, (name, camera) in enumerate(true_cameras(rig).items()):
         config = rig.config.cameras[name]
-        renderer = Renderer(camera, world, rig.config.sim, config, place)
-        schedule = FrameSchedule(name, place, config, rig.config.sim)
+        renderer = Renderer(camera, world, rig.config.sim, config, index)
+        schedule = FrameSchedule(name, index, config, rig.config.sim)
         (folder / name).mkdir(parents=True)
         rows = ["frame,t_ns"]
         for number in range(round(SECONDS * config.rate_hz)):

@@ -30,7 +30,7 @@ def make_rig(folder: Path, cameras: tuple[str, ...]) -> Path:
         connect=(endpoint,),
         listen=(endpoint,),
         cameras=cameras,
-        camera_xs_m=[0.075 * place for place in range(len(cameras))],
+        camera_xs_m=[0.075 * index for index in range(len(cameras))],
     )
     folder.mkdir()
     (folder / "rig.toml").write_text(text)

@@ -17,10 +17,10 @@ def started() -> Stride:
 def drawn(stride: Stride, candidates: int, late_every: int, start: int = 0) -> list[int]:
     """Return the numbers of the frames that were candidates; one in `late_every` of them is late (0 = none)."""
     numbers, number = [], start
-    for place in range(candidates):
+    for index in range(candidates):
         numbers.append(number)
         number = stride.next_after(number)
-        stride.count(late_every > 0 and place % late_every == 0)
+        stride.count(late_every > 0 and index % late_every == 0)
     return numbers
 
 

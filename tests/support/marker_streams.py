@@ -182,15 +182,15 @@ def pinhole_cameras(count: int, distortion: FloatArray | None = None) -> dict[st
     K = np.array([[530.0, 0.0, 319.5], [0.0, 528.0, 239.5], [0.0, 0.0, 1.0]])
     target = np.array([0.0, 0.0, 0.8])
     cameras = {}
-    for place in range(count):
-        center = np.array([0.075 * place, 0.02 * (place % 3), 0.01 * place])
+    for index in range(count):
+        center = np.array([0.075 * index, 0.02 * (index % 3), 0.01 * index])
         forward = (target - center) / np.linalg.norm(target - center)
         right = np.cross([0.0, 1.0, 0.0], forward)
         right /= np.linalg.norm(right)
         T = np.eye(4)
         T[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
         T[:3, 3] = center
-        cameras[f"camera{place}"] = calibration(K, np.zeros(0) if distortion is None else distortion, T)
+        cameras[f"camera{index}"] = calibration(K, np.zeros(0) if distortion is None else distortion, T)
     return cameras
 
 
@@ -257,9 +257,9 @@ def watch(
     """
     rng = np.random.default_rng(seed)
     seen: list[Seen] = []
-    for place, (name, camera) in enumerate(zip(rig.cameras, models(rig), strict=True)):
+    for index, (name, camera) in enumerate(zip(rig.cameras, models(rig), strict=True)):
         for number in range(int(duration_s * rate_hz)):
-            start = number / rate_hz + place * phase_s
+            start = number / rate_hz + index * phase_s
             times = np.full(len(MARKERS), start + 0.5 * readout_s)
             for _ in range(3 if readout_s else 1):
                 truth = np.stack([motion.at(t)[0, marker] for marker, t in enumerate(times)])

@@ -151,13 +151,13 @@ def six_shapes() -> Callable[[int], list[Shape]]:
         return [
             Shape(
                 name,
-                100 + 85 * place + rng.uniform(-0.5, 0.5),
-                200 + 40 * (place % 2) + rng.uniform(-0.5, 0.5),
+                100 + 85 * index + rng.uniform(-0.5, 0.5),
+                200 + 40 * (index % 2) + rng.uniform(-0.5, 0.5),
                 radius=rng.uniform(5.0, 10.0),
                 angle=rng.uniform(-1.0, 1.0),
                 kind="rectangle" if name == "base" else "ellipse",
             )
-            for place, name in enumerate(PAINTS)
+            for index, name in enumerate(PAINTS)
         ]
 
     return make

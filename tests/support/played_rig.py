@@ -195,8 +195,8 @@ async def played_rig(
     make_clock(folder / "rig" / "clock")
     rig = PlayedRig(folder / "rig", endpoint, Supervisor(folder), clock_offsets=clock_offsets or {})
     async with contextlib.AsyncExitStack() as stack:
-        for place, name in enumerate(SERVICES):
-            rig.links[name] = Link(seed=place)
+        for index, name in enumerate(SERVICES):
+            rig.links[name] = Link(seed=index)
             rig.endpoints[name] = await stack.enter_async_context(relay(endpoint, rig.links[name]))
         try:
             for name in PROCESSES:

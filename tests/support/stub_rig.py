@@ -187,16 +187,16 @@ class StubRig:
 
     def _statuses(self, t_ns: int, tick: int) -> dict[str, Message]:
         statuses: dict[str, Message] = {}
-        for place, name in enumerate((*SERVICES, *(f"capture/{camera}" for camera in self.cameras))):
+        for index, name in enumerate((*SERVICES, *(f"capture/{camera}" for camera in self.cameras))):
             service, instance = name.split("/")
             statuses[f"rhot/status/{name}"] = ServiceStatus(
                 t_ns=t_ns,
                 service=service,
                 instance=instance,
                 state="running",
-                rates={"output": RATE_HZ - place},
-                counts={"missed": tick // 60 * (place % 2)},
-                latency_s={"output_age": {"p50": 0.008 + 0.004 * place, "p99": 0.014 + 0.005 * place}},
+                rates={"output": RATE_HZ - index},
+                counts={"missed": tick // 60 * (index % 2)},
+                latency_s={"output_age": {"p50": 0.008 + 0.004 * index, "p99": 0.014 + 0.005 * index}},
                 last_error=ERROR if service == "objects" else "",
                 config_digest=digest(self.settings[instance]) if service == "capture" else "",
             )

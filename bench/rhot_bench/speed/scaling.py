@@ -40,7 +40,7 @@ def bare_rig(folder: Path, cameras: int, hands: int) -> Rig:
         folder=str(folder),
         name="simulated",
         cameras=names,
-        camera_xs_m=[0.075 * place for place in range(cameras)],
+        camera_xs_m=[0.075 * index for index in range(cameras)],
         source="simulated",
         rate_hz=60.0,
         exposure_s=0.006,

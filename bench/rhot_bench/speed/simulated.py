@@ -105,7 +105,7 @@ def moments(rig: Rig, from_s: float, to_s: float) -> Iterator[Moment]:
                 yield Moment(frame.delivered_s, name, number, frame.t_first_row_s)
             number += 1
 
-    streams = [of_camera(place, name) for place, name in enumerate(rig.config.cameras)]
+    streams = [of_camera(index, name) for index, name in enumerate(rig.config.cameras)]
     return heapq.merge(*streams, key=lambda moment: moment.delivered_s)
 
 
@@ -119,8 +119,8 @@ class Cameras:
 
     def __init__(self, rig: Rig, world: World) -> None:
         self._renderers = {
-            name: Renderer(camera, world, rig.config.sim, rig.config.cameras[name], place)
-            for place, (name, camera) in enumerate(true_cameras(rig).items())
+            name: Renderer(camera, world, rig.config.sim, rig.config.cameras[name], index)
+            for index, (name, camera) in enumerate(true_cameras(rig).items())
         }
 
     def picture(self, moment: Moment) -> ImageArray:

@@ -193,10 +193,10 @@ def expected_errors(
         pixels = [model.project(points) for model in models.values()]
         errors: list[list[FloatArray]] = [[], []]
         for cameras in drawn:
-            for place, sigma in enumerate((0.0, MARKER_SIGMA_PX)):
+            for index, sigma in enumerate((0.0, MARKER_SIGMA_PX)):
                 noisy = [uv + sigma * rng.standard_normal(uv.shape) for uv in pixels]
                 found = _intersect(cameras, noisy, seen)
-                errors[place].append(np.sum((found - points) ** 2, axis=1))
+                errors[index].append(np.sum((found - points) ** 2, axis=1))
         calibration, total = (1e3 * np.sqrt(np.mean(each, axis=0)) for each in errors)
         result.append(
             ExpectedError(

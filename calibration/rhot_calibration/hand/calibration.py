@@ -132,8 +132,8 @@ def _from_straight_fingers(
     refuse_bent_flat_hand(frame, fitted.x)
     flexion = frame.tips(fitted.x, chosen.rows).flexion
     arcs = {
-        finger: _arc(flexion[chosen.use[:, place], place]) if complied[place] else 0.0
-        for place, finger in enumerate(FINGERS)
+        finger: _arc(flexion[chosen.use[:, index], index]) if complied[index] else 0.0
+        for index, finger in enumerate(FINGERS)
     }
     has_knuckles = window is not None and any(arcs[finger] > 0.0 for finger in FINGERS[1:])
     return fitted, Motion(flat, window if has_knuckles else None, len(chosen.rows), arcs)
@@ -201,14 +201,14 @@ def _complied(frame: PalmFrame, chosen: Chosen, x: FloatArray) -> BoolArray:
     """Return (5,) which fingers were bent far enough at the knuckle and kept straight meanwhile."""
     tips = frame.tips(x, chosen.rows)
     complied = np.zeros(5, dtype=np.bool_)
-    for place in range(1, 5):
-        use = chosen.use[:, place]
-        flexion, deficit = tips.flexion[use, place], tips.deficit[use, place]
+    for index in range(1, 5):
+        use = chosen.use[:, index]
+        flexion, deficit = tips.flexion[use, index], tips.deficit[use, index]
         if _arc(flexion) < SMALLEST_ARC_RAD:
             continue
         bins = np.floor(flexion / _BIN_RAD)
         medians = [np.median(deficit[bins == one]) for one in np.unique(bins) if (bins == one).sum() >= 4]
-        complied[place] = float(np.sqrt(np.mean(np.square(medians)))) < MAX_ARC_MISS_M
+        complied[index] = float(np.sqrt(np.mean(np.square(medians)))) < MAX_ARC_MISS_M
     return complied
 
 

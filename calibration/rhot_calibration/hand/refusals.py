@@ -33,7 +33,7 @@ def refuse_unseen_tips(samples: HandSamples, parameters: HandParameters) -> None
     """Refuse samples in which a fingertip is hardly ever seen."""
     share = np.isfinite(samples.tips).all(axis=2).mean(axis=0)
     least = max(_SEEN_SHARE, FEWEST_SAMPLES / 2 / len(samples))
-    poor = [place for place in range(len(FINGERS)) if share[place] < least]
+    poor = [index for index in range(len(FINGERS)) if share[index] < least]
     if not poor:
         return
     unpainted = [FINGERS[place] for place in poor if FINGERS[place] not in parameters.caps]

@@ -184,8 +184,8 @@ def rig_template(
     for number, side in enumerate(sides):
         prefix, shared = "" if number == 0 else f"{side}_", number > 0 and share_paints
         parts += [_SHARED] if shared else []
-        for place, finger in enumerate(FINGERS):
-            other = FINGERS[(place + _PAINT_SHIFT) % len(FINGERS)]
+        for index, finger in enumerate(FINGERS):
+            other = FINGERS[(index + _PAINT_SHIFT) % len(FINGERS)]
             paint = f'paint_of = "{other}"\n' if shared else ""
             parts.append(_TIP.format(name=f"{prefix}{finger}", side=side, finger=finger, paint=paint))
         parts.append(_BASE.format(name=f"{prefix}base", side=side))

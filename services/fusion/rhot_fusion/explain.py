@@ -69,20 +69,20 @@ def _gates(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str
 def _states(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str], now_s: float) -> Explanation:
     outcome = tracker.outcome(now_s)
     rows = []
-    for place, name in enumerate(markers):
-        track = tracker.tracks[place]
+    for index, name in enumerate(markers):
+        track = tracker.tracks[index]
         if track.belief is not Belief.BELIEVED or outcome.covariance is None or outcome.state is None:
             belief = f"not tracked ({track.belief.name.lower()})"
             rows.append(ExplanationRow((name, belief, "", "", "", ""), "refused"))
             continue
-        fresh = [camera for camera, seen in zip(cameras, outcome.seen, strict=True) if seen[place]]
-        xx, _, _, yy, _, zz = outcome.covariance[place]
+        fresh = [camera for camera, seen in zip(cameras, outcome.seen, strict=True) if seen[index]]
+        xx, _, _, yy, _, zz = outcome.covariance[index]
         rows.append(
             ExplanationRow(
                 (
                     name,
-                    outcome.state[place],
-                    ", ".join(f"{1e3 * value:.1f}" for value in outcome.position[place]),
+                    outcome.state[index],
+                    ", ".join(f"{1e3 * value:.1f}" for value in outcome.position[index]),
                     " / ".join(f"{1e3 * value:.2f}" for value in (xx**0.5, yy**0.5, zz**0.5)),
                     f"{1e3 * (now_s - track.seen_s):.0f}",
                     ", ".join(fresh) or "none",

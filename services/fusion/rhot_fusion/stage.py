@@ -52,7 +52,7 @@ class FusionStage:
         self.counts: Counter[str] = Counter()
         models = {name: CameraModel.from_calibration(camera) for name, camera in rig.cameras.items()}
         self._models = list(models.values())
-        self._camera_index = {name: place for place, name in enumerate(models)}
+        self._camera_index = {name: index for index, name in enumerate(models)}
         self._markers = tuple(rig.config.markers)
         self._config = rig.config.fusion
         self._periods_s = [1.0 / camera.rate_hz for camera in rig.config.cameras.values()]
@@ -168,7 +168,7 @@ class FusionStage:
         times: list[float] = []
         areas: list[float] = []
         known = 0
-        for place, name in enumerate(self._markers):
+        for index, name in enumerate(self._markers):
             marker = frame.markers.get(name)
             if marker is None:
                 continue
@@ -179,7 +179,7 @@ class FusionStage:
             elif not (-0.5 < marker.u < frame.width - 0.5 and -0.5 < marker.v < frame.height - 0.5):
                 self.counts["outside"] += 1
             else:
-                places.append(place)
+                places.append(index)
                 uv.append((marker.u, marker.v))
                 times.append(t_s)
                 areas.append(marker.area)

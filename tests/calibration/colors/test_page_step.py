@@ -28,8 +28,8 @@ MARKERS = ("thumb", "index", "middle", "ring", "little", "base")
 def drawn(scene: Any, shape: Any) -> Any:
     """A picture with every marker."""
     shapes = [
-        shape(name, 45 + 60 * place, 120 + 40 * (place % 2), kind="rectangle" if name == "base" else "ellipse")
-        for place, name in enumerate(MARKERS)
+        shape(name, 45 + 60 * index, 120 + 40 * (index % 2), kind="rectangle" if name == "base" else "ellipse")
+        for index, name in enumerate(MARKERS)
     ]
     return scene(shapes, size=SIZE, noise=2.0)
 

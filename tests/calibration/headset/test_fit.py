@@ -89,8 +89,8 @@ def test_heads_that_are_told_late_are_found_out() -> None:
 def test_a_few_wrong_views_are_left_out(rig: Rig) -> None:
     views = views_of(4)
     rng = np.random.default_rng(4)
-    for place in range(0, len(views), 12):
-        views[place] = replace(views[place], corners=views[place].corners + rng.normal(0.0, 60.0, 2))
+    for index in range(0, len(views), 12):
+        views[index] = replace(views[index], corners=views[index].corners + rng.normal(0.0, 60.0, 2))
     found = judged(rig, collector_of(rig, 4, views), SIZE_M)
     angle_rad, distance_m = mounting_error(found.fit.T_head_camera, looked_at(4)[0].T_head_camera)
     assert found.left_out >= len(views) // 12 - 2

@@ -39,7 +39,7 @@ def show(
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     R_device = np.array([rotation_from_vector(np.radians(turn_deg) * axis) for axis in axes])
     places = Places(
-        names=tuple(f"place {place}" for place in range(1, count + 1)),
+        names=tuple(f"place {index}" for index in range(1, count + 1)),
         x_rig=x + rng.normal(0.0, noise_m, x.shape),
         sigma_m=np.full(count, 1e-3),
         R_space_device=R_device,

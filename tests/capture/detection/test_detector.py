@@ -271,7 +271,7 @@ def test_a_sliver_out_of_nowhere_is_no_marker(detector: MarkerDetector, scene: A
 def test_followed_and_searched_markers_are_the_same(scene: Any, shape: Any, markers: Any, table: Any) -> None:
     following = MarkerDetector(markers, table, 640, 480)
     for frame in range(40):
-        shapes = [shape(name, 60 + 60 * place + 6.3 * frame, 340 - 4.1 * frame) for place, name in enumerate(markers)]
+        shapes = [shape(name, 60 + 60 * index + 6.3 * frame, 340 - 4.1 * frame) for index, name in enumerate(markers)]
         image = scene(shapes, noise=3.0, seed=frame).image
         searching = MarkerDetector(markers, table, 640, 480)
         followed, searched = following.detect(image), searching.detect(image)
@@ -287,7 +287,7 @@ def test_a_better_marker_elsewhere_is_found_within_half_a_second(
 ) -> None:
     """While all are followed the rest of the picture is not looked at, but for a survey now and then."""
     names = list(paints)
-    spot = [shape(name, 60 + 50 * place, 60, radius=4, on_skin=False) for place, name in enumerate(names)]
+    spot = [shape(name, 60 + 50 * index, 60, radius=4, on_skin=False) for index, name in enumerate(names)]
     detector.detect(scene(spot).image)
     image = scene([*spot[:-1], shape(names[-1], 500, 380, radius=26, on_skin=False)]).image
     twin = scene([spot[-1]]).image

@@ -109,9 +109,9 @@ def test_looking_back_stays_on_the_path_where_nothing_is_calibrated(make_rig: Ma
     for points in stage.smoothed():
         t_s = (points.t_ns - EPOCH_NS) * 1e-9
         truth = motion.at(t_s)[0]
-        for place, name in enumerate(MARKERS):
+        for index, name in enumerate(MARKERS):
             if t_s > 0.5 and name in points.points:
-                error.append(1e3 * float(np.linalg.norm(np.array(points.points[name].position) - truth[place])))
+                error.append(1e3 * float(np.linalg.norm(np.array(points.points[name].position) - truth[index])))
                 ratio.append(1e-3 * error[-1] / points.points[name].sigma)
     assert len(error) > 700
     assert np.median(error) < 12.0

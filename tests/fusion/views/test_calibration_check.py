@@ -49,7 +49,7 @@ def judged(
 def check(count: int, who: str, degrees: Turn, seed: int = 1, duration_s: float = 3.0) -> CalibrationReport:
     """Judge a simulated rig with a calibration's own errors after one camera was turned."""
     with tempfile.TemporaryDirectory() as folder:
-        rig = make_rig(Path(folder), places={f"c{place}": 0.075 * place for place in range(count)})
+        rig = make_rig(Path(folder), places={f"c{index}": 0.075 * index for index in range(count)})
     simulated = simulated_rig_calibration(rig.config.cameras, seed)
     true = dict(simulated.truth.cameras)
     return judged(seen_by({**true, who: turned(true[who], degrees)}, duration_s), dict(simulated.found.cameras))

@@ -31,15 +31,15 @@ class Watched:
         rng = np.random.default_rng(7)
         cameras = models(rig)
         self.corners = PatchCorners(rig.config.markers, cameras)
-        for place, (name, camera, shift) in enumerate(zip(rig.cameras, cameras, shifts, strict=True)):
+        for index, (name, camera, shift) in enumerate(zip(rig.cameras, cameras, shifts, strict=True)):
             center = camera.project(quad.mean(axis=0)[None])
             pixels = np.roll(camera.project(quad), shift, axis=0) + rng.normal(0.0, noise_px, (4, 2))
             a, b, c, d = ((float(u), float(v)) for u, v in pixels)
             listed: tuple[PixelPoint, PixelPoint, PixelPoint, PixelPoint] = (a, b, c, d)
             marker = Marker(u=float(center[0, 0]), v=float(center[0, 1]), area=400.0, score=1.0, corners=listed)
             frame = MarkerFrame(t_ns=EPOCH_NS, camera=name, width=640, height=480, markers={"base": marker})
-            points = self.corners.listed(place, frame)["base"]
-            self.corners.observe(place, "base", 0.0, camera.undistort(np.array(points)).tolist())
+            points = self.corners.listed(index, frame)["base"]
+            self.corners.observe(index, "base", 0.0, camera.undistort(np.array(points)).tolist())
 
     def solve(self, point: FloatArray, name: str = "base", t_s: float = 0.0) -> Corners | None:
         x, y, z = point.tolist()

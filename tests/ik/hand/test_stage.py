@@ -112,10 +112,10 @@ def test_wild_points_never_break_it(
         for _, pose in stage.feed(points):
             assert isinstance(pose, HandPose)
             assert np.isfinite(positions(pose)).all()
-            for place, finger in enumerate(FINGERS):
+            for index, finger in enumerate(FINGERS):
                 angles = np.array(list(pose.angles[finger].model_dump().values()))
-                assert (angles >= right_hand.angle_min[place] - 1e-9).all()
-                assert (angles <= right_hand.angle_max[place] + 1e-9).all()
+                assert (angles >= right_hand.angle_min[index] - 1e-9).all()
+                assert (angles <= right_hand.angle_max[index] + 1e-9).all()
 
 
 @pytest.mark.parametrize(

@@ -21,14 +21,14 @@ def begun(gate: StampGate) -> int:
 
 
 def test_one_stamp_from_the_future_is_refused_wherever_it_comes() -> None:
-    for place in range(6):
+    for index in range(6):
         gate = StampGate()
         for frame in range(10):
             arrived_ns = frame * FRAME_NS
-            if frame == place:
+            if frame == index:
                 assert not gate.admits(RIG_NS + FUTURE_NS, arrived_ns)
             admitted = gate.admits(RIG_NS + frame * FRAME_NS, arrived_ns)
-            assert admitted or frame < CONFIRMATIONS, (place, frame)
+            assert admitted or frame < CONFIRMATIONS, (index, frame)
 
 
 def test_every_second_stamp_from_the_future_changes_nothing() -> None:

@@ -14,7 +14,7 @@ CAMERA = CameraConfig(source="simulated", rate_hz=60.0, exposure_s=0.004, readou
 
 def test_frames_come_at_the_rate_and_out_of_step() -> None:
     config = SimConfig(phase_s=0.007)
-    first, second, third = (FrameSchedule("c", place, CAMERA, config) for place in range(3))
+    first, second, third = (FrameSchedule("c", index, CAMERA, config) for index in range(3))
     starts = np.array([first.frame(n).t_first_row_s for n in range(100)])
     np.testing.assert_allclose(np.diff(starts), 1 / 60, atol=1e-12)
     assert second.frame(5).t_first_row_s - first.frame(5).t_first_row_s == pytest.approx(0.007)

@@ -100,8 +100,8 @@ def test_pieces_are_the_same_as_the_whole(body: BodyModel) -> None:
     again = WalkerWorld(2, body, "walk", feet=feet_at(100.0))
     pieces = [again.imu("left", *span) for span in ((5.1, 6.0), (3.0, 3.02), (3.02, 5.1))]
     order = [pieces[1], pieces[2], pieces[0]]
-    for place, expected in enumerate(whole):
-        assert np.abs(np.concatenate([piece[place] for piece in order]) - expected).max() < 1e-12
+    for index, expected in enumerate(whole):
+        assert np.abs(np.concatenate([piece[index] for piece in order]) - expected).max() < 1e-12
     assert all(len(each) == 0 for each in world.imu("left", 3.0, 3.0))
 
 

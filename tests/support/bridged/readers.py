@@ -194,9 +194,9 @@ def read_vmt(packets: list[bytes]) -> Seen:
 
 def _openxr_parents() -> Mapping[str, str]:
     parents = {}
-    for place, joint in enumerate(JOINTS[2:], 2):
+    for index, joint in enumerate(JOINTS[2:], 2):
         first = joint.endswith("_metacarpal")
-        parents[joint] = "wrist" if first else JOINTS[place - 1]
+        parents[joint] = "wrist" if first else JOINTS[index - 1]
     return parents
 
 

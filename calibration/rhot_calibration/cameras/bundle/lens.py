@@ -51,7 +51,7 @@ def project_with_derivatives(lens: FloatArray, points: FloatArray) -> tuple[Floa
     uv, bent, (x, y, inverse_z) = _project(lens, points)
     r2, radial = bent.r2, bent.radial
     fx, fy = lens[..., 0], lens[..., 1]
-    k1, k2, p1, p2, k3 = (lens[..., place] for place in range(4, 9))
+    k1, k2, p1, p2, k3 = (lens[..., index] for index in range(4, 9))
     by_lens = np.zeros((*x.shape, 2, LENS_SIZE))
     by_lens[..., 0, 0], by_lens[..., 1, 1] = bent.xy[..., 0], bent.xy[..., 1]
     by_lens[..., 0, 2] = by_lens[..., 1, 3] = 1.0
@@ -80,6 +80,6 @@ def _project(lens: FloatArray, points: FloatArray) -> tuple[FloatArray, Distorte
     z = np.where(np.abs(points[..., 2]) > 1e-6, points[..., 2], 1e-6)
     inverse_z = 1.0 / z
     x, y = points[..., 0] * inverse_z, points[..., 1] * inverse_z
-    bent = distorted(x, y, [lens[..., place] for place in range(4, LENS_SIZE)])
+    bent = distorted(x, y, [lens[..., index] for index in range(4, LENS_SIZE)])
     uv = bent.xy * lens[..., 0:2] + lens[..., 2:4]
     return uv, bent, (x, y, inverse_z)

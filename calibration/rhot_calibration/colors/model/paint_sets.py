@@ -117,10 +117,10 @@ def _clique(near: BoolArray, chosen: list[int], rest: list[int], count: int) -> 
     rest = [k for k in rest if all(near[k, a] for a in chosen)]
     if len(chosen) >= count:
         return chosen[:count]
-    for place, k in enumerate(rest):
-        if len(chosen) + len(rest) - place < count:
+    for index, k in enumerate(rest):
+        if len(chosen) + len(rest) - index < count:
             return None
-        found = _clique(near, [*chosen, k], rest[place + 1 :], count)
+        found = _clique(near, [*chosen, k], rest[index + 1 :], count)
         if found is not None:
             return found
     return None

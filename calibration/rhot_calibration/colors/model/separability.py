@@ -68,15 +68,15 @@ class Separability:
         """Return every pair of markers with its larger expected confusion, worst first."""
         pairs = [
             (first, second, self.mixed_up(first, second))
-            for place, first in enumerate(self.names)
-            for second in self.names[place + 1 :]
+            for index, first in enumerate(self.names)
+            for second in self.names[index + 1 :]
         ]
         return sorted(pairs, key=lambda pair: -pair[2])
 
     def nearest(self, name: str) -> tuple[str, float]:
         """Return the marker that one is most easily mixed up with, and how much; an empty name when it is alone."""
         row = self.names.index(name)
-        others = [place for place in range(len(self.names)) if place != row]
+        others = [index for index in range(len(self.names)) if index != row]
         if not others:
             return "", 0.0
         # Among pairs that are never mixed up, the smaller distance decides.

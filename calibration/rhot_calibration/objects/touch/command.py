@@ -76,9 +76,9 @@ def report_lines(task: TouchTask, found: Judged) -> tuple[str, ...]:
 def notes(task: TouchTask, touches: list[Touch], found: Judged) -> list[str]:
     """Return what a person should know about a result."""
     notes = [
-        f"touch {place + 1} ({touch.face}) contradicts the others and was left out"
-        for place, touch in enumerate(touches)
-        if place not in found.kept
+        f"touch {index + 1} ({touch.face}) contradicts the others and was left out"
+        for index, touch in enumerate(touches)
+        if index not in found.kept
     ]
     if len(free_rotations(task.shape)) == 1:
         notes.append("how the cylinder is turned about its own axis cannot be felt: that stayed as it was")
@@ -134,10 +134,10 @@ def touch_rows(touches: list[Touch], found: Judged) -> list[tuple[str, str, str,
     off = dict(zip(found.kept, found.fit.residual_m, strict=True))
     return [
         (
-            f"{place + 1}",
+            f"{index + 1}",
             touch.face,
-            f"{1e3 * off[place]:.1f}" if place in off else "",
-            "" if place in off else "left out: contradicts the others",
+            f"{1e3 * off[index]:.1f}" if index in off else "",
+            "" if index in off else "left out: contradicts the others",
         )
-        for place, touch in enumerate(touches)
+        for index, touch in enumerate(touches)
     ]

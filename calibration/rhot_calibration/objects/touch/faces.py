@@ -100,8 +100,8 @@ def gaps(shape: FacedShape, face: str, q: FloatArray) -> Gaps:
         half = 0.5 * np.array(shape.size)
         others = [other for other in range(3) if other != axis]
         over = np.abs(q[:, others]) - half[others]
-        for place, other in enumerate(others):
-            slopes[:, place, other] = np.where(over[:, place] > 0.0, np.where(q[:, other] < 0.0, -1.0, 1.0), 0.0)
+        for index, other in enumerate(others):
+            slopes[:, index, other] = np.where(over[:, index] > 0.0, np.where(q[:, other] < 0.0, -1.0, 1.0), 0.0)
         normals = np.zeros((count, 3))
         normals[:, axis] = side
         return Gaps(side * q[:, axis] - half[axis], normals, np.maximum(over, 0.0), slopes)

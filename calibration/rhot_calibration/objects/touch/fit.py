@@ -220,11 +220,11 @@ def _cost(e: FloatArray, flesh_m: float) -> tuple[float, FloatArray]:
 
 def _add_other(found: list[OffsetFit], fit: OffsetFit) -> None:
     """Add a fit unless one near to it is there; of the two, the more probable one stays."""
-    for place, other in enumerate(found):
+    for index, other in enumerate(found):
         apart_m = float(np.linalg.norm(fit.p_device_object - other.p_device_object))
         if apart_m < _SAME_M and rotation_cosine(fit.R_device_object, other.R_device_object) > np.cos(_SAME_RAD):
             if fit.cost < other.cost:
-                found[place] = fit
+                found[index] = fit
             return
     found.append(fit)
 

@@ -42,7 +42,7 @@ def _finger_joints(finger: str) -> tuple[str, str, str]:
 FINGER_BONES: Final = tuple(f"{finger.capitalize()}{segment}" for finger in FINGERS for segment in _SEGMENTS)
 """The 15 bones of a hand, without the side before each name."""
 _ROWS: Final = np.array([JOINTS.index(joint) for finger in FINGERS for joint in _finger_joints(finger)])
-_PARENTS: Final = np.array([WRIST if place % 3 == 0 else _ROWS[place - 1] for place in range(15)])
+_PARENTS: Final = np.array([WRIST if index % 3 == 0 else _ROWS[index - 1] for index in range(15)])
 
 
 def _axes(y: tuple[float, float, float], z: tuple[float, float, float]) -> FloatArray:

@@ -84,7 +84,7 @@ class PairedTracker:
         moment_s = self._schedule.moment(self._config.extrapolation)
         if moment_s is None:
             return None
-        period_s = max(self._schedule.period_s(place) for place in range(self._cameras))
+        period_s = max(self._schedule.period_s(index) for index in range(self._cameras))
         reach_s = (self._config.extrapolation + ROWS_SHARE) * period_s
         shot = self._tracks.at(moment_s, reach_s, LONGEST_GAP * period_s)
         return self._association.advance(shot, moment_s, period_s)

@@ -28,7 +28,7 @@ class HandCoherence:
         self._hands: list[IndexArray] = [np.flatnonzero(sides == side) for side in np.unique(sides)]
         self._hand_of: IndexArray = np.searchsorted(np.unique(sides), sides)
         self.siblings: list[IndexArray] = [
-            np.flatnonzero((sides == side) & (np.arange(len(sides)) != place)) for place, side in enumerate(sides)
+            np.flatnonzero((sides == side) & (np.arange(len(sides)) != index)) for index, side in enumerate(sides)
         ]
         self.company: FloatArray = (sides[:, None] == sides[None]) * (1.0 - np.eye(len(sides)))
         self._reach_m = _REACH * hand_length_m

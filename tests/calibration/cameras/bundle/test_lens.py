@@ -23,10 +23,10 @@ def test_derivatives_agree_with_differences() -> None:
     here = points()
     uv, by_lens, by_point = project_with_derivatives(LENS, here)
     np.testing.assert_allclose(uv, project(LENS, here), atol=1e-12)
-    for place, step in enumerate((1e-3, 1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6)):
-        change = step * np.eye(9)[place]
+    for index, step in enumerate((1e-3, 1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6)):
+        change = step * np.eye(9)[index]
         slope = (project(LENS + change, here) - project(LENS - change, here)) / (2 * step)
-        np.testing.assert_allclose(by_lens[..., place], slope, atol=1e-5)
+        np.testing.assert_allclose(by_lens[..., index], slope, atol=1e-5)
     for axis in range(3):
         change = 1e-6 * np.eye(3)[axis]
         slope = (project(LENS, here + change) - project(LENS, here - change)) / 2e-6

@@ -38,7 +38,7 @@ def nominal(views: ViewSet) -> dict[str, CameraCalibration]:
 
 
 def where(views: ViewSet) -> Expected:
-    return Expected({name: np.array([0.075 * place, 0.0, 0.0]) for place, name in enumerate(views.sizes)}, {})
+    return Expected({name: np.array([0.075 * index, 0.0, 0.0]) for index, name in enumerate(views.sizes)}, {})
 
 
 def changed(simulated: SimulatedViews, views: Views) -> ViewSet:

@@ -168,8 +168,8 @@ def test_blobs_measured_together_are_what_they_are_alone(
     scene: Callable[..., Any], shape: type[Any], paints: Any
 ) -> None:
     windows = []
-    for place, (name, radius) in enumerate((("ring", 11.0), ("index", 3.0), ("thumb", 7.0), ("little", 2.5))):
-        drawn = scene([shape(name, 24.3, 25.6, radius=radius)], size=(47 + 3 * place, 51), noise=3.0, seed=place)
+    for index, (name, radius) in enumerate((("ring", 11.0), ("index", 3.0), ("thumb", 7.0), ("little", 2.5))):
+        drawn = scene([shape(name, 24.3, 25.6, radius=radius)], size=(47 + 3 * index, 51), noise=3.0, seed=index)
         windows.append(Window(drawn.image, hard_mask(drawn.image, paints[name], 70), True))
     for together, window in zip(find_centres(windows), windows, strict=True):
         (alone,) = find_centres([window])
