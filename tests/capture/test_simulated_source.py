@@ -49,8 +49,8 @@ class Renderer:
     def wait_until_ready(self) -> None:
         time.sleep(max(0.0, self.loaded_s - time.monotonic()))
 
-    def begin(self, t_first_row_s: float) -> None:
-        self.begun.append(t_first_row_s)
+    def begin(self, *t_first_rows_s: float) -> None:
+        self.begun += t_first_rows_s
 
     def finish(self) -> ImageArray:
         self.wait_until_ready()

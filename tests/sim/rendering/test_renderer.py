@@ -72,6 +72,15 @@ def test_same_bytes_in_another_process_and_in_any_order(world: World, cameras: d
     assert there.stdout.strip() == here
 
 
+def test_pictures_of_a_batch_are_those_drawn_one_by_one(world: World, cameras: dict[str, CameraModel]) -> None:
+    renderer = Renderer(cameras["left"], world, SimConfig(), CameraConfig(source="simulated"))
+    # A grasp: the box, too, changes the sides that it shows.
+    t_s = [9.0, 11.3, 11.4, 20.0, 0.0]
+    slots = [np.empty((480, 640, 3), np.uint8) for _ in t_s]
+    for picture, t in zip(renderer.render_all(t_s, slots), t_s, strict=True):
+        np.testing.assert_array_equal(picture, renderer.render(t))
+
+
 def test_picture_is_of_the_asked_size_and_not_shared(world: World, cameras: dict[str, CameraModel]) -> None:
     renderer = Renderer(cameras["left"], world, SimConfig(), CameraConfig(source="simulated"))
     first = renderer.render(3.0)
