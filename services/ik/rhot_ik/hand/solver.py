@@ -68,7 +68,8 @@ class HandTrack:
         seen: the sample.
         expected: the state as it was expected before the sample; none where the hand was taken up with it.
         lost_s: for how long the seen tips have missed the model.
-        most_tips: how many tips met it at once so far; at least 1.
+        most_tips: how many tips, well known in all directions, met it at once so far; at least 1.
+        laid: whether the hand was looked for by corners that fit its patch.
     """
 
     t_ns: int
@@ -85,6 +86,7 @@ class HandTrack:
     expected: HandState | None = None
     lost_s: float = 0.0
     most_tips: int = 1
+    laid: bool = True
 
 
 class HandSolver:
@@ -184,6 +186,7 @@ class HandSolver:
             rejoins_s=np.zeros(5),
             corner_noise=evidence.corner_noise,
             corners_measured=evidence.rotation is not None,
+            laid=evidence.rotation is not None,
             base_seen_ns=seen.t_ns,
             measured_ns=seen.t_ns,
             measured=seen.tips_seen & seen.tips_measured,
@@ -204,7 +207,12 @@ class HandSolver:
         expected = self._filter.predict(before.state, dt_s, ~measured, holds=len(shapes) > 0)
         evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), before.corner_noise)
         updated = self._filter.update(expected, evidence, shapes=shapes)
-        state, lost_s = self._reinitialised_if_lost(before, updated, seen, int(np.count_nonzero(measured)), dt_s)
+        laid = before.laid or (evidence.rotation is not None and bool(measured.any()))
+        if before.laid or not laid:
+            state, lost_s = self._reinitialised_if_lost(before, updated, seen, int(np.count_nonzero(measured)), dt_s)
+        else:
+            # A palm that was taken up without the corners of its patch was guessed to point to its tips.
+            state, lost_s = self._found_anew(updated, seen), 0.0
         angles = self._angles(state, seen, before.shown)
         sure = measured & self._is_sure(seen)
         left_s = np.where(sure & before.sure, before.rejoins_s, self._rejoin.lasts_s)
@@ -216,6 +224,7 @@ class HandSolver:
             rejoins_s=left_s,
             corner_noise=evidence.corner_noise,
             corners_measured=evidence.rotation is not None,
+            laid=laid,
             base_seen_ns=before.base_seen_ns if seen.base is None else seen.t_ns,
             measured_ns=seen.t_ns if seen.measured_any else before.measured_ns,
             measured=measured,
@@ -223,7 +232,7 @@ class HandSolver:
             seen=seen,
             expected=expected if state is updated else None,
             lost_s=lost_s,
-            most_tips=max(before.most_tips, int(np.count_nonzero(measured)) if lost_s == 0.0 else 1),
+            most_tips=max(before.most_tips, int(np.count_nonzero(sure)) if lost_s == 0.0 else 1),
         )
 
     def _reinitialised_if_lost(
@@ -239,11 +248,15 @@ class HandSolver:
         lost_s = before.lost_s + dt_s * min(state.mean_residual_m / self._settings.lost_m, self._settings.lost_haste)
         if lost_s < self._settings.lost_s:
             return state, lost_s
+        return self._found_anew(state, seen), 0.0
+
+    def _found_anew(self, state: HandState, seen: HandObservation) -> HandState:
+        """Return the state, or one that explains the sample far better."""
         # What was learned of the person on a hand that was taken up wrongly is wrong as well.
         found = self._initialiser.find(seen)
         if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):
-            return state, 0.0
-        return found[0], 0.0
+            return state
+        return found[0]
 
     def smoothed(self, tracks: Sequence[HandTrack]) -> list[HandSolution]:
         """Return the hand at each of a row of samples, in order of time, as all of them together show it."""

@@ -9,7 +9,7 @@ from rhot.rig import HandFile, MarkerConfig
 from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.initialisation import HandInitialiser
-from rhot_ik.hand.filter.prior import rest_angles
+from rhot_ik.hand.filter.prior import closed_angles, rest_angles
 from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 
@@ -33,8 +33,27 @@ def test_one_tip_whose_depth_is_not_known_leaves_the_patch_no_quarter_turn_off()
         assert np.degrees(np.linalg.norm(vector_from_rotation(found[0].R.T @ R))) < 30.0, seed
 
 
+def test_a_lone_curled_finger_tells_which_way_round_a_square_patch_lies() -> None:
+    outline = patch_outline(MarkerConfig(joint="wrist", kind="patch", size_m=(0.031, 0.030)))
+    model = HandModel.from_file(HandFile(), "right")
+    hand = HandFilter(FingerGeometry.of(model, {}), BASE_OFFSET, HandSettings(), np.zeros(6, dtype=np.bool_))
+    initialiser = HandInitialiser(hand, EvidenceModel(outline, HandSettings()), BASE_OFFSET, np.zeros(3))
+    for case in range(12):
+        R = BACK_TO_THE_CAMERA @ rotation_from_vector(np.array([0.0, 0.5 * case, 0.0]))
+        R = R @ rotation_from_vector(np.array([0.5, 0.0, 0.0]) if case % 2 else np.array([0.0, 0.0, 0.5]))
+        seen = seen_of(hand, R, closed_angles(model), 3 + case % 2, np.random.default_rng(case), outline)
+        found = initialiser.find(seen)
+        assert found is not None
+        assert np.degrees(np.linalg.norm(vector_from_rotation(found[0].R.T @ R))) < 30.0, case
+
+
 def seen_of(
-    hand: HandFilter, R: FloatArray, posture: FloatArray, finger: int, rng: np.random.Generator
+    hand: HandFilter,
+    R: FloatArray,
+    posture: FloatArray,
+    finger: int,
+    rng: np.random.Generator,
+    outline: FloatArray = OUTLINE,
 ) -> HandObservation:
     """Return a hand of which two cameras see the patch and one camera a single tip."""
     tips, covariances = np.full((5, 3), np.nan), np.tile(np.eye(3) * 0.001**2, (5, 1, 1))
@@ -43,6 +62,6 @@ def seen_of(
     tips[finger] = tip + rng.normal(0.0, 0.03) * ray
     covariances[finger] += 0.03**2 * np.outer(ray, ray)
     base = P_TRUE + R @ BASE_OFFSET
-    corners = OUTLINE @ R.T + base + rng.normal(0.0, 0.0003, (4, 3))
+    corners = outline @ R.T + base + rng.normal(0.0, 0.0003, (4, 3))
     seen = np.ones(5, dtype=np.bool_)
     return HandObservation(10**18, base, True, corners, tips, seen, np.eye(3) * 0.0005**2, covariances)

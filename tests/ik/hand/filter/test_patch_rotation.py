@@ -33,6 +33,16 @@ def test_the_covariance_says_how_far_the_rotation_scatters() -> None:
     assert 0.8 < np.array(errors).std() < 1.25
 
 
+@pytest.mark.parametrize(("width_m", "ways"), [(0.04, 2), (0.031, 4)])
+def test_a_rectangle_lies_two_ways_round_and_nearly_a_square_four(width_m: float, ways: int) -> None:
+    outline = OUTLINE * (width_m / 0.04, 1.0, 1.0)
+    found = PatchRotation(outline).ways_round(outline @ R_TRUE.T + AT)
+    facing = [R for R in found if R[:, 1] @ R_TRUE[:, 1] > 0.9]
+    assert len(facing) == ways
+    assert len(found) == 2 * ways
+    assert min(float(np.linalg.norm(vector_from_rotation(R.T @ R_TRUE))) for R in facing) < 1e-6
+
+
 def test_something_else_than_the_patch_is_refused() -> None:
     assert PatchRotation(OUTLINE).fit(2.0 * OUTLINE + AT, np.eye(3), np.eye(3)) is None
     assert PatchRotation(OUTLINE).fit(np.full((4, 3), np.nan), np.eye(3), np.eye(3)) is None

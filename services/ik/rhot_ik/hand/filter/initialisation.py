@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from rhot.arrays import FloatArray
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_z
 from rhot_ik.hand.filter.evidence import Evidence, EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
@@ -54,22 +54,44 @@ class HandInitialiser:
         direction = seen.tips[visible].mean(axis=0) - seen.base
         if direction @ direction < 1e-6:
             return None
+        laid = self._on_patch(seen, seen.base, visible, person)
+        if laid:
+            _, best, evidence = min(laid, key=lambda item: item[0])
+            return best, evidence
         points = self._evidence.assess(seen, None)
         tried = []
         for R in self._facing(guesses(direction), seen.base):
             start = self._filter.start(R, seen.base - R @ self._base_offset, None, person, ~visible)
             state = self._filter.update(start, points)
-            # The corners of a patch fit two ways round; the tips have told by now which one it is. A hand that is a
-            # quarter turn off, whose patch fits neither way, is not let off for that.
-            evidence = self._evidence.assess(seen, state.R)
-            unfit = seen.corners is not None and evidence.rotation is None
-            tried.append((unfit, self.cost(state, points), state, evidence))
+            tried.append((self.cost(state, points), state))
         refined = []
-        for unfit, _, state, evidence in sorted(tried, key=lambda item: item[:2])[:_REFINED]:
+        for _, state in sorted(tried, key=lambda item: item[0])[:_REFINED]:
+            evidence = self._evidence.assess(seen, state.R)
             final = self._filter.update(self._filter.start(state.R, state.p, state.angles, person), evidence, steps=4)
-            refined.append((unfit, self.cost(final, evidence), final, evidence))
-        _, _, best, evidence = min(refined, key=lambda item: item[:2])
+            refined.append((self.cost(final, evidence), final, evidence))
+        _, best, evidence = min(refined, key=lambda item: item[0])
         return best, evidence
+
+    def _on_patch(
+        self,
+        seen: HandObservation,
+        base: FloatArray,
+        visible: BoolArray,
+        person: tuple[FloatArray, FloatArray] | None,
+    ) -> list[tuple[float, HandState, Evidence]]:
+        """Return cost, state and evidence of each way round that the patch may lie; none where its corners tell none.
+
+        From the tips alone a palm is looked for in their direction, and a lone curled finger points anywhere.
+        """
+        found = []
+        for R in self._facing(self._evidence.ways_round(seen), base):
+            evidence = self._evidence.assess(seen, R)
+            if evidence.rotation is None:
+                continue
+            start = self._filter.start(R, base - R @ self._base_offset, None, person, ~visible)
+            state = self._filter.update(start, evidence, steps=4)
+            found.append((self.cost(state, evidence), state, evidence))
+        return found
 
     def _facing(self, rotations: list[FloatArray], at: FloatArray) -> list[FloatArray]:
         """Return the rotations that show the cameras a flat patch; all when there is none, or none does."""

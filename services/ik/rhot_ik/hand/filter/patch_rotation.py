@@ -41,6 +41,22 @@ class PatchRotation:
         self._arms = J.swapaxes(1, 2).swapaxes(0, 1).reshape(3, 12)
         self._size = float((outline * outline).sum())
 
+    def ways_round(self, corners: FloatArray) -> list[FloatArray]:
+        """Return the rotations (3, 3), wrist to rig, of the ways to lay the patch on its corners (4, 3), metres.
+
+        Those of a rectangle's eight that fit within `MAX_ERROR_M`: two, or four where it is nearly a square, and as
+        many that show its other face.
+        """
+        centred = corners - corners.sum(axis=0) / 4.0
+        fitting = []
+        for order in CORNER_ORDERS:
+            found = centred[order]
+            R = nearest_rotation(found.T @ self._outline)
+            off = found - self._outline @ R.T
+            if np.vdot(off, off) < 4.0 * MAX_ERROR_M**2:
+                fitting.append(R)
+        return fitting
+
     def fit(self, corners: FloatArray, expected: FloatArray, covariance: FloatArray) -> Fitted | None:
         """Return the rotation (3, 3), wrist to rig, and the covariance (3, 3) of its error, or None if unfit.
 
