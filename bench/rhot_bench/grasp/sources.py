@@ -85,15 +85,15 @@ async def listened(
     async with await Bus.open(bus_config, timeout_s=_CONNECT_S) as bus:
         begun = asyncio.get_running_loop().time()
 
-        async def hear(keys: str, model: type[Message]) -> None:
+        async def follow(keys: str, model: type[Message]) -> None:
             async for sample, message in bus.events(keys).messages(model):
                 progress(asyncio.get_running_loop().time() - begun)
                 messages.append((sample.key, message))
 
         try:
             async with asyncio.timeout(seconds), asyncio.TaskGroup() as tasks:
-                tasks.create_task(hear("rhot/hand/*", HandPose))
-                tasks.create_task(hear("rhot/object/*", ObjectPose))
+                tasks.create_task(follow("rhot/hand/*", HandPose))
+                tasks.create_task(follow("rhot/object/*", ObjectPose))
         except TimeoutError:
             pass
     if not messages:

@@ -96,7 +96,7 @@ async def listen(bus_config: BusConfig, seconds: float, progress: Callable[[floa
         loop = asyncio.get_running_loop()
         begun = loop.time()
 
-        async def hear(keys: str, model: type[Message]) -> None:
+        async def follow(keys: str, model: type[Message]) -> None:
             async for sample, message in bus.events(keys).messages(model):
                 # When it was here, and not when this reader came to it.
                 arrived_ns = now_ns() - (time.monotonic_ns() - sample.arrived_ns)
@@ -106,7 +106,7 @@ async def listen(bus_config: BusConfig, seconds: float, progress: Callable[[floa
         try:
             async with asyncio.timeout(seconds), asyncio.TaskGroup() as tasks:
                 for keys, model in _MODELS.items():
-                    tasks.create_task(hear(keys, model))
+                    tasks.create_task(follow(keys, model))
         except TimeoutError:
             pass
     if not heard.frames:

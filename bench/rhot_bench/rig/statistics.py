@@ -67,7 +67,7 @@ def mean(values: FloatArray) -> Figure:
     """Return the mean of samples (N,), equally spaced."""
     count = len(values)
     if count < 2:
-        return _untold(float(values.mean()) if count else float("nan"), count)
+        return _without_interval(float(values.mean()) if count else float("nan"), count)
     length, _ = _lengths(values)
     independent = count / length
     error = float(np.sqrt(_variance(values, length) / independent))
@@ -78,7 +78,7 @@ def mean_of_independent(values: FloatArray) -> Figure:
     """Return the mean of independent samples (N,), such as figures of separate stretches."""
     count = len(values)
     if count < _LEAST_STRETCHES:
-        return _untold(float(values.mean()) if count else float("nan"), count)
+        return _without_interval(float(values.mean()) if count else float("nan"), count)
     middle = float(values.mean())
     reach = float(student.ppf(0.5 + 0.5 * COVERAGE, count - 1)) * float(values.std(ddof=1)) / np.sqrt(count)
     return Figure(middle, middle - reach, middle + reach, float(count), count)
@@ -88,7 +88,7 @@ def deviation(values: FloatArray) -> Figure:
     """Return the standard deviation of samples (N,) or (N, D), equally spaced: root of the axes' summed variances."""
     count = len(values)
     if count < 3:
-        return _untold(float("nan"), count)
+        return _without_interval(float("nan"), count)
     columns = values.reshape(count, -1)
     variance, uncertainty, independent = 0.0, 0.0, float(count)
     for column in columns.T:
@@ -112,7 +112,7 @@ def _figure(value: float, error: float, independent: float, count: int) -> Figur
     return Figure(value, value - reach, value + reach, independent, count)
 
 
-def _untold(value: float, count: int) -> Figure:
+def _without_interval(value: float, count: int) -> Figure:
     return Figure(value, float("nan"), float("nan"), float(count), count)
 
 

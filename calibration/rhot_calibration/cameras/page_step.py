@@ -201,10 +201,10 @@ class CameraStep(PageStep[CamerasFile]):
     def _solved(self, views: ViewSet, baseline_m: float | None) -> Calibrated:
         refuse_other_board(PictureReading(views))
 
-        def told(step: str) -> None:
+        def report(step: str) -> None:
             self._doing = f"solving: {step}"
 
-        return calibrate_rig(load_rig(self._context.rig_path), views, baseline_m, told)
+        return calibrate_rig(load_rig(self._context.rig_path), views, baseline_m, report)
 
 
 def _board(values: Mapping[str, str]) -> Board:

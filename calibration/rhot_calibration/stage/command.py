@@ -114,10 +114,10 @@ def stage(
             views = read_pictures(recording or Path(), board, list(rig.cameras), None, sizes).views
         cameras = {name: CameraModel.from_calibration(camera) for name, camera in rig.cameras.items()}
         fit = fit_desk(cameras, views)
-        _tell_fit(console, fit)
+        _print_fit(console, fit)
         first = next(iter(cameras.values()))
         found = desk_file(fit, first, 1e-3 * desk_mm, 1e-3 * thickness_mm, forward)
-    _tell(console, rig, found)
+    _print_stage(console, rig, found)
     file = rig.path / STAGE_FILE
     then = "A running rig publishes it on rhot/space/stage within a second."
     write_found(console, file, found, then, dry_run=dry_run)
@@ -128,7 +128,7 @@ async def _look(rig_path: Path, connect: tuple[str, ...], namespace: str | None,
         return await look_at_desk(bus, list(rig.cameras), board)
 
 
-def _tell_fit(console: Console, fit: DeskFit) -> None:
+def _print_fit(console: Console, fit: DeskFit) -> None:
     left_out = f"; {len(fit.left_out)} left out, not in the desk's plane" if fit.left_out else ""
     console.print(f"boards on the desk  {fit.boards}{left_out}")
     console.print(f"residual            {residual_text(fit)}, corners {fit.rms_px:.2f} px (RMS)")
@@ -138,7 +138,7 @@ def _tell_fit(console: Console, fit: DeskFit) -> None:
     )
 
 
-def _tell(console: Console, rig: Rig, found: StageFile) -> None:
+def _print_stage(console: Console, rig: Rig, found: StageFile) -> None:
     T_stage_rig = np.linalg.inv(found.T_rig_stage.matrix)
     for name, camera in rig.cameras.items():
         x, y, z = 1e3 * (T_stage_rig[:3, :3] @ np.array(camera.T_rig_camera)[:3, 3] + T_stage_rig[:3, 3])

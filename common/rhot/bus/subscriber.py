@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
@@ -49,8 +50,8 @@ class Sample:
     arrived_ns: int
 
 
-class _Mailbox:
-    """Common part: wakes the loop, counts, ends."""
+class _Mailbox(ABC):
+    """What both kinds of subscriber share: waking the event loop, counting, ending."""
 
     def __init__(self, limits: LimitCounts | None = None) -> None:
         self._limits = limits or LimitCounts()
@@ -103,11 +104,13 @@ class _Mailbox:
             # The loop is closed: the process is ending and nobody reads any more.
             self._closed = True
 
+    @abstractmethod
     def _store(self, sample: Sample) -> None:
-        raise TypeError("the subclass says how samples are kept")
+        """Keep a sample; the lock is held."""
 
+    @abstractmethod
     def _take(self) -> list[Sample]:
-        raise TypeError("the subclass says how samples are kept")
+        """Return what was kept, in the order of reading, and forget it; the lock is held."""
 
     async def next(self) -> Sample:
         """Return the next sample.

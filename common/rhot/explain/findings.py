@@ -62,7 +62,7 @@ def _seen(camera: str, name: str, trace: Trace, pictures: Mapping[str, PictureEx
     return f"not seen{late}"
 
 
-def said_then(moment: Moment, trace: Trace) -> list[Explanation]:
+def published_then(moment: Moment, trace: Trace) -> list[Explanation]:
     """Return what the rig itself published last, beside what was recomputed, and how its services were."""
     rows, services = [], []
     for key, message in sorted(moment.said.items()):

@@ -38,7 +38,7 @@ class ControlState:
         newest = self._newest
         return newest if newest is not None and newest.action == "start" else None
 
-    def hear(self, control: Control, now_ns: int | None) -> bool:
+    def receive(self, control: Control, now_ns: int | None) -> bool:
         """Take a message that was broadcast just now; return whether anything changed.
 
         A stop is always obeyed, whatever its time says. A start that comes before rig time is known waits for `judge`.
@@ -72,7 +72,7 @@ class ControlState:
             WireError: it is of another time.
         """
         waiting, self._unjudged = self._unjudged, None
-        return waiting is not None and self.hear(waiting, now_ns)
+        return waiting is not None and self.receive(waiting, now_ns)
 
     def learn(self, control: Control) -> bool:
         """Take a message that another service holds, if it is newer than ours; return whether it was.

@@ -30,7 +30,7 @@ class ControlLink:
 
     def follow(self, node: Node, clock_ready: asyncio.Event, tasks: asyncio.TaskGroup) -> None:
         """Hear and ask, in tasks of their own."""
-        tasks.create_task(self._hear(node))
+        tasks.create_task(self._follow_broadcasts(node))
         tasks.create_task(self._ask(node))
         tasks.create_task(self._judge(node, clock_ready))
 
@@ -39,7 +39,7 @@ class ControlLink:
         newest = self.state.newest
         return None if newest is None else message_answer(newest, request)
 
-    async def _hear(self, node: Node) -> None:
+    async def _follow_broadcasts(self, node: Node) -> None:
         async for sample in node.bus.events(CONTROL_KEY):
             if not sample.deleted:
                 self._take(node, sample.payload, live=True)
@@ -65,7 +65,7 @@ class ControlLink:
         try:
             control = decode(payload, Control)
             if live:
-                taken = self.state.hear(control, node.clock.now_ns() if node.clock.ready else None)
+                taken = self.state.receive(control, node.clock.now_ns() if node.clock.ready else None)
             else:
                 taken = self.state.learn(control)
         except WireError as error:

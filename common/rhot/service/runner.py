@@ -178,7 +178,7 @@ class _Runner:
                         tasks.create_task(watch_for_rivals(bus, self._node_clock, own_clock, self._clock_watch))
                     tasks.create_task(self._publish_status(node))
                     self._control_link.follow(node, self._clock_ready, tasks)
-                    tasks.create_task(self._hear_config(node))
+                    tasks.create_task(self._follow_config(node))
                     tasks.create_task(self._check_loop())
                     node.start_beside(tasks)
                     tasks.create_task(self._run_sessions(node))
@@ -293,7 +293,7 @@ class _Runner:
             asyncio.run_coroutine_threadsafe(change(), loop).result(timeout=_RECONFIGURE_LIMIT_S)
         return configuration.config_answer(self._service.config, request)
 
-    async def _hear_config(self, node: Node) -> None:
+    async def _follow_config(self, node: Node) -> None:
         key = self._key("config")
         async for sample in node.bus.events(key):
             if sample.deleted:

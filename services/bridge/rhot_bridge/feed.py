@@ -126,9 +126,9 @@ class Feed:
                 continue
             for listener in self._listeners:
                 listener.take(sample.key, found, sample.arrived_ns)
-            self._tell(kind, sample.key, found.t_ns, sample.arrived_ns)
+            self._announce(kind, sample.key, found.t_ns, sample.arrived_ns)
 
-    def _tell(self, kind: str, key: str, t_ns: int, arrived_ns: int) -> None:
+    def _announce(self, kind: str, key: str, t_ns: int, arrived_ns: int) -> None:
         if kind == "hand":
             if not self._moments.complete(key, t_ns):
                 if self._late is None:

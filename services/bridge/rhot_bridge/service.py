@@ -57,7 +57,7 @@ class BridgeService:
         self._converter = feed.converter(self._output.axes)
         self._node: Node | None = None
         self._running = False
-        self._told_of_floor = False
+        self._warned_of_floor = False
 
     @property
     def config(self) -> BridgeConfig:
@@ -117,7 +117,7 @@ class BridgeService:
     def _pass_on(self, output: SampleOutput, key: str, tracked: Tracked, arrived_ns: int) -> None:
         node = self._node
         if node is None or self._converter is None:
-            self._tell_of_floor()
+            self._warn_of_missing_floor()
         elif output.take(key, self._converter.poses(tracked)):
             node.status.tick("output")
             node.status.latency("to_wire", (time.monotonic_ns() - arrived_ns) / 1e9)
@@ -137,7 +137,7 @@ class BridgeService:
             return
         self._pace.sent(now_ns)
         if self._converter is None:
-            self._tell_of_floor()
+            self._warn_of_missing_floor()
             return
         scene = self._converter.scene(self._newest.scene(now_ns))
         sent, lost = self._output.send(scene, now_ns)
@@ -150,9 +150,9 @@ class BridgeService:
             if node.clock.ready:
                 node.status.latency("output_age", (node.clock.now_ns() - scene.t_ns) / 1e9)
 
-    def _tell_of_floor(self) -> None:
-        if not self._told_of_floor:
-            self._told_of_floor = True
+    def _warn_of_missing_floor(self) -> None:
+        if not self._warned_of_floor:
+            self._warned_of_floor = True
             logger.warning("bridge %s: %s", self.instance, self._no_floor())
 
 

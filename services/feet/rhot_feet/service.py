@@ -136,7 +136,7 @@ class FeetService:
         self._head_known_s = asyncio.get_running_loop().time()
         heads, sources = self._heads, self._plan_sensors(self._rig, self._config)
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._hear_head(node, heads))
+            tasks.create_task(self._follow_head(node, heads))
             tasks.create_task(self._keep("depth camera", node, lambda: self._watch(node, start)))
             for side, source in sources.items():
                 tasks.create_task(self._keep(f"{side} sensor", node, partial(self._feel, node, start, side, source)))
@@ -161,7 +161,7 @@ class FeetService:
         if self._troubles.pop(device, None) is not None:
             logger.info("%s: is there again", device)
 
-    async def _hear_head(self, node: Node, heads: EventSubscriber) -> None:
+    async def _follow_head(self, node: Node, heads: EventSubscriber) -> None:
         async for pose in node.receive(heads, HeadPose):
             node.status.tick("heads")
             self._stage.add_head_pose(pose)

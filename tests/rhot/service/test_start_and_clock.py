@@ -163,18 +163,18 @@ def in_force(control: ControlState) -> tuple[str, int] | None:
 def test_the_last_broadcast_wins_and_learnt_messages_are_ordered_by_revision() -> None:
     control, now = ControlState(), 10**18
     first = Control(t_ns=now, action="start", session="a", start_t_ns=now)
-    assert control.hear(first, now)
-    assert not control.hear(first, now), "the same once more"
+    assert control.receive(first, now)
+    assert not control.receive(first, now), "the same once more"
     with pytest.raises(WireError, match="session b"):
-        control.hear(Control(t_ns=now + 1, action="stop", session="b"), now)
+        control.receive(Control(t_ns=now + 1, action="stop", session="b"), now)
     assert in_force(control) == ("start", 1)
-    assert control.hear(Control(t_ns=now - HOUR_NS, action="stop"), now), "a stop always stops"
+    assert control.receive(Control(t_ns=now - HOUR_NS, action="stop"), now), "a stop always stops"
     assert in_force(control) == ("stop", 2)
     assert not control.learn(first.model_copy(update={"revision": 1})), "of before the stop"
     assert control.learn(first.model_copy(update={"revision": 3}))
     with pytest.raises(WireError, match="cannot be true"):
         control.learn(first.model_copy(update={"revision": 2**52}))
-    assert control.hear(Control(t_ns=now, action="stop", revision=2**52), now)
+    assert control.receive(Control(t_ns=now, action="stop", revision=2**52), now)
     assert in_force(control) == ("stop", 4), "nor does a broadcast raise it beyond reach"
 
 
@@ -182,17 +182,17 @@ def test_a_start_from_before_rig_time_is_known_waits_until_it_can_be_judged() ->
     now = 10**18
     believable, garbage = (Control(t_ns=t, action="start", session="a", start_t_ns=t) for t in (now, 2**62 - 1))
     control = ControlState()
-    assert not control.hear(believable, None)
+    assert not control.receive(believable, None)
     assert in_force(control) is None
     assert control.judge(now)
     assert in_force(control) == ("start", 1)
     control = ControlState()
-    assert not control.hear(garbage, None)
+    assert not control.receive(garbage, None)
     with pytest.raises(WireError, match="off rig time"):
         control.judge(now)
     assert not control.judge(now)
-    assert not control.hear(believable, None)
-    assert control.hear(Control(t_ns=5, action="stop"), None)
+    assert not control.receive(believable, None)
+    assert control.receive(Control(t_ns=5, action="stop"), None)
     assert not control.judge(now), "stopped since"
 
 

@@ -12,13 +12,21 @@ from hypothesis import strategies as st
 from rhot.errors import WireError
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
 from rhot.geometry.transforms import rigid
-from rhot_viewer.grasp.uplink import MOST_BYTES, Devices, Shown, Wish, controller_pose, head_pose, told
+from rhot_viewer.grasp.uplink import (
+    MOST_BYTES,
+    Devices,
+    DrawingFigures,
+    Preferences,
+    controller_pose,
+    head_pose,
+    parse_message,
+)
 
 POSE = {"position": [0.1, 1.2, -0.3], "orientation": [0.0, 0.6, 0.0, 0.8]}
 
 
 def test_a_headset_tells_where_it_is() -> None:
-    message = told(json.dumps({"type": "devices", "t_ms": 1.7e12, "head": POSE, "controller": POSE}))
+    message = parse_message(json.dumps({"type": "devices", "t_ms": 1.7e12, "head": POSE, "controller": POSE}))
     assert isinstance(message, Devices)
     assert message.head is not None
     T = rigid(rotation_from_vector(np.array([0.3, -1.0, 0.5])), np.array([0.2, -0.1, 0.9]))
@@ -36,11 +44,11 @@ def test_a_headset_tells_where_it_is() -> None:
 
 
 def test_a_browser_tells_what_it_has_drawn() -> None:
-    message = told('{"type":"shown","pictures_hz":59.9,"waits_ms":[3.1,17],"clock_ms":0.3,"graphics":true}')
-    assert message == Shown(type="shown", pictures_hz=59.9, waits_ms=[3.1, 17.0], clock_ms=0.3, graphics=True)
+    message = parse_message('{"type":"shown","pictures_hz":59.9,"waits_ms":[3.1,17],"clock_ms":0.3,"graphics":true}')
+    assert message == DrawingFigures(type="shown", pictures_hz=59.9, waits_ms=[3.1, 17.0], clock_ms=0.3, graphics=True)
     longest = {"type": "shown", "pictures_hz": 240.0, "waits_ms": [123.45] * 240, "clock_ms": 1.25, "graphics": False}
     text = json.dumps(longest, separators=(",", ":"))
-    assert told(text)
+    assert parse_message(text)
     assert len(text) < MOST_BYTES
 
 
@@ -68,16 +76,16 @@ def test_a_browser_tells_what_it_has_drawn() -> None:
 )
 def test_garbage_is_refused(bad: str) -> None:
     with pytest.raises(WireError):
-        told(bad)
+        parse_message(bad)
 
 
 @given(st.binary(max_size=200))
 def test_any_bytes_are_refused_or_understood(data: bytes) -> None:
     try:
-        told(data)
+        parse_message(data)
     except WireError:
         return
 
 
 def test_a_wish_may_leave_things_out() -> None:
-    assert told('{"type": "wish"}') == Wish(type="wish")
+    assert parse_message('{"type": "wish"}') == Preferences(type="wish")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from rhot_capture.color_bounds import ColorBounds
-from rhot_viewer.rig.color_bounds import BoundsSliders, change_to, sliders_of, told
+from rhot_viewer.rig.color_bounds import BoundsSliders, bounds_html, change_to, sliders_of
 
 
 def settings(hue_deg: tuple[float, float], in_force: bool = True) -> dict[str, Any]:
@@ -41,7 +41,7 @@ def test_what_is_asked_for_is_what_was_shown(hue_deg: tuple[float, float]) -> No
 
 
 def test_the_numbers_are_told_beside_the_colours_between_them() -> None:
-    text = told(BoundsSliders((-20.0, 20.0), (0.5, 1.0), (0.0, 1.0), False))
+    text = bounds_html(BoundsSliders((-20.0, 20.0), (0.5, 1.0), (0.0, 1.0), False))
     assert "hue -20 to 20°, saturation 0.50 to 1.00, value 0.00 to 1.00" in text
     assert re.findall(r"rgb\([^)]*\)", text)[::2] == ["rgb(0, 0, 0)", "rgb(128, 32, 32)", "rgb(255, 85, 0)"]
 

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from rhot.cli.options import rig_option
 from rhot.explain import Explaining, Explanation, PictureExplanation
-from rhot.explain.findings import in_short, said_then
+from rhot.explain.findings import in_short, published_then
 from rhot.explain.moment import Moment, moment_of_folder, moment_of_mcap
 from rhot.explain.page import explanation_page
 from rhot.explain.trace import trace_of
@@ -111,7 +111,7 @@ def _page(rig: Rig, moment: Moment, path: Path, lead_s: float) -> str:
         f"Rig {rig.config.name}, fusion method {rig.config.fusion.method}, hand solver {rig.config.ik.solver}. "
         f"Tracked again from up to {lead_s:g} s before: {len(moment.frames)} marker frames."
     )
-    first = [in_short(rig, trace, pictures), *said_then(moment, trace)]
+    first = [in_short(rig, trace, pictures), *published_then(moment, trace)]
     return explanation_page(f"{path.name} at {moment.since_s:.3f} s", about, rig, trace, first, pictures, tables)
 
 

@@ -104,7 +104,7 @@ async def _taking_pictures(
         left_out = f", [red]{count.left_out} left out: not later than the one before, or a time that cannot be[/]"
         written = f"{count.messages - count.left_out} pictures, {count.bytes / 1e6:.1f} MB"
         console.print(f"{escape(str(folder.path / name))}: {written}{lost}{left_out if count.left_out else ''}")
-    _tell_tables(folder, tables, console)
+    _print_tables(folder, tables, console)
     if folder.refused:
         console.print(
             f"[red]{folder.refused} pictures are left out: their cameras' names cannot be folders, or there are more "
@@ -118,7 +118,7 @@ async def _taking_pictures(
         console.print("[yellow]no camera sent pictures: do its capture services run, and is the rig started?[/]")
 
 
-def _tell_tables(folder: PictureFolder, tables: FeetTables, console: Console) -> None:
+def _print_tables(folder: PictureFolder, tables: FeetTables, console: Console) -> None:
     """Say what was recorded of the feet beside pictures, and what `rhot process` will miss."""
     place = folder.depth_camera
     if place is None:

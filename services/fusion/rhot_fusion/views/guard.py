@@ -44,7 +44,7 @@ class StreamGuard:
         if (frame.width, frame.height) != (camera.width, camera.height):
             return self._refuse("wrong_size")
         if self._newest_ns is not None and not -_BACK_NS <= frame.t_ns - self._newest_ns <= _FUTURE_NS:
-            return self._doubt(frame)
+            return self._hold_back(frame)
         last = self._last.get(frame.camera)
         if last is not None and frame.t_ns <= last:
             # The same or an older time, within what the network may reorder: nothing new for this camera.
@@ -52,7 +52,7 @@ class StreamGuard:
         self._take(frame)
         return "accept"
 
-    def _doubt(self, frame: MarkerFrame) -> str:
+    def _hold_back(self, frame: MarkerFrame) -> str:
         follows = self._doubted_ns is not None and 0 <= frame.t_ns - self._doubted_ns <= _FUTURE_NS
         self._doubted = self._doubted + 1 if follows else 1
         self._doubted_ns = frame.t_ns

@@ -137,7 +137,7 @@ class Guard:
         )
         role = self._access.judge(asked)
         if isinstance(role, Refusal):
-            self._tell(asked, role)
+            self._log_refusal(asked, role)
             return _answer(http.HTTPStatus.FORBIDDEN, role.reason)
         response = server(connection, request) if server is not None else None
         if response is None:
@@ -158,7 +158,7 @@ class Guard:
             )
         return response
 
-    def _tell(self, asked: PageRequest, refusal: Refusal) -> None:
+    def _log_refusal(self, asked: PageRequest, refusal: Refusal) -> None:
         kind = "connection" if asked.is_websocket else "page"
         if not self.refused[kind]:
             # The first of its kind; how many follow is in the status.

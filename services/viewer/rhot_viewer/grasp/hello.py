@@ -1,4 +1,4 @@
-"""What the page is told first: the hand that it draws, the desk, colours, where the working page is; pure."""
+"""The first message to the page: the hand that it draws, the desk, colours, where the working page is; pure."""
 
 from __future__ import annotations
 

@@ -22,7 +22,14 @@ from rhot_viewer.browser.access import Role
 from rhot_viewer.browser.guard import Guard
 from rhot_viewer.grasp import files
 from rhot_viewer.grasp.newest import Newest, Pace
-from rhot_viewer.grasp.uplink import MOST_BYTES, Ask, Shown, Taken, Wish, told
+from rhot_viewer.grasp.uplink import (
+    MOST_BYTES,
+    ClockQuestion,
+    DrawingFigures,
+    FrameReceived,
+    Preferences,
+    parse_message,
+)
 
 logger = logging.getLogger(__name__)
 _SOCKET_LOGGER: Final = "rhot_viewer.websockets"
@@ -45,7 +52,7 @@ class Browser:
         self.pace = Pace()
         self.wished_hz = self.pace.rate_hz
         self.wants_truth = False
-        self.shown: Shown | None = None
+        self.shown: DrawingFigures | None = None
         self._connection = connection
         self._something = asyncio.Event()
 
@@ -153,8 +160,8 @@ class GraspServer:
         for browser in self.browsers:
             browser.pace.rate_hz = min(browser.wished_hz, rate_hz)
 
-    async def tell_hello(self) -> None:
-        """Tell every browser again what it was told first: the rig has changed."""
+    async def send_hello(self) -> None:
+        """Send every browser the first message again: the rig has changed."""
         for browser in list(self.browsers):
             with contextlib.suppress(ConnectionClosed):
                 await browser.send(self._hello(browser.role))
@@ -177,7 +184,7 @@ class GraspServer:
             feeding = asyncio.create_task(browser.feed(self._newest))
             browser.wake()
             async for text in connection:
-                await self._hear(browser, text)
+                await self._receive(browser, text)
         except ConnectionClosed:
             pass
         finally:
@@ -190,23 +197,23 @@ class GraspServer:
                 feeding.cancel()
                 await asyncio.gather(feeding, return_exceptions=True)
 
-    async def _hear(self, browser: Browser, text: str | bytes) -> None:
+    async def _receive(self, browser: Browser, text: str | bytes) -> None:
         try:
-            message = told(text)
+            message = parse_message(text)
         except WireError:
             self._guard.refused["message"] += 1
             return
-        if isinstance(message, Taken):
+        if isinstance(message, FrameReceived):
             browser.pace.taken()
             browser.wake()
-        elif isinstance(message, Wish):
+        elif isinstance(message, Preferences):
             browser.wished_hz, browser.wants_truth = message.rate_hz, message.truth
             self.audience_changed.set()
             browser.pace.rate_hz, browser.pace.ahead = min(message.rate_hz, self.rate_hz), message.ahead
-        elif isinstance(message, Shown):
+        elif isinstance(message, DrawingFigures):
             browser.shown = message
             self._heard(browser, message)
-        elif isinstance(message, Ask):
+        elif isinstance(message, ClockQuestion):
             await browser.send(f'{{"type":"time","at_ms":{message.at_ms!r},"rig_ms":{_number(self._now_ms())}}}')
         elif browser.role != "control":
             self._guard.refused["message"] += 1

@@ -35,7 +35,17 @@ from rhot_viewer.grasp.hello import hello_text
 from rhot_viewer.grasp.newest import Newest
 from rhot_viewer.grasp.server import Browser, GraspServer
 from rhot_viewer.grasp.text import text_of
-from rhot_viewer.grasp.uplink import CONTROLLER, HEAD, WEBXR, Devices, Left, Moved, Shown, controller_pose, head_pose
+from rhot_viewer.grasp.uplink import (
+    CONTROLLER,
+    HEAD,
+    WEBXR,
+    Devices,
+    DrawingFigures,
+    Left,
+    Moved,
+    controller_pose,
+    head_pose,
+)
 from rhot_viewer.page_token import links
 from rhot_viewer.process_priority import end_within, lower_priority
 
@@ -99,7 +109,7 @@ class GraspService:
         self._wearer: Browser | None = None
         self._moved = False
         self.server = GraspServer(
-            self._guard, self._newest, self._hello, self._now_ms, self._heard, self._gone, self._mesh
+            self._guard, self._newest, self._hello, self._now_ms, self._handle, self._gone, self._mesh
         )
 
     @property
@@ -211,7 +221,7 @@ class GraspService:
             if now != stamps:
                 if stamps is not None:
                     self._rig, self._moved = latest_rig(self._rig), False
-                    await self.server.tell_hello()
+                    await self.server.send_hello()
                 stamps = now
             await asyncio.sleep(_LOOK_S)
 
@@ -231,14 +241,14 @@ class GraspService:
         mesh = known_mesh(self._rig, name)
         return None if mesh is None else mesh.content
 
-    def _heard(self, browser: Browser, message: Any) -> None:
+    def _handle(self, browser: Browser, message: Any) -> None:
         if isinstance(message, Devices):
             if self._wearer is None:
                 self._wearer = browser
                 logger.info("a headset is here")
             if self._wearer is browser:
                 self._publish(message)
-        elif isinstance(message, Shown):
+        elif isinstance(message, DrawingFigures):
             if self._node is not None:
                 for wait_ms in message.waits_ms:
                     self._node.status.latency("to_picture", 1e-3 * wait_ms)

@@ -1,4 +1,4 @@
-"""What a browser tells: a frame is taken, how fast it wants and draws them, where the headset is; pure."""
+"""Messages from a browser: a frame was received, how fast it wants and draws them, where the headset is; pure."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ HEAD: Final = "head"
 CONTROLLER: Final = "controller"
 
 
-class _Told(BaseModel):
+class _BrowserMessage(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class Taken(_Told):
-    """A frame has been taken."""
+class FrameReceived(_BrowserMessage):
+    """A frame has been received."""
 
     type: Literal["taken"]
 
 
-class Wish(_Told):
-    """What it wants.
+class Preferences(_BrowserMessage):
+    """What a browser wants.
 
     Attributes:
         rate_hz: most frames per second.
@@ -48,8 +48,8 @@ class Wish(_Told):
     ahead: Annotated[int, Field(ge=1, le=2)] = 2
 
 
-class Shown(_Told):
-    """What it has drawn in the last second.
+class DrawingFigures(_BrowserMessage):
+    """What a browser has drawn in the last second.
 
     Attributes:
         pictures_hz: pictures per second.
@@ -66,8 +66,8 @@ class Shown(_Told):
     graphics: bool
 
 
-class Ask(_Told):
-    """What time is it?
+class ClockQuestion(_BrowserMessage):
+    """A question for the rig's time.
 
     Attributes:
         at_ms: the browser's own time, handed back.
@@ -77,7 +77,7 @@ class Ask(_Told):
     at_ms: float
 
 
-class DevicePose(_Told):
+class DevicePose(_BrowserMessage):
     """Where a device is in the headset's space: metres, quaternion x, y, z, w."""
 
     position: Annotated[Position, Field(strict=False)]
@@ -89,7 +89,7 @@ class DevicePose(_Told):
         return unit_quaternion(value)
 
 
-class Devices(_Told):
+class Devices(_BrowserMessage):
     """Where headset and controller are, in WebXR's `local-floor` space.
 
     Attributes:
@@ -103,24 +103,24 @@ class Devices(_Told):
     controller: DevicePose | None = None
 
 
-class Moved(_Told):
+class Moved(_BrowserMessage):
     """The headset's space has been moved by its owner: what was registered is not true any more."""
 
     type: Literal["moved"]
 
 
-class Left(_Told):
+class Left(_BrowserMessage):
     """The headset has been taken off."""
 
     type: Literal["left"]
 
 
-AnyTold = Taken | Wish | Shown | Ask | Devices | Moved | Left
-_ADAPTER: Final[TypeAdapter[AnyTold]] = TypeAdapter(Annotated[AnyTold, Field(discriminator="type")])
+AnyBrowserMessage = FrameReceived | Preferences | DrawingFigures | ClockQuestion | Devices | Moved | Left
+_ADAPTER: Final[TypeAdapter[AnyBrowserMessage]] = TypeAdapter(Annotated[AnyBrowserMessage, Field(discriminator="type")])
 
 
-def told(text: str | bytes) -> AnyTold:
-    """Return what a browser says.
+def parse_message(text: str | bytes) -> AnyBrowserMessage:
+    """Return a message of a browser.
 
     Raises:
         WireError: it is none of the above.

@@ -8,7 +8,7 @@ from typing import Any, Final
 import viser
 
 from rhot_viewer.browser.page import Page
-from rhot_viewer.rig.color_bounds import HUE_HIGH_DEG, HUE_LOW_DEG, BoundsSliders, change_to, sliders_of, told
+from rhot_viewer.rig.color_bounds import HUE_HIGH_DEG, HUE_LOW_DEG, BoundsSliders, bounds_html, change_to, sliders_of
 
 _ABOUT: Final = (
     "<div style='padding:0.1em 0.8em;font-size:0.85em;opacity:0.75'>Where the colour of a marker stands. Move an end, "
@@ -49,7 +49,7 @@ class ColorBoundsFolder:
         self._hue = self._slider(gui, "hue °", HUE_LOW_DEG, HUE_HIGH_DEG, 1.0, "0 is red, 120 green, 240 blue.")
         self._saturation = self._slider(gui, "saturation", 0.0, 1.0, 0.01, "0 is grey, 1 is pure.")
         self._value = self._slider(gui, "value", 0.0, 1.0, 0.01, "0 is black, 1 is bright.")
-        self._told = gui.add_html("")
+        self._shown_bounds = gui.add_html("")
         self._in_force = gui.add_checkbox("in force", False, disabled=True, hint="Off: the learned colour decides.")
         keep = gui.add_button("save bounds", icon=viser.Icon.DEVICE_FLOPPY)
         self._marker.on_update(self._page.on_loop(self._chosen))
@@ -67,7 +67,7 @@ class ColorBoundsFolder:
         if where is not None:
             for slider, ends in zip(self._sliders, (where.hue_deg, where.saturation, where.value), strict=True):
                 slider.value = ends  # type: ignore[misc]  # viser's own setter
-            self._told.content = told(where)
+            self._shown_bounds.content = bounds_html(where)
             self._in_force.value = where.in_force  # type: ignore[misc]  # viser's own setter
 
     @property

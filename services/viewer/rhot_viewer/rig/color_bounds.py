@@ -51,7 +51,7 @@ def sliders_of(settings: Mapping[str, Any], marker: str) -> BoundsSliders | None
         return None
 
 
-def told(sliders: BoundsSliders) -> str:
+def bounds_html(sliders: BoundsSliders) -> str:
     """Return the bounds as numbers beside the colours that lie between them, HTML: the sliders show neither."""
     (start, end), (dull, pure), (dark, bright) = sliders.hue_deg, sliders.saturation, sliders.value
     stops = ", ".join(
