@@ -13,7 +13,7 @@ from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.rig import load_rig
 from rhot_viewer.browser.access import Access, own_names
 from rhot_viewer.grasp.server import page_tls
-from rhot_viewer.grasp.service import serve_grasp
+from rhot_viewer.grasp.serving import serve_grasp
 from rhot_viewer.page_token import kept_token, new_token
 
 

@@ -6,31 +6,25 @@ import asyncio
 import contextlib
 import logging
 import math
-import socket
-import ssl
 import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, Field
 
 from rhot.bus import LatestSubscriber
-from rhot.clock import SystemClock
 from rhot.errors import BusError, ConfigError, WireError
 from rhot.messages import BodyPose, Control, FootPose, HandPose, HeadPose, Message, ObjectPose, Space, Truth, decode
 from rhot.object_mesh import known_mesh, known_shape
-from rhot.rig import BusConfig, Rig
+from rhot.rig import Rig
 from rhot.rig.calibration import RigidTransform
 from rhot.rig.file_model import FileModel
 from rhot.rig.folder import HAND_FILE, REGISTRATION_FILE, RIG_FILE, STAGE_FILE, latest_rig, registration_name
 from rhot.rig.kept_file import file_stamp
 from rhot.service import Node
-from rhot.service.runner import serve
 from rhot_viewer.browser.access import Access, Role
 from rhot_viewer.browser.guard import Guard
 from rhot_viewer.browser.marker_colors import marker_colors
-from rhot_viewer.grasp import files
 from rhot_viewer.grasp.hello import hello_text
 from rhot_viewer.grasp.newest import Newest
 from rhot_viewer.grasp.server import Browser, GraspServer
@@ -46,8 +40,6 @@ from rhot_viewer.grasp.uplink import (
     controller_pose,
     head_pose,
 )
-from rhot_viewer.page_token import links
-from rhot_viewer.process_priority import end_within, lower_priority
 
 logger = logging.getLogger(__name__)
 
@@ -68,9 +60,6 @@ _LEAD_S: Final = 0.1
 _LOOK_S: Final = 0.5
 """How often the rig folder is looked at."""
 _REPEAT_S: Final = 1.0
-_NICE: Final = 3
-"""Passing a pose on takes half a millisecond: half of a tracker's share of a busy processor is plenty. With the working
-page's 10 levels it would wait behind everything else where two cores are kept busy."""
 _FILES: Final = (RIG_FILE, HAND_FILE, STAGE_FILE, REGISTRATION_FILE, registration_name(WEBXR))
 
 
@@ -281,50 +270,3 @@ class GraspService:
                 node.publish(f"rhot/object/{CONTROLLER}", pose)
         except ValueError:
             node.status.count("invalid")
-
-
-async def serve_grasp(
-    rig: Rig,
-    bus_config: BusConfig,
-    host: str,
-    port: int,
-    access: Access,
-    other_page: str,
-    tls: ssl.SSLContext | None,
-    token_file: Path | None,
-) -> int:
-    """Open the page and run the service until SIGINT or SIGTERM; return the exit code.
-
-    Args:
-        rig, access, other_page: as `GraspService`.
-        bus_config: how the running rig is reached.
-        host, port: where to listen.
-        tls: for HTTPS; None = plain.
-        token_file: where the tokens are kept; without one the links stand in the log.
-
-    Raises:
-        DeviceError: the port is taken.
-    """
-    lower_priority(_NICE)
-    service = GraspService(rig, access, other_page)
-    found = await service.server.open(host, port, tls)
-    scheme = "http" if tls is None else "https"
-    try:
-        shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::", "localhost") else host
-        logger.info("Grasp is at %s://%s:%d", scheme, shown, found)
-        if not files.is_built():
-            logger.warning("the page is not built: run `make web` (needs node and npm)")
-        if token_file is not None:
-            logger.info("links for other machines are in %s", token_file)
-        elif access.token:
-            for line in links(access, socket.gethostname(), found, scheme):
-                logger.info("%s", line)
-            if tls is None:
-                logger.warning(
-                    "headsets open this page as a page, but start no session over plain http from another machine: "
-                    "make certificates (`rhot keys make --address …`), and it is served over https"
-                )
-        return await serve(service, bus_config, SystemClock(), on_stop=end_within)
-    finally:
-        # Where the bus was never reached, nobody else does.
-        await service.server.close()
