@@ -24,8 +24,8 @@ KEYS: Final = {
     "MarkerFrame": ("rhot/markers/<camera>", "capture"),
     "PointSet": ("rhot/points", "fusion"),
     "HandPose": ("rhot/hand/<side>", "ik"),
-    "ObjectPose": ("rhot/object/<id>", "objects"),
-    "HeadPose": ("rhot/head", "objects"),
+    "ObjectPose": ("rhot/object/<id>", "objects; the page *Grasp* for a controller"),
+    "HeadPose": ("rhot/head", "objects; the page *Grasp* for a WebXR headset"),
     "Space": ("rhot/space/<name>", "fusion, from the rig folder; or whoever knows it"),
     "FootPose": ("rhot/foot/<side>", "feet"),
     "BodyPose": ("rhot/body", "ik"),
@@ -46,13 +46,23 @@ nanoseconds since the Unix epoch on the rig clock. A reader ignores fields that 
 something is missing, wrong-typed, not finite or out of bounds is dropped, counted in the status and logged.
 
 Every key also answers a query with its last value, as JSON with `?format=json`: `rhot get 'rhot/**'`. Beside the
-messages below there are `rhot/alive/<service>/<instance>` (liveliness tokens), `rhot/config/<service>/<instance>` (get,
-and put to change), `rhot/preview/<camera>` (a picture; `?overlay=markers`, `?mask=<marker>`, `?format=png`) and
-`rhot/keep/capture/<camera>` (exposure, gain, white balance and picture as rig.toml has them; `?do=save`, `?do=undo`;
-`?do=save_bounds` writes colour bounds into colors.json).
+messages there are
+
+| key | what |
+|---|---|
+| `rhot/alive/<service>/<instance>` | liveliness token |
+| `rhot/config/<service>/<instance>` | configuration: get it, put fields to change them while the service runs |
+| `rhot/preview/<camera>` | query: a picture; `?overlay=markers`, `?mask=<marker>`, `?format=png` |
+| `rhot/preview/feet` | query: what the feet's camera sees; `?overlay=depth`, `?overlay=none` |
+| `rhot/keep/capture/<camera>` | query: exposure, gain, white balance and picture as rig.toml has them; \
+`?do=save`, `?do=undo`; `?do=save_bounds` writes colour bounds into colors.json |
+| `rhot/@pictures/<camera>`, `rhot/@sensors/<side>` | pictures and samples of ankle sensors, sent only while \
+`rhot record --frames` runs; `**` does not match them |
+
+Messages:
 """
 
-_SAID: Final = {
+_TYPE_NAMES: Final = {
     "Name": "name",
     "TimeNs": "integer, ns",
     "Count": "integer",
@@ -73,7 +83,7 @@ _SAID: Final = {
     "Side": '"left" or "right"',
     "Matrix4": "4x4, rows",
 }
-"""How the reference says the types of the source."""
+"""What the reference calls the types of the source."""
 
 
 def page() -> str:
@@ -143,7 +153,7 @@ def _type(model: type[BaseModel], name: str, field: FieldInfo) -> str:
     text = re.sub(r", Field\([^()]*\)\]", "]", text).replace("Annotated[", "[")
     while (bare := re.sub(r"(?<![\w])\[((?:[^\[\]]|\w\[(?:[^\[\]]|\w\[[^\[\]]*\])*\])+)\]", r"\1", text)) != text:
         text = bare
-    text = re.sub(r"\b(" + "|".join(_SAID) + r")\b", lambda match: _SAID[match[0]], text)
+    text = re.sub(r"\b(" + "|".join(_TYPE_NAMES) + r")\b", lambda match: _TYPE_NAMES[match[0]], text)
     text = re.sub(r"Literal\[([^\[\]]*)\]", lambda match: match[1].replace(", ", " or "), text)
     text = re.sub(r"dict\[((?:[^\[\],]|\([^()]*\))+), (.*)\]", r"map of \1 to \2", text)
     text = re.sub(r"dict\[(.+?), (.+)\]", r"map of \1 to \2", text)

@@ -1,4 +1,4 @@
-"""What cameras see and where it is in space."""
+"""Markers in pictures, and as points in space."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Marker(WireModel):
     Attributes:
         u, v: sub-pixel centre, pixels, raw image.
         area: visible area, square pixels.
-        score: 0 to 1, how surely this is the marker.
+        score: probability that this is the marker and its centre within a pixel of the truth.
         t_ns: mid-exposure of the marker's own row where it differs from the frame's `t_ns`.
         corners: the four corners of a rectangular patch in cyclic order, pixels.
         outline: closed outline, pixels.
@@ -52,7 +52,8 @@ class MarkerFrame(Message):
         camera: name of the camera as in `rig.toml`.
         width, height: size of the image, pixels.
         markers: marker name to its observation.
-        timing: seconds spent per stage of the capture service, such as `wait`, `classify`, `locate`.
+        timing: seconds per stage of the capture service: `age`, from mid-exposure of the middle row to the start of
+            detection, and `detect`.
         frame: the source's own frame counter; a gap means frames lost before detection.
     """
 

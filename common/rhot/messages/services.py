@@ -1,4 +1,4 @@
-"""What services report to each other: start and stop, time, how they do."""
+"""Messages between services: start and stop, the rig clock, status."""
 
 from __future__ import annotations
 
