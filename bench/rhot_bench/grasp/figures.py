@@ -22,7 +22,7 @@ class GraspFigures:
     """What one session shows; P pick-ups.
 
     Attributes:
-        pickups: when.
+        pickups: the pick-ups, in order of time.
         gaps: (N, 26) metres.
         held: (P,) share of each carrying in which thumb and a finger touch.
         drift_m: (P,) how far the object wanders about its middle place in the palm, 95th percentile.

@@ -57,7 +57,7 @@ class RigResult:
     """What became of one rig.
 
     Attributes:
-        seed: of it.
+        seed: of the rig.
         about: rig and clip in one line.
         points: by method: `live` and `smooth` of the tracker, `ekf` and `spline` of the references.
         hands: of `live` and `smooth`.

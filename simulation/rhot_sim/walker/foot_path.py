@@ -72,7 +72,7 @@ class Waypoint:
     """A pose in the air on the way of a step.
 
     Attributes:
-        t_s: when.
+        t_s: time since the world's start.
         pose: (6,) ankle x, y, z, metres, and yaw, pitch, roll, radians.
         velocity: (6,) of the same.
     """

@@ -148,7 +148,7 @@ class Choreographer:
 
         Args:
             side: which foot.
-            t_s: when.
+            t_s: time since the world's start.
             offset: (6,) right, up, backwards, metres, and yaw, pitch, roll, radians, in the foot's own heading.
             velocity: (6,) along the same axes; none when not given.
         """

@@ -36,7 +36,7 @@ class TouchTask:
     Attributes:
         object_id: of the touched object.
         source: of its poses; each has a registration of its own.
-        shape: of it.
+        shape: of the object, metres.
         side: of the hand.
         finger: whose tip touches.
         plan: the faces, in order, each as often as it is to be touched.

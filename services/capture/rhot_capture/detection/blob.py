@@ -148,7 +148,7 @@ class Outsized(NamedTuple):
     """Parts that belong together and are too small or too large for a marker; drawn only for those who ask.
 
     Attributes:
-        parts: of it.
+        parts: connected areas of one colour that make up the blob.
         cutout: where it was found.
         shape: height and width of the image.
     """
@@ -218,7 +218,7 @@ def _grouped(
 
     Args:
         parts: in the cutout.
-        cutout: it.
+        cutout: the part in question.
         gate: smallest and largest area of a blob.
         drawing: of what is alone in its cutout.
         shape: height and width of the image.

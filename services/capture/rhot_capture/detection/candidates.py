@@ -92,7 +92,7 @@ def judge(
 
     Args:
         cutouts: where it was found.
-        blob: it.
+        blob: the blob in question.
         label: of the marker.
         least_px: smallest area of the marker, square pixels.
         track: of the marker.
@@ -150,7 +150,7 @@ def _is_rim(cutouts: Cutouts, blob: Blob, label: int, adjacency: float, larger: 
 
     Args:
         cutouts: where it was found.
-        blob: it.
+        blob: the blob in question.
         label: of its marker.
         adjacency: share of the ring around it from which on a larger marker has it as its rim.
         larger: pixels of a larger marker.
@@ -168,7 +168,7 @@ def likeliest(candidates: Sequence[Candidate], track: MarkerTrack) -> Candidate 
 
     Args:
         candidates: for the marker, at least one.
-        track: of it.
+        track: of that marker.
     """
     best = candidates[0]
     if len(candidates) > 1:

@@ -46,7 +46,7 @@ def neighbour_of(blob: Blob, labels: ImageArray, label: int) -> Neighbour:
     """Return the other marker that has most of the ring around a blob.
 
     Args:
-        blob: it.
+        blob: the blob in question.
         labels: (h, w) uint8, label of every pixel in its window, as far as it is seen.
         label: of its marker.
     """
@@ -63,7 +63,7 @@ def is_mixture(blob: Blob, beside: Neighbour, pixels: ImageArray) -> bool:
     """Tell whether a blob has the colour of its neighbour mixed with what is around both, rather than one of its own.
 
     Args:
-        blob: it.
+        blob: the blob in question.
         beside: its neighbour, of at least one pixel.
         pixels: (h, w, 3) uint8 BGR, of its window.
     """

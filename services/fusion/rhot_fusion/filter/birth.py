@@ -29,10 +29,10 @@ class View:
     """One camera's view of a marker.
 
     Attributes:
-        camera: that saw it.
-        t_s: when.
-        xy: (2,) normalised image coordinates.
-        variance: of a coordinate.
+        camera: the camera.
+        t_s: mid-exposure of the marker's row, seconds.
+        xy: (2,) undistorted normalised image coordinates.
+        variance: of either coordinate, normalised units squared.
     """
 
     camera: CameraModel

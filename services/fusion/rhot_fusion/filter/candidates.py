@@ -69,7 +69,7 @@ class Candidates:
         """Return what views of different cameras say of a marker, if they agree and it can be there.
 
         Args:
-            marker: of which.
+            marker: index of the marker.
             views: one a camera.
             t_s: the moment of the answer.
             velocity: (3,) expected, metres per second.

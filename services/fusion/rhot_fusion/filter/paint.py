@@ -159,7 +159,7 @@ class Paint:
         Args:
             camera: that sees them.
             markers: (N,) that it sees.
-            t_s: when.
+            t_s: time of the frame, seconds.
             areas_px: (N,) visible, square pixels; 0 = not told.
             depths_m: (N,) of the markers; infinite = not known, and then nothing is told.
             period_s: of the camera's frames.

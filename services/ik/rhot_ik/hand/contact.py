@@ -1,4 +1,4 @@
-"""Things that fingers close round: how far points lie outside of them, and which way is out."""
+"""Signed distances of points from the objects that fingers close round, and the outward direction there."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Sphere:
 
     Attributes:
         centre: (3,) metres, rig frame.
-        radius_m: of it.
+        radius_m: its radius.
     """
 
     centre: FloatArray
@@ -67,7 +67,7 @@ class Cylinder:
 
     Attributes:
         T_rig_cylinder: (4, 4) pose of its middle; its own z is its axis.
-        radius_m, height_m: of it.
+        radius_m, height_m: its radius and its length along the axis.
     """
 
     T_rig_cylinder: FloatArray

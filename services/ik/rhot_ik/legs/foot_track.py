@@ -186,7 +186,7 @@ class FootTrack:
         """Return the ankle at a moment, later than any asked for before; None when the foot was never heard of.
 
         Args:
-            t_ns: when.
+            t_ns: the moment, rig clock.
             hip_motion: the hips, if they are known.
             higher_m: how much higher the ankle is in the foot than configured.
         """
