@@ -38,7 +38,7 @@ class Poses:
     orientations: FloatArray
 
     def moved(self, positions: FloatArray, orientations: FloatArray) -> Self:
-        """Return the same poses elsewhere."""
+        """Return the same poses at positions (N, 3), metres, with orientations (N, 4), x, y, z, w."""
         return type(self)(self.t_ns, self.state, self.weight, positions, orientations)
 
 
@@ -53,7 +53,7 @@ class Hand(Poses):
     radii: FloatArray
 
     def moved(self, positions: FloatArray, orientations: FloatArray) -> Hand:
-        """Return the same hand elsewhere."""
+        """Return the same hand at positions (N, 3), metres, with orientations (N, 4), x, y, z, w."""
         return Hand(self.t_ns, self.state, self.weight, positions, orientations, self.radii)
 
 
@@ -68,7 +68,7 @@ class Thing(Poses):
     shape: ObjectShape | None = None
 
     def moved(self, positions: FloatArray, orientations: FloatArray) -> Thing:
-        """Return the same thing elsewhere."""
+        """Return the same thing at positions (N, 3), metres, with orientations (N, 4), x, y, z, w."""
         return Thing(self.t_ns, self.state, self.weight, positions, orientations, self.shape)
 
 
@@ -83,7 +83,7 @@ class Body(Poses):
     names: tuple[str, ...] = ()
 
     def moved(self, positions: FloatArray, orientations: FloatArray) -> Body:
-        """Return the same body elsewhere."""
+        """Return the same body at positions (N, 3), metres, with orientations (N, 4), x, y, z, w."""
         return Body(self.t_ns, self.state, self.weight, positions, orientations, self.names)
 
     def row(self, name: str) -> int | None:

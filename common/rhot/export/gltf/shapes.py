@@ -33,14 +33,14 @@ class Mesh:
 
 
 def octahedron(middle: FloatArray, radius_m: float) -> Mesh:
-    """Return a small body around a joint."""
+    """Return an octahedron about a joint at `middle` (3,), metres."""
     corners = middle + radius_m * np.concatenate([np.eye(3), -np.eye(3)])
     faces = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)]
     return Mesh(corners, np.array(faces))
 
 
 def bone(start: FloatArray, end: FloatArray, radius_m: float) -> Mesh:
-    """Return a pointed body from a joint to its child, widest near the start."""
+    """Return a pointed body from a joint (3,) to its child (3,), metres, widest near the start."""
     along = end - start
     length = float(np.linalg.norm(along))
     axis = along / length if length > 0.0 else np.array([0.0, 0.0, 1.0])

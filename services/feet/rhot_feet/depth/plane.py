@@ -51,7 +51,7 @@ class DepthPlane:
         return 1.0 / inverse if inverse > 0.0 else float("inf")
 
     def depth_sigma_m(self, xy: FloatArray) -> float:
-        """Return the standard deviation of `depth_m`."""
+        """Return the standard deviation of `depth_m` at normalised coordinates (2,), metres."""
         direction = np.array([xy[0], xy[1], 1.0])
         return self.depth_m(xy) ** 2 * float(np.sqrt(direction @ self.covariance @ direction))
 

@@ -196,7 +196,7 @@ class InertialModel:
         return correct(state, _H_VELOCITY, residual, noise)
 
     def zero_rate_update(self, state: InertialState, angular_rate: FloatArray, duration_s: float) -> InertialState:
-        """Return the state after the sensor was measured not to rotate: its rate is its bias."""
+        """Return the state after the sensor was measured not to rotate: its rate (3,), rad/s, is its bias."""
         residual = angular_rate - state.rate_bias
         if residual @ residual > self._settings.most_bias_rad_s**2:
             return state

@@ -119,7 +119,13 @@ class KinematicModel:
     """The filter of a foot that only pictures show."""
 
     def start(self, position: FloatArray, covariance: FloatArray, rotation: FloatArray | None) -> KinematicState:
-        """Return a state of which only the position, and perhaps the orientation, is known."""
+        """Return a state of which only the position, and perhaps the orientation, is known.
+
+        Args:
+            position: (3,) metres, rig frame.
+            covariance: (3, 3) of it, m².
+            rotation: (3, 3) foot to rig, if it was seen.
+        """
         P = np.zeros((9, 9))
         P[:3, :3], P[3:6, 3:6] = covariance, KINEMATIC.start_speed_m_s**2 * _UNIT
         P[6:, 6:] = KINEMATIC.start_acceleration_m_s2**2 * _UNIT

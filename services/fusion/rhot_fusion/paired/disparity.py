@@ -19,7 +19,7 @@ from rhot_fusion.views.triangulate import Prior, Solution, Views
 
 
 def depth_from_disparity(disparity_px: FloatArray, law: tuple[float, float]) -> FloatArray:
-    """Return depths, metres, of disparities, pixels: 0.01 · k · d^z; NaN where d is not positive."""
+    """Return depths (N,), metres, of disparities d (N,), pixels: 0.01 · k · d^z; NaN where d is not positive."""
     k, z = law
     positive = disparity_px > 0.0
     depth: FloatArray = np.where(positive, 0.01 * k * np.where(positive, disparity_px, 1.0) ** z, np.nan)
@@ -27,7 +27,7 @@ def depth_from_disparity(disparity_px: FloatArray, law: tuple[float, float]) -> 
 
 
 def disparity_from_depth(depth_m: FloatArray, law: tuple[float, float]) -> FloatArray:
-    """Return disparities, pixels, of depths, metres; NaN where the depth is not positive."""
+    """Return disparities (N,), pixels, of depths (N,), metres; NaN where the depth is not positive."""
     k, z = law
     positive = depth_m > 0.0
     disparity: FloatArray = np.where(positive, (np.where(positive, depth_m, 1.0) / (0.01 * k)) ** (1.0 / z), np.nan)

@@ -170,6 +170,12 @@ class MarkerStates:
 
         A marker without a state starts at its point as soon as a few have agreed.
 
+        Args:
+            index: (K,) markers.
+            position: (K, 3) their points, metres, rig frame.
+            covariance: (K, 3, 3) square metres.
+            t_s: the moment.
+
         Returns:
             (K,) which are confirmed, because their points agreed several times running.
         """

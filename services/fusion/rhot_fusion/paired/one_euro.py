@@ -31,7 +31,7 @@ class OneEuroSettings:
 
 
 def smoothing_factor(cutoff_hz: FloatArray | float, interval_s: FloatArray) -> FloatArray:
-    """Return α of a first-order low-pass for a cut-off and a sampling interval; 0 for an interval of 0."""
+    """Return α (K,) of first-order low-passes for cut-offs and sampling intervals (K,), s; 0 for an interval of 0."""
     angle = 2.0 * np.pi * np.asarray(cutoff_hz, dtype=np.float64) * interval_s
     factor: FloatArray = angle / (1.0 + angle)
     return factor
@@ -79,7 +79,7 @@ class OneEuroFilter:
         self.t_s[index] = t_s
 
     def forget(self, index: IndexArray) -> None:
-        """Drop the state of some points."""
+        """Drop the state of points (K,)."""
         self.start(index, np.full((len(index), 3), np.nan), -np.inf)
 
     def update(

@@ -45,11 +45,11 @@ class Sightings:
     area_px: FloatArray
 
     def at(self, xy: FloatArray) -> Sightings:
-        """Return the same markers elsewhere, at (N, 2)."""
+        """Return the same markers at other normalised coordinates (N, 2)."""
         return Sightings(self.camera, self.t_s, self.index, self.times_s, xy, self.area_px)
 
     def chosen(self, rows: BoolArray | IndexArray) -> Sightings:
-        """Return some of the markers."""
+        """Return some of the markers: by (N,) booleans or by their rows."""
         return Sightings(self.camera, self.t_s, self.index[rows], self.times_s[rows], self.xy[rows], self.area_px[rows])
 
 

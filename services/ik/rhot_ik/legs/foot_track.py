@@ -94,7 +94,12 @@ class SoleLevel:
         self.R_foot_level: FloatArray = np.eye(3)
 
     def update(self, R_rig_foot: FloatArray, up: FloatArray) -> None:
-        """Update with a sample of a foot that stands still; one tipped by more than an instep does not stand."""
+        """Update with a sample of a foot that stands still; one tipped by more than an instep does not stand.
+
+        Args:
+            R_rig_foot: (3, 3) orientation as in `FootPose`.
+            up: (3,) unit vector against gravity, rig frame.
+        """
         seen = R_rig_foot.T @ up
         if seen[1] < math.cos(SETTINGS.steepest_instep_rad):
             return

@@ -132,7 +132,7 @@ def parse_message(text: str | bytes) -> AnyBrowserMessage:
 
 
 def head_pose(device: DevicePose, t_ms: float, T_rig_webxr: FloatArray) -> HeadPose:
-    """Return the headset in the rig frame."""
+    """Return the headset in the rig frame; T_rig_webxr (4, 4) maps the headset's space to it."""
     position, orientation = _to_rig(device, T_rig_webxr)
     return HeadPose(t_ns=round(t_ms * 1e6), frame="rig", position=position, orientation=orientation, state="measured")
 
@@ -144,7 +144,15 @@ def controller_pose(
     T_device_object: FloatArray | None = None,
     shape: ObjectShape | None = None,
 ) -> ObjectPose:
-    """Return the controller (its grip, or the object that is fixed to it) in the rig frame."""
+    """Return the controller in the rig frame.
+
+    Args:
+        device: its grip, in the headset's space.
+        t_ms: the moment, rig clock.
+        T_rig_webxr: (4, 4) from the headset's space to the rig frame.
+        T_device_object: (4, 4) of an object that is fixed to it, whose pose is then returned.
+        shape: of that object.
+    """
     position, orientation = _to_rig(device, T_rig_webxr, T_device_object)
     t_ns = round(t_ms * 1e6)
     return ObjectPose(t_ns=t_ns, frame="rig", position=position, orientation=orientation, state="measured", shape=shape)
