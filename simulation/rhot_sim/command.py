@@ -6,17 +6,18 @@ import asyncio
 import json
 import signal
 import tempfile
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import click
-from rich.console import Console
+from rich.console import Console, RenderableType
 
 from rhot.cli.options import DEFAULT_RIG, endpoints
 from rhot.cli.page import Pages, free_pages, page_options
 from rhot.errors import ConfigError
+from rhot.messages import Side
 from rhot.rig import Rig, load_rig
 from rhot.rig.feet_config import WalkProgram
 from rhot.rig.folder import RIG_FILE, write_text_atomic
@@ -28,6 +29,9 @@ from rhot_sim.running.calibration_run import missing_calibration, run_for_calibr
 from rhot_sim.running.run import SimRun, free_endpoint
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_sim.walker.run import WalkerRun
+
+_SIDES: Final[Mapping[str, tuple[Side, ...]]] = {"right": ("right",), "left": ("left",), "both": ("right", "left")}
+"""Hands by the choices of --hands; the first one's paints are the rig's own."""
 
 
 @click.command()
@@ -190,13 +194,9 @@ def sim(
             )
         else:
             with console.status("preparing the simulated rig: cameras, colours, hand"):
+                sides = _SIDES[hands]
                 rig = write_simulated_rig(
-                    work / "rig",
-                    cameras=cameras,
-                    rate_hz=rate_hz,
-                    seed=seed,
-                    sides=("right", "left") if hands == "both" else ("left",) if hands == "left" else ("right",),
-                    endpoint=chosen,
+                    work / "rig", cameras=cameras, rate_hz=rate_hz, seed=seed, sides=sides, endpoint=chosen
                 )
             rig = with_motion(rig, motion)
         if chosen != DEFAULT_ENDPOINT:
@@ -216,13 +216,23 @@ def sim(
             return 128 + signal.SIGINT
         if not headless:
             console.print()
-        with console.status("comparing with the truth"):
-            report = run.report()
-        console.print(feet_summary(report) if feet else summary(report))
-        if report_path is not None:
-            write_text_atomic(report_path, json.dumps(report, indent=1) + "\n")
-            console.print(f"report: {report_path}")
+        _summarise(run, console, feet_summary if feet else summary, report_path)
     return 0
+
+
+def _summarise(
+    run: SimRun | WalkerRun,
+    console: Console,
+    summarise: Callable[[Mapping[str, Any]], RenderableType],
+    report_path: Path | None,
+) -> None:
+    """Compare a run with the truth, print the summary and write the report where one is wanted."""
+    with console.status("comparing with the truth"):
+        report = run.report()
+    console.print(summarise(report))
+    if report_path is not None:
+        write_text_atomic(report_path, json.dumps(report, indent=1) + "\n")
+        console.print(f"report: {report_path}")
 
 
 def _check_outside(report_path: Path | None, endpoint: str | None) -> None:
