@@ -32,12 +32,13 @@ def test_parts_are_labelled_as_they_are_in_the_whole_picture(image: Any, table: 
         assert own.any()
 
 
-@pytest.mark.parametrize("black_is_paint", [False, True])
-def test_nothing_is_found_between_the_parts(image: Any, table: ColorTable, black_is_paint: bool) -> None:
-    labels = table.labels.copy()
-    labels[0] = 4 if black_is_paint else 0
+@pytest.mark.parametrize("black_is", ["nobody's", "paint", "faint paint"])
+def test_nothing_is_found_between_the_parts(image: Any, table: ColorTable, black_is: str) -> None:
+    labels, faint = table.labels.copy(), table.faint.copy()
+    labels[0] = 4 if black_is == "paint" else 0
+    faint[0] = 0 if black_is == "nobody's" else 4
     looks = [(4, Region(70, 50, 130, 120)), (2, Region(270, 170, 390, 230))]
-    parts = Cutouts(image, replace(table, labels=labels), looks)
+    parts = Cutouts(image, replace(table, labels=labels, faint=faint), looks, faint=black_is == "faint paint")
     first, second = (place.row for place in parts.parts)
     assert not parts.own[first + 70 : second].any(), "between the first and the second"
     assert not parts.own[first : first + 70, 61:].any(), "beside the first, which is narrower"

@@ -83,7 +83,7 @@ class Cutouts:
             row += region.bottom - region.top + _GAP_PX
             width = max(width, region.right - region.left)
         pixels: ImageArray = np.zeros((row, width + _GAP_PX, 3), np.uint8)
-        if table.labels[0] != 0:
+        if table.faint[0] != 0:
             pixels[:] = _nobodys_color(table)
         wanted: ImageArray = np.ones((row, 1), np.uint8)
         for label, (left, top, right, bottom), row in self.parts:
@@ -146,6 +146,6 @@ def _of_most(own: ImageArray) -> ImageArray:
 
 
 def _nobodys_color(table: ColorTable) -> tuple[int, int, int]:
-    """Return a colour without a label, blue, green, red; black where every colour has one."""
-    packed = int(np.argmin(table.labels))
+    """Return a colour that is not even faintly a marker's, blue, green, red; black where every colour is."""
+    packed = int(np.argmin(table.faint))
     return ((packed & 31) << 3, ((packed >> 5) & 63) << 2, (packed >> 11) << 3)
