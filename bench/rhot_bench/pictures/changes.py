@@ -44,6 +44,8 @@ class Change:
         mirrored: left and right change places, in the picture and in the world: a left hand.
         every: every so manieth picture of a sequence is kept.
         picture: changes colours or sharpness of a picture.
+        right_picture: the same for the right camera, where that differs.
+        keeps_calibration: chessboards and colour reference stay as they are: the light changes after the calibration.
     """
 
     about: str
@@ -51,6 +53,14 @@ class Change:
     mirrored: bool = False
     every: int = 1
     picture: Callable[[Image], Image] = _as_it_is
+    right_picture: Callable[[Image], Image] | None = None
+    keeps_calibration: bool = False
+
+    def of(self, sequence: str, camera: str) -> Callable[[Image], Image]:
+        """Return what changes the pictures of a camera in a sequence."""
+        if self.keeps_calibration and sequence not in SEQUENCES:
+            return _as_it_is
+        return self.right_picture if self.right_picture is not None and camera == CAMERAS[1] else self.picture
 
 
 def _gained(blue: float, green: float, red: float) -> Callable[[Image], Image]:
@@ -74,6 +84,13 @@ def _compressed(image: Image) -> Image:
     return np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), dtype=np.uint8)
 
 
+def _noisy(image: Image) -> Image:
+    """Return a picture with the noise of a small sensor in poor light: 3 grey levels in black, 10 in white."""
+    rng = np.random.default_rng(int(image[::7, ::7].sum()))
+    deviation = np.sqrt(3.0**2 + 0.35 * image)
+    return _rounded((image + deviation * rng.standard_normal(image.shape)).astype(np.float32))
+
+
 def _rounded(image: NDArray[np.float32]) -> Image:
     return np.clip(np.rint(image), 0.0, 255.0).astype(np.uint8)
 
@@ -89,6 +106,17 @@ CHANGES: Final[Mapping[str, Change]] = {
     "dark": Change("half the light", picture=_gained(0.5, 0.5, 0.5)),
     "overexposed": Change("1.45 times the light, what is too bright cut off", picture=_gained(1.45, 1.45, 1.45)),
     "compressed": Change("JPEG quality 60", picture=_compressed),
+    "noisy": Change("noise of a small sensor in poor light", picture=_noisy),
+    "unbalanced": Change(
+        "cameras of unlike white balance",
+        picture=_gained(0.8, 1.0, 1.15),
+        right_picture=_gained(1.15, 1.0, 0.85),
+    ),
+    "later": Change(
+        "a third less light than at the calibration, and warmer",
+        picture=_gained(0.6, 0.66, 0.75),
+        keeps_calibration=True,
+    ),
 }
 
 
@@ -113,7 +141,8 @@ def changed_copy(data: Path, name: str, folder: Path, advance: Callable[[], None
     for sequence in (BOARDS, COLOURS, *SEQUENCES):
         every = change.every if sequence in SEQUENCES else 1
         for camera in CAMERAS:
-            _copy_pictures(data / sequence / camera, folder / sequence / camera, change, pixels, every, advance)
+            changed = change.of(sequence, camera)
+            _copy_pictures(data / sequence / camera, folder / sequence / camera, changed, pixels, every, advance)
         shutil.copy(data / sequence / "recording.toml", folder / sequence)
         if sequence != BOARDS:
             _copy_frames(data / sequence, folder / sequence, pixels, every)
@@ -165,7 +194,12 @@ class _Pixels:
 
 
 def _copy_pictures(
-    source: Path, folder: Path, change: Change, pixels: _Pixels, every: int, advance: Callable[[], None]
+    source: Path,
+    folder: Path,
+    changed: Callable[[Image], Image],
+    pixels: _Pixels,
+    every: int,
+    advance: Callable[[], None],
 ) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     head, *rows = (source / "timestamps.csv").read_text(encoding="utf-8").split()
@@ -174,7 +208,7 @@ def _copy_pictures(
         number = int(row.partition(",")[0])
         if number % every == 0:
             name = f"{number:06d}.jpg"
-            image = change.picture(pixels.image(read_picture(source / name)))
+            image = changed(pixels.image(read_picture(source / name)))
             cv2.imwrite(str(folder / name), image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
             kept.append(row)
         advance()

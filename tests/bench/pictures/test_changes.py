@@ -124,7 +124,18 @@ def test_a_copy_is_another_picture_and_is_made_once(data: Path, tmp_path: Path, 
 
 def test_each_change_of_colours_shows() -> None:
     image = np.random.default_rng(1).integers(0, 256, (24, 32, 3), dtype=np.uint8)
-    for name in ("blurred", "pale", "warm", "dark", "overexposed", "compressed"):
+    for name in ("blurred", "pale", "warm", "dark", "overexposed", "compressed", "noisy"):
         changed = CHANGES[name].picture(image)
         assert changed.shape == image.shape
         assert np.abs(changed.astype(int) - image).mean() > 2.0, name
+
+
+def test_cameras_and_calibration_may_keep_colours_of_their_own() -> None:
+    grey = np.full((4, 4, 3), 100, np.uint8)
+
+    def blue_and_red(name: str, sequence: str, camera: str) -> list[int]:
+        return CHANGES[name].of(sequence, camera)(grey)[0, 0, ::2].tolist()  # type: ignore[no-any-return]
+
+    assert [blue_and_red("unbalanced", sequence, "left") for sequence in ("K", "G1")] == [[80, 115]] * 2
+    assert blue_and_red("unbalanced", "G1", "right") == [115, 85]
+    assert [blue_and_red("later", sequence, "left") for sequence in ("C", "K", "G2")] == [[100, 100]] * 2 + [[60, 75]]
