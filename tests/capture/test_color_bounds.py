@@ -49,7 +49,7 @@ def test_bounds_in_force_take_in_what_they_say_and_nothing_else() -> None:
 def live(rig_folder: Path) -> tuple[LiveColors, CameraSettings]:
     rig = load_rig(rig_folder)
     write_json_model(rig.colors_path, COLORS)
-    colors = LiveColors(rig, tuple(PAINTS))
+    colors = LiveColors(rig, tuple(PAINTS), "left")
     settings = CameraSettings.from_config(rig.config.cameras["left"], colors.file)
     return colors, colors.initial(settings)
 

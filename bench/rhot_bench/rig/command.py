@@ -33,7 +33,7 @@ from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
 from rhot_bench.rig.session import depth_rows, pictures_of
 from rhot_bench.rig.simulated import simulated_truth
 from rhot_bench.rig.stages import stage_sections, stage_times, thread_section
-from rhot_capture.detection.color_table import build_color_table
+from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.sources.pictures import read_pictures
 
@@ -202,9 +202,9 @@ def _recorded(rig: Rig, path: Path, sections: list[Section], plots: list[str]) -
 
 def _threads(rig: Rig, pictures: dict[str, list[ImageArray]]) -> Section:
     names = list(own_paints(rig.config.markers))
-    table = build_color_table(load_colors(rig.colors_path), names)
+    tables = camera_tables(load_colors(rig.colors_path), names, pictures)
     detectors = {
-        name: MarkerDetector(rig.config.markers, table, rig.cameras[name].width, rig.cameras[name].height)
+        name: MarkerDetector(rig.config.markers, tables[name], rig.cameras[name].width, rig.cameras[name].height)
         for name in pictures
     }
     cores = os.cpu_count() or 1

@@ -20,7 +20,7 @@ from rhot.rig import Rig
 from rhot.rig.colors import load_colors
 from rhot.rig.marker_config import own_paints
 from rhot_bench.measures.hands import START_NS
-from rhot_capture.detection.color_table import build_color_table
+from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.timing import marker_frame, row_time_ns
 from rhot_sim.rendering.renderer import Renderer
@@ -136,10 +136,10 @@ class Capture:
     """
 
     def __init__(self, rig: Rig) -> None:
-        table = build_color_table(load_colors(rig.colors_path), list(own_paints(rig.config.markers)))
         self._cameras = rig.config.cameras
+        tables = camera_tables(load_colors(rig.colors_path), list(own_paints(rig.config.markers)), self._cameras)
         self.detectors = {
-            name: MarkerDetector(rig.config.markers, table, camera.width, camera.height)
+            name: MarkerDetector(rig.config.markers, tables[name], camera.width, camera.height)
             for name, camera in self._cameras.items()
         }
 

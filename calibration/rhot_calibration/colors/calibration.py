@@ -19,6 +19,7 @@ from rhot.rig.calibration import today
 from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, log_ratio
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import own_paints, worn_paints
+from rhot_calibration.colors.model.balance import balanced, camera_gains
 from rhot_calibration.colors.model.fit import COUNTER_FLOOR, MARKER_FLOOR, fit_component, fit_mixture
 from rhot_calibration.colors.model.quality import MarkerQuality, class_pixels, marker_quality, quality_as_plain
 from rhot_calibration.colors.model.samples import ClassPixels, marker_pixels
@@ -67,6 +68,7 @@ def calibrate(
     places: Sequence[Places],
     markers: Mapping[str, MarkerConfig],
     region_of: Callable[[int], dict[str, BoolArray]] | None = None,
+    cameras: Sequence[str | None] | None = None,
 ) -> ColorCalibration:
     """Fit colours to markers shown in pictures; a marker that is not shown gets none.
 
@@ -76,6 +78,7 @@ def calibrate(
             rectangle around the marker.
         markers: the rig's markers by name.
         region_of: returns what `regions` says of a picture by its place among `images`, where that is known.
+        cameras: of each image; None = not known. Those that differ are balanced where enough paints tell how.
 
     Raises:
         CalibrationError: no place at all, an unknown marker, a place outside its picture, or nothing there that is
@@ -88,6 +91,9 @@ def calibrate(
     worn = worn_paints(markers)
     found = [_by_paint(shown, worn) for shown in found]
     names = [name for name in own_paints(markers) if any(name in shown for shown in found)]
+    cameras = cameras or [None] * len(images)
+    gains = camera_gains(images, found, cameras)
+    images = balanced(images, cameras, gains)
     features = [log_ratio(image[..., ::-1].astype(np.float64)) for image in images]
     painted = {name: marker_pixels(images, found, name) for name in names}
     fitted = {name: _fit_marker(log_ratio(own)) for name, own in painted.items()}
@@ -108,7 +114,7 @@ def calibrate(
     check_quality(quality)
     pixels = class_pixels(painted, colors, table, images, found, free)
     apart = separability(colors, table, pixels)
-    colors = colors.model_copy(update={"quality": quality_as_plain(quality, apart)})
+    colors = colors.model_copy(update={"quality": quality_as_plain(quality, apart), "gains": gains})
     return ColorCalibration(colors, quality, tuple(found), pixels, apart)
 
 

@@ -108,8 +108,9 @@ def colors(
       rhot calibrate colors --import colorCalibration.json --camera-settings cameraCalib.json --rig myrig
 
     Any image viewer shows the pixel under the mouse. Take the pictures with the tracker's own cameras, locked as they
-    will run; one picture per camera and light makes the colours robust. A marker that is not shown gets no colour and
-    is never reported.
+    will run; one picture per camera and light makes the colours robust. Pictures named for a camera, or in a folder
+    named for one (left.png, left/000000.jpg), let cameras differ in white balance and exposure. A marker that is not
+    shown gets no colour and is never reported.
 
     Writes colors.json; the one before becomes colors.previous.json. Two tables say how well the colours can be told
     apart: each marker's nearest other one, and what share of every class's pixels will be taken for which other. Pairs
@@ -123,11 +124,12 @@ def colors(
         _import(rig, import_path, settings_path)
         return
     titles, pictures = _live(rig, connect, namespace, save_path) if live else _read_all(images)
+    cameras = titles if live else [_camera_of(path, rig) for path in images]
     if live and not picks and not boxes:
         return
     places = parse_places(picks, boxes, titles)
     with Console(stderr=True).status(f"learning colours from {len(pictures)} picture(s)"):
-        learnt = learn_colors(pictures, places, rig.config.markers)
+        learnt = learn_colors(pictures, places, rig.config.markers, cameras=cameras)
     result, detections = learnt.calibration, learnt.detections
     remarks = [*learnt.warnings, *learnt.suggestions]
     console = Console()
@@ -136,7 +138,7 @@ def colors(
     for remark in remarks:
         console.print(remark, style="yellow" if remark.startswith("warning") else "cyan", markup=False, highlight=False)
     if report_path is not None:
-        _write_image(report_path, report_picture(pictures, titles, result, learnt.table, detections, remarks))
+        _write_image(report_path, report_picture(pictures, titles, result, learnt.tables, detections, remarks))
     if preview_path is not None:
         write_atomic(preview_path, preview_jpeg(pictures[0], detections[0]))
     _write(console, rig, result.colors)
@@ -189,6 +191,11 @@ def _live(
 
 def _read_all(paths: Sequence[Path]) -> tuple[list[str], list[ImageArray]]:
     return [path.stem for path in paths], [read_picture(path) for path in paths]
+
+
+def _camera_of(path: Path, rig: Rig) -> str | None:
+    """Return the camera that a picture is named for, or the folder that it lies in; None when that is none."""
+    return next((name for name in (path.stem, path.absolute().parent.name) if name in rig.config.cameras), None)
 
 
 def _check_target(path: Path | None, suffixes: Sequence[str]) -> None:

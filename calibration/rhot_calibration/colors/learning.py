@@ -18,7 +18,7 @@ from rhot_calibration.colors.picking.clicks import ClickedPicture
 from rhot_calibration.colors.picking.picks import Places
 from rhot_calibration.colors.report.console import suggestions, warnings
 from rhot_calibration.colors.report.picture import overlay_picture
-from rhot_capture.detection.color_table import ColorTable, build_color_table
+from rhot_capture.detection.color_table import ColorTable, camera_tables
 from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.preview import preview_jpeg
 
@@ -31,14 +31,14 @@ class LearntColors:
 
     Attributes:
         calibration: the colours and their quality.
-        table: of the colours of all markers of the rig.
+        tables: of the colours of all markers of the rig, in the balance of each picture's camera.
         detections: what the tracker finds in each picture with them.
         warnings: what will be mixed up.
         suggestions: what to do about it.
     """
 
     calibration: ColorCalibration
-    table: ColorTable
+    tables: tuple[ColorTable, ...]
     detections: tuple[dict[str, Detection], ...]
     warnings: tuple[str, ...]
     suggestions: tuple[str, ...]
@@ -49,12 +49,18 @@ def learn_colors(
     places: Sequence[Places],
     markers: Mapping[str, MarkerConfig],
     region_of: Callable[[int], dict[str, BoolArray]] | None = None,
+    cameras: Sequence[str | None] | None = None,
 ) -> LearntColors:
     """Fit colours and try them on the pictures that they were fitted to; arguments and errors as of `calibrate`."""
-    result = calibrate(images, places, markers, region_of)
-    table = build_color_table(result.colors, list(own_paints(markers)))
-    detections = tuple(MarkerDetector(markers, table, image.shape[1], image.shape[0]).detect(image) for image in images)
-    return LearntColors(result, table, detections, tuple(warnings(result)), tuple(suggestions(result)))
+    cameras = cameras or [None] * len(images)
+    result = calibrate(images, places, markers, region_of, cameras)
+    by_camera = camera_tables(result.colors, list(own_paints(markers)), set(cameras))
+    tables = tuple(by_camera[camera] for camera in cameras)
+    detections = tuple(
+        MarkerDetector(markers, table, image.shape[1], image.shape[0]).detect(image)
+        for image, table in zip(images, tables, strict=True)
+    )
+    return LearntColors(result, tables, detections, tuple(warnings(result)), tuple(suggestions(result)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +92,13 @@ def learn(pictures: Sequence[ClickedPicture], places: Sequence[Places], markers:
         CalibrationError: something cannot be learnt from; names marker and picture.
     """
     images = [each.image for each in pictures]
-    learnt = learn_colors(images, places, markers, lambda number: pictures[number].regions(places[number]))
+    learnt = learn_colors(
+        images,
+        places,
+        markers,
+        lambda number: pictures[number].regions(places[number]),
+        [each.camera for each in pictures],
+    )
     remarks = [Remark(line.removeprefix("warning: "), "warning") for line in learnt.warnings]
     remarks += [Remark(line) for line in learnt.suggestions]
     if not remarks:
@@ -110,7 +122,7 @@ def _pictures(pictures: Sequence[ClickedPicture], learnt: LearntColors) -> dict[
         title = each.camera if number < cameras else f"{each.camera}, picture {number + 1}"
         overlay = overlay_picture(each.image, learnt.calibration, number, found, _OVERLAY_WIDTH)
         shown[f"{title}: white = learnt from, green = found"] = preview_jpeg(overlay)
-        mask = np.where(learnt.table.classify(each.image)[0] > 0, 255, 0).astype(np.uint8)
+        mask = np.where(learnt.tables[number].classify(each.image)[0] > 0, 255, 0).astype(np.uint8)
         shown[f"{title}: what the colours take in"] = preview_jpeg(each.image, None, mask)
     return shown
 

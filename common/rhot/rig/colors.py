@@ -32,6 +32,9 @@ RgbColor = tuple[Channel, Channel, Channel]
 Correlation = Annotated[float, Field(gt=-1.0, lt=1.0)]
 Tolerance = Annotated[float, Field(ge=0.1, le=10.0)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Gain = Annotated[float, Field(ge=0.1, le=10.0)]
+Gains = tuple[Gain, Gain, Gain]
+"""Factors on red, green and blue."""
 
 DARK_OFFSET: Final = 20.0
 """Grey levels added before logarithms: ratios of dark pixels are noise and must count for little."""
@@ -162,11 +165,15 @@ class ColorsFile(CalibrationFile):
     Attributes:
         markers: marker name to its colour; a marker without one is never reported.
         skin, background: classes that are not markers; optional.
+        gains: camera name to the factors by which its red, green and blue are multiplied before they are compared with
+            the statistical classes: cameras of one rig may differ in white balance and exposure. None = all 1. Boxes
+            and ranges are about a picture as it is.
     """
 
     markers: Annotated[dict[Name, MarkerColor], Field(max_length=64)]
     skin: GaussianColor | None = None
     background: GaussianColor | None = None
+    gains: Annotated[dict[Name, Gains], Field(max_length=64)] = {}
 
     def with_tolerances(self, tolerances: Mapping[str, float]) -> ColorsFile:
         """Return the colours with other tolerances per marker.

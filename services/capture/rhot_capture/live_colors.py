@@ -24,17 +24,23 @@ class LiveColors:
         table: built from it alone.
     """
 
-    def __init__(self, rig: Rig, names: Sequence[str]) -> None:
+    def __init__(self, rig: Rig, names: Sequence[str], camera: str) -> None:
         """Read `colors.json`; without one no marker is found, so that colours can be calibrated.
+
+        Args:
+            rig: it.
+            names: markers in the order of their labels.
+            camera: of the rig.
 
         Raises:
             CalibrationError: it is wrong.
         """
         self._path = rig.colors_path
         self._names = tuple(names)
+        self._camera = camera
         self._stamp = file_stamp(self._path)
         self.file = self._read()
-        self.table = build_color_table(self.file, self._names)
+        self.table = build_color_table(self.file, self._names, camera)
         self._shown = bounds_of(self.file, self.table)
 
     def has_changed(self) -> bool:
@@ -49,7 +55,7 @@ class LiveColors:
             RhotError: it is wrong; the colours before it stay.
         """
         file = self._read()
-        self.table = build_color_table(file, self._names)
+        self.table = build_color_table(file, self._names, self._camera)
         self._shown = bounds_of(file, self.table)
         self.file = file
 
@@ -80,7 +86,7 @@ class LiveColors:
 
     def table_of(self, settings: CameraSettings) -> ColorTable:
         """Return the table of `in_force`; takes a fraction of a second."""
-        return build_color_table(self.in_force(settings), self._names)
+        return build_color_table(self.in_force(settings), self._names, self._camera)
 
     def save_bounds(self, settings: CameraSettings) -> None:
         """Write the bounds in force into `colors.json`, where all cameras of the folder take them over.

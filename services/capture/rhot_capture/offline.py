@@ -11,7 +11,7 @@ from rhot.recording import MarkerTrack, PictureTrack, Recording, VideoTrack
 from rhot.rig import Rig
 from rhot.rig.colors import load_colors
 from rhot.rig.marker_config import own_paints
-from rhot_capture.detection.color_table import ColorTable, build_color_table
+from rhot_capture.detection.color_table import ColorTable, camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.sources.pictures import read_pictures
 from rhot_capture.timing import marker_frame
@@ -33,7 +33,7 @@ def marker_frames(rig: Rig, recording: Recording, progress: Progress | None = No
         CalibrationError: `colors.json` is missing or wrong.
     """
     recording.require_times()
-    table = build_color_table(load_colors(rig.colors_path), list(own_paints(rig.config.markers)))
+    tables = camera_tables(load_colors(rig.colors_path), list(own_paints(rig.config.markers)), recording.cameras)
     streams = []
     for name, track in recording.cameras.items():
         if isinstance(track, MarkerTrack):
@@ -45,7 +45,7 @@ def marker_frames(rig: Rig, recording: Recording, progress: Progress | None = No
                 f"{recording.path}: camera {name} is not in {rig.path / 'rig.toml'}, which has "
                 f"{', '.join(rig.cameras)}; rename the folder or add the camera"
             )
-        streams.append(_camera_frames(rig, track, table))
+        streams.append(_camera_frames(rig, track, tables[name]))
     for done, frame in enumerate(heapq.merge(*streams, key=lambda frame: frame.t_ns), start=1):
         if progress is not None:
             progress(done)

@@ -80,7 +80,7 @@ class CaptureService:
         self._rate_hz = config.rate_hz
         self._size = (config.width, config.height)
         self._worn = worn_paints(rig.config.markers)
-        self._colors = LiveColors(rig, tuple(own_paints(rig.config.markers)))
+        self._colors = LiveColors(rig, tuple(own_paints(rig.config.markers)), camera)
         self._kept = KeptOptics(rig.path, camera)
         self._settings = self._colors.initial(CameraSettings.from_config(config, self._colors.file))
         self._detector = MarkerDetector(rig.config.markers, self._colors.table, *self._size)

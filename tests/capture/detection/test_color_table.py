@@ -18,7 +18,7 @@ from rhot.rig.colors import (
     RgbColor,
     nominal_colors,
 )
-from rhot_capture.detection.color_table import TABLE_SIZE, ColorTable, build_color_table, table_colors
+from rhot_capture.detection.color_table import TABLE_SIZE, ColorTable, build_color_table, camera_tables, table_colors
 
 byte = st.integers(min_value=0, max_value=255)
 
@@ -64,6 +64,28 @@ def test_counter_classes_win_where_they_are_more_likely() -> None:
     assert label_of(build_color_table(alone, ["thumb"]), (180, 90, 80)) == "thumb"
     assert label_of(build_color_table(against, ["thumb"]), (180, 90, 80)) == ""
     assert label_of(build_color_table(against, ["thumb"]), (200, 60, 60)) == "thumb"
+
+
+def test_skin_is_as_likely_as_a_paint_whatever_its_share_of_the_pictures() -> None:
+    paint = ColorComponent(rgb=(200, 60, 60), sigma=(0.08, 0.08, 0.3))
+    colors = ColorsFile(markers={"thumb": GaussianColor(components=(paint,))})
+
+    def table(weight: float) -> ColorTable:
+        skin = ColorComponent(rgb=(180, 90, 80), sigma=(0.08, 0.08, 0.3), weight=weight)
+        return build_color_table(colors.model_copy(update={"skin": GaussianColor(components=(skin,))}), ["thumb"])
+
+    assert np.array_equal(table(1.0).labels, table(0.05).labels)
+
+
+def test_a_camera_sees_the_colours_by_its_factors_but_boxes_as_they_are() -> None:
+    colors = nominal_colors({"thumb": (100, 60, 40)}).model_copy(update={"gains": {"left": (0.5, 1.0, 1.6)}})
+    tables = camera_tables(colors, ["thumb"], ["left", "right", "top"])
+    assert label_of(tables["left"], (200, 60, 25)) == "thumb"
+    assert label_of(tables["right"], (200, 60, 25)) == ""
+    assert label_of(tables["right"], (100, 60, 40)) == "thumb"
+    assert tables["right"] is tables["top"]
+    box = colors.model_copy(update={"markers": {"thumb": RgbBoxColor(low=(190, 50, 15), high=(210, 70, 35))}})
+    assert label_of(build_color_table(box, ["thumb"], "left"), (200, 60, 25)) == "thumb"
 
 
 def test_marker_without_a_colour_is_never_labelled() -> None:

@@ -28,7 +28,7 @@ def report_picture(
     images: Sequence[ImageArray],
     titles: Sequence[str],
     result: ColorCalibration,
-    table: ColorTable,
+    tables: Sequence[ColorTable],
     detections: Sequence[Mapping[str, Detection]],
     remarks: Sequence[str] = (),
 ) -> ImageArray:
@@ -38,7 +38,7 @@ def report_picture(
         images: the pictures, (H, W, 3) uint8 BGR each.
         titles: their names.
         result: what was learnt from them.
-        table: of its colours.
+        tables: of its colours, for each picture.
         detections: what the tracker finds in each picture.
         remarks: lines to write below the table, such as warnings.
     """
@@ -51,7 +51,7 @@ def report_picture(
         )
         for n in range(shown)
     ]
-    masks = [_mask_tile(images, titles, result, table, name) for name in result.markers]
+    masks = [_mask_tile(images, titles, result, tables, name) for name in result.markers]
     plot = ratio_plot(result.colors, result.pixels, _WIDTH // 2)
     matrix = matrix_picture(result.separability, _WIDTH // 2)
     figures = _tiled([plot, _stacked(matrix, _remarks(remarks, _WIDTH // 2))], 2)
@@ -101,11 +101,16 @@ def overlay_picture(
 
 
 def _mask_tile(
-    images: Sequence[ImageArray], titles: Sequence[str], result: ColorCalibration, table: ColorTable, name: str
+    images: Sequence[ImageArray],
+    titles: Sequence[str],
+    result: ColorCalibration,
+    tables: Sequence[ColorTable],
+    name: str,
 ) -> ImageArray:
     """Show what a marker's colour takes in, in the first picture that it was learnt from."""
     number = next(n for n, regions in enumerate(result.regions) if name in regions)
     image = images[number]
+    table = tables[number]
     mask = table.classify(image)[0] == table.names.index(name) + 1
     canvas = image // _DIM
     canvas[mask] = image[mask]

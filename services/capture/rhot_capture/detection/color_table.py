@@ -10,7 +10,7 @@ faint colours too: those that are likelier paint than skin or background, if no 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray, ImageArray
 from rhot.errors import ConfigError
-from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, HsvRangeColor, RgbBoxColor, log_ratio
+from rhot.rig.colors import ColorComponent, ColorsFile, Gains, GaussianColor, HsvRangeColor, RgbBoxColor, log_ratio
 
 TABLE_SIZE: Final = 1 << 16
 _FAINT: Final = 2.0
 """How many times as far from a paint as its limit a faint colour may be. What is half paint and half skin lies about
 there: skin and paints are 8 to 12 standard deviations apart in rendered and in real pictures, limits at 3.5."""
+_NO_GAINS: Final = (1.0, 1.0, 1.0)
 _BOX_EDGE: Final = 3.0
 """The limit of a box or range counts as this many standard deviations when a likelihood is wanted."""
 
@@ -69,12 +70,18 @@ def table_colors() -> FloatArray:
     return np.column_stack([red * 8 + 3.5, green * 4 + 1.5, blue * 8 + 3.5])
 
 
-def build_color_table(colors: ColorsFile, names: Sequence[str]) -> ColorTable:
+def in_balance(rgb: FloatArray, gains: Gains) -> FloatArray:
+    """Return (..., 3) red, green, blue multiplied by a camera's factors, 0 to 255; what was cut off remains so."""
+    return np.asarray(np.minimum(rgb * gains, 255.0))
+
+
+def build_color_table(colors: ColorsFile, names: Sequence[str], camera: str | None = None) -> ColorTable:
     """Build the tables for some markers.
 
     Args:
         colors: the colours; a marker that has none is never labelled.
         names: markers in the order of their labels, at most 255.
+        camera: whose pictures are looked at; None = one in balance with the colours.
 
     Raises:
         ConfigError: too many markers.
@@ -85,7 +92,8 @@ def build_color_table(colors: ColorsFile, names: Sequence[str]) -> ColorTable:
     labels = np.zeros(TABLE_SIZE, np.uint8)
     distances = np.full(TABLE_SIZE, np.inf)
     faint = np.zeros(TABLE_SIZE, np.uint8)
-    _assign_statistical(colors, names, rgb, labels, distances, faint)
+    gains = colors.gains.get(camera or "", _NO_GAINS)
+    _assign_statistical(colors, names, in_balance(rgb, gains), labels, distances, faint)
     _assign_boxes(colors, names, rgb, labels, distances)
     likelihoods = np.where(labels > 0, np.round(255.0 * np.exp(-0.5 * distances**2)), 0.0).astype(np.uint8)
     faint = np.where(labels > 0, labels, faint)
@@ -126,6 +134,16 @@ def _assign_statistical(
             faint[log_likelihood > likeliest] = 0
 
 
+def camera_tables(
+    colors: ColorsFile, names: Sequence[str], cameras: Collection[str | None]
+) -> dict[str | None, ColorTable]:
+    """Return the tables of several cameras, see `build_color_table`; those that are alike share one."""
+    gains = {camera: colors.gains.get(camera or "", _NO_GAINS) for camera in cameras}
+    one_of = {each: camera for camera, each in gains.items()}
+    tables = {each: build_color_table(colors, names, camera) for each, camera in one_of.items()}
+    return {camera: tables[each] for camera, each in gains.items()}
+
+
 def mixture_fit(color: GaussianColor, features: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return how well colours fit a class.
 
@@ -134,7 +152,8 @@ def mixture_fit(color: GaussianColor, features: FloatArray) -> tuple[FloatArray,
         features: (N, 3) colours in log-ratio space.
 
     Returns:
-        (N,) logarithm of the mixture's density, (N,) squared Mahalanobis distance to the nearest component.
+        (N,) logarithm of the mixture's density, which integrates to 1 whatever the sum of its weights: no class is
+        likelier than another before its colour is known; (N,) squared Mahalanobis distance to the nearest component.
     """
     form, constants = _quadratic_forms(color.components)
     squared = np.maximum(_monomials(features) @ form, 0.0)
@@ -160,6 +179,7 @@ def _quadratic_forms(components: Sequence[ColorComponent]) -> tuple[FloatArray, 
         [A[:, 0, 0], A[:, 1, 1], A[:, 2, 2], 2 * A[:, 0, 1], 2 * A[:, 0, 2], 2 * A[:, 1, 2], linear.T, constant]
     )
     weights = np.array([component.weight for component in components])
+    weights /= weights.sum()
     _, log_determinant = np.linalg.slogdet(covariances)
     return form, np.log(weights) - 0.5 * log_determinant - 1.5 * float(np.log(2.0 * np.pi))
 

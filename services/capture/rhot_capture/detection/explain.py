@@ -66,7 +66,7 @@ class PictureExplainer:
         """
         self._markers = rig.config.markers
         size = rig.cameras[camera]
-        table = build_color_table(load_colors(rig.colors_path), list(own_paints(self._markers)))
+        table = build_color_table(load_colors(rig.colors_path), list(own_paints(self._markers)), camera)
         self._detector = MarkerDetector(self._markers, table, size.width, size.height)
 
     def look(self, image: ImageArray) -> dict[str, Detection]:

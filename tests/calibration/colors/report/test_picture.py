@@ -19,8 +19,8 @@ def test_report_of_several_pictures_and_one_marker_grows_with_them(scene: Any, s
     result = calibrate(images, places, markers)
     table = build_color_table(result.colors, list(markers))
     found = [MarkerDetector(markers, table, 640, 480).detect(image) for image in images]
-    plain = report_picture(images, ["a", "b"], result, table, found)
-    longer = report_picture(images, ["a", "b"], result, table, found, ["warning: words " * 60])
+    plain = report_picture(images, ["a", "b"], result, [table, table], found)
+    longer = report_picture(images, ["a", "b"], result, [table, table], found, ["warning: words " * 60])
     assert plain.shape[1] == longer.shape[1] == 1280
     assert plain.dtype == np.uint8
     assert all(np.array_equal(image, before) for image, before in zip(images, kept, strict=True))
