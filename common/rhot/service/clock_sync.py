@@ -20,9 +20,13 @@ from rhot.messages import ClockReply, decode
 CLOCK_KEY: Final = "rhot/clock"
 _FIRST_INTERVAL_S: Final = 0.05
 _FIRST_EXCHANGES: Final = 10
+"""A node that joins asks so many times, so quickly: it knows rig time within half a second. Chosen."""
 _READY_EXCHANGES: Final = 4
+"""Samples are stamped from then on; of so few the shortest round trip is a fair one. Chosen."""
 _INTERVAL_S: Final = 0.5
+"""Afterwards; the window of `rhot.clock.WINDOW` exchanges is a minute."""
 _TIMEOUT_S: Final = 1.0
+"""An answer that takes longer says nothing about the clock."""
 _OWNER_MISSES: Final = 2
 """Exchanges in a row that only another clock answered, after which that one is followed: a second."""
 

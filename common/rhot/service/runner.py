@@ -37,8 +37,11 @@ logger = logging.getLogger(__name__)
 _STATUS_INTERVAL_S: Final = 1.0
 _RETRY_FIRST_S: Final = 0.5
 _RETRY_MAX_S: Final = 5.0
+"""Until a device that failed is opened again; doubled each time, up to the second."""
 _LOOP_CHECK_S: Final = 0.1
+"""How often the event loop proves that it turns."""
 _RECONFIGURE_LIMIT_S: Final = 1.5
+"""So long may a change of the configuration take; whoever asked waits 2 s."""
 
 
 class Service(Protocol):

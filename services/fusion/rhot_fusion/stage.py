@@ -29,6 +29,7 @@ RIG_FRAME = "rig"
 _ROW_SPREAD_S = 0.1
 """A marker's own time may differ from its frame's by no more than a read-out takes."""
 _SWAP_EVIDENCE = 50
+"""Points behind the cameras, and more than before them, that tell of swapped cameras: ten frames of a hand. Chosen."""
 
 
 class FusionStage:

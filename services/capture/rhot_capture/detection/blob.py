@@ -18,6 +18,7 @@ ContourArray = NDArray[np.int32]
 PADDING_PX: Final = 6
 """Room around a blob for its rim and a strip of what surrounds it."""
 _MAX_CANDIDATES: Final = 6
+"""Of one colour in one part of the picture; the largest are kept. Chosen."""
 _LEAST_PX: Final = 3.0
 """Square pixels inside an outline; less is noise."""
 _MERGE_GAP_RATIO: Final = 0.3

@@ -22,12 +22,14 @@ from rhot_capture.detection.subpixel.shares import CoverageArray, Shares
 Point = tuple[float, float]
 
 _POINTS_PER_SIDE: Final = 12
+"""At which the edge is looked for; chosen."""
 _SIDE_MARGIN: Final = 0.17
 """Share of a side left out at either end: corners are rounded by blur and by the brush."""
 _SEARCH_PX: Final = (-3.0, 5.5)
 """How far inside and outside of the coarse side the edge is looked for; the mask's outline runs through the centres of
 its outermost pixels, so the edge is rather outside."""
 _STEPS: Final = 12
+"""Samples across an edge, 0.8 pixels apart."""
 _MAX_SHIFT_PX: Final = 6.0
 """From a corner of the coarse polygon to the one that the sides meet in; just over the farther end of the search."""
 _MIN_SIDE_PX: Final = 7.0

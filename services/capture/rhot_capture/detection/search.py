@@ -17,12 +17,14 @@ from rhot_capture.detection.cutouts import Region
 
 _STEP: Final = 3
 _FIRST: Final = 1
+"""Every third row and column, beginning with the second: one pixel of each 3x3 block, its middle one."""
 _ROOM_PX: Final = 9
 """Round the pixels that were looked at: what was passed over, the padding of a blob, and a pixel beyond it. Regions
 of parts that shine has split overlap and become one."""
 _BEFORE: Final = _FIRST - _ROOM_PX
 _AFTER: Final = _FIRST - _STEP + _ROOM_PX + 1
 _MOST_CONTOURS: Final = 100
+"""Of one label that are looked at, the largest; a picture full of specks must not stop the camera. Chosen."""
 _MOST_REGIONS: Final = 6
 """For one label; the largest are kept."""
 

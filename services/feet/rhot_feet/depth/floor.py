@@ -15,7 +15,10 @@ from rhot.arrays import FloatArray
 from rhot_feet.depth.points import PointGrid
 
 _SAMPLES: Final = 1500
+"""Points that vote; chosen."""
 _TRIALS: Final = 80
+"""Planes through three random points that are tried. With half of the points on the floor all of them miss it once in
+40,000 times, with a quarter in three of ten pictures; the floor of the picture before is tried, too."""
 _NOISE: Final = 0.01
 """Inverse depth, 1/m: 10 mm at 1 m, 40 mm at 2 m; floors are not flat and lenses not perfect."""
 _MIN_SHARE: Final = 0.15
@@ -25,6 +28,7 @@ _MAX_BELOW: Final = 0.06
 _BELOW: Final = 0.04
 """Inverse depth, 1/m, by which a point has to be farther than a plane to count as under it."""
 _MAX_TILT_COSINE: Final = float(np.cos(np.radians(20.0)))
+"""A plane that is tilted further against gravity is no floor: ramps, and the headset's error. Chosen."""
 
 
 @dataclass(frozen=True, slots=True)

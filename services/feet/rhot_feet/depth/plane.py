@@ -25,10 +25,14 @@ CORRELATED_PX: Final = 50.0
 SCALE_SIGMA: Final = 0.003
 """A depth camera's own error of scale, as a share of the distance; no picture averages it away."""
 _INSET: Final = 0.8
+"""The outline is shrunk by this factor: at its rim depth mixes with what lies behind. Chosen."""
 _MIN_PIXELS: Final = 20
 _MIN_SHARE: Final = 0.3
+"""Fewer pixels with depth, or a smaller share of those inside, give no plane. Chosen."""
 _MAX_SAMPLES: Final = 250
+"""Pixels that are used: neighbours are correlated, more of them tell little. Chosen."""
 _CLIP: Final = 3.0
+"""Standard deviations from the plane beyond which a pixel is an outlier."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,9 +25,11 @@ from rhot_feet.depth.points import Mask, PointGrid
 from rhot_feet.depth.visibility import SurfaceShape, visible_part
 
 _FLOOR_CLEARANCE_M: Final = 0.015
+"""What is nearer to the floor than this counts as floor: half of a sole's thickness. Chosen."""
 _FLOOR_NOISE: Final = 0.008
 """Clearance from the floor grows by so much times the depth squared, as its noise does."""
 _ROUNDS: Final = 10
+"""Most steps of the search for a centroid; chosen."""
 _FULL_ROUNDS: Final = 4
 """After so many the steps are halved: where points come in and go out again, the search would swing."""
 _KERNEL: Final = np.ones((3, 3), np.uint8)
@@ -39,7 +41,9 @@ centimetre in the expected height would shift the centroid by several."""
 _BELOW_MARKER_M: Final = 0.16
 """Used where no floor is known: a foot in the air hangs down by so much."""
 SETTLED_M: Final = 1e-3
+"""A search has settled when its last step was shorter."""
 MIN_POINTS: Final = 40
+"""Fewer points are no foot: a shoe 1.5 m away has about 500 of these, one for four pixels. Chosen."""
 _LEAST_KNOWN: Final = 0.1
 """Share of a blob; comparing less says nothing."""
 

@@ -21,6 +21,7 @@ from rhot.geometry.camera import CameraModel
 from rhot_feet.depth.points import FINE_PX, Mask, PointGrid
 
 _POINTS: Final = 150
+"""Of a foot's model that are looked for in a picture; chosen."""
 _NEARER_M: Final = 0.04
 """What is nearer than a point by more than this stands before it."""
 _NEARER_THEN_M: Final = 0.02

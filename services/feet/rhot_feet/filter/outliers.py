@@ -14,6 +14,7 @@ _FASTEST_M_S: Final = 8.0
 _LONGEST_GAP_S: Final = 0.3
 """Observations farther apart say nothing about each other; chosen."""
 _SIGMAS: Final = 4.0
+"""Of both observations' stated errors, beyond what a foot can move between them; chosen."""
 
 
 class OutlierRun:

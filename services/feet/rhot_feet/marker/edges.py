@@ -15,15 +15,21 @@ from numpy.typing import NDArray
 from rhot.arrays import FloatArray, ImageArray
 
 _CROSSINGS: Final = 14
+"""Points along each edge at which it is looked for; chosen."""
 _RIM: Final = 0.12
 """Share of an edge at its ends that is left out: there the neighbour's blur reaches in."""
 _STEP_PX: Final = 0.5
+"""Between samples across an edge: blur spreads it over two pixels or more."""
 _REACH_CELLS: Final = 0.65
 """How far across an edge is looked, in cells: the printed margin is little wider, and inside lie the bits."""
 _MAX_REACH_PX: Final = 4.0
+"""And at most so many pixels; chosen."""
 _MIN_CONTRAST: Final = 12.0
+"""Grey levels between both sides of an edge; less is noise. Chosen."""
 _MIN_SHARE: Final = 0.4
+"""Of the points along an edge that must be found. Chosen."""
 _MAX_SHIFT_PX: Final = 2.0
+"""Corners that move further than this from where the detector had them met other edges. Chosen."""
 UNREFINED_SIGMA_PX: Final = 0.4
 """Of a corner as the detector finds it, per axis."""
 _LEAST_SIGMA_PX: Final = 0.03

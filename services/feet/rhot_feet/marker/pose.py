@@ -28,7 +28,9 @@ CORNER_SIGMA_PX: Final = 0.2
 SIZE_SIGMA: Final = 0.002
 """Of a printed marker's side, as a share of it: 0.1 mm of 60 mm."""
 _ITERATIONS: Final = 4
+"""Gauss–Newton steps; chosen."""
 _SAME_POSE: Final = 1.0 + 2.0 * float(np.cos(0.01))
+"""Trace of the rotation between two poses that are the same to 0.01 rad."""
 
 
 @dataclass(frozen=True, slots=True)

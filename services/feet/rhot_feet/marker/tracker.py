@@ -27,6 +27,8 @@ _CONFIRM: Final = 3
 _CONFIRM_GAP_S: Final = 0.15
 _CONFIRM_STEP_M: Final = 0.03
 _CONFIRM_SPEED_M_S: Final = 6.0
+"""Between two of these pictures: the longest time, and the longest way, which grows with the time at the speed of a
+swinging foot. Chosen."""
 _FORGET_S: Final = 0.5
 """After so long without its marker a foot's own orientation track starts over."""
 _WHOLE_NS: Final = 40_000_000

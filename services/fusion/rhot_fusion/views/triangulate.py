@@ -17,6 +17,7 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.camera import CameraModel
 
 _ITERATIONS = 1
+"""Gauss–Newton steps from the linear solution; chosen."""
 _NEAREST_M = 0.02
 """A point must lie this far in front of every camera that saw it."""
 

@@ -15,7 +15,9 @@ from rhot.arrays import FloatArray
 from rhot_ik.fabrik.chains import ABDUCTION, FLEXION, TWIST, Chains
 
 _LARGEST_STEP_RAD: Final = 0.5
+"""Beyond it the derivatives say little; chosen."""
 _AT_LIMIT_RAD: Final = 1e-9
+"""Rounding: an angle this near to its limit is at it."""
 _PATIENCE: Final = 4
 """Iterations without gain, each more cautious than the one before, until nothing is to be had any more."""
 

@@ -38,11 +38,15 @@ _ANGLES: Final = tuple(LegAngles.model_fields)
 _STALE_NS: Final = 300_000_000
 """A foot, hand or head that was not heard of for so long is not known."""
 _TOGETHER_NS: Final = 2_000_000
+"""Poses of both feet that are no further apart are of one moment."""
 _LEAD_NS: Final = round(1e9 * LEAD_S)
 """A foot that is older than the other by less than this is carried on by its velocity."""
 _SIDE_BY_SIDE_M: Final = 0.12
+"""Feet whose ankles are no further apart along the body's front stand side by side: half a foot's length. Chosen."""
 _CALM_S: Final = 0.05
+"""Over which the velocity of the hips is averaged; chosen."""
 _LONGEST_STEP_S: Final = 0.1
+"""A longer pause counts as one of this length."""
 _MEASURED: Final = frozenset({"head", *(f"{side}_{end}" for side in OUTWARDS for end in ("ankle", "foot", "wrist"))})
 """Joints next to which something is tracked; the others are inferred."""
 

@@ -20,6 +20,7 @@ from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 _TABLE: Final = 512
 _CURVE: Final = 128
+"""Entries of the table from shortening to curl, and points of the curve that a curling finger describes; chosen."""
 _LATERAL_DAMPING_M: Final = 0.003
 """Abduction fades when the marker comes this near to the abduction axis, where it is not determined any more."""
 
