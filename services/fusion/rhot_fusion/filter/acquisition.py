@@ -19,7 +19,6 @@ from rhot_fusion.filter.candidates import Candidates
 from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.record import HandRecord
 from rhot_fusion.filter.settings import FilterSettings, TrackSettings
-from rhot_fusion.filter.smoother import Event
 from rhot_fusion.filter.tracks import Belief, Track
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
@@ -125,7 +124,7 @@ class Acquisition:
         near = self._candidates.near(marker, t_s)
         birth = self._together(marker, near, t_s, hand.filter.velocity[k])
         if birth is not None and self._is_expected(hand, k, birth, t_s):
-            self._begin(marker, birth, t_s, near)
+            self._begin(marker, birth, t_s, near, goes_on=True)
             return True
         return not self._is_recent(track.seen_s, t_s)
 
@@ -164,7 +163,7 @@ class Acquisition:
         if hand.filter.state.alive[k]:
             hand.filter.end(k)
             if hand.record is not None:
-                hand.record.note(Event(hand.filter.state.t_s, k, None))
+                hand.record.ended(hand.filter.state.t_s, k)
         self.tracks[marker].end(len(self._cameras))
 
     def forget(self, t_s: float) -> None:
@@ -178,14 +177,17 @@ class Acquisition:
                 if alive and (not inside or spread_m2 > lost_m2 or t_s - self.tracks[marker].seen_s > hold_s):
                     self.end(marker)
 
-    def _begin(self, marker: int, birth: Birth, t_s: float, views: dict[int, View]) -> None:
+    def _begin(
+        self, marker: int, birth: Birth, t_s: float, views: dict[int, View], *, goes_on: bool = False
+    ) -> None:
+        """Put a marker in; `goes_on` where it may well have moved there."""
         hand, k = self.hand_of[marker]
         state = hand.filter.state
         if t_s > state.t_s and state.alive.any():
             hand.filter.state = hand.filter.predicted(t_s)
         hand.filter.begin(k, birth.mean, birth.covariance, t_s)
         if hand.record is not None:
-            hand.record.note(Event(t_s, k, birth, min(view.t_s for view in views.values())))
+            hand.record.began(t_s, k, birth, views, goes_on=goes_on)
         newest_s = self._schedule.newest_s
         self.tracks[marker].begin(t_s, {camera: newest_s[camera] for camera in views}, self._settings)
         self.begun += 1

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
+from rhot_fusion.filter.birth import Birth
 from rhot_fusion.filter.settings import FilterSettings
 from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
@@ -39,15 +40,18 @@ class HandRecord:
         """Forget all frames."""
         self._frames.clear()
 
-    def add(self, sightings: Sightings, slack: FloatArray) -> None:
-        """Take a frame's views (N,) of this hand, and how far what hides them may put them off."""
+    def add(self, sightings: Sightings, slack: FloatArray, variance: FloatArray) -> None:
+        """Take a frame's views (N,) of this hand, how far what hides them may put them off, and the variance of that.
+
+        Of the variance what is the camera's own is left out; see `smoothed`.
+        """
         count = len(sightings.index)
         views = Views(
             self._cameras[sightings.camera],
             np.searchsorted(self.index, sightings.index),
             sightings.times_s - sightings.t_s,
             sightings.xy.copy(),
-            np.zeros((count, 3)),
+            variance[:, None] * ROUND,
             slack,
         )
         self._frames.append(Frame(sightings.t_s, sightings.camera, views, np.zeros(count, dtype=bool), []))
@@ -61,10 +65,24 @@ class HandRecord:
         # What the camera's own proves to be is known in the end; paint that is hidden and stamps that err stay.
         frame.views.variance[rows] = views.variance - camera_variance * ROUND
 
-    def note(self, event: Event) -> None:
-        """Note that a marker began or ended after the newest frame."""
+    def ended(self, t_s: float, marker: int) -> None:
+        """Note that one of the hand's markers ended after the newest frame."""
         if self._frames:
-            self._frames[-1].events.append(event)
+            self._frames[-1].events.append(Event(t_s, marker, None))
+
+    def began(self, t_s: float, marker: int, birth: Birth, cameras: Iterable[int], *, goes_on: bool) -> None:
+        """Note that one of the hand's markers began at the newest frame, by the newest views of some cameras."""
+        first = self._frames[-1]
+        sought = set(cameras)
+        for frame in reversed(self._frames):
+            mine = frame.views.index == marker
+            if frame.camera in sought and mine.any():
+                sought.remove(frame.camera)
+                frame.taken |= mine
+                first = frame
+            if not sought:
+                break
+        self._frames[-1].events.append(Event(t_s, marker, birth, first, goes_on))
 
     def smoothed(self, variance_of: Callable[[int], float], settings: FilterSettings) -> list[Node]:
         """Return the smoothed nodes at all frames, in order of time, with the noise of each camera's views."""

@@ -38,13 +38,15 @@ class Event:
         t_s: when.
         marker: of the hand.
         birth: its first state; none when it ends.
-        first_s: time of the first view behind the birth.
+        first: frame of the first view behind the birth; none when it ends.
+        goes_on: whether it was known before and may well have moved to where it begins.
     """
 
     t_s: float
     marker: int
     birth: Birth | None
-    first_s: float = np.inf
+    first: Frame | None = None
+    goes_on: bool = False
 
 
 @dataclass(slots=True)
@@ -55,7 +57,7 @@ class Frame:
         t_s: its moment.
         camera: index of the camera.
         views: of markers, whether alive or not.
-        taken: (N,) which of them moved their markers live.
+        taken: (N,) which of them moved or began their markers live.
         events: that followed it.
     """
 
@@ -95,7 +97,7 @@ def smooth(frames: Sequence[Frame], count: int, settings: FilterSettings) -> lis
     for last in range(_PASSES + 1):
         steps, evidence = _forward(frames, count, settings, variance, scale2)
         if last == 0:
-            scale2 = _scales(evidence, [step.dt_s for step in steps], settings)
+            scale2 = _scales(evidence, [step.dt_s for step, _ in steps], settings)
             continue
         states = _backward(steps)
         if last < _PASSES:
@@ -115,11 +117,17 @@ def _forward(
     settings: FilterSettings,
     variance: list[FloatArray],
     scale2: list[float | None],
-) -> tuple[list[Step], list[FloatArray]]:
+) -> tuple[list[tuple[Step, BoolArray]], list[FloatArray]]:
     # What the live filter refused stays out; among the rest there is no gate, but doubt.
     hand = JointFilter(count, settings.motion, np.inf)
     steps, evidence = [], []
-    for frame, own, scale in zip(frames, variance, scale2, strict=True):
+    begins = _begins(frames)
+    for place, (frame, own, scale) in enumerate(zip(frames, variance, scale2, strict=True)):
+        new = np.zeros(count, dtype=bool)
+        for event in begins.get(place, ()):
+            if not (event.goes_on and hand.state.alive[event.marker]):
+                _begin(hand, event, frame.t_s, settings)
+                new[event.marker] = True
         alive = hand.state.alive[frame.views.index] & frame.taken
         views = replace(frame.views, variance=own)
         if not alive.all():
@@ -128,11 +136,35 @@ def _forward(
         for event in frame.events:
             if event.birth is None:
                 hand.end(event.marker)
-            else:
-                hand.begin(event.marker, event.birth.mean, event.birth.covariance, frame.t_s)
-        steps.append(Step(step.dt_s, step.transition, step.before, hand.state))
+        steps.append((Step(step.dt_s, step.transition, step.before, hand.state), new))
         evidence.append(innovation.evidence)
     return steps, evidence
+
+
+def _begins(frames: Sequence[Frame]) -> dict[int, list[Event]]:
+    """Return by frame the events of markers that begin with its views."""
+    places = {id(frame): place for place, frame in enumerate(frames)}
+    begins: dict[int, list[Event]] = {}
+    ended: dict[int, int] = {}
+    for place, frame in enumerate(frames):
+        for event in frame.events:
+            if event.birth is None or event.first is None:
+                ended[event.marker] = place
+            else:
+                first = max(min(places[id(event.first)], place), ended.get(event.marker, -1) + 1)
+                begins.setdefault(first, []).append(event)
+    return begins
+
+
+def _begin(hand: JointFilter, event: Event, t_s: float, settings: FilterSettings) -> None:
+    """Put a marker in before the views that began it, somewhere about where these say."""
+    assert event.birth is not None
+    then_s = hand.state.t_s if hand.state.alive.any() else t_s
+    mean, covariance = event.birth.mean.copy(), event.birth.covariance.copy()
+    mean[:3] += (then_s - event.t_s) * mean[3:]
+    covariance[:3, :3] += settings.track.ray_sigma_m**2 * np.eye(3)
+    covariance[3:, 3:] += settings.track.speed_sigma**2 * np.eye(3)
+    hand.begin(event.marker, mean, covariance, then_s)
 
 
 def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSettings) -> list[float | None]:
@@ -155,13 +187,13 @@ def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSetti
     return list(reversed(result))
 
 
-def _backward(steps: list[Step]) -> list[State]:
-    """Return the smoothed states of the steps."""
-    states = [step.after for step in steps]
+def _backward(steps: list[tuple[Step, BoolArray]]) -> list[State]:
+    """Return the smoothed states of the steps; a marker (M,) that is new in one is another one than before."""
+    states = [step.after for step, _ in steps]
     for place in range(len(steps) - 2, -1, -1):
-        own, following = steps[place].after, steps[place + 1]
+        own, (following, new) = steps[place][0].after, steps[place + 1]
         later = states[place + 1]
-        both = own.alive & following.before.alive & later.alive
+        both = own.alive & following.before.alive & later.alive & ~new
         if not both.any():
             continue
         rows, every = _rows(both), _rows(own.alive)
@@ -223,27 +255,23 @@ def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
 
 
 def _extend(frames: Sequence[Frame], nodes: list[Node], settings: FilterSettings) -> None:
-    """Carry markers back from where they began to the first view that began them, and to views before that fit."""
-    for place, frame in enumerate(frames):
-        for event in frame.events:
-            if event.birth is None:
-                continue
-            marker, first = event.marker, nodes[place]
+    """Carry markers back from where they began to views before that fit."""
+    for place, events in _begins(frames).items():
+        for marker in {event.marker for event in events if not event.goes_on}:
+            first = nodes[place]
             for before in range(place - 1, -1, -1):
                 node, earlier = nodes[before], frames[before]
                 mine = earlier.views.index == marker
                 dt = node.t_s - first.t_s
+                if dt < -settings.track.pair_s or earlier.taken[mine].any():
+                    break
                 F = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(3))
                 carried, covariance = first.place.copy(), first.covariance.copy()
                 carried[marker] += dt * first.velocity[marker]
                 covariance[marker] = F @ covariance[marker] @ F.T
-                # The first view's row may have been exposed after the frame's moment.
-                if node.t_s + earlier.views.delta_s.max(initial=0.0) < event.first_s - 1e-9:
-                    if dt < -settings.track.pair_s or earlier.taken[mine].any():
-                        break
-                    off2 = _on_path(earlier, carried, first.velocity, covariance[:, :3, :3])[mine]
-                    if not (off2 <= settings.track.gate).any():
-                        continue
+                off2 = _on_path(earlier, carried, first.velocity, covariance[:, :3, :3])[mine]
+                if not (off2 <= settings.track.gate).any():
+                    continue
                 node.place[marker], node.velocity[marker] = carried[marker], first.velocity[marker]
                 node.covariance[marker] = covariance[marker]
-                node.shown[marker] = bool(mine.any())
+                node.shown[marker] = True

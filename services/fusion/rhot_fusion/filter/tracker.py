@@ -229,8 +229,6 @@ class FilterTracker:
         for hand in self._hands:
             mine = hand.of(sightings, alone=len(self._hands) == 1)
             markers = mine.index.tolist()
-            if hand.record is not None and not again:
-                hand.record.add(mine, self._paint.slack(camera, mine.area_px.tolist()))
             depths = self._depths(hand, camera, markers)
             # Views that begin a marker need it, too: what comes out from behind a hand is hidden unevenly.
             alive, spread_m2 = hand.filter.state.alive.tolist(), hand.filter.spread_m2
@@ -245,6 +243,8 @@ class FilterTracker:
                 each + self._paint.doubt_back(marker, depth) ** 2
                 for marker, depth, each in zip(markers, depths, own.tolist(), strict=True)
             ]
+            if hand.record is not None:
+                hand.record.add(mine, self._paint.slack(camera, mine.area_px.tolist()), doubt * doubt)
             self._acquisition.add(camera, markers, mine.times_s.tolist(), mine.xy, wide)
             taken = [not self._acquisition.is_free(marker, camera, t_s) for marker in markers]
             self._update(hand, mine, own, taken)
