@@ -12,10 +12,10 @@ from hands.pinholes import CAMERAS, FOCAL_PX
 from rhot.arrays import FloatArray
 from rhot_fusion.filter.birth import View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter
+from rhot_fusion.filter.lookback.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.motion import motion_of
 from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.settings import DEFAULT
-from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
 
@@ -69,10 +69,10 @@ def run(
                 first = from_views([View(CAMERAS[c], t_s, xy[marker], variance[0, 0])] * 1, t_s, np.zeros(3), 0.5)
                 assert first is None, "one ray is no place"
                 ray = on_ray(View(CAMERAS[c], t_s, xy[marker], variance[0, 0]), mean[:3], np.zeros(3), 0.001, 0.5)
-                events.append(Event(t_s, marker, ray, t_s))
+                events.append(Event(t_s, marker, ray))
         else:
             hand.step(t_s, views)
-        frames.append(Frame(t_s, c, views, np.ones(COUNT, dtype=bool), events))
+        frames.append(Frame(t_s, c, views, np.ones(COUNT, dtype=bool), events, xy, np.zeros(COUNT)))
         P = hand.state.covariance.reshape(2, COUNT, 3, 2, COUNT, 3)[0][index, :, 0][index, :, index]
         times.append(t_s)
         errors.append(hand.place - path(t_s))
@@ -97,7 +97,7 @@ def test_a_moving_hand_before_cameras_out_of_step(rate_hz: float, median_mm: flo
 
 def test_looking_back_is_better_than_looking_ahead() -> None:
     done = run(0.1, 30.0)
-    nodes: list[Node] = smooth(done.frames, COUNT, DEFAULT)
+    nodes: list[Node] = smooth(done.frames, COUNT, DEFAULT, lambda frames, _: [frame.views for frame in frames])
     late = done.t_s > 0.5
     back = np.array([node.place - truth(node.t_s) for node in nodes])[late]
     assert np.median(np.linalg.norm(back, axis=2)) < 0.7 * np.median(np.linalg.norm(done.error[late], axis=2))

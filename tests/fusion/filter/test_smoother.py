@@ -8,8 +8,8 @@ from hands.pinholes import CAMERAS, FOCAL_PX
 
 from rhot.arrays import FloatArray
 from rhot_fusion.filter.birth import Birth
+from rhot_fusion.filter.lookback.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.settings import DEFAULT
-from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Views
 
 PERIOD_S, NOISE_PX, ROW_S = 1.0 / 60.0, 0.1, 0.002
@@ -38,10 +38,11 @@ def watched(off_px: dict[int, float], slack_px: float = 0.0, seen_from: int = 0)
         events = []
         if number == BEGUN:
             birth = Birth(np.concatenate([PLACE, np.zeros(3)]), np.diag([1e-6] * 3 + [1e-2] * 3), 0.0)
-            events = [Event(number * PERIOD_S, 0, birth, (BEGUN - 1) * PERIOD_S + ROW_S)]
-        taken = np.full(len(views.index), number > BEGUN and number not in off_px)
-        frames.append(Frame(number * PERIOD_S, camera, views, taken, events))
-    return smooth(frames, 1, DEFAULT)
+            events = [Event(number * PERIOD_S, 0, birth, frames[-1])]
+        taken = np.full(len(views.index), number >= BEGUN - 1 and number not in off_px)
+        area_px = np.zeros(len(views.index))
+        frames.append(Frame(number * PERIOD_S, camera, views, taken, events, views.xy, area_px))
+    return smooth(frames, 1, DEFAULT, lambda frames, _: [frame.views for frame in frames])
 
 
 @pytest.mark.parametrize(("slack_px", "shown"), [(0.0, False), (1.5, True)])
@@ -64,4 +65,4 @@ def test_a_marker_is_carried_back_to_the_views_that_began_it_and_to_those_before
 
 def test_views_that_are_long_ago_are_left_alone() -> None:
     early = next(n for n, node in enumerate(watched({})) if np.isfinite(node.place[0, 0]))
-    assert (BEGUN - early) * PERIOD_S <= DEFAULT.track.pair_s + 1e-9
+    assert (BEGUN - 1 - early) * PERIOD_S <= DEFAULT.track.pair_s + 1e-9

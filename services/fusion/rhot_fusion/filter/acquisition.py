@@ -17,7 +17,7 @@ from rhot.rig import FusionConfig, Rig
 from rhot_fusion.filter.birth import Birth, View, on_ray
 from rhot_fusion.filter.candidates import Candidates
 from rhot_fusion.filter.joint import JointFilter
-from rhot_fusion.filter.record import HandRecord
+from rhot_fusion.filter.lookback.record import HandRecord
 from rhot_fusion.filter.settings import FilterSettings, TrackSettings
 from rhot_fusion.filter.tracks import Belief, Track
 from rhot_fusion.schedule import Schedule
@@ -56,13 +56,14 @@ class Hand:
         """Return what a frame shows of this hand: all of it where it is the only one."""
         return sightings if alone else sightings.chosen(np.isin(sightings.index, self.index))
 
-    def roots(self, places: Sequence[Vector]) -> Sequence[Vector]:
+    def roots(self, places: Sequence[Vector], alive: Sequence[bool]) -> Sequence[Vector]:
         """Return where the fingers of its markers at places (H,) begin (H,), across the hand; needs the patch.
+
+        Of the markers only those that are alive (H,) are known.
 
         Fingers run side by side from their knuckles, so from there they point the same way however far they bend.
         """
         x, y, z = base = places[self.base]
-        alive = self.filter.state.alive
         if self.across is None or not (alive[self.across[0]] and alive[self.across[1]]):
             return [base] * len(places)
         (x0, y0, z0), (x1, y1, z1) = (places[k] for k in self.across)
@@ -167,19 +168,22 @@ class Acquisition:
         self.tracks[marker].end(len(self._cameras))
 
     def forget(self, t_s: float) -> None:
-        """End markers that nothing has shown for a while, that may be anywhere by now, or that left the volume."""
+        """End markers that nothing shows any more and that may be anywhere by now, or that left the volume."""
         (x0, y0, z0), (x1, y1, z1) = self.config.volume_m
         hold_s, lost_m2 = self.config.hold_s, self._settings.lost_m**2
         for hand in self._hands:
             columns = hand.markers, hand.filter.state.alive.tolist(), hand.filter.place.tolist(), hand.filter.spread_m2
             for marker, alive, (x, y, z), spread_m2 in zip(*columns, strict=True):
                 inside = x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1
-                if alive and (not inside or spread_m2 > lost_m2 or t_s - self.tracks[marker].seen_s > hold_s):
+                if not alive:
+                    continue
+                seen_s = self.tracks[marker].seen_s
+                # What a camera shows is worth keeping: slow cameras out of step begin a marker that is hardly known.
+                lost = spread_m2 > lost_m2 and not self._is_recent(seen_s, t_s)
+                if lost or not inside or t_s - seen_s > hold_s:
                     self.end(marker)
 
-    def _begin(
-        self, marker: int, birth: Birth, t_s: float, views: dict[int, View], *, goes_on: bool = False
-    ) -> None:
+    def _begin(self, marker: int, birth: Birth, t_s: float, views: dict[int, View], *, goes_on: bool = False) -> None:
         """Put a marker in; `goes_on` where it may well have moved there."""
         hand, k = self.hand_of[marker]
         state = hand.filter.state

@@ -36,11 +36,12 @@ class JointFilter:
         state: of now.
     """
 
-    def __init__(self, count: int, settings: MotionSettings, gate: float) -> None:
-        """Begin without markers; an infinite gate refuses nothing, and doubts what lies far off the more."""
+    def __init__(self, count: int, settings: MotionSettings, gate: float, *, refuses: bool = True) -> None:
+        """Begin without markers; without `refuses` what lies beyond the gate is doubted the more instead."""
         self._count = count
         self._settings = settings
         self._gate = gate
+        self._limit = gate if refuses else math.inf
         self._scales2: FloatArray = np.square(settings.scales)
         self._shares: FloatArray = np.array(settings.shares)
         self._motion: Motion | None = None
@@ -146,8 +147,8 @@ class JointFilter:
             innovation = self._gated(views, y, _blocks(S) + variance, evidence)
         if innovation.nis.max() > _HUBER:
             # What lies far off counts less: Huber's loss. A gate keeps out what fits nowhere, and the view alone is
-            # doubted; without one a view may move a marker that little is known of, and the whole innovation is.
-            doubted = views.variance if math.isfinite(self._gate) else innovation.S
+            # doubted; where it does not, a view may move a marker that little is known of, and the whole innovation is.
+            doubted = views.variance if math.isfinite(self._limit) else innovation.S
             variance = variance + np.maximum(innovation.nis / _HUBER - 1.0, 0.0)[:, None] * doubted
         _add_blocks(S, variance)
         self.state = _updated(before, HP, S, y, innovation.accepted)
@@ -230,10 +231,10 @@ class JointFilter:
     def _gated(self, views: Views, y: FloatArray, S: FloatArray, evidence: FloatArray) -> Innovation:
         """Judge each of a frame's views, of covariance S (N, 3), by itself."""
         nis = squared_distance(S, y)
-        if nis.max() <= self._gate:
-            accepted = nis <= self._gate
+        if nis.max() <= self._limit:
+            accepted = nis <= self._limit
         else:
-            accepted = squared_distance(S + (views.slack * views.slack)[:, None] * ROUND, y) <= self._gate
+            accepted = squared_distance(S + (views.slack * views.slack)[:, None] * ROUND, y) <= self._limit
         return Innovation(y, S, nis, accepted, evidence)
 
 

@@ -109,7 +109,9 @@ class TrackSettings:
         measured_m: a point is called measured up to this standard deviation (root of the covariance's trace), metres:
             two fingers' breadths; at 0.03 a hand's first frame at 30 fps (0.037) would not be measured any more.
         uncalibrated_measured_m: the same before cameras that are not calibrated: a pixel is 2 cm of depth there.
-        lost_m: a marker is forgotten beyond this one, metres: that it is somewhere on its hand tells as much.
+        lost_m: a marker is not published beyond this one, and forgotten when nothing shows it any more, metres: that it
+            is somewhere on its hand tells as much. What slow cameras out of step begin with is known less well at 15
+            frames per second, and was forgotten at once.
         replay_s: frames that come later than this after a newer one are used for nothing, seconds.
     """
 

@@ -17,9 +17,10 @@ from rhot.rig import FusionConfig, Rig
 from rhot.rig.quality import pair_epipolar_p95_px
 from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of
 from rhot_fusion.filter.agreement import CameraAgreement
+from rhot_fusion.filter.lookback.record import outcomes
+from rhot_fusion.filter.lookback.repaint import Repaint
 from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.paint import Paint
-from rhot_fusion.filter.record import outcomes
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
 from rhot_fusion.filter.state import ROUND, Innovation, State, Views
 from rhot_fusion.filter.systematic import Systematic
@@ -77,7 +78,7 @@ class FilterTracker:
         )
         radii = radii_of(rig)
         calibration_px = float(self.noise.calibration_px.max())
-        self._paint = Paint(cameras, radii, settings.paint)
+        self._radii, self._paint = radii, Paint(cameras, radii, settings.paint)
         self._systematic = Systematic(cameras, rig.quality, calibration_px, radii, settings.systematic)
         self._calibrated = rig.calibrated
         self._middle = vector(np.mean([camera.center for camera in cameras], axis=0))
@@ -142,6 +143,7 @@ class FilterTracker:
         # A camera shows what its newest frame does, as long as that is fresh.
         newest_s, nobody = zip(self._schedule.newest_s, self._fresh_s(), strict=True), [False] * len(self._cameras)
         since_s = [seen_s if t_s - seen_s <= lasts else math.inf for seen_s, lasts in newest_s]
+        lost_m2 = self._settings.track.lost_m**2
         position, covariance, shown = [NOWHERE] * self._count, [NOTHING] * self._count, [nobody] * self._count
         for hand in self._hands:
             state = hand.filter.predicted(then_s)
@@ -152,6 +154,10 @@ class FilterTracker:
                     position[marker], covariance[marker], shown[marker] = place, own, track.views(since_s)
             known = [marker for marker in hand.markers if self.tracks[marker].belief is Belief.BELIEVED]
             within_hand(position, covariance, known, shown, self._middle, self._settings.track.extent_m)
+            for marker in known:
+                xx, _, _, yy, _, zz = covariance[marker]
+                if xx + yy + zz > lost_m2:
+                    position[marker] = NOWHERE
         settled = [self._paint.is_settled(marker, sees) for marker, sees in enumerate(shown)]
         seen = [list(column) for column in zip(*shown, strict=True)]
         outcome = outcome_of(then_s, position, covariance, seen, self._systematic, settled, self._settings.track)
@@ -160,12 +166,13 @@ class FilterTracker:
 
     def smoothed(self) -> list[Outcome]:
         """Return the markers at all frames since the last `clear` or call, as these together show them."""
-        every = [
-            (hand.index, hand.record.smoothed(self.noise.variance, self._settings))
-            for hand in self._hands
-            if hand.record is not None
-        ]
         periods_s = [self._schedule.period_s(camera) for camera in range(len(self._cameras))]
+        loose_m, every = self._settings.track.loose_m, []
+        for hand in self._hands:
+            if hand.record is not None:
+                paint = Paint(self._cameras, self._radii, self._settings.paint)
+                columns = hand, self._cameras, paint, self.noise.variance, periods_s, loose_m, self._time_variance
+                every.append((hand.index, hand.record.smoothed(self.noise.variance, self._settings, Repaint(*columns))))
         return outcomes(every, self._count, periods_s, self._systematic) if every else []
 
     def _fresh_s(self) -> list[float]:
@@ -235,6 +242,8 @@ class FilterTracker:
             places = [hand.place_of[marker] for marker in markers]
             known, sure = [alive[k] for k in places], [alive[k] and spread_m2[k] <= loose_m2 for k in places]
             shift, doubt = self._paint.correct(camera, markers, t_s, mine.area_px.tolist(), depths, period_s, sure)
+            if hand.record is not None and not again:
+                hand.record.add(mine, shift, self._paint.slack(camera, mine.area_px.tolist()), doubt * doubt)
             mine, own = mine.at(mine.xy + shift), doubt * doubt + variance
             if again:
                 self._update(hand, mine, own, known, again=True)
@@ -243,8 +252,6 @@ class FilterTracker:
                 each + self._paint.doubt_back(marker, depth) ** 2
                 for marker, depth, each in zip(markers, depths, own.tolist(), strict=True)
             ]
-            if hand.record is not None:
-                hand.record.add(mine, self._paint.slack(camera, mine.area_px.tolist()), doubt * doubt)
             self._acquisition.add(camera, markers, mine.times_s.tolist(), mine.xy, wide)
             taken = [not self._acquisition.is_free(marker, camera, t_s) for marker in markers]
             self._update(hand, mine, own, taken)
@@ -281,7 +288,7 @@ class FilterTracker:
         local, t_s, xy = np.array(places), max(sightings.t_s, hand.filter.state.t_s), sightings.xy
         if hand.base >= 0 and hand.filter.state.alive[hand.base]:
             tips = camera.to_camera(hand.filter.place).tolist()
-            roots = hand.roots(tips)
+            roots = hand.roots(tips, hand.filter.state.alive.tolist())
             # Without areas it is not paint that is seen, or nobody knows how a finger bends.
             columns = [tips[k] for k in places], [roots[k] for k in places], [hand.reach_m[k] for k in places]
             xy = xy + self._paint.along(sightings.camera, markers, areas_px, *columns)

@@ -10,8 +10,8 @@ import numpy as np
 from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.birth import Birth
+from rhot_fusion.filter.lookback.smoother import Correct, Event, Frame, Node, smooth
 from rhot_fusion.filter.settings import FilterSettings
-from rhot_fusion.filter.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import outcome_of
@@ -40,21 +40,26 @@ class HandRecord:
         """Forget all frames."""
         self._frames.clear()
 
-    def add(self, sightings: Sightings, slack: FloatArray, variance: FloatArray) -> None:
-        """Take a frame's views (N,) of this hand, how far what hides them may put them off, and the variance of that.
+    def add(self, sightings: Sightings, shift: FloatArray, slack: FloatArray, variance: FloatArray) -> None:
+        """Take a frame's views of this hand.
 
-        Of the variance what is the camera's own is left out; see `smoothed`.
+        Args:
+            sightings: N of them.
+            shift: (N, 2) from what is seen of each to its middle, normalised units.
+            slack: (N,) how far what hides them may put them off.
+            variance: (N,) of the shift; what is the camera's own is left out, see `smoothed`.
         """
         count = len(sightings.index)
         views = Views(
             self._cameras[sightings.camera],
             np.searchsorted(self.index, sightings.index),
             sightings.times_s - sightings.t_s,
-            sightings.xy.copy(),
+            sightings.xy + shift,
             variance[:, None] * ROUND,
             slack,
         )
-        self._frames.append(Frame(sightings.t_s, sightings.camera, views, np.zeros(count, dtype=bool), []))
+        nothing, seen = np.zeros(count, dtype=bool), sightings.xy.copy()
+        self._frames.append(Frame(sightings.t_s, sightings.camera, views, nothing, [], seen, sightings.area_px))
 
     def took(self, views: Views, innovation: Innovation, camera_variance: float) -> None:
         """Note what became of the newest frame's views, of whose variance the camera's own is `camera_variance`."""
@@ -84,14 +89,14 @@ class HandRecord:
                 break
         self._frames[-1].events.append(Event(t_s, marker, birth, first, goes_on))
 
-    def smoothed(self, variance_of: Callable[[int], float], settings: FilterSettings) -> list[Node]:
+    def smoothed(self, variance_of: Callable[[int], float], settings: FilterSettings, correct: Correct) -> list[Node]:
         """Return the smoothed nodes at all frames, in order of time, with the noise of each camera's views."""
         frames = sorted(self._frames, key=lambda frame: frame.t_s)
         for frame in frames:
             own = frame.views.variance + variance_of(frame.camera) * ROUND
             frame.views = replace(frame.views, variance=own)
         self._frames = []
-        return smooth(frames, len(self.index), settings)
+        return smooth(frames, len(self.index), settings, correct)
 
 
 def outcomes(

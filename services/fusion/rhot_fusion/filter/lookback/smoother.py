@@ -7,12 +7,14 @@ likelihood estimates of linear dynamic systems", AIAA Journal 3(8), 1965):
 
     G = P F' P⁻¹(next, before),    x ← x + G (x(next) − x(next, before)),    P ← P + G (P(next) − P(next, before)) G'.
 
-Views that lie far from the smoothed path count less, and all is done once more.
+What a camera saw of the markers' paint is then understood anew, by where they really were: live, a fast hand before
+slow cameras is often elsewhere than it was believed to be. Views that lie far from the smoothed path count less, and all is
+done once more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +40,7 @@ class Event:
         t_s: when.
         marker: of the hand.
         birth: its first state; none when it ends.
-        first: frame of the first view behind the birth; none when it ends.
+        first: frame of the first view behind the birth; none = the one that it followed.
         goes_on: whether it was known before and may well have moved to where it begins.
     """
 
@@ -56,9 +58,11 @@ class Frame:
     Attributes:
         t_s: its moment.
         camera: index of the camera.
-        views: of markers, whether alive or not.
+        views: of markers, whether alive or not, corrected for what is seen of their paint.
         taken: (N,) which of them moved or began their markers live.
         events: that followed it.
+        seen_xy: (N, 2) where the camera saw them, normalised units.
+        area_px: (N,) of each, square pixels; 0 = not told.
     """
 
     t_s: float
@@ -66,6 +70,8 @@ class Frame:
     views: Views
     taken: BoolArray
     events: list[Event]
+    seen_xy: FloatArray
+    area_px: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +95,24 @@ class Node:
     camera: int
 
 
-def smooth(frames: Sequence[Frame], count: int, settings: FilterSettings) -> list[Node]:
-    """Return the nodes of a hand of `count` markers at each of the frames, in order of time."""
+Correct = Callable[[Sequence[Frame], Sequence[State]], list[Views]]
+"""Returns the views of frames as what they saw is to be understood when the markers were as the states tell."""
+
+
+def smooth(
+    frames: Sequence[Frame],
+    count: int,
+    settings: FilterSettings,
+    correct: Correct,
+) -> list[Node]:
+    """Return the nodes of a hand of `count` markers at each of the frames, in order of time.
+
+    Args:
+        frames: in order of time; their views are replaced.
+        count: of the hand's markers.
+        settings: of the filter.
+        correct: what is done to the views once the markers' path is known.
+    """
     variance = [frame.views.variance for frame in frames]
     scale2: list[float | None] = [None] * len(frames)
     nodes: list[Node] = []
@@ -101,9 +123,11 @@ def smooth(frames: Sequence[Frame], count: int, settings: FilterSettings) -> lis
             continue
         states = _backward(steps)
         if last < _PASSES:
+            for frame, views in zip(frames, correct(frames, states), strict=True):
+                frame.views = views
             variance = [
-                own * np.maximum(1.0, _off_path2(frame.views, state) / _DOUBT)[:, None]
-                for frame, state, own in zip(frames, states, variance, strict=True)
+                frame.views.variance * np.maximum(1.0, _off_path2(frame.views, state) / _DOUBT)[:, None]
+                for frame, state in zip(frames, states, strict=True)
             ]
         else:
             nodes = [_node(frame, state, settings) for frame, state in zip(frames, states, strict=True)]
@@ -119,7 +143,7 @@ def _forward(
     scale2: list[float | None],
 ) -> tuple[list[tuple[Step, BoolArray]], list[FloatArray]]:
     # What the live filter refused stays out; among the rest there is no gate, but doubt.
-    hand = JointFilter(count, settings.motion, np.inf)
+    hand = JointFilter(count, settings.motion, settings.track.gate, refuses=False)
     steps, evidence = [], []
     begins = _begins(frames)
     for place, (frame, own, scale) in enumerate(zip(frames, variance, scale2, strict=True)):
@@ -148,10 +172,11 @@ def _begins(frames: Sequence[Frame]) -> dict[int, list[Event]]:
     ended: dict[int, int] = {}
     for place, frame in enumerate(frames):
         for event in frame.events:
-            if event.birth is None or event.first is None:
+            if event.birth is None:
                 ended[event.marker] = place
             else:
-                first = max(min(places[id(event.first)], place), ended.get(event.marker, -1) + 1)
+                seen = place if event.first is None else min(places[id(event.first)], place)
+                first = max(seen, ended.get(event.marker, -1) + 1)
                 begins.setdefault(first, []).append(event)
     return begins
 

@@ -1,0 +1,84 @@
+"""What cameras saw of a hand's paint, understood anew by where its markers really were."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import compress
+from statistics import fmean
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rhot.geometry.camera import CameraModel
+from rhot_fusion.filter.lookback.smoother import Frame
+from rhot_fusion.filter.paint import Paint
+from rhot_fusion.filter.state import ROUND, State, Views
+
+if TYPE_CHECKING:
+    from rhot_fusion.filter.acquisition import Hand
+
+_NEAREST_M = 0.1
+"""No marker is nearer to a camera."""
+
+
+@dataclass(frozen=True, slots=True)
+class Repaint:
+    """Corrects the views of one hand.
+
+    Attributes:
+        hand: whose markers they are.
+        cameras: of the rig.
+        paint: of its own; what it has seen is forgotten at each call.
+        variance_of: returns the noise of a camera's views.
+        periods_s: frame period of each camera.
+        loose_m: how large a marker is, is learnt while its place is more certain than this, metres.
+        time_variance: of the time stamps, square seconds.
+    """
+
+    hand: Hand
+    cameras: Sequence[CameraModel]
+    paint: Paint
+    variance_of: Callable[[int], float]
+    periods_s: Sequence[float]
+    loose_m: float
+    time_variance: float
+
+    def __call__(self, frames: Sequence[Frame], states: Sequence[State]) -> list[Views]:
+        """Return the views of frames in order of time, the markers having been as the states tell."""
+        self.paint.clear()
+        hand_depths_m = [math.inf for _ in self.cameras]
+        return [self._views(frame, state, hand_depths_m) for frame, state in zip(frames, states, strict=True)]
+
+    def _views(self, frame: Frame, state: State, hand_depths_m: list[float]) -> Views:
+        """Return a frame's views, and put how far the hand is from its camera; where unknown, it is where it was."""
+        views, local = frame.views, frame.views.index.tolist()
+        if not local:
+            return views
+        camera, alive = self.cameras[frame.camera], state.alive.tolist()
+        tips = camera.to_camera(state.mean[0].reshape(-1, 3)).tolist()
+        away = [max(z, _NEAREST_M) for _, _, z in tips]
+        if any(alive):
+            hand_depths_m[frame.camera] = fmean(compress(away, alive))
+        depths = [away[k] if alive[k] else hand_depths_m[frame.camera] for k in local]
+        sure = [alive[k] and _spread_m2(state, k) <= self.loose_m**2 for k in local]
+        markers, areas_px = [self.hand.markers[k] for k in local], frame.area_px.tolist()
+        period_s = self.periods_s[frame.camera]
+        shift, doubt = self.paint.correct(frame.camera, markers, frame.t_s, areas_px, depths, period_s, sure)
+        if self.hand.base >= 0 and alive[self.hand.base]:
+            roots = self.hand.roots(tips, alive)
+            columns = [tips[k] for k in local], [roots[k] for k in local], [self.hand.reach_m[k] for k in local]
+            along = np.array(self.paint.along(frame.camera, markers, areas_px, *columns))
+            shift = shift + state.alive[views.index][:, None] * along
+        variance = (doubt * doubt + self.variance_of(frame.camera))[:, None] * ROUND
+        if self.time_variance:
+            velocity = state.mean[1].reshape(-1, 3)[views.index]
+            pace = velocity @ camera.R_camera_rig[:2].T / np.array(depths)[:, None]
+            variance += self.time_variance * pace[:, (0, 0, 1)] * pace[:, (0, 1, 1)]
+        return replace(views, xy=frame.seen_xy + shift, variance=variance)
+
+
+def _spread_m2(state: State, marker: int) -> float:
+    """Return the trace of the covariance of a marker's place, square metres."""
+    return float(state.P.diagonal()[3 * marker : 3 * marker + 3].sum())
