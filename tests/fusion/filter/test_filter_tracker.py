@@ -122,6 +122,16 @@ def test_looking_back_stays_on_the_path_where_nothing_is_calibrated(make_rig: Ma
     assert np.mean(np.array(ratio) < 2.0) > 0.9
 
 
+def test_slow_cameras_out_of_step_begin_a_hand(make_rig: MakeRig) -> None:
+    """At 15 frames per second and out of step by half a period, the first two views leave decimetres of depth open."""
+    rig = make_rig(pinhole_cameras(2), fusion=FILTER, rate_hz=15.0)
+    sets = run(FusionStage(rig), watch(rig, SLOW, 2.0, rate_hz=15.0, phase_s=0.033))
+    late = [points for points in sets if points.t_ns - EPOCH_NS > 1.0e9]
+    assert all(points.points[name].state == "measured" for points in late for name in MARKERS)
+    sigma_m = [point.sigma for points in sets for point in points.points.values()]
+    assert max(sigma_m) <= DEFAULT.track.lost_m, "what may be anywhere is not published"
+
+
 def test_a_marker_seen_by_one_camera_grows_less_sure(make_rig: MakeRig) -> None:
     rig = make_rig(fusion=FILTER)
     seen = watch(rig, Motion(), 1.4)

@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hands.pinholes import CAMERAS, FOCAL_PX
 
 from rhot.arrays import FloatArray
 from rhot_fusion.filter.birth import Birth
-from rhot_fusion.filter.lookback.smoother import Event, Frame, Node, smooth
+from rhot_fusion.filter.lookback.smoother import Correct, Event, Frame, Node, smooth
 from rhot_fusion.filter.settings import DEFAULT
-from rhot_fusion.filter.state import ROUND, Views
+from rhot_fusion.filter.state import ROUND, State, Views
 
 PERIOD_S, NOISE_PX, ROW_S = 1.0 / 60.0, 0.1, 0.002
 PLACE = np.array([0.02, -0.01, 0.7])
 BEGUN = 12
 
 
-def watched(off_px: dict[int, float], slack_px: float = 0.0, seen_from: int = 0) -> list[Node]:
+def as_they_are(frames: Sequence[Frame], _: Sequence[State]) -> list[Views]:
+    return [frame.views for frame in frames]
+
+
+def watched(
+    off_px: dict[int, float],
+    slack_px: float = 0.0,
+    seen_from: int = 0,
+    moved_m: float = 0.0,
+    correct: Correct = as_they_are,
+) -> list[Node]:
     """Return a marker at rest, seen by two cameras in turns and known from frame 12 on, as two views of it began it.
 
     Args:
         off_px: frame to how far its view is off, which did not move the marker live.
         slack_px: of all views.
         seen_from: the first frame that shows it.
+        moved_m: how much further off two views of frame 20 put it anew live, where it may well have moved.
+        correct: what is done to the views.
     """
     variance = ROUND[None] * (NOISE_PX / FOCAL_PX) ** 2
-    frames = []
+    frames: list[Frame] = []
     for number in range(30):
         camera = number % 2
         local = CAMERAS[camera].to_camera(PLACE[None])
@@ -39,10 +54,14 @@ def watched(off_px: dict[int, float], slack_px: float = 0.0, seen_from: int = 0)
         if number == BEGUN:
             birth = Birth(np.concatenate([PLACE, np.zeros(3)]), np.diag([1e-6] * 3 + [1e-2] * 3), 0.0)
             events = [Event(number * PERIOD_S, 0, birth, frames[-1])]
+        if number == 20 and moved_m:
+            where = PLACE + np.array([0.0, 0.0, moved_m])
+            birth = Birth(np.concatenate([where, np.zeros(3)]), np.diag([1e-6] * 3 + [1e-2] * 3), 0.0)
+            events = [Event(number * PERIOD_S, 0, birth, frames[-1], goes_on=True)]
         taken = np.full(len(views.index), number >= BEGUN - 1 and number not in off_px)
         area_px = np.zeros(len(views.index))
         frames.append(Frame(number * PERIOD_S, camera, views, taken, events, views.xy, area_px))
-    return smooth(frames, 1, DEFAULT, lambda frames, _: [frame.views for frame in frames])
+    return smooth(frames, 1, DEFAULT, correct)
 
 
 @pytest.mark.parametrize(("slack_px", "shown"), [(0.0, False), (1.5, True)])
@@ -66,3 +85,25 @@ def test_a_marker_is_carried_back_to_the_views_that_began_it_and_to_those_before
 def test_views_that_are_long_ago_are_left_alone() -> None:
     early = next(n for n, node in enumerate(watched({})) if np.isfinite(node.place[0, 0]))
     assert (BEGUN - 1 - early) * PERIOD_S <= DEFAULT.track.pair_s + 1e-9
+
+
+def test_a_marker_that_was_put_anew_live_goes_on() -> None:
+    nodes = watched({}, moved_m=0.05)
+    assert max(np.abs(node.place[0] - PLACE).max() for node in nodes[BEGUN:]) < 2e-3
+
+
+def test_views_are_understood_anew_by_the_path() -> None:
+    told = []
+
+    def nearer(frames: Sequence[Frame], states: Sequence[State]) -> list[Views]:
+        told.append(states[-1].mean[0, 2])
+        closer = PLACE * [1.0, 1.0, 0.9]
+        return [
+            replace(frame.views, xy=local[:, :2] / local[:, 2:])
+            for frame in frames
+            for local in [frame.views.camera.to_camera(closer[None])[: len(frame.views.index)]]
+        ]
+
+    nodes = watched({}, correct=nearer)
+    assert told == [pytest.approx(0.7, abs=1e-3)]
+    assert nodes[-1].place[0, 2] == pytest.approx(0.63, abs=1e-3)

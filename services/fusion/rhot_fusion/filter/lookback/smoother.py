@@ -8,8 +8,8 @@ likelihood estimates of linear dynamic systems", AIAA Journal 3(8), 1965):
     G = P F' P⁻¹(next, before),    x ← x + G (x(next) − x(next, before)),    P ← P + G (P(next) − P(next, before)) G'.
 
 What a camera saw of the markers' paint is then understood anew, by where they really were: live, a fast hand before
-slow cameras is often elsewhere than it was believed to be. Views that lie far from the smoothed path count less, and all is
-done once more.
+slow cameras is often elsewhere than it was believed to be. Views that lie far from the smoothed path count less, and
+all is done once more.
 """
 
 from __future__ import annotations
