@@ -146,9 +146,9 @@ def _forward(
     hand = JointFilter(count, settings.motion, settings.track.gate, refuses=False)
     steps, evidence = [], []
     begins = _begins(frames)
-    for place, (frame, own, scale) in enumerate(zip(frames, variance, scale2, strict=True)):
+    for number, (frame, own, scale) in enumerate(zip(frames, variance, scale2, strict=True)):
         new = np.zeros(count, dtype=bool)
-        for event in begins.get(place, ()):
+        for event in begins.get(number, ()):
             if not (event.goes_on and hand.state.alive[event.marker]):
                 _begin(hand, event, frame.t_s, settings)
                 new[event.marker] = True
@@ -167,15 +167,15 @@ def _forward(
 
 def _begins(frames: Sequence[Frame]) -> dict[int, list[Event]]:
     """Return by frame the events of markers that begin with its views."""
-    places = {id(frame): place for place, frame in enumerate(frames)}
+    places = {id(frame): number for number, frame in enumerate(frames)}
     begins: dict[int, list[Event]] = {}
     ended: dict[int, int] = {}
-    for place, frame in enumerate(frames):
+    for number, frame in enumerate(frames):
         for event in frame.events:
             if event.birth is None:
-                ended[event.marker] = place
+                ended[event.marker] = number
             else:
-                seen = place if event.first is None else min(places[id(event.first)], place)
+                seen = number if event.first is None else min(places[id(event.first)], number)
                 first = max(seen, ended.get(event.marker, -1) + 1)
                 begins.setdefault(first, []).append(event)
     return begins
@@ -203,11 +203,11 @@ def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSetti
         weight = weight / weight.sum()
         ahead.append(weight)
     behind, result = np.ones(len(shares)), []
-    for place in range(len(evidence) - 1, -1, -1):
-        both = ahead[place] * behind
+    for number in range(len(evidence) - 1, -1, -1):
+        both = ahead[number] * behind
         result.append(float(both @ scales2 / both.sum()))
-        seen = likelihood[place] * behind
-        behind = stay[place] * seen + (1.0 - stay[place]) * float(shares @ seen)
+        seen = likelihood[number] * behind
+        behind = stay[number] * seen + (1.0 - stay[number]) * float(shares @ seen)
         behind = behind / behind.max()
     return list(reversed(result))
 
@@ -215,9 +215,9 @@ def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSetti
 def _backward(steps: list[tuple[Step, BoolArray]]) -> list[State]:
     """Return the smoothed states of the steps; a marker (M,) that is new in one is another one than before."""
     states = [step.after for step, _ in steps]
-    for place in range(len(steps) - 2, -1, -1):
-        own, (following, new) = steps[place][0].after, steps[place + 1]
-        later = states[place + 1]
+    for number in range(len(steps) - 2, -1, -1):
+        own, (following, new) = steps[number][0].after, steps[number + 1]
+        later = states[number + 1]
         both = own.alive & following.before.alive & later.alive & ~new
         if not both.any():
             continue
@@ -229,7 +229,7 @@ def _backward(steps: list[tuple[Step, BoolArray]]) -> list[State]:
         x, S = own.x.copy(), own.P.copy()
         x[every] += gain @ (later.x - following.before.x)[rows]
         S[np.ix_(every, every)] += gain @ (later.P[np.ix_(rows, rows)] - before) @ gain.T
-        states[place] = State(own.t_s, x, S, own.weight, own.alive)
+        states[number] = State(own.t_s, x, S, own.weight, own.alive)
     return states
 
 
@@ -281,10 +281,10 @@ def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
 
 def _extend(frames: Sequence[Frame], nodes: list[Node], settings: FilterSettings) -> None:
     """Carry markers back from where they began to views before that fit."""
-    for place, events in _begins(frames).items():
+    for number, events in _begins(frames).items():
         for marker in {event.marker for event in events if not event.goes_on}:
-            first = nodes[place]
-            for before in range(place - 1, -1, -1):
+            first = nodes[number]
+            for before in range(number - 1, -1, -1):
                 node, earlier = nodes[before], frames[before]
                 mine = earlier.views.index == marker
                 dt = node.t_s - first.t_s
