@@ -257,15 +257,15 @@ def _seen(views: Views, place: FloatArray, velocity: FloatArray) -> tuple[FloatA
 def _on_path(frame: Frame, place: FloatArray, velocity: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return the squared Mahalanobis distance (N,) of a frame's views that tells which show a marker where it is.
 
-    As the gate of the live filter does, it allows for what hides some of a marker and, of a view that is not behind the
-    path, for the error (M, 3, 3) of the path itself.
+    As the gate of the live filter does, it allows for what hides some of a marker and for the error (M, 3, 3) of the
+    path itself.
     """
     views = frame.views
     xy, J = _seen(views, place, velocity)
     S = J @ covariance[views.index] @ np.swapaxes(J, 1, 2)
-    apart = np.where(frame.taken[:, None], 0.0, S.reshape(-1, 4)[:, (0, 1, 3)])
-    variance = views.variance + (views.slack * views.slack)[:, None] * ROUND + apart
-    return squared_distance(variance, views.xy - xy)
+    variance = views.variance + (views.slack * views.slack)[:, None] * ROUND + S.reshape(-1, 4)[:, (0, 1, 3)]
+    # What is added for hidden paint may be too much: a view shows its marker where it is seen, too.
+    return np.minimum(squared_distance(variance, views.xy - xy), squared_distance(variance, frame.seen_xy - xy))
 
 
 def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
