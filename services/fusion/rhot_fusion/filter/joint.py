@@ -20,12 +20,12 @@ from rhot_fusion.views.sightings import Upper
 
 _HUBER = 9.0
 """Squared Mahalanobis distance beyond which the variance of a view, or of its innovation, grows in proportion to it."""
-_FREEDOM = 60.0
-"""Degrees of freedom of that distribution. Looked back at, at 25 and 150 the ruler's rigs at 15 to 60 fps are alike within
-4 %; below, rendered pictures at 30 fps lose their fast grasps, and without bound the path of one of twelve rigs that were
-never calibrated, one blob in twenty of which is wrong, runs away for metres."""
 _BACK = 6.0
 """The same of a view of a marker that the camera had lost, beyond which the marker is elsewhere: 5 % by chance."""
+_FREEDOM = 60.0
+"""Degrees of freedom of Student's t, by which far views tell of the scale where nothing is refused. Between 25 and 150
+the ruler's rigs at 15 to 60 fps are alike within 4 %. Fewer lose fast grasps of rendered pictures at 30 fps. At 150 the
+path of one of twelve rigs that were never calibrated, one blob in twenty of which is wrong, runs away for metres."""
 _ADJOINT: FloatArray = np.array([1.0, -2.0, 1.0])
 _NEAREST_M = 0.05
 """A marker on or behind the image plane has no useful derivative; its innovation refuses it."""
@@ -228,12 +228,9 @@ class JointFilter:
         """Return the log-likelihood (K,) of each scale s, each marker by itself, its covariance being own + s² more."""
         S = own + self._scales2[:, None, None] * more
         nis = squared_distance(S, y)
-        if math.isfinite(self._limit):
-            # What no gate would pass tells of an outlier, not of a scale.
-            nis = np.minimum(nis, self._gate)
-        else:
-            # Where nothing is refused outliers are many, and a true view that lies far off tells much: Student's t.
-            nis = (_FREEDOM + 2.0) * np.log1p(nis / _FREEDOM)
+        # What no gate would pass tells of an outlier, not of a scale.
+        refuses = math.isfinite(self._limit)
+        nis = np.minimum(nis, self._gate) if refuses else (_FREEDOM + 2.0) * np.log1p(nis / _FREEDOM)
         evidence: FloatArray = -0.5 * (nis + np.log(determinant(S))).sum(axis=1)
         return evidence
 
