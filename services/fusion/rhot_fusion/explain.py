@@ -11,7 +11,7 @@ from rhot_fusion.filter.joint import squared_distance
 from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.state import ROUND
 from rhot_fusion.filter.tracker import FilterTracker
-from rhot_fusion.filter.tracks import Belief
+from rhot_fusion.filter.tracks import TrackStatus
 from rhot_fusion.views.sightings import Tracker
 
 
@@ -71,9 +71,9 @@ def _states(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[st
     rows = []
     for index, name in enumerate(markers):
         track = tracker.tracks[index]
-        if track.belief is not Belief.BELIEVED or outcome.covariance is None or outcome.state is None:
-            belief = f"not tracked ({track.belief.name.lower()})"
-            rows.append(ExplanationRow((name, belief, "", "", "", ""), "refused"))
+        if track.status is not TrackStatus.CONFIRMED or outcome.covariance is None or outcome.state is None:
+            status = f"not tracked ({track.status.name.lower()})"
+            rows.append(ExplanationRow((name, status, "", "", "", ""), "refused"))
             continue
         fresh = [camera for camera, seen in zip(cameras, outcome.seen, strict=True) if seen[index]]
         xx, _, _, yy, _, zz = outcome.covariance[index]

@@ -19,7 +19,7 @@ from rhot_fusion.filter.candidates import Candidates
 from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.lookback.record import HandRecord
 from rhot_fusion.filter.settings import FilterSettings, TrackSettings
-from rhot_fusion.filter.tracks import Belief, Track
+from rhot_fusion.filter.tracks import Track, TrackStatus
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.sightings import Sightings
@@ -147,7 +147,7 @@ class Acquisition:
         moment_s = max(t_s, hand.filter.state.t_s) if len(place) else t_s
         near = self._candidates.near(marker, t_s)
         birth = self._together(marker, near, moment_s, velocity)
-        if birth is not None and track.belief is not Belief.TENTATIVE:
+        if birth is not None and track.status is not TrackStatus.TENTATIVE:
             if track.look_elsewhere(settings):
                 self._begin(marker, birth, moment_s, near)
         elif birth is None and len(near) == 1 and len(place) >= settings.fewest:

@@ -24,7 +24,7 @@ from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
 from rhot_fusion.filter.state import ROUND, Innovation, State, Views
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.filter.tracks import Belief, Track, outcome_of, within_hand
+from rhot_fusion.filter.tracks import Track, TrackStatus, outcome_of, within_hand
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
@@ -150,9 +150,9 @@ class FilterTracker:
             places = state.mean[0].reshape(-1, 3).tolist()
             for marker, place, own in zip(hand.markers, places, hand.filter.own(state), strict=True):
                 track = self.tracks[marker]
-                if track.belief is Belief.BELIEVED:
+                if track.status is TrackStatus.CONFIRMED:
                     position[marker], covariance[marker], shown[marker] = place, own, track.views(since_s)
-            known = [marker for marker in hand.markers if self.tracks[marker].belief is Belief.BELIEVED]
+            known = [marker for marker in hand.markers if self.tracks[marker].status is TrackStatus.CONFIRMED]
             within_hand(position, covariance, known, shown, self._middle, self._settings.track.extent_m)
             for marker in known:
                 xx, _, _, yy, _, zz = covariance[marker]
@@ -316,5 +316,5 @@ class FilterTracker:
                 self.tracks[marker].accept(sightings.camera, sightings.t_s, self._settings.track)
             else:
                 self._counts["refused"] += 1
-                if self.tracks[marker].belief is Belief.TENTATIVE:
+                if self.tracks[marker].status is TrackStatus.TENTATIVE:
                     self._acquisition.end(marker)

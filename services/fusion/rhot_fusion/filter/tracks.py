@@ -1,7 +1,7 @@
-"""Which markers are believed, and since when: the one place where that changes.
+"""Status of each marker's track, and the one place where it changes.
 
 A marker is `absent` until two cameras' views agree on a place, or one camera keeps seeing it while its hand is known;
-then it is `tentative` until further views agree, and `believed` until nothing has shown it for a while.
+then it is `tentative` until further views agree, and `confirmed` until nothing has shown it for a while.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from rhot_fusion.views.sightings import Outcome, Upper
 from rhot_fusion.views.vectors import Vector, unit
 
 
-class Belief(IntEnum):
-    """How far a marker is believed."""
+class TrackStatus(IntEnum):
+    """Whether a track is published: only confirmed ones are."""
 
     ABSENT = 0
     TENTATIVE = 1
-    BELIEVED = 2
+    CONFIRMED = 2
 
 
 @dataclass(slots=True)
@@ -35,7 +35,7 @@ class Track:
 
     Attributes:
         cameras: how many there are.
-        belief: how far it is believed.
+        status: absent, tentative or confirmed.
         agreed: views that agreed since it began.
         elsewhere: how many pairs of views in a row agreed on another place.
         alone: views in a row of a marker that is absent, by one camera.
@@ -45,7 +45,7 @@ class Track:
     """
 
     cameras: int
-    belief: Belief = Belief.ABSENT
+    status: TrackStatus = TrackStatus.ABSENT
     agreed: int = 0
     elsewhere: int = 0
     alone: int = 0
@@ -55,7 +55,7 @@ class Track:
 
     def begin(self, t_s: float, frames_s: dict[int, float], settings: TrackSettings) -> None:
         """Begin it by views of cameras in frames of these times."""
-        self.belief = Belief.BELIEVED if settings.confirmations == 0 else Belief.TENTATIVE
+        self.status = TrackStatus.CONFIRMED if settings.confirmations == 0 else TrackStatus.TENTATIVE
         self.agreed = self.elsewhere = self.alone = 0
         self.accepted_s = [frames_s.get(camera, -np.inf) for camera in range(self.cameras)]
         self.seen_s = t_s
@@ -63,13 +63,13 @@ class Track:
     def look_elsewhere(self, settings: TrackSettings) -> bool:
         """Take two views that agree on a place where it is not known to be; tell whether it is to begin there."""
         self.elsewhere += 1
-        return self.belief is Belief.ABSENT or self.elsewhere >= settings.relocations
+        return self.status is TrackStatus.ABSENT or self.elsewhere >= settings.relocations
 
     def see_alone(self, t_s: float, longest_gap_s: float, settings: TrackSettings) -> bool:
         """Take a view of one camera that nothing agrees with; tell whether it is to begin on its ray."""
         self.alone = self.alone + 1 if t_s - self.alone_s <= longest_gap_s else 1
         self.alone_s = t_s
-        return self.belief is Belief.ABSENT and self.alone >= settings.ray_views
+        return self.status is TrackStatus.ABSENT and self.alone >= settings.ray_views
 
     def accept(self, camera: int, t_s: float, settings: TrackSettings) -> None:
         """Take a view that agrees."""
@@ -78,11 +78,11 @@ class Track:
         self.accepted_s[camera] = t_s
         self.seen_s = max(self.seen_s, t_s)
         if self.agreed >= settings.confirmations:
-            self.belief = Belief.BELIEVED
+            self.status = TrackStatus.CONFIRMED
 
     def end(self, cameras: int) -> None:
         """Forget it, before so many cameras."""
-        self.belief = Belief.ABSENT
+        self.status = TrackStatus.ABSENT
         self.agreed = self.elsewhere = self.alone = 0
         self.accepted_s = [-np.inf] * cameras
         self.seen_s = -np.inf
