@@ -52,13 +52,30 @@ def test_a_small_difference_is_hardly_hidden_paint_and_a_large_one_is_all_of_it(
 
 def test_views_that_show_unlike_shares_of_the_paint_do_not_measure_it() -> None:
     paint = half_hidden(60.0)[0]
-    assert paint.unlike(0) == pytest.approx(0.5, abs=0.01)
-    assert paint.unlike(0) > DEFAULT.paint.unlike
-    # A view that is a tenth of a second old is compared with nothing.
-    paint.correct(0, [0], 1.0, [100.0], [0.8], 1.0 / 60.0, [True])
-    assert paint.unlike(0) == 0.0
+    assert not paint.is_settled(0, [True, True])
     blind = Paint(CAMERAS, np.full(2, 0.0065), DEFAULT.paint)
-    assert blind.unlike(0) == blind.unlike(1) == 0.0, "where no areas are told, none differ"
+    for k in (0, 1):
+        blind.correct(k, [0, 1], 0.0, [0.0, 0.0], [0.8, 0.8], 1.0 / 60.0, [True, True])
+    assert blind.is_settled(0, [True, True]), "where no areas are told, none differ"
+
+
+@pytest.mark.parametrize(("areas", "measured"), [((140.0, 140.0, 70.0), True), ((140.0, 70.0, 70.0), False)])
+def test_two_views_alike_measure_what_a_third_shows_from_aside(
+    areas: tuple[float, float, float], measured: bool
+) -> None:
+    paint = Paint([*CAMERAS, CAMERAS[1]], np.full(1, 0.0065), DEFAULT.paint)
+    for number in range(20):
+        for camera, area in enumerate(areas):
+            paint.correct(camera, [0], number / 60.0 + 0.002 * camera, [area], [0.8], 1.0 / 60.0, [True])
+    assert paint.is_settled(0, [True, True, True]) is measured
+    assert not paint.is_settled(0, [True, False, True]), "a half-hidden view beside a whole one"
+
+
+def test_a_view_of_long_ago_is_compared_with_nothing() -> None:
+    paint = half_hidden(60.0)[0]
+    paint.correct(0, [0], 1.0, [100.0], [0.8], 1.0 / 60.0, [True])
+    paint.correct(0, [0], 1.017, [100.0], [0.8], 1.0 / 60.0, [True])
+    assert paint.is_settled(0, [True, True])
 
 
 def test_what_hides_paint_for_many_frames_is_not_averaged_away() -> None:
@@ -134,7 +151,6 @@ def test_paint_that_has_grown_much_since_the_frame_before_is_not_settled() -> No
     for t_s, area in ((0.0, 150.0), (0.5, 70.0), (0.517, 140.0)):
         for k in (0, 1):
             paint.correct(k, [0], t_s, [area], [0.8], 1.0 / 60.0, [True])
-    assert paint.unlike(0) == pytest.approx(0.0, abs=1e-9)
     assert not paint.is_settled(0, [True, True]), "it comes out from behind something"
     for t_s in (0.533, 0.55, 0.567):
         for k in (0, 1):

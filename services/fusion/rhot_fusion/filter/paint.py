@@ -240,19 +240,19 @@ class Paint:
         shown.t_s, shown.newest_m, shown.own = t_s, width_m, known
 
     def is_settled(self, marker: int, seen: Sequence[bool]) -> bool:
-        """Tell whether what cameras that see a marker (C,) show of it neither changes nor differs much."""
-        settings = self._settings
-        for shown, sees in zip(self._shown[marker], seen, strict=True):
-            if sees and (shown.changing > settings.settled or shown.step > settings.unlike):
-                return False
-        return self.unlike(marker) <= settings.unlike
+        """Tell whether two cameras that see a marker (C,) show alike of it, without change: as many as measure it.
 
-    def unlike(self, marker: int) -> float:
-        """Return the share of the paint in a marker's fullest newest view that the poorest does not show, 0 to 1."""
-        every = self._shown[marker]
-        since_s = max(shown.t_s for shown in every) - self._settings.compare_s
-        widths = [shown.width_m for shown in every if shown.t_s >= since_s]
-        return _unlike(min(widths), max(widths))
+        A third one may show less of it from aside: its views are corrected and doubted by themselves.
+        """
+        settings = self._settings
+        views = [shown for shown, sees in zip(self._shown[marker], seen, strict=True) if sees]
+        calm = [shown for shown in views if shown.changing <= settings.settled and shown.step <= settings.unlike]
+        if len(calm) < 2:
+            return False
+        since_s = max(shown.t_s for shown in views) - settings.compare_s
+        widths = sorted(shown.width_m for shown in calm if shown.t_s >= since_s)
+        # Views of long ago are compared with nothing: a slow camera's.
+        return len(widths) < 2 or _unlike(*widths[-2:]) <= settings.unlike
 
     def doubt_back(self, marker: int, depth_m: float) -> float:
         """Return how far what is seen of a marker may be off its middle when it comes back: normalised units.
