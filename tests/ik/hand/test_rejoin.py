@@ -27,6 +27,20 @@ def test_a_finger_that_is_led_in_arrives_by_bounded_steps(right_hand: HandModel)
     assert not left_s.any()
 
 
+def test_a_finger_is_led_in_for_as_long_at_fewer_samples_a_second(right_hand: HandModel) -> None:
+    kinematics = HandKinematics(FingerGeometry.of(right_hand, {}))
+    took_s = []
+    for rate_hz in (60, 15):
+        shown, left_s = np.zeros((5, 4)), np.full(5, SETTINGS.lasts_s)
+        known = np.radians(np.tile([50.0, 0.0, 50.0, 33.0], (5, 1)))
+        samples = 0
+        while left_s.any():
+            shown, left_s = rejoined(kinematics, known, shown, left_s, 1 / rate_hz, SETTINGS)
+            samples += 1
+        took_s.append(samples / rate_hz)
+    assert took_s[1] < took_s[0] + 2 / 15
+
+
 def test_a_finger_that_goes_as_fast_as_hands_do_is_not_held_back(right_hand: HandModel) -> None:
     """Led in, at 0.2 m/s of its tip and 60 samples a second."""
     geometry = FingerGeometry.of(right_hand, {})

@@ -21,6 +21,8 @@ class RejoinSettings:
     """How fast a guess gives way to what is seen.
 
     Attributes:
+        usual_s: the usual time from one sample to the next, for which the three that follow hold: two cameras at 30
+            frames a second. Where samples are further apart, they grow as that does: a finger is not led in for longer.
         step_m: a tip's marker goes no further than this on the palm from one sample to the next; joints beside it go
             up to a third further; a step beyond the true motion was to stay below 10 mm (`rhot evaluate motion`).
         first_m, share: nor further than this much and this share of what is left of its way, so that it sets out and
@@ -33,6 +35,7 @@ class RejoinSettings:
         sure_m: a marker known no better than this, the worst way, has not come back yet: one camera sees it.
     """
 
+    usual_s: float = 1.0 / 60.0
     step_m: float = 0.0058
     first_m: float = 0.003
     share: float = 0.2
@@ -71,7 +74,8 @@ def rejoined(
     led: BoolArray = (left_s > 0.0) | (gap_m > least_m)
     if not led.any():
         return estimated, left_s
-    most_m = np.minimum(settings.step_m, settings.first_m + settings.share * gap_m) + settings.speed_m_s * dt_s
+    steps = max(1.0, dt_s / settings.usual_s)
+    most_m = steps * np.minimum(settings.step_m, settings.first_m + settings.share * gap_m) + settings.speed_m_s * dt_s
     for _ in range(2):
         # A share of the angles is not the same share of the way: what is too far still is shortened once more.
         shorter = np.minimum(1.0, most_m / np.maximum(np.sqrt((way * way).sum(-1)), _NONE_M))
