@@ -50,6 +50,21 @@ def test_a_small_difference_is_hardly_hidden_paint_and_a_large_one_is_all_of_it(
     assert least * strip_px <= shift[0, 0] * FOCAL_PX <= most * strip_px
 
 
+def test_paint_that_no_camera_shows_leaves_its_middle_open() -> None:
+    """A tip may bend away and show 0.59 of its area; of what shows a quarter, three fifths of that are missing."""
+    paint = Paint(CAMERAS, np.array([0.0065, 0.0]), DEFAULT.paint)
+    width_m = 10.0 / FOCAL_PX * 0.8
+    found = []
+    for number, share in enumerate([1.0, 0.7, 0.25]):
+        for camera in (0, 1):
+            t_s, areas_px = number + 0.005 * camera, [100.0 * share] * 2
+            paint.correct(camera, [0, 1], t_s, areas_px, [0.8] * 2, 1.0 / 60.0, [True] * 2)
+        found.append(paint.hidden_m2(0) ** 0.5)
+        assert paint.hidden_m2(1) == 0.0, "a patch has a doubt of its own"
+    assert found[:2] == [0.0, 0.0]
+    assert found[2] == pytest.approx(0.5 * (1.0 - 0.25 / 0.588) * width_m, rel=0.1)
+
+
 def test_views_that_show_unlike_shares_of_the_paint_do_not_measure_it() -> None:
     paint = half_hidden(60.0)[0]
     assert not paint.is_settled(0, [True, True])

@@ -75,6 +75,7 @@ class Paint:
         share = (shaft * np.sqrt(1.0 - cosine**2) + end * (1.0 + cosine)) / (shaft + end)
         self._share: list[float] = share.tolist()
         self._cosine: list[float] = cosine.tolist()
+        self._least_share = float(np.interp(settings.most_bend, cosine, share))
         # What a finger bent as usual shows of its width when seen from the side.
         self._usual = float(np.sqrt(np.interp(settings.first_bend, cosine, share)))
         # Root of the area of a tip seen from the side, painted over `CAP_LENGTH_M`; the rim of it is mixed with what is
@@ -253,6 +254,22 @@ class Paint:
         widths = sorted(shown.width_m for shown in calm if shown.t_s >= since_s)
         # Views of long ago are compared with nothing: a slow camera's.
         return len(widths) < 2 or _unlike(*widths[-2:]) <= settings.unlike
+
+    def hidden_m2(self, marker: int) -> float:
+        """Return the variance of a fingertip's middle for paint that no camera shows, each axis, square metres.
+
+        What bends away shows less, too; what is missing beyond that is hidden, nobody knows on which side.
+        """
+        largest, full = self._largest_m[marker], 0.0
+        if not largest or self._radius_m[marker] <= 0.0:
+            return 0.0
+        every = self._shown[marker]
+        since_s = max(shown.t_s for shown in every) - self._settings.compare_s
+        for shown in every:
+            if shown.t_s >= since_s and shown.width_m > full:
+                full = shown.width_m
+        lost = 1.0 - (full / largest) ** 2 / self._least_share
+        return (self._settings.hidden * lost * largest) ** 2 if lost > 0.0 and full > 0.0 else 0.0
 
     def doubt_back(self, marker: int, depth_m: float) -> float:
         """Return how far what is seen of a marker may be off its middle when it comes back: normalised units.

@@ -143,7 +143,6 @@ class FilterTracker:
         # A camera shows what its newest frame does, as long as that is fresh.
         newest_s, nobody = zip(self._schedule.newest_s, self._fresh_s(), strict=True), [False] * len(self._cameras)
         since_s = [seen_s if t_s - seen_s <= lasts else math.inf for seen_s, lasts in newest_s]
-        lost_m2 = self._settings.track.lost_m**2
         position, covariance, shown = [NOWHERE] * self._count, [NOTHING] * self._count, [nobody] * self._count
         for hand in self._hands:
             state = hand.filter.predicted(then_s)
@@ -156,11 +155,12 @@ class FilterTracker:
             within_hand(position, covariance, known, shown, self._middle, self._settings.track.extent_m)
             for marker in known:
                 xx, _, _, yy, _, zz = covariance[marker]
-                if xx + yy + zz > lost_m2:
+                if xx + yy + zz > self._settings.track.lost_m**2:
                     position[marker] = NOWHERE
         settled = [self._paint.is_settled(marker, sees) for marker, sees in enumerate(shown)]
         seen = [list(column) for column in zip(*shown, strict=True)]
-        outcome = outcome_of(then_s, position, covariance, seen, self._systematic, settled, self._settings.track)
+        rest = settled, self._settings.track, [self._paint.hidden_m2(marker) for marker in range(self._count)]
+        outcome = outcome_of(then_s, position, covariance, seen, self._systematic, *rest)
         self._counts["measured"] += sum(outcome.measured)
         return outcome
 

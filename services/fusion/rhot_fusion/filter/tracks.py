@@ -147,10 +147,12 @@ def outcome_of(
     systematic: Systematic,
     settled: Sequence[bool] | None = None,
     settings: TrackSettings = DEFAULT.track,
+    hidden_m2: Sequence[float] | None = None,
 ) -> Outcome:
     """Return markers at positions (M,), NaN = absent, with covariances (M,), seen by cameras (C, M).
 
-    Two cameras that see a marker measure it if its place has become certain by that.
+    Two cameras that see a marker measure it if its place has become certain by that. What is hidden from all of them
+    adds variances (M,) to each axis, square metres, which no frame makes smaller.
     """
     sigmas, views, measured = [], [], []
     whole: list[Upper] = []
@@ -160,6 +162,8 @@ def outcome_of(
         count = sum(sees)
         state = state_of(count, calm[marker] and xx + yy + zz <= settings.measured_m**2)
         a, b, c, d, e, f = systematic.covariance(marker, place)
+        if hidden_m2 is not None:
+            a, d, f = a + hidden_m2[marker], d + hidden_m2[marker], f + hidden_m2[marker]
         whole.append((xx + a, xy + b, xz + c, yy + d, yz + e, zz + f))
         sigmas.append(math.sqrt(max(xx + a + yy + d + zz + f, 0.0)))
         views.append(count)
