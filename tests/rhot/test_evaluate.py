@@ -93,11 +93,11 @@ def test_coverage_counts_what_two_cameras_see_and_what_was_measured_of_it(world:
     run = collected(world, (0.0, 0.0, 0.0), 0.0)
     times = np.arange(1.0, 3.0, 0.1)
     cameras = {"left": Camera(), "right": Camera()}
-    found = coverage(cameras, times, run.points, TIMES_S)  # type: ignore[arg-type]
+    found = coverage(cameras, times, run.points, TIMES_S, 60.0)  # type: ignore[arg-type]
     assert found.samples == 20 + 10, "the index in all moments, the ring in half of them, the thumb never"
     assert found.by_marker == {"index": 1.0, "ring": 0.0}
     assert found.measured == pytest.approx(20 / 30)
-    late = coverage(cameras, times, run.points, TIMES_S + 10.0)  # type: ignore[arg-type]
+    late = coverage(cameras, times, run.points, TIMES_S + 10.0, 60.0)  # type: ignore[arg-type]
     assert late.measured == 0.0
 
 

@@ -18,8 +18,8 @@ VISIBLE_SHARE: Final = 0.25
 
 Skin hides the rear of a painted fingertip: an unhidden one shows about half of its silhouette.
 """
-_NEAR_S: Final = 0.025
-"""A sample is tracked when a point set lies this near to it: one and a half frames at 60 Hz."""
+_NEAR_FRAMES: Final = 1.5
+"""A sample is tracked when a point set lies this near to it, in frames of a camera."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +53,7 @@ def coverage(
     times_s: NDArray[np.float64],
     points: Sequence[PointsSample],
     points_t_s: NDArray[np.float64],
+    rate_hz: float,
 ) -> Coverage:
     """Compare what could be seen with what was reported.
 
@@ -61,12 +62,13 @@ def coverage(
         times_s: (N,) moments to look at, seconds since the start.
         points: reported point sets in order of time.
         points_t_s: (M,) their times, seconds since the start.
+        rate_hz: of the cameras.
     """
     visible: Counter[str] = Counter()
     measured: Counter[str] = Counter()
     reported: Counter[str] = Counter()
     for t_s in times_s.tolist():
-        near = np.flatnonzero(np.abs(points_t_s - t_s) <= _NEAR_S)
+        near = np.flatnonzero(np.abs(points_t_s - t_s) <= _NEAR_FRAMES / rate_hz)
         nearest = [points[int(row)] for row in near[np.argsort(np.abs(points_t_s[near] - t_s))][:2]]
         for name in visible_to_two(cameras, t_s):
             visible[name] += 1

@@ -79,12 +79,13 @@ class SimRun(WatchedRun):
         services = service_figures(self._before, self._after)
         if "latency_ms" in figures:
             figures["latency_ms"]["parts"] = latency_parts(services["services"])
-        points = self._collected.points
+        points, rate_hz = self._collected.points, next(iter(config.cameras.values())).rate_hz
         covered = coverage(
             {name: MarkerCoverage(camera, self._world) for name, camera in true_cameras(self._rig).items()},
             np.linspace(from_s, to_s - 0.25, _COVERAGE_MOMENTS),
             points,
             seconds_since(self._start_t_ns, [sample.t_ns for sample in points]),
+            rate_hz,
         )
         return {
             "version": 1,
@@ -92,7 +93,7 @@ class SimRun(WatchedRun):
             "steady_from_s": from_s,
             "seed": config.sim.seed,
             "cameras": list(config.cameras),
-            "camera_rate_hz": next(iter(config.cameras.values())).rate_hz,
+            "camera_rate_hz": rate_hz,
             "method": config.fusion.method,
             "coverage": covered.measured,
             "coverage_reported": covered.reported,
