@@ -273,7 +273,7 @@ def test_a_straight_finger_reaches_as_far_as_its_model(make_rig: MakeRig) -> Non
     for k, marker in enumerate(hand.markers):
         name = list(rig.config.markers)[marker]
         hand.filter.begin(k, np.concatenate([places[name], np.zeros(3)]), np.eye(6), 0.0)
-    everywhere = [vector(place) for place in hand.filter.place]
+    everywhere = [vector(place) for place in hand.filter.position]
     roots = hand.roots(everywhere, [True] * len(everywhere))
     for marker, tip, root, reach_m in zip(hand.markers, everywhere, roots, hand.reach_m, strict=True):
         name = list(rig.config.markers)[marker]

@@ -75,7 +75,7 @@ def run(
         frames.append(Frame(t_s, c, views, np.ones(COUNT, dtype=bool), events, xy, np.zeros(COUNT)))
         P = hand.state.covariance.reshape(2, COUNT, 3, 2, COUNT, 3)[0][index, :, 0][index, :, index]
         times.append(t_s)
-        errors.append(hand.place - path(t_s))
+        errors.append(hand.position - path(t_s))
         covariances.append(P)
     return Run(np.array(times), np.array(errors), np.array(covariances), frames)
 
@@ -99,7 +99,7 @@ def test_looking_back_is_better_than_looking_ahead() -> None:
     done = run(0.1, 30.0)
     nodes: list[Node] = smooth(done.frames, COUNT, DEFAULT, lambda frames, _: [frame.views for frame in frames])
     late = done.t_s > 0.5
-    back = np.array([node.place - truth(node.t_s) for node in nodes])[late]
+    back = np.array([node.position - truth(node.t_s) for node in nodes])[late]
     assert np.median(np.linalg.norm(back, axis=2)) < 0.7 * np.median(np.linalg.norm(done.error[late], axis=2))
     assert np.percentile(np.linalg.norm(back, axis=2), 95) < 4e-3
     inside = nees(back, np.array([node.covariance[:, :3, :3] for node in nodes])[late]) < 8.02
@@ -121,7 +121,7 @@ def test_a_hidden_marker_goes_with_its_hand() -> None:
             CAMERAS[number % 2], index, np.zeros(5), local[:, :2] / local[:, 2:], variance, np.zeros(COUNT - 1)
         )
         hand.step(t_s, views)
-    assert np.linalg.norm(hand.place[0] - truth(0.0)[0] - [0.025, 0.0, 0.0]) < 0.03
+    assert np.linalg.norm(hand.position[0] - truth(0.0)[0] - [0.025, 0.0, 0.0]) < 0.03
     assert np.linalg.norm(hand.velocity[0]) < 0.2
 
 
@@ -137,7 +137,7 @@ def test_an_outlier_is_refused_and_leaves_no_trace() -> None:
         1.0 / 60.0, Views(CAMERAS[0], np.arange(COUNT), np.zeros(COUNT), xy, variance, np.zeros(6))
     )
     assert innovation.accepted.tolist() == [True, True, False, True, True, True]
-    assert np.linalg.norm(hand.place - truth(0.0), axis=1).max() < 1e-3
+    assert np.linalg.norm(hand.position - truth(0.0), axis=1).max() < 1e-3
 
 
 def test_a_covariance_that_rounding_has_eaten_ends_nothing() -> None:
@@ -247,7 +247,7 @@ def test_what_comes_back_elsewhere_is_believed_rather_than_foretold() -> None:
             hand.step(
                 number / 120.0, Views(one, np.arange(COUNT), np.zeros(COUNT), xy, variance, np.zeros(COUNT), marks)
             )
-        errors.append(float(np.linalg.norm(hand.place[0] - place[0])))
+        errors.append(float(np.linalg.norm(hand.position[0] - place[0])))
     assert errors[1] < 0.6 * errors[0]
 
 

@@ -74,22 +74,22 @@ def test_a_view_that_is_off_for_what_hides_it_still_shows_its_marker(slack_px: f
 
 def test_a_marker_is_carried_back_to_the_views_that_began_it_and_to_those_before_that_fit() -> None:
     nodes = watched({8: 30.0}, seen_from=6)
-    carried = [n for n, node in enumerate(nodes) if np.isfinite(node.place[0, 0])]
+    carried = [n for n, node in enumerate(nodes) if np.isfinite(node.position[0, 0])]
     # Frame 11 began it, though its row came after its moment; frame 8 shows something else.
     assert carried == [6, 7, 9, 10, *range(11, 30)]
     assert all(nodes[n].shown[0] for n in carried)
-    assert max(np.abs(nodes[n].place[0] - PLACE).max() for n in carried) < 2e-3
+    assert max(np.abs(nodes[n].position[0] - PLACE).max() for n in carried) < 2e-3
     assert nodes[6].covariance[0, 2, 2] > nodes[10].covariance[0, 2, 2], "the longer ago, the less sure"
 
 
 def test_views_that_are_long_ago_are_left_alone() -> None:
-    early = next(n for n, node in enumerate(watched({})) if np.isfinite(node.place[0, 0]))
+    early = next(n for n, node in enumerate(watched({})) if np.isfinite(node.position[0, 0]))
     assert (BEGUN - 1 - early) * PERIOD_S <= DEFAULT.track.pair_s + 1e-9
 
 
 def test_a_marker_that_was_put_anew_live_goes_on() -> None:
     nodes = watched({}, moved_m=0.05)
-    assert max(np.abs(node.place[0] - PLACE).max() for node in nodes[BEGUN:]) < 2e-3
+    assert max(np.abs(node.position[0] - PLACE).max() for node in nodes[BEGUN:]) < 2e-3
 
 
 def test_views_are_understood_anew_by_the_path() -> None:
@@ -106,4 +106,4 @@ def test_views_are_understood_anew_by_the_path() -> None:
 
     nodes = watched({}, correct=nearer)
     assert told == [pytest.approx(0.7, abs=1e-3)]
-    assert nodes[-1].place[0, 2] == pytest.approx(0.63, abs=1e-3)
+    assert nodes[-1].position[0, 2] == pytest.approx(0.63, abs=1e-3)

@@ -79,7 +79,7 @@ class Acquisition:
     Attributes:
         config: volume, and how long a marker is held that nothing shows; it may be replaced.
         tracks: (M,) of all markers.
-        hand_of: of each marker its hand and its place among that hand's markers.
+        hand_of: of each marker its hand and its index among that hand's markers.
         begun: how many times a marker began; states from before are not comparable.
     """
 
@@ -138,22 +138,22 @@ class Acquisition:
         return float(away @ np.linalg.solve(S, away)) <= self._settings.gate
 
     def seek(self, marker: int, camera: int, t_s: float) -> None:
-        """Look whether a view that moved no marker and another camera's newest one agree on a place."""
+        """Look whether a view that moved no marker and another camera's newest one agree on a position."""
         settings, track = self._settings, self.tracks[marker]
         hand, _ = self.hand_of[marker]
         alive = hand.filter.state.alive
-        place = hand.filter.place[alive]
-        velocity = hand.filter.velocity[alive].mean(axis=0) if len(place) else np.zeros(3)
-        moment_s = max(t_s, hand.filter.state.t_s) if len(place) else t_s
+        positions = hand.filter.position[alive]
+        velocity = hand.filter.velocity[alive].mean(axis=0) if len(positions) else np.zeros(3)
+        moment_s = max(t_s, hand.filter.state.t_s) if len(positions) else t_s
         near = self._candidates.near(marker, t_s)
         birth = self._together(marker, near, moment_s, velocity)
         if birth is not None and track.status is not TrackStatus.TENTATIVE:
             if track.look_elsewhere(settings):
                 self._begin(marker, birth, moment_s, near)
-        elif birth is None and len(near) == 1 and len(place) >= settings.fewest:
+        elif birth is None and len(near) == 1 and len(positions) >= settings.fewest:
             gap_s = settings.lost_periods * self._schedule.longest_period_s
             if track.see_alone(t_s, gap_s, settings):
-                middle = place.mean(axis=0)
+                middle = positions.mean(axis=0)
                 ray = on_ray(near[camera], middle, velocity, settings.ray_sigma_m, settings.speed_sigma)
                 if np.linalg.norm(ray.mean[:3] - middle) <= settings.ray_reach_m:
                     self._begin(marker, ray, moment_s, near)
@@ -172,7 +172,8 @@ class Acquisition:
         (x0, y0, z0), (x1, y1, z1) = self.config.volume_m
         hold_s, lost_m2 = self.config.hold_s, self._settings.lost_m**2
         for hand in self._hands:
-            columns = hand.markers, hand.filter.state.alive.tolist(), hand.filter.place.tolist(), hand.filter.spread_m2
+            known = hand.filter.state.alive.tolist()
+            columns = hand.markers, known, hand.filter.position.tolist(), hand.filter.spread_m2
             for marker, alive, (x, y, z), spread_m2 in zip(*columns, strict=True):
                 inside = x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1
                 if not alive:
@@ -208,7 +209,7 @@ class Acquisition:
         count = len(self.tracks)
         known, alive = np.zeros((count, 3)), np.zeros(count, dtype=bool)
         for hand in self._hands:
-            known[hand.index], alive[hand.index] = hand.filter.place, hand.filter.state.alive
+            known[hand.index], alive[hand.index] = hand.filter.position, hand.filter.state.alive
         return known, alive
 
 

@@ -2,7 +2,8 @@
 
 The state (p, v) behind views (x_k, y_k) at times t_k, with a prior of the velocity, by Gauss–Newton on the reprojection
 error; its covariance is the inverse of the information (Hartley and Zisserman, "Multiple View Geometry", 2nd ed.,
-section 5.2.3). Two views have four numbers for three of a place: what is left over tells whether they belong together.
+section 5.2.3). Two views have four numbers for the three of a position: what is left over tells whether they belong
+together.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class Birth:
     """A marker's first state.
 
     Attributes:
-        mean: (6,) place and velocity.
+        mean: (6,) position, metres, and velocity.
         covariance: (6, 6).
         misfit: squared residuals in variances, the prior's included; chi-square of as many degrees as there are numbers
             in the views beyond three.
@@ -58,7 +59,7 @@ class Birth:
 
 
 def from_views(views: Sequence[View], t_s: float, velocity: FloatArray, speed_sigma: float) -> Birth | None:
-    """Return the state at a moment behind two views or more; None where they tell no place before the cameras.
+    """Return the state at a moment behind two views or more; None where they give no position before the cameras.
 
     Args:
         views: of two cameras or more.

@@ -43,8 +43,8 @@ class Candidates:
         self, camera: int, markers: Sequence[int], times_s: Sequence[float], xy: FloatArray, variances: Sequence[float]
     ) -> None:
         """Take a camera's newest views (N, 2) of markers (N,), of these times and variances (N,)."""
-        for marker, t_s, place, variance in zip(markers, times_s, xy, variances, strict=True):
-            self._newest[marker][camera] = t_s, place, variance
+        for marker, t_s, view, variance in zip(markers, times_s, xy, variances, strict=True):
+            self._newest[marker][camera] = t_s, view, variance
 
     def near(self, marker: int, t_s: float) -> dict[int, View]:
         """Return, by camera, the newest views of a marker that were taken about a moment."""
@@ -85,14 +85,14 @@ class Candidates:
             self._counts["behind_cameras"] += 1
             return None
         low, high = volume_m
-        place = birth.mean[:3]
+        position = birth.mean[:3]
         others = alive.copy()
         others[marker] = False
         believable = (
             birth.misfit <= settings.birth_gate + 2.0 * (len(views) - 2)
-            and bool(((place >= low) & (place <= high)).all())
-            and bool(self._coherence.near(np.array([marker]), place[None], known, others)[0])
-            and not (np.linalg.norm(known[others] - place, axis=1) < settings.occupied_m).any()
+            and bool(((position >= low) & (position <= high)).all())
+            and bool(self._coherence.near(np.array([marker]), position[None], known, others)[0])
+            and not (np.linalg.norm(known[others] - position, axis=1) < settings.occupied_m).any()
         )
         self._counts["gated"] += not believable
         return birth if believable else None

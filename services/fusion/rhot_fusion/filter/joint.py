@@ -66,10 +66,10 @@ class JointFilter:
         self.state = State(-np.inf, np.zeros(size), np.zeros((size, size)), self._shares, nothing)
 
     @property
-    def place(self) -> FloatArray:
+    def position(self) -> FloatArray:
         """(M, 3) metres."""
-        place: FloatArray = self.state.mean[0].reshape(-1, 3)
-        return place
+        position: FloatArray = self.state.mean[0].reshape(-1, 3)
+        return position
 
     @property
     def velocity(self) -> FloatArray:
@@ -185,12 +185,12 @@ class JointFilter:
 
     def _motion_of(self, state: State) -> Motion:
         known, alive = self._motion, state.alive
-        place = state.x[: 3 * self._count].reshape(-1, 3)
+        position = state.x[: 3 * self._count].reshape(-1, 3)
         if known is not None and (known.alive is alive or (known.alive == alive).all()):
-            moved = (place - known.place)[known.index]
+            moved = (position - known.position)[known.index]
             if not len(moved) or float(np.abs(moved - moved[0]).max()) < _REACH:
                 return known
-        self._motion = motion_of(place.copy(), alive, self._settings)
+        self._motion = motion_of(position.copy(), alive, self._settings)
         return self._motion
 
     def _rows(self, marker: int) -> IndexArray:
@@ -211,9 +211,9 @@ class JointFilter:
         5 ms, half a read-out, at the scale 1.6 of fast hands, and no figure of `rhot evaluate motion` tells it.
         """
         half, number, index = 3 * self._count, len(views.index), views.index
-        place, velocity = state.x[:-SHARED].reshape(2, self._count, 3).take(index, axis=1)
+        position, velocity = state.x[:-SHARED].reshape(2, self._count, 3).take(index, axis=1)
         R = views.camera.R_camera_rig
-        local = (place + views.delta_s[:, None] * velocity) @ R.T + views.camera.t_camera_rig
+        local = (position + views.delta_s[:, None] * velocity) @ R.T + views.camera.t_camera_rig
         inverse = 1.0 / np.maximum(local[:, 2:], _NEAREST_M)
         xy = local[:, :2] * inverse
         J = (R[:2] - xy[:, :, None] * R[2]) * inverse[:, :, None]

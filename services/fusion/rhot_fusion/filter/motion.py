@@ -39,7 +39,7 @@ class Motion:
     """The motion of markers at given places, as matrices of a state (n = 6 M + 6) for any time.
 
     Attributes:
-        place: (M, 3) metres, of the markers.
+        position: (M, 3) metres, of the markers.
         alive: (M,) which of them there are.
         index: of those; all as a slice, which takes no time.
         settings: shares and time constants.
@@ -47,7 +47,7 @@ class Motion:
         noises: (9, n²) what those of `noise` multiply.
     """
 
-    place: FloatArray
+    position: FloatArray
     alive: BoolArray
     index: BoolArray | slice
     settings: MotionSettings
@@ -70,20 +70,20 @@ class Motion:
         return _combined((pp, pv, vv, s_zz, *shared), self.noises)
 
 
-def motion_of(place: FloatArray, alive: BoolArray, settings: MotionSettings) -> Motion:
+def motion_of(position: FloatArray, alive: BoolArray, settings: MotionSettings) -> Motion:
     """Return the motion of those markers at places (M, 3) that are alive (M,)."""
-    half = 3 * len(place)
+    half = 3 * len(position)
     p, v, z = slice(half), slice(half, 2 * half), slice(2 * half, None)
     F, Q = (constant.copy() for constant in _wherever(tuple(alive.tolist()), settings))
     B = np.zeros((half, SHARED))
-    B[np.repeat(alive, 3)] = lever(place[alive], settings)
+    B[np.repeat(alive, 3)] = lever(position[alive], settings)
     F[4, p, z] = F[5, v, z] = B
     BD = B * _power(settings)
     Q[4, p, p] = Q[5, p, v] = Q[5, v, p] = Q[6, v, v] = BD @ B.T
     Q[7, p, z] = Q[8, v, z] = BD
     Q[7, z, p] = Q[8, z, v] = BD.T
     index = slice(None) if alive.all() else alive
-    return Motion(place, alive, index, settings, F.reshape(6, -1), Q.reshape(9, -1))
+    return Motion(position, alive, index, settings, F.reshape(6, -1), Q.reshape(9, -1))
 
 
 @lru_cache
@@ -111,12 +111,12 @@ def _power(settings: MotionSettings) -> FloatArray:
     return np.repeat(np.square([settings.common, settings.turning]), 3)
 
 
-def lever(place: FloatArray, settings: MotionSettings) -> FloatArray:
+def lever(position: FloatArray, settings: MotionSettings) -> FloatArray:
     """Return B (3 M, 6): the acceleration of markers at places (M, 3) by that of their hand, a + α × r."""
-    arm = place - place.mean(axis=0) if len(place) else place
+    arm = position - position.mean(axis=0) if len(position) else position
     length = np.sqrt((arm * arm).sum(axis=1))
     arm *= np.minimum(1.0, settings.longest_arm_m / np.maximum(length, 1e-9))[:, None]
-    B = np.zeros((len(place), 3, SHARED))
+    B = np.zeros((len(position), 3, SHARED))
     B[:, :, :3] = _EYE
     x, y, z = arm.T
     B[:, 0, 4], B[:, 0, 5] = z, -y

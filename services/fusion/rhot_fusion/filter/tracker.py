@@ -147,10 +147,10 @@ class FilterTracker:
         for hand in self._hands:
             state = hand.filter.predicted(then_s)
             places = state.mean[0].reshape(-1, 3).tolist()
-            for marker, place, own in zip(hand.markers, places, hand.filter.own(state), strict=True):
+            for marker, point, own in zip(hand.markers, places, hand.filter.own(state), strict=True):
                 track = self.tracks[marker]
                 if track.status is TrackStatus.CONFIRMED:
-                    position[marker], covariance[marker], shown[marker] = place, own, track.views(since_s)
+                    position[marker], covariance[marker], shown[marker] = point, own, track.views(since_s)
             known = [marker for marker in hand.markers if self.tracks[marker].status is TrackStatus.CONFIRMED]
             within_hand(position, covariance, known, shown, self._middle, self._settings.track.extent_m)
             for marker in known:
@@ -184,9 +184,9 @@ class FilterTracker:
         ]
 
     def _without_held(self, sightings: Sightings) -> Sightings:
-        """Return a frame without views at the very place of the frame before of markers that move.
+        """Return a frame without views at the very position of the frame before of markers that move.
 
-        Some capture programs repeat the last place of a marker that they lost.
+        Some capture programs repeat the last position of a marker that they lost.
         """
         camera, last = self._cameras[sightings.camera], self._last_xy[sightings.camera]
         now = dict(zip(sightings.index.tolist(), sightings.xy.tolist(), strict=True))
@@ -202,8 +202,8 @@ class FilterTracker:
             if not one.any():
                 held[row] = False
                 continue
-            place, velocity = hand.filter.place[one].mean(axis=0), hand.filter.velocity[one].mean(axis=0)
-            depth = max(float(place @ camera.R_camera_rig[2] + camera.t_camera_rig[2]), 0.1)
+            position, velocity = hand.filter.position[one].mean(axis=0), hand.filter.velocity[one].mean(axis=0)
+            depth = max(float(position @ camera.R_camera_rig[2] + camera.t_camera_rig[2]), 0.1)
             pace = camera.R_camera_rig[:2] @ velocity / depth
             held[row] = float(np.hypot(*pace)) * self.focal_px(sightings.camera) >= self._settings.track.moving_px_s
         return sightings.chosen(~held)
@@ -264,7 +264,7 @@ class FilterTracker:
     def _depths(self, hand: Hand, camera: int, markers: Sequence[int]) -> list[float]:
         """Return how far markers (N,) are from a camera; those that are not known are where their hand is, or was."""
         model, alive = self._cameras[camera], hand.filter.state.alive.tolist()
-        away = (hand.filter.place @ model.R_camera_rig[2] + model.t_camera_rig[2]).tolist()
+        away = (hand.filter.position @ model.R_camera_rig[2] + model.t_camera_rig[2]).tolist()
         depths = [max(depth, 0.1) for depth in away]
         if not all(alive):
             key = hand.markers[0], camera
@@ -287,7 +287,7 @@ class FilterTracker:
         places, areas_px = [hand.place_of[marker] for marker in markers], sightings.area_px.tolist()
         local, t_s, xy = np.array(places), max(sightings.t_s, hand.filter.state.t_s), sightings.xy
         if hand.base >= 0 and hand.filter.state.alive[hand.base]:
-            tips = camera.to_camera(hand.filter.place).tolist()
+            tips = camera.to_camera(hand.filter.position).tolist()
             roots = hand.roots(tips, hand.filter.state.alive.tolist())
             # Without areas it is not paint that is seen, or nobody knows how a finger bends.
             columns = [tips[k] for k in places], [roots[k] for k in places], [hand.reach_m[k] for k in places]

@@ -113,27 +113,27 @@ def outcomes(
     first = every[0][1]
     around = [_around(camera, first, period_s) for camera, period_s in enumerate(periods_s)]
     found = []
-    for place, node in enumerate(first):
+    for k, node in enumerate(first):
         position, covariance = [NOWHERE] * markers, [NOTHING] * markers
         seen = np.zeros((len(periods_s), markers), dtype=bool)
         for index, nodes in every:
-            own = nodes[place].covariance[:, _UPPER[0], _UPPER[1]].tolist()
-            for marker, where, upper in zip(index.tolist(), nodes[place].place.tolist(), own, strict=True):
+            own = nodes[k].covariance[:, _UPPER[0], _UPPER[1]].tolist()
+            for marker, where, upper in zip(index.tolist(), nodes[k].position.tolist(), own, strict=True):
                 position[marker], covariance[marker] = where, upper
             for camera, sides in enumerate(around):
-                seen[camera, index] = _shown(nodes, place, sides[place], _NEAR * periods_s[camera])
+                seen[camera, index] = _shown(nodes, k, sides[k], _NEAR * periods_s[camera])
         found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), systematic))
     return found
 
 
-def _shown(nodes: list[Node], place: int, sides: tuple[list[int], list[int]], near_s: float) -> FloatArray:
+def _shown(nodes: list[Node], k: int, sides: tuple[list[int], list[int]], near_s: float) -> FloatArray:
     """Tell which markers (H,) a camera shows at a node, by its frames before and after it."""
-    t_s = nodes[place].t_s
-    shown = np.zeros(len(nodes[place].shown), dtype=bool)
-    before, after = ([nodes[k].shown for k in side] for side in sides)
-    for k in (*sides[0], *sides[1]):
-        if abs(nodes[k].t_s - t_s) <= near_s:
-            shown |= nodes[k].shown
+    t_s = nodes[k].t_s
+    shown = np.zeros(len(nodes[k].shown), dtype=bool)
+    before, after = ([nodes[near].shown for near in side] for side in sides)
+    for near in (*sides[0], *sides[1]):
+        if abs(nodes[near].t_s - t_s) <= near_s:
+            shown |= nodes[near].shown
     if before and after:
         shown |= np.any(before, axis=0) & np.any(after, axis=0)
     return shown
@@ -141,8 +141,8 @@ def _shown(nodes: list[Node], place: int, sides: tuple[list[int], list[int]], ne
 
 def _around(camera: int, nodes: list[Node], period_s: float) -> list[tuple[list[int], list[int]]]:
     """Return for each node those of a camera just before and just after it."""
-    own = np.array([place for place, node in enumerate(nodes) if node.camera == camera], dtype=np.intp)
-    times = np.array([nodes[place].t_s for place in own])
+    own = np.array([k for k, node in enumerate(nodes) if node.camera == camera], dtype=np.intp)
+    times = np.array([nodes[k].t_s for k in own])
     reach_s = _BRIDGED * period_s
     sides = []
     for node in nodes:

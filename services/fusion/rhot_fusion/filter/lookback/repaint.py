@@ -33,7 +33,7 @@ class Repaint:
         paint: of its own; what it has seen is forgotten at each call.
         variance_of: returns the noise of a camera's views.
         periods_s: frame period of each camera.
-        loose_m: how large a marker is, is learnt while its place is more certain than this, metres.
+        loose_m: how large a marker is, is learnt while its position is more certain than this, metres.
         time_variance: of the time stamps, square seconds.
     """
 
@@ -80,5 +80,5 @@ class Repaint:
 
 
 def _spread_m2(state: State, marker: int) -> float:
-    """Return the trace of the covariance of a marker's place, square metres."""
+    """Return the trace of the covariance of a marker's position, square metres."""
     return float(state.P.diagonal()[3 * marker : 3 * marker + 3].sum())

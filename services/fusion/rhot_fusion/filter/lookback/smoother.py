@@ -80,7 +80,7 @@ class Node:
 
     Attributes:
         t_s: its moment.
-        place: (M, 3) metres; NaN = not known.
+        position: (M, 3) metres; NaN = not known.
         velocity: (M, 3) metres per second.
         covariance: (M, 6, 6).
         shown: (M,) whether the frame showed each where it is.
@@ -88,7 +88,7 @@ class Node:
     """
 
     t_s: float
-    place: FloatArray
+    position: FloatArray
     velocity: FloatArray
     covariance: FloatArray
     shown: BoolArray
@@ -244,24 +244,24 @@ def _off_path2(views: Views, state: State) -> FloatArray:
     return np.where(state.alive[views.index], squared_distance(views.variance, views.xy - xy), 0.0)
 
 
-def _seen(views: Views, place: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _seen(views: Views, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return where views (N, 2) would see places and velocities (M, 3), and the derivatives (N, 2, 3) by places."""
     R = views.camera.R_camera_rig
-    there = place[views.index] + views.delta_s[:, None] * velocity[views.index]
+    there = position[views.index] + views.delta_s[:, None] * velocity[views.index]
     local = there @ R.T + views.camera.t_camera_rig
     depth = np.maximum(local[:, 2:], 0.05)
     xy = local[:, :2] / depth
     return xy, (R[:2] - xy[:, :, None] * R[2]) / depth[:, :, None]
 
 
-def _on_path(frame: Frame, place: FloatArray, velocity: FloatArray, covariance: FloatArray) -> FloatArray:
+def _on_path(frame: Frame, position: FloatArray, velocity: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return the squared Mahalanobis distance (N,) of a frame's views that tells which show a marker where it is.
 
     As the gate of the live filter does, it allows for what hides some of a marker and for the error (M, 3, 3) of the
     path itself.
     """
     views = frame.views
-    xy, J = _seen(views, place, velocity)
+    xy, J = _seen(views, position, velocity)
     S = J @ covariance[views.index] @ np.swapaxes(J, 1, 2)
     variance = views.variance + (views.slack * views.slack)[:, None] * ROUND + S.reshape(-1, 4)[:, (0, 1, 3)]
     # What is added for hidden paint may be too much: a view shows its marker where it is seen, too.
@@ -270,13 +270,13 @@ def _on_path(frame: Frame, place: FloatArray, velocity: FloatArray, covariance: 
 
 def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
     count = len(state.alive)
-    place, velocity = state.mean.reshape(2, count, 3).copy()
+    position, velocity = state.mean.reshape(2, count, 3).copy()
     diagonal = np.arange(count)
     P = state.covariance.reshape(2, count, 3, 2, count, 3)[:, diagonal, :, :, diagonal].reshape(count, 6, 6)
     shown, index = np.zeros(count, dtype=bool), frame.views.index
-    shown[index] = state.alive[index] & (_on_path(frame, place, velocity, P[:, :3, :3]) <= settings.track.gate)
-    place[~state.alive] = np.nan
-    return Node(state.t_s, place, velocity, P, shown, frame.camera)
+    shown[index] = state.alive[index] & (_on_path(frame, position, velocity, P[:, :3, :3]) <= settings.track.gate)
+    position[~state.alive] = np.nan
+    return Node(state.t_s, position, velocity, P, shown, frame.camera)
 
 
 def _extend(frames: Sequence[Frame], nodes: list[Node], settings: FilterSettings) -> None:
@@ -291,12 +291,12 @@ def _extend(frames: Sequence[Frame], nodes: list[Node], settings: FilterSettings
                 if dt < -settings.track.pair_s or earlier.taken[mine].any():
                     break
                 F = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(3))
-                carried, covariance = first.place.copy(), first.covariance.copy()
+                carried, covariance = first.position.copy(), first.covariance.copy()
                 carried[marker] += dt * first.velocity[marker]
                 covariance[marker] = F @ covariance[marker] @ F.T
                 off2 = _on_path(earlier, carried, first.velocity, covariance[:, :3, :3])[mine]
                 if not (off2 <= settings.track.gate).any():
                     continue
-                node.place[marker], node.velocity[marker] = carried[marker], first.velocity[marker]
+                node.position[marker], node.velocity[marker] = carried[marker], first.velocity[marker]
                 node.covariance[marker] = covariance[marker]
                 node.shown[marker] = True
