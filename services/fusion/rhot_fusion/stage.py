@@ -21,7 +21,7 @@ from rhot_fusion.filter.tracker import FilterTracker
 from rhot_fusion.paired.tracker import PairedTracker
 from rhot_fusion.views.corners import Corners, PatchCorners
 from rhot_fusion.views.guard import StreamGuard
-from rhot_fusion.views.sightings import Outcome, Sightings, Tracker
+from rhot_fusion.views.sightings import Outcome, Sightings, Tracker, nearest_border
 
 POINTS_KEY = "rhot/points"
 RIG_FRAME = "rig"
@@ -168,6 +168,8 @@ class FusionStage:
         uv: list[tuple[float, float]] = []
         times: list[float] = []
         areas: list[float] = []
+        borders: list[tuple[float, float, float]] = []
+        is_near = False
         known = 0
         for index, name in enumerate(self._markers):
             marker = frame.markers.get(name)
@@ -184,6 +186,8 @@ class FusionStage:
                 uv.append((marker.u, marker.v))
                 times.append(t_s)
                 areas.append(marker.area)
+                borders.append(nearest_border(marker.u, marker.v, frame.width, frame.height))
+                is_near |= borders[-1][0] ** 2 < marker.area
         if known < len(frame.markers):
             self.counts["unknown_marker"] += len(frame.markers) - known
         # Lenses are undone for all pixels at once.
@@ -198,9 +202,9 @@ class FusionStage:
                 t_s = frame_s if t_ns is None else (t_ns - base_ns) * 1e-9
                 self._corners.observe(camera, name, t_s, list(islice(corners, 5)))
         middle_s = median(times) if times else frame_s
-        seen = Sightings(
-            camera, middle_s, np.array(places, dtype=np.intp), np.array(times), xy[:count], np.array(areas)
-        )
+        border = np.array(borders) / (self._focal_px[camera], 1.0, 1.0) if is_near else None
+        index = np.array(places, dtype=np.intp)
+        seen = Sightings(camera, middle_s, index, np.array(times), xy[:count], np.array(areas), border)
         return seen if math.isfinite(seen.xy.sum()) else self._inside_lens(seen)
 
     def _inside_lens(self, seen: Sightings) -> Sightings:

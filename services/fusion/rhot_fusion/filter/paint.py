@@ -154,6 +154,7 @@ class Paint:
         depths_m: Sequence[float],
         period_s: float,
         known: Sequence[bool],
+        border: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Return how far the middles of markers (N,) lie beside what is seen, and how sure that is.
 
@@ -165,6 +166,7 @@ class Paint:
             depths_m: (N,) of the markers; infinite = not known, and then nothing is told.
             period_s: of the camera's frames.
             known: (N,) whose own depth is known well; how large the others are is not learnt.
+            border: (N, 3) of the picture, as `Sightings` has it; none where it is far.
 
         Returns:
             (N, 2) what to add to the views and (N,) its standard deviation, normalised units.
@@ -179,7 +181,30 @@ class Paint:
             doubts.append(doubt)
         # Views that err alike tell as much together as one of them.
         alike = math.sqrt(max(1.0, self._settings.lasts_s / period_s))
-        return np.array(sizes)[:, None] * (self._settings.shift * self._away[camera]), alike * np.array(doubts)
+        shifts = np.array(sizes)[:, None] * (self._settings.shift * self._away[camera])
+        if border is not None:
+            self._complete(markers, depths_m, border.tolist(), shifts, doubts)
+        return shifts, alike * np.array(doubts)
+
+    def _complete(
+        self,
+        markers: Sequence[int],
+        depths_m: Sequence[float],
+        border: Sequence[tuple[float, float, float]],
+        shifts: FloatArray,
+        doubts: list[float],
+    ) -> None:
+        """Make up for what the picture's border cuts off, in place.
+
+        The middle of a marker that reaches over it is as far from its inner edge as half of its width is; what is seen
+        of it begins at the border.
+        """
+        for row, (marker, depth, (far, *out)) in enumerate(zip(markers, depths_m, border, strict=True)):
+            missing = 0.5 * self._largest_m[marker] / depth - far
+            if missing > 0.0:
+                shifts[row] = out
+                shifts[row] *= missing
+                doubts[row] = max(doubts[row], self._settings.cut * missing)
 
     def _hidden(
         self, camera: int, marker: int, t_s: float, area_px: float, depth_m: float, known: bool

@@ -156,6 +156,8 @@ class PaintSettings:
             taken for hidden: less of smaller differences, nearly all of larger ones. 1 and 1.5 beside a dead zone as
             wide as that: 79 and 86 swapped points of 102 on 15 develop rigs, 29 and 22 false ones of 31 in six
             simulated scenes; medians are alike at 1.5, and 0.1 mm worse at 1.
+        cut: standard deviation of how far the middle of a marker lies beside what the picture's border leaves of it, as
+            a share of that: markers are no squares that stand upright.
         shift: of the middle, as a share of the width that is hidden: a strip moves it by half of itself.
         doubt: standard deviation of that, in the same unit.
         lasts_s: how long that error stays the same, seconds: a finger passes behind another, 15 mm at 0.15 m/s; without
@@ -200,6 +202,7 @@ class PaintSettings:
     uneven: float = 0.05
     rim_px: float = 0.5
     doubtful: float = 1.5
+    cut: float = 0.5
     shift: float = 0.5
     doubt: float = 0.25
     lasts_s: float = 0.1

@@ -241,9 +241,10 @@ class FilterTracker:
             alive, spread_m2 = hand.filter.state.alive.tolist(), hand.filter.spread_m2
             places = [hand.place_of[marker] for marker in markers]
             known, sure = [alive[k] for k in places], [alive[k] and spread_m2[k] <= loose_m2 for k in places]
-            shift, doubt = self._paint.correct(camera, markers, t_s, mine.area_px.tolist(), depths, period_s, sure)
+            areas_px = mine.area_px.tolist()
+            shift, doubt = self._paint.correct(camera, markers, t_s, areas_px, depths, period_s, sure, mine.border)
             if hand.record is not None and not again:
-                hand.record.add(mine, shift, self._paint.slack(camera, mine.area_px.tolist()), doubt * doubt)
+                hand.record.add(mine, shift, self._paint.slack(camera, areas_px), doubt * doubt)
             mine, own = mine.at(mine.xy + shift), doubt * doubt + variance
             if again:
                 self._update(hand, mine, own, known, again=True)

@@ -35,6 +35,8 @@ class Sightings:
         times_s: (N,) when each was seen.
         xy: (N, 2) normalised image coordinates, finite.
         area_px: (N,) visible painted area, square pixels.
+        border: (N, 3) of the nearest border of the picture: how far it is, and the way out (2,), normalised; none where
+            no marker is near to it.
     """
 
     camera: int
@@ -43,14 +45,24 @@ class Sightings:
     times_s: FloatArray
     xy: FloatArray
     area_px: FloatArray
+    border: FloatArray | None = None
 
     def at(self, xy: FloatArray) -> Sightings:
         """Return the same markers at other normalised coordinates (N, 2)."""
-        return Sightings(self.camera, self.t_s, self.index, self.times_s, xy, self.area_px)
+        return Sightings(self.camera, self.t_s, self.index, self.times_s, xy, self.area_px, self.border)
 
     def chosen(self, rows: BoolArray | IndexArray) -> Sightings:
         """Return some of the markers: by (N,) booleans or by their rows."""
-        return Sightings(self.camera, self.t_s, self.index[rows], self.times_s[rows], self.xy[rows], self.area_px[rows])
+        border = None if self.border is None else self.border[rows]
+        parts = self.index[rows], self.times_s[rows], self.xy[rows], self.area_px[rows]
+        return Sightings(self.camera, self.t_s, *parts, border)
+
+
+def nearest_border(u: float, v: float, width: int, height: int) -> tuple[float, float, float]:
+    """Return how far the nearest border of a picture is from a pixel, pixels, and the way out over it (2,)."""
+    return min(
+        (u + 0.5, -1.0, 0.0), (width - 0.5 - u, 1.0, 0.0), (v + 0.5, 0.0, -1.0), (height - 0.5 - v, 0.0, 1.0)
+    )
 
 
 @dataclass(frozen=True, slots=True)
