@@ -65,6 +65,20 @@ def test_paint_that_no_camera_shows_leaves_its_middle_open() -> None:
     assert found[2] == pytest.approx(0.5 * (1.0 - 0.25 / 0.588) * width_m, rel=0.1)
 
 
+def test_what_the_pictures_border_cuts_off_is_made_up_for() -> None:
+    paint, depth_m = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), 0.8
+    for number in range(20):
+        paint.correct(0, [0], number / 60.0, [144.0], [depth_m], 1.0 / 60.0, [True])
+    # Of a square of 12 pixels the right 8 are seen: their middle is 4 from the border, the whole one's 2.
+    border = np.array([[4.0 / FOCAL_PX, -1.0, 0.0]])
+    shift, doubt = paint.correct(0, [0], 1.0, [96.0], [depth_m], 1.0 / 60.0, [True], border)
+    assert shift[0] * FOCAL_PX == pytest.approx((-2.0, 0.0), abs=0.1)
+    assert doubt[0] * FOCAL_PX > 1.0
+    border[0, 0] = 6.5 / FOCAL_PX
+    shift, _ = paint.correct(0, [0], 1.017, [144.0], [depth_m], 1.0 / 60.0, [True], border)
+    assert np.abs(shift).max() * FOCAL_PX < 0.1, "it does not reach over the border"
+
+
 def test_views_that_show_unlike_shares_of_the_paint_do_not_measure_it() -> None:
     paint = half_hidden(60.0)[0]
     assert not paint.is_settled(0, [True, True])

@@ -229,8 +229,7 @@ class FilterTracker:
     def _take(self, sightings: Sightings, *, again: bool = False) -> None:
         """Let a frame move the markers; `again` where it has done so before and only the states are to be had."""
         self._history.append((sightings, [hand.filter.state for hand in self._hands]))
-        begun = self._acquisition.begun
-        camera, t_s = sightings.camera, sightings.t_s
+        begun, camera, t_s = self._acquisition.begun, sightings.camera, sightings.t_s
         variance, period_s = self.noise.variance(camera), self._schedule.period_s(camera)
         loose_m2 = self._settings.track.loose_m**2
         for hand in self._hands:

@@ -60,9 +60,7 @@ class Sightings:
 
 def nearest_border(u: float, v: float, width: int, height: int) -> tuple[float, float, float]:
     """Return how far the nearest border of a picture is from a pixel, pixels, and the way out over it (2,)."""
-    return min(
-        (u + 0.5, -1.0, 0.0), (width - 0.5 - u, 1.0, 0.0), (v + 0.5, 0.0, -1.0), (height - 0.5 - v, 0.0, 1.0)
-    )
+    return min((u + 0.5, -1.0, 0.0), (width - 0.5 - u, 1.0, 0.0), (v + 0.5, 0.0, -1.0), (height - 0.5 - v, 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)

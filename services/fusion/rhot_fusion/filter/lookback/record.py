@@ -59,7 +59,8 @@ class HandRecord:
             slack,
         )
         nothing, seen = np.zeros(count, dtype=bool), sightings.xy.copy()
-        self._frames.append(Frame(sightings.t_s, sightings.camera, views, nothing, [], seen, sightings.area_px))
+        of_paint = seen, sightings.area_px, sightings.border
+        self._frames.append(Frame(sightings.t_s, sightings.camera, views, nothing, [], *of_paint))
 
     def took(self, views: Views, innovation: Innovation, camera_variance: float) -> None:
         """Note what became of the newest frame's views, of whose variance the camera's own is `camera_variance`."""

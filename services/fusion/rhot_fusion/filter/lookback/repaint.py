@@ -65,7 +65,8 @@ class Repaint:
         sure = [alive[k] and _spread_m2(state, k) <= self.loose_m**2 for k in local]
         markers, areas_px = [self.hand.markers[k] for k in local], frame.area_px.tolist()
         period_s = self.periods_s[frame.camera]
-        shift, doubt = self.paint.correct(frame.camera, markers, frame.t_s, areas_px, depths, period_s, sure)
+        of_paint = areas_px, depths, period_s, sure, frame.border
+        shift, doubt = self.paint.correct(frame.camera, markers, frame.t_s, *of_paint)
         if self.hand.base >= 0 and alive[self.hand.base]:
             roots = self.hand.roots(tips, alive)
             columns = [tips[k] for k in local], [roots[k] for k in local], [self.hand.reach_m[k] for k in local]

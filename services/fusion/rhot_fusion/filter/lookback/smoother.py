@@ -63,6 +63,7 @@ class Frame:
         events: that followed it.
         seen_xy: (N, 2) where the camera saw them, normalised units.
         area_px: (N,) of each, square pixels; 0 = not told.
+        border: (N, 3) of the picture, as `Sightings` has it.
     """
 
     t_s: float
@@ -72,6 +73,7 @@ class Frame:
     events: list[Event]
     seen_xy: FloatArray
     area_px: FloatArray
+    border: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
