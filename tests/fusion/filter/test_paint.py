@@ -88,14 +88,22 @@ def test_views_that_show_unlike_shares_of_the_paint_do_not_measure_it() -> None:
     assert blind.is_settled(0, [True, True]), "where no areas are told, none differ"
 
 
-@pytest.mark.parametrize(("areas", "measured"), [((140.0, 140.0, 70.0), True), ((140.0, 70.0, 70.0), False)])
-def test_two_views_alike_measure_what_a_third_shows_from_aside(
-    areas: tuple[float, float, float], measured: bool
+@pytest.mark.parametrize(
+    ("before", "areas", "measured"),
+    [
+        (140.0, (140.0, 140.0, 70.0), True),
+        (140.0, (140.0, 70.0, 70.0), False),
+        (300.0, (140.0, 140.0, 70.0), False),
+    ],
+)
+def test_two_views_alike_of_a_whole_marker_measure_what_a_third_shows_from_aside(
+    before: float, areas: tuple[float, float, float], measured: bool
 ) -> None:
     paint = Paint([*CAMERAS, CAMERAS[1]], np.full(1, 0.0065), DEFAULT.paint)
-    for number in range(20):
+    for number in range(60):
         for camera, area in enumerate(areas):
-            paint.correct(camera, [0], number / 60.0 + 0.002 * camera, [area], [0.8], 1.0 / 60.0, [True])
+            shown = before if number < 20 else area
+            paint.correct(camera, [0], number / 60.0 + 0.002 * camera, [shown], [0.8], 1.0 / 60.0, [True])
     assert paint.is_settled(0, [True, True, True]) is measured
     assert not paint.is_settled(0, [True, False, True]), "a half-hidden view beside a whole one"
 

@@ -266,9 +266,9 @@ class Paint:
         shown.t_s, shown.newest_m, shown.own = t_s, width_m, known
 
     def is_settled(self, marker: int, seen: Sequence[bool]) -> bool:
-        """Tell whether two cameras that see a marker (C,) show alike of it, without change: as many as measure it.
+        """Tell whether what cameras that see a marker (C,) show of it neither changes nor differs much.
 
-        A third one may show less of it from aside: its views are corrected and doubted by themselves.
+        Where two show it whole and alike, a third may show less of it, from aside.
         """
         settings = self._settings
         views = [shown for shown, sees in zip(self._shown[marker], seen, strict=True) if sees]
@@ -278,7 +278,9 @@ class Paint:
         since_s = max(shown.t_s for shown in views) - settings.compare_s
         widths = sorted(shown.width_m for shown in calm if shown.t_s >= since_s)
         # Views of long ago are compared with nothing: a slow camera's.
-        return len(widths) < 2 or _unlike(*widths[-2:]) <= settings.unlike
+        if len(widths) < 2 or (len(calm) == len(views) and _unlike(widths[0], widths[-1]) <= settings.unlike):
+            return True
+        return _unlike(*widths[-2:]) <= settings.unlike and not self.hidden_m2(marker)
 
     def hidden_m2(self, marker: int) -> float:
         """Return the variance of a fingertip's middle for paint that no camera shows, each axis, square metres.

@@ -175,11 +175,11 @@ class PaintSettings:
             `appears_s`: it is being hidden or comes out. On 15 develop rigs 0.3 instead of 0.4 keeps one of
             ten swapped points from being called measured, and one of eighty of all; at 0.25 coverage of the rendered
             pictures falls below 95 %.
-        unlike: nor while of the two cameras that show most of it one shows less than the other, or than in its frame
-            before, by more than this share: they see different parts, whose middles are a fifth of its width apart, and
-            that is more than its width in depth where cameras stand less than a fifth of their distance apart. Asked of
-            all cameras, as it was, a third one that looks from aside kept a thumb in plain view of all three from being
-            measured for seconds: 93 instead of 97 % coverage on 15 develop rigs of two to four cameras.
+        unlike: nor while one camera shows less of its paint than another, or than in its frame before, by more than
+            this share: they see different parts, whose middles are a fifth of its width apart, and that is more than
+            its width in depth where cameras stand less than a fifth of their distance apart. A third camera may show
+            less where two show the marker whole: asked of all, it kept a thumb in plain view of three from being
+            measured for seconds (15 develop rigs of two to four cameras: coverage 92.6 to 95.3 %, swaps alike).
         seen_first: how far the largest area of a marker is taken from its first one rather than from how long paint
             should be: between 0 and 0.5 alike on rendered and simulated hands, 1 is worse by 0.4 mm on the latter.
         curled, straight: shares of a finger's reach from beside the patch, between which what is told of its end's
