@@ -14,7 +14,7 @@ class TruePose(Pose):
 
 
 class Truth(Message):
-    """What is true in the simulated world, rig frame.
+    """What is true in the simulated world, rig frame: 60 times a second while somebody subscribes, ten times otherwise.
 
     Attributes:
         frame: frame of all poses, `rig`.
