@@ -298,7 +298,7 @@ class Bus:
             logger.warning("the Zenoh session did not close within %.0f s", _CLOSE_LIMIT_S)
 
     def _close_session(self, loop: asyncio.AbstractEventLoop, closed: asyncio.Event) -> None:
-        subscribers = [subscriber for declared in self._subscribed.values() for subscriber in declared]
+        subscribers = [subscriber for declared in list(self._subscribed.values()) for subscriber in declared]
         for declared in reversed([*self._declared, *subscribers]):
             _undeclare(declared)
         try:

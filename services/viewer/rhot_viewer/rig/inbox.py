@@ -64,8 +64,7 @@ class Inbox:
     async def run(self, node: Node, audience: Audience) -> None:
         """Receive until cancelled; what is invalid is counted in the service's status.
 
-        Only statuses are subscribed to while nobody looks: what moves cost 7 % of a core in this process, and as much
-        again in those that send it.
+        Only statuses are subscribed to while nobody looks: what moves, unread, cost 7 % of a core in this process.
 
         Args:
             node: where messages come from.
