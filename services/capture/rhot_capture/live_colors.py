@@ -28,7 +28,7 @@ class LiveColors:
         """Read `colors.json`; without one no marker is found, so that colours can be calibrated.
 
         Args:
-            rig: it.
+            rig: whose colours they are.
             names: markers in the order of their labels.
             camera: of the rig.
 

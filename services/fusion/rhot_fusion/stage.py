@@ -53,7 +53,6 @@ class FusionStage:
         self.counts: Counter[str] = Counter()
         models = {name: CameraModel.from_calibration(camera) for name, camera in rig.cameras.items()}
         self._models = list(models.values())
-        self._focal_px = [float(model.K[0, 0]) for model in self._models]
         self._camera_index = {name: index for index, name in enumerate(models)}
         self._markers = tuple(rig.config.markers)
         self._config = rig.config.fusion
@@ -203,7 +202,7 @@ class FusionStage:
                 t_s = frame_s if t_ns is None else (t_ns - base_ns) * 1e-9
                 self._corners.observe(camera, name, t_s, list(islice(corners, 5)))
         middle_s = median(times) if times else frame_s
-        border = np.array(borders) / (self._focal_px[camera], 1.0, 1.0) if is_near else None
+        border = np.array(borders) / (self._models[camera].K[0, 0], 1.0, 1.0) if is_near else None
         markers = np.array(places, dtype=np.intp)
         seen = Sightings(camera, middle_s, markers, np.array(times), xy[:count], np.array(areas), border)
         return seen if math.isfinite(seen.xy.sum()) else self._inside_lens(seen)

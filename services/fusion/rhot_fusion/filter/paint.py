@@ -199,11 +199,10 @@ class Paint:
         The middle of a marker that reaches over it is as far from its inner edge as half of its width is; what is seen
         of it begins at the border.
         """
-        for row, (marker, depth, (far, *out)) in enumerate(zip(markers, depths_m, border, strict=True)):
+        for row, (marker, depth, (far, x, y)) in enumerate(zip(markers, depths_m, border, strict=True)):
             missing = 0.5 * self._largest_m[marker] / depth - far
             if missing > 0.0:
-                shifts[row] = out
-                shifts[row] *= missing
+                shifts[row] = missing * x, missing * y
                 doubts[row] = max(doubts[row], self._settings.cut * missing)
 
     def _hidden(

@@ -116,3 +116,18 @@ class Step:
     transition: FloatArray
     before: State
     after: State
+
+
+def pace_squares(camera: CameraModel, velocity: FloatArray, depths: FloatArray) -> FloatArray:
+    """Return xx, xy and yy (N, 3) of the pace of markers in a camera's picture, normalised units² per second².
+
+    Times the variance of time stamps, it is what errors of these do to views.
+
+    Args:
+        camera: that sees them.
+        velocity: (N, 3) metres per second, rig frame.
+        depths: (N,) metres.
+    """
+    pace = velocity @ camera.R_camera_rig[:2].T / depths[:, None]
+    squares: FloatArray = pace[:, (0, 0, 1)] * pace[:, (0, 1, 1)]
+    return squares

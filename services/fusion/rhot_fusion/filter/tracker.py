@@ -22,7 +22,7 @@ from rhot_fusion.filter.lookback.repaint import Repaint
 from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
-from rhot_fusion.filter.state import ROUND, Innovation, State, Views
+from rhot_fusion.filter.state import ROUND, Innovation, State, Views, pace_squares
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import Track, TrackStatus, outcome_of, within_hand
 from rhot_fusion.schedule import Schedule
@@ -295,8 +295,7 @@ class FilterTracker:
         variances = variance[:, None] * ROUND
         if self._time_variance:
             depths = np.array(self._depths(hand, sightings.camera, markers))
-            pace = hand.filter.velocity[local] @ camera.R_camera_rig[:2].T / depths[:, None]
-            variances += self._time_variance * pace[:, (0, 0, 1)] * pace[:, (0, 1, 1)]
+            variances += self._time_variance * pace_squares(camera, hand.filter.velocity[local], depths)
         slack = self._paint.slack(sightings.camera, areas_px)
         back = None
         if self._calibrated and not again:

@@ -14,7 +14,7 @@ import numpy as np
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.lookback.smoother import Frame
 from rhot_fusion.filter.paint import Paint
-from rhot_fusion.filter.state import ROUND, State, Views
+from rhot_fusion.filter.state import ROUND, State, Views, pace_squares
 
 if TYPE_CHECKING:
     from rhot_fusion.filter.acquisition import Hand
@@ -75,8 +75,7 @@ class Repaint:
         variance = (doubt * doubt + self.variance_of(frame.camera))[:, None] * ROUND
         if self.time_variance:
             velocity = state.mean[1].reshape(-1, 3)[views.index]
-            pace = velocity @ camera.R_camera_rig[:2].T / np.array(depths)[:, None]
-            variance += self.time_variance * pace[:, (0, 0, 1)] * pace[:, (0, 1, 1)]
+            variance += self.time_variance * pace_squares(camera, velocity, np.array(depths))
         return replace(views, xy=frame.seen_xy + shift, variance=variance)
 
 

@@ -116,23 +116,18 @@ def smooth(
         correct: what is done to the views once the markers' path is known.
     """
     variance = [frame.views.variance for frame in frames]
-    scale2: list[float | None] = [None] * len(frames)
-    nodes: list[Node] = []
-    for last in range(_PASSES + 1):
-        steps, evidence = _forward(frames, count, settings, variance, scale2)
-        if last == 0:
-            scale2 = _scales(evidence, [step.dt_s for step, _ in steps], settings)
-            continue
-        states = _backward(steps)
-        if last < _PASSES:
-            for frame, views in zip(frames, correct(frames, states), strict=True):
-                frame.views = views
-            variance = [
-                frame.views.variance * np.maximum(1.0, _off_path2(frame.views, state) / _DOUBT)[:, None]
-                for frame, state in zip(frames, states, strict=True)
-            ]
-        else:
-            nodes = [_node(frame, state, settings) for frame, state in zip(frames, states, strict=True)]
+    steps, evidence = _forward(frames, count, settings, variance, [None] * len(frames))
+    scale2 = _scales(evidence, [step.dt_s for step, _ in steps], settings)
+    states = _backward(_forward(frames, count, settings, variance, scale2)[0])
+    for _ in range(1, _PASSES):
+        for frame, views in zip(frames, correct(frames, states), strict=True):
+            frame.views = views
+        variance = [
+            frame.views.variance * np.maximum(1.0, _off_path2(frame.views, state) / _DOUBT)[:, None]
+            for frame, state in zip(frames, states, strict=True)
+        ]
+        states = _backward(_forward(frames, count, settings, variance, scale2)[0])
+    nodes = [_node(frame, state, settings) for frame, state in zip(frames, states, strict=True)]
     _extend(frames, nodes, settings)
     return nodes
 
