@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rhot.arrays import FloatArray
-from rhot.geometry.covariances import squared_distance, symmetric_inverse
+from rhot.geometry.covariances import inverse_covariance, squared_distance, squared_distances, symmetric_inverse
 from rhot.geometry.rotations import (
     cross_matrix,
     nearest_rotation,
@@ -95,3 +95,18 @@ def test_single_rotations_agree_with_the_general_formulas(size: float) -> None:
         assert np.allclose(rotation_from_quaternion(quaternion), R, atol=1e-12)
         assert squared_distance(axis, M) == pytest.approx(float(axis @ np.linalg.solve(M, axis)), rel=1e-9)
         assert squared_distance(np.zeros(3), M) == 0.0
+        assert squared_distances(np.array([axis, -2.0 * axis]), np.array([M, 4.0 * M])) == pytest.approx(
+            [squared_distance(axis, M)] * 2, rel=1e-9
+        )
+
+
+@pytest.mark.parametrize("number", [1, 3, 21])
+def test_a_covariance_times_its_inverse_is_one(number: int) -> None:
+    A = np.random.default_rng(number).normal(size=(number, number))
+    S = A @ A.T + 0.1 * np.eye(number)
+    assert np.allclose(inverse_covariance(S) @ S, np.eye(number), atol=1e-9)
+
+
+def test_a_matrix_that_rounding_has_made_indefinite_still_has_an_inverse() -> None:
+    S = np.diag([1.0, 1.0, 1.0, -1e-12])
+    assert np.allclose(inverse_covariance(S) @ S, np.eye(4))

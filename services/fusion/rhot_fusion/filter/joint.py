@@ -13,10 +13,12 @@ import cv2
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray, IndexArray
+from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.motion import Motion, motion_of
 from rhot_fusion.filter.settings import MotionSettings
 from rhot_fusion.filter.state import ROUND, SHARED, Innovation, State, Step, Views
 from rhot_fusion.views.sightings import Upper
+from rhot_fusion.views.vectors import Vector
 
 _HUBER = 9.0
 """Squared Mahalanobis distance beyond which the variance of a view, or of its innovation, grows in proportion to it."""
@@ -56,7 +58,8 @@ class JointFilter:
         # Where a covariance holds xx, xy, xz, yy, yz and zz of the markers' places, (M, 6).
         row, column = (3 * np.arange(count)[:, None] + one for one in np.triu_indices(3))
         self._own: IndexArray = row * size + column
-        self._uppers: tuple[State | None, list[Upper]] = None, []
+        self._uppers: tuple[State | None, list[Upper], list[float]] = None, [], []
+        self._seen_from: tuple[State | None, CameraModel | None, list[Vector]] = None, None, []
         self.clear()
 
     def clear(self) -> None:
@@ -80,15 +83,28 @@ class JointFilter:
     @property
     def spread_m2(self) -> list[float]:
         """(M,) traces of the covariances of their places, square metres."""
-        return [xx + yy + zz for xx, _, _, yy, _, zz in self.own(self.state)]
+        return self._own_of(self.state)[1]
 
     def own(self, state: State) -> list[Upper]:
-        """Return the covariances (M,) of the markers' places in a state; read once of the same one."""
-        known, own = self._uppers
+        """Return the covariances (M,) of the markers' places in a state."""
+        return self._own_of(state)[0]
+
+    def _own_of(self, state: State) -> tuple[list[Upper], list[float]]:
+        """Return the covariances (M,) of the markers' places in a state and their traces; read once of the same one."""
+        known, own, spread_m2 = self._uppers
         if known is not state:
             own = state.P.take(self._own).tolist()
-            self._uppers = state, own
-        return own
+            spread_m2 = [xx + yy + zz for xx, _, _, yy, _, zz in own]
+            self._uppers = state, own, spread_m2
+        return own, spread_m2
+
+    def seen_from(self, camera: CameraModel) -> list[Vector]:
+        """Return where the markers (M,) are in a camera's frame, metres; read once of the same state."""
+        state, viewer, seen = self._seen_from
+        if state is not self.state or viewer is not camera:
+            seen = camera.to_camera(self.position).tolist()
+            self._seen_from = self.state, camera, seen
+        return seen
 
     def begin(self, marker: int, mean: FloatArray, covariance: FloatArray, t_s: float) -> None:
         """Put a marker in with a state (6,) of covariance (6, 6) at a moment, the filter's own or its first."""

@@ -263,9 +263,8 @@ class FilterTracker:
 
     def _depths(self, hand: Hand, camera: int, markers: Sequence[int]) -> list[float]:
         """Return how far markers (N,) are from a camera; those that are not known are where their hand is, or was."""
-        model, alive = self._cameras[camera], hand.filter.state.alive.tolist()
-        away = (hand.filter.position @ model.R_camera_rig[2] + model.t_camera_rig[2]).tolist()
-        depths = [max(depth, 0.1) for depth in away]
+        alive = hand.filter.state.alive.tolist()
+        depths = [max(depth, 0.1) for _, _, depth in hand.filter.seen_from(self._cameras[camera])]
         if not all(alive):
             key = hand.markers[0], camera
             if any(alive):
@@ -287,7 +286,7 @@ class FilterTracker:
         places, areas_px = [hand.place_of[marker] for marker in markers], sightings.area_px.tolist()
         local, t_s, xy = np.array(places), max(sightings.t_s, hand.filter.state.t_s), sightings.xy
         if hand.base >= 0 and hand.filter.state.alive[hand.base]:
-            tips = camera.to_camera(hand.filter.position).tolist()
+            tips = hand.filter.seen_from(camera)
             roots = hand.roots(tips, hand.filter.state.alive.tolist())
             # Without areas it is not paint that is seen, or nobody knows how a finger bends.
             columns = [tips[k] for k in places], [roots[k] for k in places], [hand.reach_m[k] for k in places]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
+from rhot.geometry.covariances import squared_distances
 from rhot.geometry.rotations import shortest_rotation
 from rhot_ik.hand.filter.patch_rotation import PatchRotation
 from rhot_ik.hand.filter.settings import HandSettings
@@ -68,10 +70,10 @@ class CornerNoise:
 
     def after(self, corners: FloatArray, covariance: FloatArray, most: float) -> CornerNoise:
         """Return what is known after corners (4, 3) of a middle with a covariance (3, 3)."""
-        warp = 0.5 * (corners[0] - corners[1] + corners[2] - corners[3])
+        warp = _WARP @ corners
         # Along the direction in which points are known worst; the others tell more of the paint's rim than of noise.
-        seen = covariance @ covariance @ np.ones(3)
-        seen /= max(float(np.sqrt(seen @ seen)), 1e-30)
+        seen = covariance @ covariance.sum(axis=1)
+        seen /= max(math.sqrt(seen @ seen), 1e-30)
         factor = float(warp @ seen) ** 2 / max(float(seen @ covariance @ seen), 1e-12)
         return CornerNoise(self.factor + (factor - self.factor) / self.samples, min(self.samples + 1.0, most))
 
@@ -125,13 +127,15 @@ def rows_of(evidence: Evidence) -> Rows | None:
     points = np.concatenate([evidence.tips, evidence.base[None]])
     seen = np.empty(7, dtype=np.bool_)
     seen[:6], seen[6] = np.isfinite(points).all(axis=1), evidence.rotation is not None
-    if not seen.any():
-        return None
+    all_seen, counts = bool(seen.all()), _ALL_ROWS
+    if not all_seen:
+        if not seen.any():
+            return None
+        points, counts = np.where(seen[:6, None], points, 0.0), np.repeat(seen, 3).astype(np.float64)
     noise = np.empty((7, 3, 3))
     noise[:5], noise[5] = evidence.tip_covariances, evidence.base_covariance
     noise[6] = evidence.rotation_covariance
-    points = np.where(seen[:6, None], points, 0.0)
-    return Rows(seen, bool(seen.all()), np.repeat(seen, 3).astype(np.float64), points, evidence.rotation, noise)
+    return Rows(seen, all_seen, counts, points, evidence.rotation, noise)
 
 
 def mean_residual_m(rows: Rows, missed: FloatArray, known_m: float) -> float:
@@ -151,8 +155,7 @@ def mean_residual_m(rows: Rows, missed: FloatArray, known_m: float) -> float:
     if off_m < known_m:
         return off_m
     allowed = rows.noise[:5] / known_m**2 + _UNIT
-    known = (missed * np.linalg.solve(allowed, missed[:, :, None])[:, :, 0]).sum(-1)
-    return float((np.sqrt(known) * seen).sum() / count)
+    return float((np.sqrt(squared_distances(missed, allowed)) * seen).sum() / count)
 
 
 class EvidenceModel:
@@ -205,4 +208,8 @@ class EvidenceModel:
 
 
 _UNIT: Final = np.eye(3)
+_WARP: Final = np.array([0.5, -0.5, 0.5, -0.5])
+"""How far four corners leave their plane."""
+_ALL_ROWS: Final = np.ones(21)
+_ALL_ROWS.setflags(write=False)
 _NOWHERE: Final = np.full(3, np.nan)

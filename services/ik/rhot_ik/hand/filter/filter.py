@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
-from rhot.geometry.covariances import squared_distance
+from rhot.geometry.covariances import inverse_covariance, squared_distance, squared_distances
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
 from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import Evidence, Rows, mean_residual_m, rows_of
@@ -137,7 +137,7 @@ class HandFilter(HandProcess):
             if far or step > 0:
                 noise = self._doubted(rows, given, y, H[:15, :6] if step == 0 else None, P[:6, :6])
             S.reshape(7, 3, 7, 3)[_BLOCKS, :, _BLOCKS] += noise
-            gain = PHt @ np.linalg.inv(S)
+            gain = PHt @ inverse_covariance(S)
             posterior = P - gain @ PHt.T
             about, (dx, posterior) = dx, self._within_limits(gain @ innovation, prior.angles, posterior)
             denied = (1.0 - learned) * dx[PERSON]
@@ -252,7 +252,7 @@ class HandFilter(HandProcess):
         S = H @ PHt
         own = S.reshape(7, 3, 7, 3)[_TIPS, :, _TIPS] + rows.noise[:5]
         off = innovation[:15].reshape(5, 3)
-        nis = (off * np.linalg.solve(own, off[:, :, None])[:, :, 0]).sum(-1) / 3.0
+        nis = np.array(squared_distances(off, own)) / 3.0
         nis *= rows.seen[:5]
         P, noise = prior.P, rows.noise
         fastest = float(nis.max())
@@ -282,7 +282,7 @@ class HandFilter(HandProcess):
         allowed = rows.noise[:5] + self.settings.miss_m**2 * _UNIT
         if by_pose is not None:
             allowed = allowed + (by_pose @ P @ by_pose.T).reshape(5, 3, 5, 3)[_TIPS, :, _TIPS]
-        share = (missed * np.linalg.solve(allowed, missed[:, :, None])[:, :, 0]).sum(-1)
+        share = np.array(squared_distances(missed, allowed))
         doubted = noise.copy()
         # A tip further off than any model's error loses next to all of its weight.
         doubted[:5] *= (1.0 + share)[:, None, None]
