@@ -21,13 +21,16 @@ help:
 	@echo "make holder   write the printable camera holder, build/holder/*.stl (docs/build.md)"
 	@echo "make clean    remove the environment and caches"
 
+# pip would compile every module of every package; python compiles the few that are used when it first loads them.
+QUICKLY := --quiet --disable-pip-version-check --no-compile
+
 # The environment is made once and again whenever what it is made from changes.
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "RHOT needs Python 3.11 or newer, $(PYTHON) is $$($(PYTHON) --version); try make PYTHON=python3.12"; exit 1; }
 	@echo "setting up $(VENV), once (about a minute)"
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' --constraint constraints.txt
+	@$(BIN)/python -m pip install $(QUICKLY) --editable '.[dev]' --constraint constraints.txt
 	@touch $@
 
 # Programs of others that tests hand our output to; tests that need one are skipped where it cannot be installed.
@@ -42,7 +45,7 @@ $(NPM): tests/foreign/package.json
 
 $(ROS): tests/foreign/ros.txt
 	@$(PYTHON) -m venv $(@D)
-	@$(@D)/bin/python -m pip install --quiet --disable-pip-version-check --prefer-binary --requirement $<
+	@$(@D)/bin/python -m pip install $(QUICKLY) --prefer-binary --requirement $<
 	@touch $@
 
 foreign:
@@ -74,11 +77,14 @@ sim: $(READY) page
 # Where tests may be whose limits are times on the clock of real processes; tests/conftest.py refuses them elsewhere.
 REAL_TIME := tests/integration tests/faults
 
+# Tests of real processes wait for a sixth of their time: one worker more than there are cores computes meanwhile.
+WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
+
 # Programs of others and the page are fetched and built while the environment is set up, which keeps one core busy.
 # What is judged by the clock wants both cores to itself; everything else shares them.
 test:
 	@$(MAKE) --no-print-directory --jobs 3 foreign page lint
-	@$(BIN)/pytest --numprocesses auto --dist loadgroup -m "not faults and not (integration and real_time)" -rs
+	@$(BIN)/pytest --numprocesses $(WORKERS) --dist loadgroup -m "not faults and not (integration and real_time)" -rs
 	@$(BIN)/pytest -m "integration and real_time and not faults" -rs $(REAL_TIME)
 
 faults: $(READY) page

@@ -22,9 +22,9 @@ _COMMAND = [sys.executable, "-m", "rhot", "sim", "--feet", "--headless", "--rate
 
 
 def run_feet(folder: Path) -> dict[str, Any]:
-    """Let somebody stand for 10 s; return the report."""
+    """Let somebody stand for 7 s; return the report."""
     report_path, endpoint = folder / "r.json", free_endpoint("tcp/127.0.0.1:0")
-    options = ["--walk", "still", "--duration", "10", "--report", str(report_path), "--listen", endpoint]
+    options = ["--walk", "still", "--duration", "7", "--report", str(report_path), "--listen", endpoint]
     done = subprocess.run([*_COMMAND, *options], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr + done.stdout
     assert "foot error, median" in done.stdout

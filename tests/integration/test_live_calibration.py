@@ -26,7 +26,7 @@ from rhot_sim.running.run import free_endpoint
 pytestmark = pytest.mark.integration
 
 BOARD = Board(9, 6, 0.025)
-ENOUGH = 3
+ENOUGH = 2
 
 
 def board_rig(simulated_rig: tuple[Path, str], folder: Path) -> tuple[Path, BusConfig]:

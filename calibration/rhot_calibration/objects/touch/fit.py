@@ -22,7 +22,13 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import nearest_rotation, rotation_cosine, rotation_from_quaternion, rotation_from_vector
+from rhot.geometry.rotations import (
+    cross_matrix,
+    nearest_rotation,
+    rotation_cosine,
+    rotation_from_quaternion,
+    rotation_from_vector,
+)
 from rhot.messages import CylinderShape, FacedShape, SphereShape
 from rhot_calibration.objects.touch.faces import free_rotations, gaps
 
@@ -135,16 +141,18 @@ class _Problem:
     def distances(self, R: FloatArray, p: FloatArray, flesh_m: float) -> tuple[FloatArray, FloatArray]:
         """Return the same in metres."""
         q = (self.tips - p) @ R
-        e, J = np.empty((len(q), 3)), np.zeros((len(q), 3, PARAMETERS))
+        e, slopes = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
         for face, rows in self.rows.items():
             found = gaps(self.shape, face, q[rows])
             e[rows, 0] = found.distance_m - self.radii[rows] - flesh_m
             e[rows, 1:] = found.beside_m
-            slopes = np.concatenate([found.normals[:, None], found.beside_slopes], axis=1)
-            # R → R · exp(ω) takes q to q − ω × q, a shift by R · τ takes it to q − τ.
-            J[rows, :, ROTATION] = np.cross(slopes, q[rows][:, None])
-            J[rows, :, POSITION] = -slopes
-            J[rows, 0, FLESH] = -1.0
+            slopes[rows, 0] = found.normals
+            slopes[rows, 1:] = found.beside_slopes
+        J = np.zeros((len(q), 3, PARAMETERS))
+        # R → R · exp(ω) takes q to q − ω × q, a shift by R · τ takes it to q − τ.
+        J[:, :, ROTATION] = slopes @ cross_matrix(q)
+        J[:, :, POSITION] = -slopes
+        J[:, 0, FLESH] = -1.0
         return e, J
 
 

@@ -4,7 +4,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from bus_watch import PATIENCE_S
+from bus_watch import PATIENCE_S, settled
 from touched.take import take, touch_rig
 
 from rhot.bus import Bus
@@ -20,19 +20,22 @@ VALUES = {"object": "cube", "marker": "index"}
 async def test_touches_on_the_running_rig_can_be_tried_and_saved(router: BusConfig, tmp_path: Path) -> None:
     rig = touch_rig(tmp_path / "rig")
     step = ObjectStep(StepContext(rig.path, router))
-    async with await Bus.open(router) as bus:
+    async with await Bus.open(router) as bus, await Bus.open(router) as reader:
         hands = bus.publisher("rhot/hand/right", HandPose, reliable=True)
         objects = bus.publisher("rhot/object/cube", ObjectPose, reliable=True)
         started = asyncio.create_task(step.press("touch", VALUES))
         async with asyncio.timeout(PATIENCE_S):
             while not (await hands.wait_for_reader(0.1) and await objects.wait_for_reader(0.1)):
                 pass
+            # The step hears two keys: neither may run ahead of the other, nor the session of its readers.
+            heard = aiter(reader.events("rhot/*/*"))
+            await settled(reader)
             for _, message in take(rig.path, rig, 56.0):
                 if isinstance(message, HandPose):
                     hands.put(message)
                 elif isinstance(message, ObjectPose):
                     objects.put(message)
-                await asyncio.sleep(0.001)
+                await anext(heard)
                 if started.done():
                     break
             if "solve" in step.view().enabled:
