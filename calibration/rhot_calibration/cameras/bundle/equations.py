@@ -35,6 +35,11 @@ class BundleEquations:
         columns[moving, LENS_SIZE : LENS_SIZE + 6] = pose[moving]
         columns[:, LENS_SIZE + 6 :] = self._first_place + observations.place[:, None] * 6 + np.arange(6)
         self._columns = columns
+        # Where the numbers of all views go that fall upon one another: parameters a view does not have, −1, go nowhere.
+        used = columns >= 0
+        self._used, self._used_pairs = used, used[:, :, None] & used[:, None, :]
+        self._into = columns[used]
+        self._into_pairs = (columns[:, :, None] * self.size + columns[:, None, :])[self._used_pairs]
         held = np.zeros(self.size, dtype=bool)
         held[: self._first_pose] = np.tile(prior.lens_sd == 0.0, cameras)
         held[self._first_pose : self._first_place] = prior.cameras_held
@@ -89,19 +94,15 @@ class BundleEquations:
         weighted = weighted_J.reshape(flat.shape)
         blocks = np.swapaxes(weighted, 1, 2) @ flat
         sides = np.einsum("vrk,vr->vk", weighted, residuals.reshape(len(place), -1))
-        H, g = np.zeros((self.size, self.size)), np.zeros(self.size)
-        released = self._prior.corner_sd is not None
-        by_corner = by_rig @ R_board[:, None] if released else None
-        # (V, parameters, corners, 3)
-        mixed = None if by_corner is None else np.swapaxes(np.swapaxes(weighted_J, 2, 3) @ by_corner, 1, 2)
-        for view, columns in enumerate(self._columns):
-            kept = np.flatnonzero(columns >= 0)
-            into = columns[kept]
-            H[np.ix_(into, into)] += blocks[view][np.ix_(kept, kept)]
-            g[into] += sides[view][kept]
-            if mixed is not None:
-                H[into, self._first_corner :] += mixed[view][kept].reshape(len(kept), -1)
-        if by_corner is not None:
+        H = np.bincount(self._into_pairs, blocks[self._used_pairs], self.size**2).reshape(self.size, self.size)
+        g = np.bincount(self._into, sides[self._used], self.size)
+        if self._prior.corner_sd is not None:
+            by_corner = by_rig @ R_board[:, None]
+            # (V, parameters, corners, 3)
+            mixed = np.swapaxes(np.swapaxes(weighted_J, 2, 3) @ by_corner, 1, 2)
+            for view, columns in enumerate(self._columns):
+                used = self._used[view]
+                H[columns[used], self._first_corner :] += mixed[view][used].reshape(np.count_nonzero(used), -1)
             weighted_corner = np.swapaxes(by_corner * w[..., None, None], 2, 3)
             corner = (weighted_corner @ by_corner).sum(axis=0)
             rows = self._first_corner + np.arange(3 * corner_count).reshape(corner_count, 3)
