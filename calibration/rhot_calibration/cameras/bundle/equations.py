@@ -94,8 +94,9 @@ class BundleEquations:
         weighted = weighted_J.reshape(flat.shape)
         blocks = np.swapaxes(weighted, 1, 2) @ flat
         sides = np.einsum("vrk,vr->vk", weighted, residuals.reshape(len(place), -1))
-        H = np.bincount(self._into_pairs, blocks[self._used_pairs], self.size**2).reshape(self.size, self.size)
-        g = np.bincount(self._into, sides[self._used], self.size)
+        summed = np.bincount(self._into_pairs, blocks[self._used_pairs], self.size**2)
+        H: FloatArray = np.asarray(summed, np.float64).reshape(self.size, self.size)
+        g: FloatArray = np.asarray(np.bincount(self._into, sides[self._used], self.size), np.float64)
         if self._prior.corner_sd is not None:
             by_corner = by_rig @ R_board[:, None]
             # (V, parameters, corners, 3)
