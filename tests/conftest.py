@@ -66,11 +66,10 @@ def pytest_runtest_makereport(
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _colors_learnt_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Simulated rigs that are alike share the colours that the first of them has learnt, in whichever worker."""
-    own = tmp_path_factory.getbasetemp()
-    kept = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "colors"
-    kept.mkdir(exist_ok=True)
+def _colors_learnt_once(pytestconfig: pytest.Config) -> Iterator[None]:
+    """Simulated rigs that are alike share the colours that the first of them has learnt, in whichever test run."""
+    assert pytestconfig.cache is not None
+    kept = pytestconfig.cache.mkdir("colors")
     with pytest.MonkeyPatch.context() as patch:
         learn = partial(copy_or_learn, simulated_rig_folder.calibrate_colors, kept)
         patch.setattr(simulated_rig_folder, "calibrate_colors", learn)

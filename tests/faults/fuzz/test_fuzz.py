@@ -278,7 +278,7 @@ async def fuzz(folder: Path, number: int) -> None:
         beside = [asyncio.create_task(hand.publish()), asyncio.create_task(hand.collect())]
         stack.callback(lambda: [task.cancel() for task in beside])
         async with asyncio.timeout(PATIENCE_S):
-            while len(hand.poses) < 3 * _RATE_HZ:
+            while len(hand.poses) < _RATE_HZ:
                 await asyncio.sleep(0.05)
         fuzzer = Fuzzer(number, examples(hand))
         stream = iter(fuzzer)

@@ -171,10 +171,10 @@ def fastest(bodies: list[BodyPose], joint: str) -> float:
 
 @pytest.mark.parametrize("jump_m", [0.0, *JUMPS_M])
 def test_no_joint_of_a_body_moves_faster_than_a_person_can(rig_folder: Path, jump_m: float) -> None:
-    """The left foot's tracker loses its map at 4 s and finds it at 6 s."""
-    count = round(9.0 * RATE_HZ)
+    """The left foot's tracker loses its map at 2 s and finds it at 3.5 s."""
+    count = round(6.0 * RATE_HZ)
     off = np.zeros((count, 3))
-    lost, again = round(4.0 * RATE_HZ), round(6.0 * RATE_HZ)
+    lost, again = round(2.0 * RATE_HZ), round(3.5 * RATE_HZ)
     off[lost:again] = jump_m * np.array([0.48, 0.6, 0.64])
     bodies, knees, stage = played(rig_folder, foot_m=off, head_m=np.zeros((count, 3)))
     assert fastest(bodies, "left_ankle") < WALKING_ANKLE_M_S
@@ -182,7 +182,7 @@ def test_no_joint_of_a_body_moves_faster_than_a_person_can(rig_folder: Path, jum
     at_loss = min(bodies, key=lambda body: abs(body.t_ns - START_NS - round(1e9 * lost / RATE_HZ)))
     assert at_loss.legs.get("left") == ("predicted" if jump_m else "measured")
     assert stage.counts["jumps"] == (2 if jump_m else 0)
-    late = [body for body in bodies if body.t_ns - START_NS > 8_000_000_000]
+    late = [body for body in bodies if body.t_ns - START_NS > 5_000_000_000]
     true = [knees[round((body.t_ns - START_NS) * 1e-9 * RATE_HZ)] for body in late]
     errors = np.linalg.norm(np.array([body.joints["left_knee"].position for body in late]) - true, axis=1)
     assert np.mean(errors) < 0.05
@@ -190,9 +190,9 @@ def test_no_joint_of_a_body_moves_faster_than_a_person_can(rig_folder: Path, jum
 
 
 def test_a_head_that_jumps_takes_no_joint_along_faster_than_a_person_can(rig_folder: Path) -> None:
-    count = round(8.0 * RATE_HZ)
+    count = round(5.0 * RATE_HZ)
     off = np.zeros((count, 3))
-    off[round(4.0 * RATE_HZ) :] = [0.3, 0.0, 0.2]
+    off[round(2.0 * RATE_HZ) :] = [0.3, 0.0, 0.2]
     bodies, _, stage = played(rig_folder, foot_m=np.zeros((count, 3)), head_m=off)
     assert stage.counts["jumps"] == 1
     assert fastest(bodies, "hips") < 4.0

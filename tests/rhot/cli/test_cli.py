@@ -72,13 +72,15 @@ def test_the_overview_imports_no_command() -> None:
     ],
 )
 def test_mistakes_end_in_one_error_that_helps(
-    arguments: list[str], says: str, rig_folder: Path, tmp_path: Path
+    arguments: list[str], says: str, rig_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = [word.replace("RIG", str(rig_folder)).replace("OUT", str(tmp_path / "out.jsonl")) for word in arguments]
-    done = rhot(*words)
-    assert done.returncode in (1, 2)
-    assert says in done.stderr
-    assert "Traceback" not in done.stderr
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code in (1, 2)
+    said = capsys.readouterr().err
+    assert says in said
+    assert "Traceback" not in said
     assert not (tmp_path / "out.jsonl").exists()
 
 
