@@ -78,8 +78,14 @@ class Batch:
         self._weighted: CoverageArray = np.empty((count, 5, size), np.float32)
         self.monomials = _monomials(height, width)
         self._gain, self._most = _gains(tuple([grid.window.round_part for grid in grids]))
-        self._coarse = [k for k, grid in enumerate(grids) if grid.scale > 1]
-        self._look_around()
+        self._is_coarse = [grid.scale > 1 for grid in grids]
+        self._near: ImageArray = np.empty(self.shape, np.uint8)
+        self.area = [0] * count
+        self.weights: CoverageArray = self._weighted[:, :2]
+        self._rim: CoverageArray = np.empty((count, size), np.float32)
+        self._pure: CoverageArray = np.empty((count, size), np.float32)
+        self.sums: CoverageArray = np.empty((count, 2, len(self.monomials)), np.float32)
+        self._look_around(range(count))
 
     @property
     def middle(self) -> tuple[float, float]:
@@ -87,34 +93,38 @@ class Batch:
         _, height, width = self.shape
         return 0.5 * (width - 1), 0.5 * (height - 1)
 
-    def _look_around(self) -> None:
-        """Find core and surroundings of the blobs as they are now."""
-        count, height, width = self.shape
-        stacked = self._inside.reshape(-1, width)
+    def _look_around(self, changed: Sequence[int]) -> None:
+        """Find core and surroundings of some blobs, in ascending order, as they are now."""
+        _, height, width = self.shape
+        count = len(changed)
+        # A slice takes no copy.
+        which = list(changed) if count < len(self.area) else slice(None)
+        inside, known = self._inside[which], self._known[which]
+        stacked, shape = inside.reshape(-1, width), inside.shape
         # Up to 2.5 pixels from the blob there may be paint, and 2 pixels from what is not the blob it is pure; on a
         # coarser grid 2 of its pixels, and 1.5.
-        self._near: ImageArray = np.asarray(cv2.dilate(stacked, _WITHIN_2_5), dtype=np.uint8).reshape(self.shape)
-        reach = self._near & self._known
-        pure = _eroded(stacked, _TWO_STEPS).reshape(self.shape)
-        for k in self._coarse:
-            reach[k] = cv2.dilate(self._inside[k], _TWO_STEPS) & self._known[k]
-            pure[k] = _eroded(self._inside[k], _SQUARE)
+        near = np.asarray(cv2.dilate(stacked, _WITHIN_2_5), dtype=np.uint8).reshape(shape)
+        reach = near & known
+        pure = _eroded(stacked, _TWO_STEPS).reshape(shape)
         core = pure.copy()
-        self.area = [cv2.countNonZero(inside) for inside in self._inside]
-        for k, area in enumerate(self.area):
+        for row, k in enumerate(changed):
+            if self._is_coarse[k]:
+                reach[row] = cv2.dilate(inside[row], _TWO_STEPS) & known[row]
+                core[row] = pure[row] = _eroded(inside[row], _SQUARE)
+            self.area[k] = area = cv2.countNonZero(inside[row])
             # A blob large enough has a core that is.
-            if area < _LARGE_PX and cv2.countNonZero(pure[k]) <= _MIN_CORE_SHARE * area:
-                narrow = _eroded(self._inside[k], _CROSS)
+            if area < _LARGE_PX and cv2.countNonZero(pure[row]) <= _MIN_CORE_SHARE * area:
+                narrow = _eroded(inside[row], _CROSS)
                 if cv2.countNonZero(narrow) > _MIN_CORE_SHARE * area:
-                    core[k] = pure[k] = narrow
+                    core[row] = pure[row] = narrow
                 else:
-                    core[k], pure[k] = self._inside[k], 0
-        planes: CoverageArray = np.array([self._known ^ reach, core, reach ^ pure, pure], np.float32)
+                    core[row], pure[row] = inside[row], 0
+        planes: CoverageArray = np.array([known ^ reach, core, reach ^ pure, pure], np.float32)
         planes = planes.reshape(4, count, height * width)
-        self.weights: CoverageArray = self._weighted[:, :2]
-        self.weights[:] = planes[:2].transpose(1, 0, 2)
-        self._rim, self._pure = planes[2:]
-        self.sums: CoverageArray = self.weights @ self.monomials.T
+        weights = planes[:2].transpose(1, 0, 2)
+        self._near[which], self.weights[which] = near, weights
+        self._rim[which], self._pure[which] = planes[2:]
+        self.sums[which] = weights @ self.monomials.T
 
     @property
     def insides(self) -> CoverageArray:
@@ -141,33 +151,35 @@ class Batch:
         t: CoverageArray = (np.array(lines, np.float32)[:, None] @ self.colours)[:, 0]
         return t
 
-    def take_back(self, t: CoverageArray) -> bool:
-        """Add to the masks of large blobs what t shows to be paint beside them; return whether any has grown much.
+    def take_back(self, t: CoverageArray, rounds: int) -> None:
+        """Add to the masks of large blobs what t shows to be paint beside them, as long as one grows much by it.
 
         Args:
             t: (N, H·W).
+            rounds: how often at most.
         """
-        if max(self.area) < _LARGE_PX:
-            return False
-        taken = (t > _TAKEN_BACK).view(np.uint8).reshape(self.shape) & self._known | self._inside
-        if not self._grown_much(taken):
+        growing = [k for k, area in enumerate(self.area) if area >= _LARGE_PX]
+        if not growing:
+            return
+        paint = (t > _TAKEN_BACK).view(np.uint8).reshape(self.shape) & self._known
+        for _ in range(rounds):
+            growing = [k for k in growing if self._grow(k, paint[k])]
+            if not growing:
+                break
+            self._look_around(growing)
+
+    def _grow(self, k: int, paint: ImageArray) -> bool:
+        """Add paint (H, W) to the mask of a blob if it grows much by what lies about it; tell whether it does."""
+        much = _GROWN_MUCH * self.area[k]
+        if cv2.countNonZero(paint | self._inside[k]) < much:
             return False
         # Three pixels around; more than the rim, as it is no rim.
-        near = cv2.dilate(self._near.reshape(-1, self.shape[2]), _CROSS).reshape(self.shape)
-        taken = taken & near | self._inside
-        grown = self._grown_much(taken)
-        if grown:
-            self._inside[grown] = taken[grown]
-            self._look_around()
-        return bool(grown)
-
-    def _grown_much(self, taken: ImageArray) -> list[int]:
-        """Return the large blobs that (N, H, W) masks would let grow by much."""
-        return [
-            k
-            for k, area in enumerate(self.area)
-            if area >= _LARGE_PX and cv2.countNonZero(taken[k]) >= _GROWN_MUCH * area
-        ]
+        about = np.asarray(cv2.dilate(self._near[k], _CROSS), dtype=np.uint8)
+        grown = paint & about | self._inside[k]
+        if cv2.countNonZero(grown) < much:
+            return False
+        self._inside[k] = grown
+        return True
 
     def products(self, t: CoverageArray) -> tuple[CoverageArray, CoverageArray]:
         """Return the sums that `rhot_capture.detection.subpixel.unmixing.fitted_levels` asks for.

@@ -62,9 +62,7 @@ def _measure(grids: Sequence[Grid]) -> list[Centre]:
     batch = Batch(grids)
     lines, usable = unmixing.projections(batch.color_sums())
     t = batch.projected(lines)
-    for _ in range(_ROUNDS):
-        if not batch.take_back(t):
-            break
+    batch.take_back(t, _ROUNDS)
     planes, misfits = unmixing.fitted_levels(lines, batch.sums, *batch.products(t))
     share = batch.shares(t, planes)
     finer: list[int] = []
