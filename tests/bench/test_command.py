@@ -77,6 +77,12 @@ def test_latency_counts_from_the_newest_picture_of_a_hand() -> None:
     assert {row.verdict for row in live_rows(Arrivals(), 1.0, 60.0)} == {"not measured", "missed", "met", ""}
 
 
+def test_live_tells_how_much_of_the_latency_is_work() -> None:
+    rows = {row.name: row.value for row in live_rows(Arrivals(compute_s={"fusion": 0.0008, "ik": 0.001}), 1.0, 60.0)}
+    assert rows["work: fusion, one camera's frame, p50"] == pytest.approx(0.8)
+    assert rows["work: ik, a hand, p50"] == pytest.approx(1.0)
+
+
 def shown(p99_s: float, pictures_hz: float, without_graphics: float) -> ServiceStatus:
     return ServiceStatus(
         t_ns=1,

@@ -7,6 +7,7 @@ the simulator, which draws on the same cores.
 from __future__ import annotations
 
 import asyncio
+import math
 import shutil
 import tempfile
 import time
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.bus import Bus
-from rhot.messages import HandPose, MarkerFrame
+from rhot.messages import HandPose, MarkerFrame, ServiceStatus
 from rhot.operation.control import broadcast
 from rhot.rig import Rig, load_rig
 from rhot.rig.toml_edit import change_rig_file
@@ -54,12 +55,14 @@ class Arrivals:
         frames: t_ns of a marker frame and when its picture was in memory, rig time.
         hands: t_ns of a hand and when it arrived, rig time.
         detect_s: time that finding the markers took, a frame.
+        compute_s: median time that fusion and ik took for a message, as they stated it last, by service.
         invalid: messages that could not be read.
     """
 
     frames: list[tuple[int, int]] = field(default_factory=list)
     hands: list[tuple[int, int]] = field(default_factory=list)
     detect_s: list[float] = field(default_factory=list)
+    compute_s: dict[str, float] = field(default_factory=dict)
     invalid: int = 0
 
 
@@ -149,12 +152,16 @@ async def _read(bus: Bus, into: Arrivals) -> None:
     def keep_hand(_: str, hand: HandPose, age_s: float) -> None:
         into.hands.append((hand.t_ns, hand.t_ns + round(age_s * 1e9)))
 
+    def keep_status(_: str, status: ServiceStatus, __: float) -> None:
+        into.compute_s[status.service] = status.latency_s.get("compute", {}).get("p50", math.nan)
+
     def refuse() -> None:
         into.invalid += 1
 
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(follow(bus.events("rhot/markers/*"), MarkerFrame, time.time_ns, keep_frame, refuse))
         tasks.create_task(follow(bus.events("rhot/hand/*"), HandPose, time.time_ns, keep_hand, refuse))
+        tasks.create_task(follow(bus.events("rhot/status/*/main"), ServiceStatus, time.time_ns, keep_status, refuse))
 
 
 def latencies_s(frames: Sequence[tuple[int, int]], hands: Sequence[tuple[int, int]]) -> list[float]:
@@ -191,6 +198,18 @@ def live_rows(arrivals: Arrivals, seconds: float, rate_hz: float) -> tuple[Row, 
         Row("picture in memory to hand at the reader, p99", share(waits_ms, 99.0), "ms", most=10.0),
         Row("work: finding the markers, p50", share(detect_ms, 50.0), "ms"),
         Row("work: finding the markers, p99", share(detect_ms, 99.0), "ms"),
+        Row(
+            "work: fusion, one camera's frame, p50",
+            1e3 * arrivals.compute_s.get("fusion", math.nan),
+            "ms",
+            note="cameras in step: two of these in a row for each hand",
+        ),
+        Row(
+            "work: ik, a hand, p50",
+            1e3 * arrivals.compute_s.get("ik", math.nan),
+            "ms",
+            note="what is left of the latency: three messages over the bus, decoding and encoding",
+        ),
         Row(
             "hand poses a second",
             len(hands) / seconds,
