@@ -287,14 +287,39 @@ def test_a_better_marker_elsewhere_is_found_within_half_a_second(
 ) -> None:
     """While all are followed the rest of the picture is not looked at, but for a survey now and then."""
     names = list(paints)
-    spot = [shape(name, 60 + 50 * index, 60, radius=4, on_skin=False) for index, name in enumerate(names)]
+    spot = [shape(name, 60 + 50 * index, 60, radius=7, on_skin=False) for index, name in enumerate(names[:-1])]
+    spot.append(shape(names[-1], 310, 60, radius=2.7, on_skin=False))
     detector.detect(scene(spot).image)
-    image = scene([*spot[:-1], shape(names[-1], 500, 380, radius=26, on_skin=False)]).image
+    image = scene([*spot[:-1], shape(names[-1], 500, 380, radius=14, on_skin=False)]).image
     twin = scene([spot[-1]]).image
     image[40:80, 290:330] = twin[40:80, 290:330]
     ends = [detector.detect(image)[names[-1]] for _ in range(31)]
     assert abs(ends[0].u - 310) < 2.0
     assert abs(ends[-1].u - 500) < 2.0
+
+
+def test_an_object_of_a_paints_colour_is_no_marker(
+    detector: MarkerDetector, scene: Any, shape: Any, paints: Any
+) -> None:
+    """The other markers of the hand say how large it can be: from the first picture on, and while the marker hides."""
+    hand = [shape(name, 60 + 50 * index, 60, radius=8, on_skin=False) for index, name in enumerate(paints)]
+    thumb, thing = hand[0], shape(next(iter(paints)), 400, 300, radius=40, on_skin=False)
+    beside = detector.detect(scene([*hand, thing]).image)
+    assert set(beside) == set(paints)
+    assert abs(beside["thumb"].u - thumb.u) < 1.0
+    hidden = detector.detect(scene([*hand[1:], thing]).image)
+    assert set(hidden) == set(paints) - {"thumb"}
+    reasons = [each.reason for name, each in detector.decisions.judged if name == "thumb" and isinstance(each, Refusal)]
+    assert "outsized" in reasons
+
+
+def test_a_marker_beside_slivers_of_the_others_is_no_object(
+    detector: MarkerDetector, scene: Any, shape: Any, paints: Any
+) -> None:
+    hand = [shape(name, 60 + 50 * index, 60, radius=8, on_skin=False) for index, name in enumerate(paints)]
+    detector.detect(scene(hand).image)
+    curled = [hand[0], *(shape(name, 60 + 50 * i, 60, radius=2.5, on_skin=False) for i, name in enumerate(paints) if i)]
+    assert "thumb" in detector.detect(scene(curled).image)
 
 
 def shaded(image: Any, middle: tuple[float, float], direction: float, edge: bool) -> Any:

@@ -42,10 +42,10 @@ two other colours mix."""
 _BOX_3: Final = np.ones((3, 3), np.uint8)
 
 
-Reason = Literal["too small", "too large", "ragged", "hollow", "thin", "rim", "unlike", "cut"]
+Reason = Literal["too small", "too large", "ragged", "hollow", "thin", "rim", "unlike", "cut", "outsized"]
 """Why a blob is no candidate: outside of the marker's areas; not solid; too little of the marker's own colour; no core;
 hanging on a larger blob of another marker, or where that one mixes with what is beside it; not like the marker at all;
-not wholly in the region that was searched."""
+not wholly in the region that was searched; much larger than paint of its hand can be by the other markers."""
 
 
 class Candidate(NamedTuple):
@@ -163,18 +163,20 @@ def _is_rim(cutouts: Cutouts, blob: Blob, label: int, adjacency: float, larger: 
     return beside.share > _MAX_FAINT_ADJACENCY and is_mixture(blob, beside, cutouts.pixels[blob.cut])
 
 
-def likeliest(candidates: Sequence[Candidate], track: MarkerTrack) -> Candidate | None:
+def likeliest(candidates: Sequence[Candidate], track: MarkerTrack, usual_px: float = math.inf) -> Candidate | None:
     """Return the candidate that is most surely a marker; None where none is surely enough.
 
     Args:
         candidates: for the marker, at least one.
         track: of that marker.
+        usual_px: square pixels of the marker when it is wholly seen; larger is not more like it.
     """
     best = candidates[0]
     if len(candidates) > 1:
         # How much it is like the marker, times how well it continues the track, times area.
         weights = [
-            one.plausibility * track.preference(*one.blob.middle, one.blob.area) * one.blob.area for one in candidates
+            one.plausibility * track.preference(*one.blob.middle, one.blob.area) * min(one.blob.area, usual_px)
+            for one in candidates
         ]
         first, second = sorted(range(len(candidates)), key=weights.__getitem__, reverse=True)[:2]
         share = weights[first] / (weights[first] + weights[second])

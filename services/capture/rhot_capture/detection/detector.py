@@ -23,6 +23,7 @@ from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Reaso
 from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.corners import find_corners
 from rhot_capture.detection.cutouts import Cutouts, Region
+from rhot_capture.detection.hand_scale import HandScale
 from rhot_capture.detection.reach import HandReach
 from rhot_capture.detection.score import probability
 from rhot_capture.detection.search import find_regions
@@ -95,6 +96,7 @@ class MarkerDetector:
         self._gates = [(markers[name].min_area_px, markers[name].max_area_px) for name in self._names]
         self._sharing = SharedPaints(markers)
         self._reach = HandReach(markers)
+        self._scale = HandScale(markers)
         self._size = (height, width)
         self._tracks = {name: MarkerTrack() for name in markers}
         # Corners of patches in the last frame, from their centres.
@@ -136,9 +138,8 @@ class MarkerDetector:
 
     def reset(self) -> None:
         """Forget where the markers were."""
-        self._shapes.clear()
-        self._sharing.clear()
-        self._reach.clear()
+        for memory in (self._shapes, self._sharing, self._reach, self._scale):
+            memory.clear()
         self._tracks = {name: MarkerTrack() for name in self._markers}
 
     def detect(self, image: ImageArray) -> dict[str, Detection]:
@@ -261,6 +262,7 @@ class MarkerDetector:
 
     def _best(self, candidates: Mapping[str, list[Candidate]]) -> dict[str, Candidate]:
         """Return for each marker the candidate that is most surely it; none where none is surely enough."""
+        candidates = self._scale.fitting(candidates, self._tracks, self._judged)
         chosen = self._likeliest(candidates, self._names)
         self._chosen = chosen = chosen | self._share(candidates, chosen)
         return chosen
@@ -271,8 +273,7 @@ class MarkerDetector:
         for name in names:
             each = candidates.get(name)
             if each is not None and name not in self._sharing.wearers:
-                best = likeliest(each, self._tracks[name])
-                if best is not None:
+                if best := likeliest(each, self._tracks[name], self._scale.usual_px(name)):
                     chosen[name] = best
         return chosen
 

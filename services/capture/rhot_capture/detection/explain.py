@@ -47,6 +47,7 @@ _REASONS: Final[dict[Reason, str]] = {
     "thin": "thin: no core of pure colour, and not where the marker just was",
     "rim": "rim of another marker: it hangs on a larger blob of that colour",
     "unlike": "not like the marker: hardly any of its colour is typical, or all of its rim is on the border",
+    "outsized": "too large for its hand: {area:.0f} px², several times what the other markers of the hand let expect",
     "cut": "cut: it goes on beyond the region that was searched",
 }
 

@@ -1,0 +1,96 @@
+"""How large the markers of a hand can be in a picture, by each other: what tells an object of a paint's colour.
+
+Markers of one hand are about as far from the camera as each other, so each square metre of paint covers about as many
+pixels. Bent away or half hidden, paint covers fewer, never more. What covers many more is not on this hand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from rhot.rig.config import MarkerConfig
+from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Refusal
+from rhot_capture.detection.track import MarkerTrack
+
+_CAP_M2: Final = 2.7e-4
+"""Paint of a fingertip that a camera sees from the side, square metres: 15 mm across, 18 mm along."""
+_MOST: Final = 4.0
+"""How many times the pixels a marker may have that its size and the hand's scale say. A thumb's cap is 1.7 times that
+of a finger, a fingertip 10 cm nearer than the palm at 50 cm shows 1.6 times as much. Chosen."""
+_MEMORY: Final = 0.999
+"""What remains of the largest scale from frame to frame: half of it is forgotten in 700 frames. A hand in a grasp, of
+which little is seen, keeps the scale that it had when it was open."""
+
+
+class HandScale:
+    """Pixels to each square metre of paint, for each hand in one camera's pictures.
+
+    Args:
+        markers: of the rig, by name. Balls are of any size, and paint that two hands wear may be on either; both are
+            left out.
+    """
+
+    def __init__(self, markers: Mapping[str, MarkerConfig]) -> None:
+        shared = {marker.paint_of for marker in markers.values()}
+        self._face_m2: dict[str, tuple[str, float]] = {}
+        for name, marker in markers.items():
+            if marker.kind != "ball" and marker.paint_of is None and name not in shared:
+                face_m2 = _CAP_M2 if marker.size_m is None else marker.size_m[0] * marker.size_m[1]
+                self._face_m2[name] = marker.hand, face_m2
+        self._scale = {hand: 0.0 for hand, _ in self._face_m2.values()}
+
+    def clear(self) -> None:
+        """Forget the scales."""
+        self._scale = dict.fromkeys(self._scale, 0.0)
+
+    def fitting(
+        self,
+        candidates: Mapping[str, list[Candidate]],
+        tracks: Mapping[str, MarkerTrack],
+        judged: list[tuple[str, Candidate | Refusal]],
+    ) -> Mapping[str, list[Candidate]]:
+        """Return the candidates of one frame that are not too large for their hand, whose scale is learnt from them.
+
+        The second largest scale among its markers counts: one object of a paint's colour does not make a hand larger.
+
+        Args:
+            candidates: by marker.
+            tracks: of the markers.
+            judged: name and verdict of every blob; candidates that are left out become refusals.
+        """
+        scales: dict[str, list[float]] = {hand: [] for hand in self._scale}
+        for name in self._face_m2.keys() & candidates.keys():
+            likely = _likely(candidates[name], tracks[name])
+            if likely.plausibility >= MIN_PLAUSIBILITY:
+                hand, face_m2 = self._face_m2[name]
+                scales[hand].append(likely.blob.area / face_m2)
+        for hand, seen in scales.items():
+            second = sorted(seen)[-2] if len(seen) > 1 else 0.0
+            self._scale[hand] = max(_MEMORY * self._scale[hand], second)
+        outsized = [
+            number
+            for number, (name, one) in enumerate(judged)
+            if isinstance(one, Candidate) and one.blob.area > _MOST * self.usual_px(name)
+        ]
+        if not outsized:
+            return candidates
+        for number in outsized:
+            name, one = judged[number]
+            judged[number] = name, Refusal(one.blob, "outsized", one.fill)
+        most_px = {name: _MOST * self.usual_px(name) for name in candidates}
+        kept = {name: [one for one in each if one.blob.area <= most_px[name]] for name, each in candidates.items()}
+        return {name: each for name, each in kept.items() if each}
+
+    def usual_px(self, name: str) -> float:
+        """Return the square pixels of a marker that is wholly seen; infinite where nothing tells."""
+        hand, face_m2 = self._face_m2.get(name, ("", math.inf))
+        return face_m2 * self._scale.get(hand, 1.0) or math.inf
+
+
+def _likely(candidates: Sequence[Candidate], track: MarkerTrack) -> Candidate:
+    if len(candidates) == 1:
+        return candidates[0]
+    weights = [one.plausibility * track.preference(*one.blob.middle, one.blob.area) for one in candidates]
+    return candidates[weights.index(max(weights))]
