@@ -271,10 +271,9 @@ class MarkerDetector:
         """Return the same for some paints of one wearer."""
         chosen: dict[str, Candidate] = {}
         for name in names:
-            each = candidates.get(name)
-            if each is not None and name not in self._sharing.wearers:
-                if best := likeliest(each, self._tracks[name], self._scale.usual_px(name)):
-                    chosen[name] = best
+            each = () if name in self._sharing.wearers else candidates.get(name, ())
+            if each and (best := likeliest(each, self._tracks[name], self._scale.usual_px(name))):
+                chosen[name] = best
         return chosen
 
     def _share(
