@@ -6,13 +6,13 @@ import asyncio
 import json
 import signal
 import tempfile
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Coroutine, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 import click
-from rich.console import Console, RenderableType
+from rich.console import Console
 
 from rhot.cli.options import DEFAULT_RIG, endpoints
 from rhot.cli.page import Pages, free_pages, page_options
@@ -32,6 +32,8 @@ from rhot_sim.walker.run import WalkerRun
 
 _SIDES: Final[Mapping[str, tuple[Side, ...]]] = {"right": ("right",), "left": ("left",), "both": ("right", "left")}
 """Hands by the choices of --hands; the first one's paints are the rig's own."""
+_TO_CALIBRATE: Final = ("board", "desk_board", "touch", "headset")
+"""Motions that are there to calibrate with: nothing is compared with the truth."""
 
 
 @click.command()
@@ -201,38 +203,33 @@ def sim(
             rig = with_motion(rig, motion)
         if chosen != DEFAULT_ENDPOINT:
             console.print(f"The router listens on {chosen}: give the other commands --connect {chosen}", soft_wrap=True)
-        calibrating = rig.config.sim.motion in ("board", "desk_board", "touch", "headset") or bool(
-            not feet and missing_calibration(rig)
-        )
+        calibrating = rig.config.sim.motion in _TO_CALIBRATE or bool(not feet and missing_calibration(rig))
         pages = free_pages(page_port, grasp=not calibrating) if viewer and not headless else Pages()
         if calibrating:
             limit_s = duration_s if _is_given(context, "duration_s") else None
             work_on_it = run_for_calibration(rig, chosen, limit_s, work, console, pages.commands(), pages.lines())
             return 128 + signal.SIGINT if asyncio.run(_unless_interrupted(work_on_it)) else 0
         run = (WalkerRun if feet else SimRun)(rig, chosen, duration_s, work, pages.commands())
-        shown = run.execute(console, live=not headless and console.is_terminal, announce=pages.lines())
-        if asyncio.run(_unless_interrupted(shown)):
-            console.print("interrupted; no summary")
-            return 128 + signal.SIGINT
-        if not headless:
-            console.print()
-        _summarise(run, console, feet_summary if feet else summary, report_path)
-    return 0
+        return _run_and_compare(run, console, pages, report_path, headless=headless)
 
 
-def _summarise(
-    run: SimRun | WalkerRun,
-    console: Console,
-    summarise: Callable[[Mapping[str, Any]], RenderableType],
-    report_path: Path | None,
-) -> None:
-    """Compare a run with the truth, print the summary and write the report where one is wanted."""
+def _run_and_compare(
+    run: SimRun | WalkerRun, console: Console, pages: Pages, report_path: Path | None, *, headless: bool
+) -> int:
+    """Run to the end, compare with the truth, print the summary and write the report; return the exit code."""
+    shown = run.execute(console, live=not headless and console.is_terminal, announce=pages.lines())
+    if asyncio.run(_unless_interrupted(shown)):
+        console.print("interrupted; no summary")
+        return 128 + signal.SIGINT
+    if not headless:
+        console.print()
     with console.status("comparing with the truth"):
         report = run.report()
-    console.print(summarise(report))
+    console.print(feet_summary(report) if isinstance(run, WalkerRun) else summary(report))
     if report_path is not None:
         write_text_atomic(report_path, json.dumps(report, indent=1) + "\n")
         console.print(f"report: {report_path}")
+    return 0
 
 
 def _check_outside(report_path: Path | None, endpoint: str | None) -> None:

@@ -10,14 +10,13 @@ import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
 from rhot_bench.measures.points import PointTrack
-from rhot_sim.comparison.coverage import visible_to_two
+from rhot_sim.comparison.coverage import NEAR_FRAMES, visible_to_two
 from rhot_sim.rendering.coverage import MarkerCoverage
 
 SHORT_S: Final = 0.25
 """An occlusion up to this long is to be bridged."""
 BACK_S: Final = 0.05
 """A marker is to be measured again this soon after both cameras see it again."""
-_NEAR_S: Final = 0.025
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +44,16 @@ def visible_markers(cameras: Mapping[str, MarkerCoverage], names: Sequence[str],
     return np.array([[name in row for name in names] for row in rows], dtype=np.bool_).reshape(-1, len(names))
 
 
-def survival(track: PointTrack, times_s: FloatArray, visible: BoolArray) -> Survival:
+def survival(track: PointTrack, times_s: FloatArray, visible: BoolArray, rate_hz: float) -> Survival:
     """Compare what could be seen with what was reported.
 
     Args:
         track: reported points.
         times_s: (T,) moments, evenly spaced, rising.
         visible: (T, M) which markers could be seen then.
+        rate_hz: of the cameras.
     """
-    reported, measured = _states(track, times_s)
+    reported, measured = _states(track, times_s, NEAR_FRAMES / rate_hz)
     samples = int(visible.sum())
     short, survived = 0, 0
     back: list[float] = []
@@ -75,8 +75,8 @@ def survival(track: PointTrack, times_s: FloatArray, visible: BoolArray) -> Surv
     )
 
 
-def _states(track: PointTrack, times_s: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Return (T, M) whether a marker was reported, and measured, in a set next to each moment."""
+def _states(track: PointTrack, times_s: FloatArray, near_s: float) -> tuple[BoolArray, BoolArray]:
+    """Return (T, M) whether a marker was reported, and measured, in a set at most so near to each moment."""
     reported = np.zeros((len(times_s), len(track.names)), dtype=np.bool_)
     measured = reported.copy()
     there = np.isfinite(track.positions[:, :, 0])
@@ -85,7 +85,7 @@ def _states(track: PointTrack, times_s: FloatArray) -> tuple[BoolArray, BoolArra
         row = np.clip(index, 0, max(len(track.t_s) - 1, 0))
         if not len(track.t_s):
             break
-        near = (np.abs(track.t_s[row] - times_s) <= _NEAR_S)[:, None]
+        near = (np.abs(track.t_s[row] - times_s) <= near_s)[:, None]
         reported |= there[row] & near
         measured |= track.measured[row] & near
     return reported, measured

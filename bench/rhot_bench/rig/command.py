@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Final
@@ -114,37 +115,14 @@ def rig(
     if (recording_path is None) == (not live):
         raise ConfigError(f"give either a RECORDING or --live {'|'.join(PARTS)}")
     loaded, console = _loaded(rig_path, marker), Console(stderr=True, soft_wrap=True)
-    sections: list[Section] = []
-    plots: list[str] = []
     failed: list[str] = []
-    parts = list(dict.fromkeys(live))
     if recording_path is not None:
-        _recorded(loaded, recording_path, sections, plots)
+        sections, plots = _recorded(loaded, recording_path)
         source = f"the recording {recording_path.name}"
     else:
-        places = _distances(distances)
-        bus = tool_bus(rig_path, connect, namespace)
-        for part in parts:
-            console.print(f"{part}: {_SAY[part]}, {seconds:g} s")
-            if not yes:
-                click.prompt("Enter begins", default="", show_default=False, err=True)
-            try:
-                guided = part == "depth" and not asyncio.run(listen(bus, _LOOK_S, lambda _: None)).truth
-                heard = Heard() if guided else asyncio.run(listen(bus, seconds, lambda _: None))
-                if part == "depth":
-                    rows = depth_rows(loaded, bus, heard, marker, places, 1e-3 * ruler_mm, console)
-                    sections += depth_sections(rows, truth.fb if (truth := simulated_truth(loaded, heard)) else None)
-                    plots.append(depth_plot(rows))
-                else:
-                    _listened(part, loaded, heard, bus, sections, plots)
-            except RhotError as error:
-                if len(parts) == 1:
-                    raise
-                # What was measured before it is not lost.
-                failed.append(part)
-                console.print(f"{part}: {error}", style="red", markup=False)
-        if not sections:
-            raise ConfigError("nothing was measured; the reasons stand above")
+        session = _Session(loaded, tool_bus(rig_path, connect, namespace), seconds, console)
+        held = _Held(marker, _distances(distances), 1e-3 * ruler_mm)
+        sections, plots, failed = _live(session, list(dict.fromkeys(live)), held, ask=not yes)
         source = f"the running rig {loaded.config.name}, {seconds:g} s each"
     show("evaluate rig", sections, json_path, source=source)
     if page_path is not None:
@@ -155,6 +133,60 @@ def rig(
         raise ConfigError(f"not measured: {', '.join(failed)}; the reasons stand above")
 
 
+@dataclass(frozen=True, slots=True)
+class _Session:
+    """A running rig, how long each part listens to it, and where the person reads what to do."""
+
+    rig: Rig
+    bus: BusConfig
+    seconds: float
+    console: Console
+
+    def listen(self, seconds: float) -> Heard:
+        """Return what the rig publishes from now on."""
+        return asyncio.run(listen(self.bus, seconds, lambda _: None))
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """What is held before the cameras to measure depth: a marker, at which distances, and how exact these are."""
+
+    marker: str
+    places_cm: Sequence[float]
+    ruler_m: float
+
+
+def _live(
+    session: _Session, parts: Sequence[str], held: _Held, *, ask: bool
+) -> tuple[list[Section], list[str], list[str]]:
+    """Measure parts one after the other; return sections, plots and the parts that failed.
+
+    Raises:
+        RhotError: the only part failed, or all did.
+    """
+    sections: list[Section] = []
+    plots: list[str] = []
+    failed: list[str] = []
+    for part in parts:
+        session.console.print(f"{part}: {_SAY[part]}, {session.seconds:g} s")
+        if ask:
+            click.prompt("Enter begins", default="", show_default=False, err=True)
+        try:
+            found, drawn = _depth(session, held) if part == "depth" else _listened(part, session)
+        except RhotError as error:
+            if len(parts) == 1:
+                raise
+            # What was measured before it is not lost.
+            failed.append(part)
+            session.console.print(f"{part}: {error}", style="red", markup=False)
+        else:
+            sections += found
+            plots += drawn
+    if not sections:
+        raise ConfigError("nothing was measured; the reasons stand above")
+    return sections, plots, failed
+
+
 def _loaded(rig_path: Path, marker: str) -> Rig:
     """Load a rig that must have a marker."""
     loaded = load_rig(rig_path)
@@ -163,22 +195,30 @@ def _loaded(rig_path: Path, marker: str) -> Rig:
     return loaded
 
 
-def _listened(part: str, rig: Rig, heard: Heard, bus: BusConfig, sections: list[Section], plots: list[str]) -> None:
-    """Judge what was heard for one part other than depth."""
+def _depth(session: _Session, held: _Held) -> tuple[Sequence[Section], list[str]]:
+    """Measure depth: against the truth where the rig tells it, else at distances that a person measures."""
+    rig, guided = session.rig, not session.listen(_LOOK_S).truth
+    heard = Heard() if guided else session.listen(session.seconds)
+    rows = depth_rows(rig, session.bus, heard, held.marker, held.places_cm, held.ruler_m, session.console)
+    truth = simulated_truth(rig, heard)
+    return depth_sections(rows, None if truth is None else truth.fb), [depth_plot(rows)]
+
+
+def _listened(part: str, session: _Session) -> tuple[Sequence[Section], Sequence[str]]:
+    """Listen, and judge what was heard for one part other than depth."""
+    rig, heard = session.rig, session.listen(session.seconds)
     truth = simulated_truth(rig, heard)
     if part == "grasp":
-        sections += grasps(rig, heard)
-    elif part == "stages":
+        return grasps(rig, heard), ()
+    if part == "stages":
         times = stage_times(heard) if truth is None else stage_times(heard, truth.exposed_ns)
-        sections += stage_sections(heard, times)
-        sections.append(_threads(rig, asyncio.run(pictures_of(bus, tuple(rig.cameras), _PICTURES))))
-    else:
-        jitter = still_jitter(heard, rests_only=False, cameras=None if truth is None else truth.cameras)
-        sections += jitter_sections(jitter)
-        plots += jitter_plots(jitter)
+        pictures = asyncio.run(pictures_of(session.bus, tuple(rig.cameras), _PICTURES))
+        return [*stage_sections(heard, times), _threads(rig, pictures)], ()
+    jitter = still_jitter(heard, rests_only=False, cameras=None if truth is None else truth.cameras)
+    return jitter_sections(jitter), jitter_plots(jitter)
 
 
-def _recorded(rig: Rig, path: Path, sections: list[Section], plots: list[str]) -> None:
+def _recorded(rig: Rig, path: Path) -> tuple[list[Section], list[str]]:
     """Judge a recording: jitter where the hand rests, stages that it tells, and threads where there are pictures."""
     if path.is_file():
         # What was published is in it: nothing is tracked again.
@@ -189,15 +229,14 @@ def _recorded(rig: Rig, path: Path, sections: list[Section], plots: list[str]) -
     if not heard.frames:
         raise ConfigError(f"{path}: no camera's markers are in it; record with `rhot record`, or name a folder")
     jitter = still_jitter(heard, rests_only=True)
-    sections += jitter_sections(jitter)
-    plots += jitter_plots(jitter)
-    sections += stage_sections(heard, stage_times(heard))
+    sections = [*jitter_sections(jitter), *stage_sections(heard, stage_times(heard))]
     cameras = {} if recording is None else recording.cameras
     tracks = {name: each for name, each in cameras.items() if not isinstance(each, MarkerTrack)}
     if tracks:
         sections.append(
             _threads(rig, {name: list(islice(read_pictures(each), _PICTURES)) for name, each in tracks.items()})
         )
+    return sections, list(jitter_plots(jitter))
 
 
 def _threads(rig: Rig, pictures: dict[str, list[ImageArray]]) -> Section:

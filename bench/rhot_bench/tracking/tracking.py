@@ -120,7 +120,8 @@ def run_scene(rig: Rig, scene: Scene, advance: Callable[[], None], *, look: bool
     if look:
         times_s = np.arange(SETTLE_S, end_s - 0.1, 1.0 / _LOOK_HZ)
         cameras = {name: MarkerCoverage(camera, world) for name, camera in true_cameras(rig).items()}
-        seen = survival(points, times_s, visible_markers(cameras, points.names, times_s))
+        rate_hz = next(iter(rig.config.cameras.values())).rate_hz
+        seen = survival(points, times_s, visible_markers(cameras, points.names, times_s), rate_hz)
     hand = None
     sides = rig.config.sides
     if sides and poses:

@@ -19,7 +19,7 @@ from rhot.rig.config import ObjectSource
 from rhot.rig.folder import registration_name, registration_path
 from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
 from rhot_calibration.objects.collector import Place, PlaceCollector
-from rhot_calibration.objects.fit import Estimate, Places, first_prior, fit_registration
+from rhot_calibration.objects.fit import Estimate, Places, RegistrationFit, first_prior, fit_registration
 from rhot_calibration.objects.live import collect_places
 from rhot_calibration.objects.record import (
     RegistrationQuality,
@@ -178,6 +178,7 @@ def objects(
         raise ConfigError("give a table of places (PLACES.csv), or --live with --object and --marker")
     else:
         places = read_places(table)
+    console = Console(soft_wrap=True, markup=False, highlight=False)
     lever_sd_m = _UNKNOWN_LEVER_SD_M if lever is None else 1e-3 * lever_sd_mm
     if realign:
         drift = 1e-3 * drift_mm, float(np.radians(drift_deg))
@@ -188,18 +189,26 @@ def objects(
         check_places(places)
         prior = None
         fit = fit_registration(places, first_prior(places, np.zeros(3) if lever is None else lever, lever_sd_m))
-    console = Console(soft_wrap=True, markup=False, highlight=False)
-    console.print(places_table(places, fit))
-    notes = [scale_note(places, fit), lever_note(fit)]
-    check_fit(fit)
-    if prior is not None and np.count_nonzero(fit.kept) == 1:
-        notes.append("one place cannot tell how the space has turned: only its position was corrected")
-    report(console, fit, prior)
-    for note in filter(None, notes):
-        console.print(f"note: {note}", style="yellow")
+    _tell(console, places, fit, prior)
     written = registration_file(fit, places, before, object_id=shown.object_id, marker=shown.marker, prior=prior)
     then = "`rhot objects` takes it when it is started again."
     write_found(console, file, written, then, before=held, dry_run=dry_run)
+
+
+def _tell(console: Console, places: Places, fit: RegistrationFit, prior: Estimate | None) -> None:
+    """Print the places, the result and what is odd about it; `prior` = what was corrected.
+
+    Raises:
+        CalibrationError: the result cannot be right.
+    """
+    console.print(places_table(places, fit))
+    check_fit(fit)
+    report(console, fit, prior)
+    notes = [scale_note(places, fit), lever_note(fit)]
+    if prior is not None and np.count_nonzero(fit.kept) == 1:
+        notes.append("one place cannot tell how the space has turned: only its position was corrected")
+    for note in filter(None, notes):
+        console.print(f"note: {note}", style="yellow")
 
 
 def _realign_prior(

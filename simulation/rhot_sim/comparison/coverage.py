@@ -18,7 +18,7 @@ VISIBLE_SHARE: Final = 0.25
 
 Skin hides the rear of a painted fingertip: an unhidden one shows about half of its silhouette.
 """
-_NEAR_FRAMES: Final = 1.5
+NEAR_FRAMES: Final = 1.5
 """A sample is tracked when a point set lies this near to it, in frames of a camera."""
 
 
@@ -68,7 +68,7 @@ def coverage(
     measured: Counter[str] = Counter()
     reported: Counter[str] = Counter()
     for t_s in times_s.tolist():
-        near = np.flatnonzero(np.abs(points_t_s - t_s) <= _NEAR_FRAMES / rate_hz)
+        near = np.flatnonzero(np.abs(points_t_s - t_s) <= NEAR_FRAMES / rate_hz)
         nearest = [points[int(row)] for row in near[np.argsort(np.abs(points_t_s[near] - t_s))][:2]]
         for name in visible_to_two(cameras, t_s):
             visible[name] += 1

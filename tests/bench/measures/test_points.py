@@ -64,7 +64,7 @@ def test_survival_of_occlusions() -> None:
     gone = (track.t_s > 3.0) & (track.t_s < 3.16)
     track.positions[gone, 0] = np.nan
     track.measured[gone, 0] = False
-    result = survival(track, times_s, visible)
+    result = survival(track, times_s, visible, 60.0)
     assert result.occlusions == 4
     assert result.survived == pytest.approx(0.75)
     assert result.measured == 1.0
@@ -75,6 +75,6 @@ def test_coverage_counts_what_was_seen_but_not_measured() -> None:
     track = standing()
     track.measured[:, 1] = False
     times_s = np.arange(0.0, 9.9, 1 / 30)
-    result = survival(track, times_s, np.ones((len(times_s), 3), dtype=bool))
+    result = survival(track, times_s, np.ones((len(times_s), 3), dtype=bool), 60.0)
     assert result.measured == pytest.approx(2 / 3)
     assert np.isnan(result.survived)

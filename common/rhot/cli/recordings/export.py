@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from rhot.export.stage_axes import NO_STAGE, stage_of
 from rhot.export.table_files import write_csv, write_parquet
 from rhot.messages import Side
 from rhot.recording.mcap.beside import StoredPicture, pictures_beside, stored_pictures, unpack_rig
-from rhot.rig import Rig, load_rig
+from rhot.rig import CameraCalibration, Rig, load_rig
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
@@ -43,6 +43,26 @@ def _write_tables(parts: Sequence[RecordedMessages], csv_folder: Path | None, pa
     rows = {table.name: len(table.order()) for table in made}
     for path in written:
         click.echo(f"{path}: {rows[path.stem]} rows")
+
+
+def _write_viewer_files(
+    parts: Sequence[RecordedMessages],
+    cameras: Mapping[str, CameraCalibration],
+    foxglove_file: Path | None,
+    rerun_file: Path | None,
+) -> None:
+    if foxglove_file is not None:
+        try:
+            from rhot.export.foxglove.file import write_foxglove  # noqa: PLC0415  # its extra may be absent
+        except ModuleNotFoundError as error:
+            raise ConfigError(
+                f"--foxglove needs the Python module {error.name}; pip install 'rhot[foxglove]'"
+            ) from error
+        topics = write_foxglove(foxglove_file, chain.from_iterable(parts), dict(cameras), _pictures(parts))
+        click.echo(f"{foxglove_file}: {sum(topics.values())} messages on {len(topics)} topics")
+    if rerun_file is not None:
+        count = write_rerun(rerun_file, chain.from_iterable(parts), dict(cameras), _pictures(parts))
+        click.echo(f"{rerun_file}: {count} messages")
 
 
 def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
@@ -147,19 +167,7 @@ def export(
         else:
             found = {name: motion.moved(T_stage_rig) for name, motion in found.items()}
         write_motion_files(targets, found, in_stage=T_stage_rig is not None)
-    cameras = {} if rig is None else dict(rig.cameras)
-    if foxglove_file is not None:
-        try:
-            from rhot.export.foxglove.file import write_foxglove  # noqa: PLC0415  # its extra may be absent
-        except ModuleNotFoundError as error:
-            raise ConfigError(
-                f"--foxglove needs the Python module {error.name}; pip install 'rhot[foxglove]'"
-            ) from error
-        written_topics = write_foxglove(foxglove_file, chain.from_iterable(parts), cameras, _pictures(parts))
-        click.echo(f"{foxglove_file}: {sum(written_topics.values())} messages on {len(written_topics)} topics")
-    if rerun_file is not None:
-        count = write_rerun(rerun_file, chain.from_iterable(parts), cameras, _pictures(parts))
-        click.echo(f"{rerun_file}: {count} messages")
+    _write_viewer_files(parts, {} if rig is None else rig.cameras, foxglove_file, rerun_file)
     invalid = sum(part.invalid for part in parts)
     if invalid:
         errors.print(f"[yellow]{invalid} messages are not valid and are left out[/]")
