@@ -180,6 +180,13 @@ def test_services_come_after_the_router_of_their_machine_but_live_without_it(uni
         assert not {"Requires", "BindsTo", "Requisite"} & set(unit)
 
 
+def test_what_tracks_goes_before_pages_and_bridges(units: Path) -> None:
+    nice = {name: int(effective(units, name)["Service"].get("Nice", ["0"])[-1]) for name in SERVICES}
+    showing = {"rhot-bridge", "rhot-viewer", "rhot-grasp"}
+    assert {nice[name] for name in SERVICES if name not in showing} == {-5}
+    assert {nice[name] for name in showing} == {0}
+
+
 def test_only_those_that_save_may_write_and_only_their_own_state(units: Path) -> None:
     for name in (*SERVICES, "rhot-start"):
         service = effective(units, name)["Service"]
