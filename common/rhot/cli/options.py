@@ -54,7 +54,7 @@ def endpoints(option: str, words: tuple[str, ...]) -> tuple[str, ...]:
     """Return the Zenoh endpoints that an option names; commas separate several.
 
     Raises:
-        ConfigError: one has no protocol or no port.
+        ConfigError: one has no protocol, or no port that others could find.
     """
     found = tuple(part for word in words for part in word.split(",") if part)
     for each in found:
@@ -65,6 +65,8 @@ def endpoints(option: str, words: tuple[str, ...]) -> tuple[str, ...]:
             raise ConfigError(
                 f"{option} {each}: has no port; a router listens on {each}:7447 unless rig.toml says else"
             )
+        if link in _WITH_PORT and re.search(r":0+($|[?#])", address):
+            raise ConfigError(f"{option} {each}: nobody could find port 0; give a free one, such as 7447")
     return found
 
 

@@ -60,6 +60,7 @@ def test_the_overview_imports_no_command() -> None:
         (["objects", "--rig", "RIG"], "names no objects"),
         (["get", "rhot/**", "--connect", NOBODY], "no Zenoh router answers"),
         (["get", "rhot/**", "--connect", "nonsense"], "begins with its protocol"),
+        (["sim", "--listen", "tcp/127.0.0.1:0"], "port 0"),
         (["status", "--connect", NOBODY], "rhot sim"),
         (["start", "--connect", NOBODY], "no Zenoh router answers"),
         (["process", "/nonexistent", "--rig", "RIG", "--out", "OUT"], "/nonexistent"),
