@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import cache
+from itertools import takewhile
 from pathlib import Path
 
 import cv2
@@ -105,6 +107,9 @@ class StreamFigures:
     seconds_per_frame: float
 
 
+_loaded = cache(load_recording)
+
+
 def replay_figures(
     rig: Rig, recording_path: Path, seen_bits: int, rows: int | None = None
 ) -> tuple[StreamFigures, FusionStage]:
@@ -112,10 +117,13 @@ def replay_figures(
 
     `rows` of that file end it sooner.
     """
-    recording = load_recording(recording_path)
+    recording = _loaded(recording_path)
     stage = FusionStage(rig)
     masks = np.loadtxt(recording_path / "masks.csv", delimiter=",", skiprows=1, dtype=np.int64)[:rows]
-    frames = [frame for frame in marker_track_frames(rig, recording) if frame.frame <= masks[-1, 0]]
+    last = int(masks[-1, 0])
+    # Cameras are a frame or two apart: what follows the last one of both is not even made.
+    begun = takewhile(lambda frame: frame.frame <= last + 30, marker_track_frames(rig, recording))
+    frames = [frame for frame in begun if frame.frame <= last]
     left = recording.cameras["left"]
     assert isinstance(left, MarkerTrack)
     start_ns = int(left.t_ns[0])
