@@ -320,6 +320,20 @@ def test_a_marker_beside_slivers_of_the_others_is_no_object(
     detector.detect(scene(hand).image)
     curled = [hand[0], *(shape(name, 60 + 50 * i, 60, radius=2.5, on_skin=False) for i, name in enumerate(paints) if i)]
     assert "thumb" in detector.detect(scene(curled).image)
+    detector.reset()
+    assert "thumb" in detector.detect(scene(curled[:3]).image)
+
+
+def test_a_fist_that_comes_nearer_is_no_object(detector: MarkerDetector, scene: Any, shape: Any, paints: Any) -> None:
+    """The patch alone is seen, over four times as large after a second."""
+    names = list(paints)
+    detector.detect(
+        scene([shape(name, 60 + 50 * i, 60, radius=5, on_skin=False) for i, name in enumerate(names)]).image
+    )
+    for frame in range(60):
+        radius = 10.0 * (1.0 + frame / 54.0)
+        fist = scene([shape(names[-1], 300, 200, radius=radius, on_skin=False)])
+        assert names[-1] in detector.detect(fist.image), f"frame {frame}"
 
 
 def shaded(image: Any, middle: tuple[float, float], direction: float, edge: bool) -> Any:
