@@ -1,6 +1,7 @@
-"""One extended Kalman filter over all markers of a hand.
+"""One extended Kalman filter over all markers of a hand; `motion` says how they move.
 
-A frame is one update, at one moment; a marker whose row was exposed δ later is observed through p + δ v.
+A frame is one update, at one moment. A marker at p with velocity v, whose row was exposed δ later, is observed as
+project(R_camera_rig (p + δ v) + t_camera_rig).
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class JointFilter:
         self._identity: FloatArray = np.eye(size)
         self._nothing: FloatArray = np.zeros((size, size))
         self._marker: FloatArray = np.eye(count)
-        # Where a covariance holds xx, xy, xz, yy, yz and zz of the markers' places, (M, 6).
+        # Where a covariance holds xx, xy, xz, yy, yz and zz of the markers' positions, (M, 6).
         row, column = (3 * np.arange(count)[:, None] + one for one in np.triu_indices(3))
         self._own: IndexArray = row * size + column
         self._uppers: tuple[State | None, list[Upper], list[float]] = None, [], []
@@ -82,15 +83,15 @@ class JointFilter:
 
     @property
     def spread_m2(self) -> list[float]:
-        """(M,) traces of the covariances of their places, square metres."""
+        """(M,) traces of the covariances of their positions, square metres."""
         return self._own_of(self.state)[1]
 
     def own(self, state: State) -> list[Upper]:
-        """Return the covariances (M,) of the markers' places in a state."""
+        """Return the covariances (M,) of the markers' positions in a state."""
         return self._own_of(state)[0]
 
     def _own_of(self, state: State) -> tuple[list[Upper], list[float]]:
-        """Return the covariances (M,) of the markers' places in a state and their traces; read once of the same one."""
+        """Return the covariances (M,) of the markers' positions in a state, and their traces; kept for it."""
         known, own, spread_m2 = self._uppers
         if known is not state:
             own = state.P.take(self._own).tolist()
