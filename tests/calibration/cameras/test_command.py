@@ -62,6 +62,13 @@ def every(folder: Path, change: Callable[[np.ndarray], np.ndarray], since: int =
             cv2.imwrite(str(file), change(np.asarray(cv2.imread(str(file)))))
 
 
+def keep_first(pictures: Path, count: int) -> None:
+    """Leave fewer pairs, where a test is not about how exact the result is."""
+    for file in pictures.rglob("*.jpg"):
+        if int(file.stem) > count:
+            file.unlink()
+
+
 def swap(pictures: Path, number: int) -> None:
     left, right = (pictures / name / f"{number:06d}.jpg" for name in ("left", "right"))
     first, second = left.read_bytes(), right.read_bytes()
@@ -136,6 +143,7 @@ def test_swapped_pairs_are_named_or_refused(pictures: Path, rig: Path) -> None:
 
 
 def test_cameras_on_the_other_side_than_in_rig_toml_are_pointed_out(pictures: Path, rig: Path) -> None:
+    keep_first(pictures, 8)
     # The author's folder names are the other way round than the cameras stood.
     assert "are the two swapped?" in run(pictures, rig).output
     for name, other in (("left", "aside"), ("right", "left"), ("aside", "right")):
@@ -166,6 +174,7 @@ def test_a_wrong_square_contradicts_the_measured_baseline(pictures: Path, rig: P
 
 
 def test_the_last_calibration_is_kept_and_a_dry_run_writes_nothing(pictures: Path, rig: Path) -> None:
+    keep_first(pictures, 8)
     assert run(pictures, rig, "--dry-run").exit_code == 0
     assert not (rig / "cameras.json").exists()
     assert run(pictures, rig).exit_code == 0
