@@ -78,7 +78,7 @@ sim: $(READY) page
 REAL_TIME := tests/integration tests/faults
 
 # Tests of real processes wait for a sixth of their time: one worker more than there are cores computes meanwhile.
-WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
+WORKERS := $(shell expr $$(nproc || getconf _NPROCESSORS_ONLN) + 1)
 
 # Programs of others and the page are fetched and built while the environment is set up, which keeps one core busy.
 # What is judged by the clock wants both cores to itself; everything else shares them.
