@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hands.pinholes import CAMERAS
 
-from rhot_fusion.filter.tracks import within_hand
+from rhot_fusion.filter.settings import DEFAULT
+from rhot_fusion.filter.systematic import Systematic
+from rhot_fusion.filter.tracks import outcome_of, within_hand
 from rhot_fusion.views.sightings import Upper
 from rhot_fusion.views.vectors import Vector
 
@@ -52,3 +55,18 @@ def test_else_nothing_changes(shown: list[list[bool]]) -> None:
     places, covariances = published(shown)
     assert places[2] == (0.0, 0.0, 1.0)
     assert covariances[2] == LONG
+
+
+def test_what_is_known_worse_than_a_finger_is_broad_is_not_measured() -> None:
+    """Frames that tell little, or paint that is hidden, leave it uncertain; a calibration is as good as it is."""
+    places: list[Vector] = [(0.05 * k, 0.0, 0.8) for k in range(4)]
+    wide: Upper = (1e-6, 0.0, 0.0, 1e-6, 0.0, 0.015**2)
+    systematic = Systematic(
+        CAMERAS, {"expected_error_mm": {"80 cm": {"calibration": 20.0}}}, 0.1, np.zeros(4), DEFAULT.systematic
+    )
+    seen = [[True, True, True, True], [True, True, True, False]]
+    hidden_m2 = [0.0, 0.0, 0.009**2, 0.0]
+    outcome = outcome_of(0.0, places, [SHARP, wide, SHARP, SHARP], seen, systematic, DEFAULT.track, hidden_m2)
+    assert outcome.state == ["measured", "predicted", "predicted", "one_view"]
+    assert outcome.measured == [True, False, False, False]
+    assert outcome.sigma_m[0] > 0.02, "the calibration's error is stated"

@@ -12,7 +12,9 @@ it bends away from the camera is told by its visible area, which is
     A(c) / A(0) = (2 λ √(1 − c²) + (π/2) (1 + c)) / (2 λ + π/2)        for c ≤ 0,
 
 λ r being the length of the painted shaft, beside the largest area that it has shown. The more a finger curls, the less
-either tells: its end points elsewhere, and a small area is that of paint which the hand hides.
+either tells: its end points elsewhere, and a small area is that of paint which the hand hides. Cameras far apart look
+along a finger at different angles, so the same ratio tells what each would see of the whole marker; areas are compared
+as if all were seen from the middle of the cameras.
 
 What hides part of a marker is nearer than it, so it hides more of it in the camera on its own side: of two cameras the
 one that sees less paint sees the middle of that too far towards the other camera, by half of the strip that is hidden.
@@ -35,6 +37,9 @@ from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import PaintSettings
 from rhot_fusion.views.vectors import Vector, across, dot, interpolated, unit, vector
 
+_STRAIGHT_AWAY = -0.95
+"""Beyond this c, 18 degrees off the line of sight, a camera sees a rim of paint, which tells of no ratio."""
+
 
 @dataclass(slots=True)
 class _Shown:
@@ -42,21 +47,20 @@ class _Shown:
 
     Attributes:
         t_s: when last, seconds; −∞ = never.
-        newest_m: root of the visible area.
-        width_m: the same, averaged over `settle_s` while it does not change.
+        width_m: root of the area that the middle of the cameras would see, averaged over `settle_s` while it does not
+            change.
         slow_m: the same, lagging by `appears_s`.
         own: whether that width was told by the marker's own depth rather than by its hand's.
         changing: share by which the visible paint has grown or shrunk of late, 0 to 1.
-        step: the same since the frame before.
+        wider: how much wider this camera would see the whole marker than one in the middle of all, by how it points.
     """
 
     t_s: float = -math.inf
-    newest_m: float = 0.0
     width_m: float = 0.0
     slow_m: float = 0.0
     own: bool = False
     changing: float = 0.0
-    step: float = 0.0
+    wider: float = 1.0
 
 
 class Paint:
@@ -70,17 +74,14 @@ class Paint:
         """Begin with the radii (M,) of fingertips, metres; 0 for a marker that is none."""
         self._settings = settings
         self._radius_m: list[float] = radius_m.tolist()
-        cosine = np.linspace(-1.0, 0.0, 64)
-        shaft, end = 2.0 * settings.shaft, 0.5 * np.pi
-        share = (shaft * np.sqrt(1.0 - cosine**2) + end * (1.0 + cosine)) / (shaft + end)
-        self._share: list[float] = share.tolist()
-        self._cosine: list[float] = cosine.tolist()
-        self._least_share = float(np.interp(settings.most_bend, cosine, share))
+        self._cosine: list[float] = np.linspace(_STRAIGHT_AWAY, 0.0, 64).tolist()
+        self._share = [self._seen(c) for c in self._cosine]
+        self._least_share = self._seen(settings.most_bend)
         # What a finger bent as usual shows of its width when seen from the side.
-        self._usual = float(np.sqrt(np.interp(settings.first_bend, cosine, share)))
+        self._usual = math.sqrt(self._seen(settings.first_bend))
         # Root of the area of a tip seen from the side, painted over `CAP_LENGTH_M`; the rim of it is mixed with what is
         # behind.
-        flat = 2.0 * radius_m * np.maximum(CAP_LENGTH_M - radius_m, 0.0) + end * radius_m**2
+        flat = 2.0 * radius_m * np.maximum(CAP_LENGTH_M - radius_m, 0.0) + 0.5 * np.pi * radius_m**2
         self._flat_m: list[float] = np.sqrt(settings.found * flat).tolist()
         self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
         middle = np.stack([camera.center for camera in cameras]).mean(axis=0)
@@ -121,7 +122,9 @@ class Paint:
         shifts = []
         for marker, area, tip, base, reach in zip(markers, areas_px, tips, bases, reaches_m, strict=True):
             told = self._told(tip, base, reach)
+            shown = self._shown[marker][camera]
             if area <= 0.0 or self._radius_m[marker] <= 0.0 or told <= 0.0:
+                shown.wider = 1.0
                 shifts.append((0.0, 0.0))
                 continue
             c = max(self.bend[marker], settings.most_bend)
@@ -133,10 +136,17 @@ class Paint:
             # The camera stands at the origin.
             own = unit((-tip[0], -tip[1], -tip[2]))
             x, y, z = unit(across(d, own))
-            size = told * settings.side * self._radius_m[marker] * dot(d, own)
+            bent = dot(d, own)
+            shown.wider = (self._seen(bent) / self._seen(c)) ** (0.5 * told)
+            size = told * settings.side * self._radius_m[marker] * bent
             depth = max(tip[2], 0.05)
             shifts.append((size * (x - tip[0] / depth * z) / depth, size * (y - tip[1] / depth * z) / depth))
         return shifts
+
+    def _seen(self, c: float) -> float:
+        """Return A(c) / A(0)."""
+        shaft, end, c = 2.0 * self._settings.shaft, 0.5 * math.pi, max(c, _STRAIGHT_AWAY)
+        return (shaft * math.sqrt(max(1.0 - c * c, 0.0)) + end * (1.0 + c)) / (shaft + end)
 
     def _told(self, tip: Vector, base: Vector, reach_m: float) -> float:
         """Return how much of the way from where a finger begins to its tip tells its end's direction, 0 to 1."""
@@ -211,7 +221,7 @@ class Paint:
         """Return how wide the strip is that is made up for, and the standard deviation of what hides, normalised."""
         settings, every = self._settings, self._shown[marker]
         side_px, tip = math.sqrt(area_px), self._radius_m[marker] > 0.0
-        self._watch(every[camera], t_s, side_px / self._focal_px[camera] * depth_m, known)
+        self._watch(every[camera], t_s, side_px / self._focal_px[camera] * depth_m / every[camera].wider, known)
         full = told_full = 0.0
         for shown in every:
             if shown.t_s >= t_s - settings.compare_s:
@@ -258,28 +268,10 @@ class Paint:
             slow -= math.expm1(-elapsed / settings.appears_s) * (width_m - slow)
         shown.slow_m = slow
         shown.changing = max(_unlike(slow, width_m) - settings.uneven, 0.0) if width_m > 0.0 else 0.0
-        shown.step = 0.0 if math.isinf(elapsed) else _unlike(shown.newest_m, width_m)
         # At rest the noise of areas is averaged. What one camera loses first must not wait: it becomes depth.
         afresh = lost or not shown.own or shown.changing > 0.0
         shown.width_m += (1.0 if afresh else -math.expm1(-elapsed / settings.settle_s)) * (width_m - shown.width_m)
-        shown.t_s, shown.newest_m, shown.own = t_s, width_m, known
-
-    def is_settled(self, marker: int, seen: Sequence[bool]) -> bool:
-        """Tell whether what cameras that see a marker (C,) show of it neither changes nor differs much.
-
-        Where two show it whole and alike, a third may show less of it, from aside.
-        """
-        settings = self._settings
-        views = [shown for shown, sees in zip(self._shown[marker], seen, strict=True) if sees]
-        calm = [shown for shown in views if shown.changing <= settings.settled and shown.step <= settings.unlike]
-        if len(calm) < 2:
-            return False
-        since_s = max(shown.t_s for shown in views) - settings.compare_s
-        widths = sorted(shown.width_m for shown in calm if shown.t_s >= since_s)
-        # Views of long ago are compared with nothing: a slow camera's.
-        if len(widths) < 2 or (len(calm) == len(views) and _unlike(widths[0], widths[-1]) <= settings.unlike):
-            return True
-        return _unlike(*widths[-2:]) <= settings.unlike and not self.hidden_m2(marker)
+        shown.t_s, shown.own = t_s, known
 
     def hidden_m2(self, marker: int) -> float:
         """Return the variance of a fingertip's middle for paint that no camera shows, each axis, square metres.

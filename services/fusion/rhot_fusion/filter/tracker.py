@@ -157,10 +157,9 @@ class FilterTracker:
                 xx, _, _, yy, _, zz = covariance[marker]
                 if xx + yy + zz > self._settings.track.lost_m**2:
                     position[marker] = NOWHERE
-        settled = [self._paint.is_settled(marker, sees) for marker, sees in enumerate(shown)]
         seen = [list(column) for column in zip(*shown, strict=True)]
-        rest = settled, self._settings.track, [self._paint.hidden_m2(marker) for marker in range(self._count)]
-        outcome = outcome_of(then_s, position, covariance, seen, self._systematic, *rest)
+        hidden_m2 = [self._paint.hidden_m2(marker) for marker in range(self._count)]
+        outcome = outcome_of(then_s, position, covariance, seen, self._systematic, self._settings.track, hidden_m2)
         self._counts["measured"] += sum(outcome.measured)
         return outcome
 
@@ -173,7 +172,8 @@ class FilterTracker:
                 paint = Paint(self._cameras, self._radii, self._settings.paint)
                 columns = hand, self._cameras, paint, self.noise.variance, periods_s, loose_m, self._time_variance
                 every.append((hand.index, hand.record.smoothed(self.noise.variance, self._settings, Repaint(*columns))))
-        return outcomes(every, self._count, periods_s, self._systematic) if every else []
+        rest = self._systematic, self._settings.track
+        return outcomes(every, self._count, periods_s, *rest) if every else []
 
     def _fresh_s(self) -> list[float]:
         """Return how long a camera's newest frame (C,) counts, seconds."""

@@ -15,7 +15,7 @@ from statistics import fmean
 import numpy as np
 
 from rhot.messages import PointState
-from rhot_fusion.filter.settings import DEFAULT, TrackSettings
+from rhot_fusion.filter.settings import TrackSettings
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.views.sightings import Outcome, Upper
 from rhot_fusion.views.vectors import Vector, unit
@@ -145,25 +145,24 @@ def outcome_of(
     covariance: Sequence[Upper],
     seen: list[list[bool]],
     systematic: Systematic,
-    settled: Sequence[bool] | None = None,
-    settings: TrackSettings = DEFAULT.track,
+    settings: TrackSettings,
     hidden_m2: Sequence[float] | None = None,
 ) -> Outcome:
     """Return markers at positions (M,), NaN = absent, with covariances (M,), seen by cameras (C, M).
 
     Two cameras that see a marker measure it if its place has become certain by that. What is hidden from all of them
-    adds variances (M,) to each axis, square metres, which no frame makes smaller.
+    adds variances (M,) to each axis, square metres, which no frame makes smaller. The systematic error is stated, too,
+    but tells nothing of one frame rather than another.
     """
     sigmas, views, measured = [], [], []
     whole: list[Upper] = []
     states: list[PointState] = []
-    calm = [True] * len(position) if settled is None else settled
     for marker, (place, (xx, xy, xz, yy, yz, zz), *sees) in enumerate(zip(position, covariance, *seen, strict=True)):
+        hidden = hidden_m2[marker] if hidden_m2 is not None else 0.0
         count = sum(sees)
-        state = state_of(count, calm[marker] and xx + yy + zz <= settings.measured_m**2)
+        state = state_of(count, xx + yy + zz + 3.0 * hidden <= settings.measured_m**2)
         a, b, c, d, e, f = systematic.covariance(marker, place)
-        if hidden_m2 is not None:
-            a, d, f = a + hidden_m2[marker], d + hidden_m2[marker], f + hidden_m2[marker]
+        a, d, f = a + hidden, d + hidden, f + hidden
         whole.append((xx + a, xy + b, xz + c, yy + d, yz + e, zz + f))
         sigmas.append(math.sqrt(max(xx + a + yy + d + zz + f, 0.0)))
         views.append(count)

@@ -11,7 +11,7 @@ from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.birth import Birth
 from rhot_fusion.filter.lookback.smoother import Correct, Event, Frame, Node, smooth
-from rhot_fusion.filter.settings import FilterSettings
+from rhot_fusion.filter.settings import FilterSettings, TrackSettings
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import outcome_of
@@ -101,7 +101,11 @@ class HandRecord:
 
 
 def outcomes(
-    every: Sequence[tuple[IndexArray, list[Node]]], markers: int, periods_s: Sequence[float], systematic: Systematic
+    every: Sequence[tuple[IndexArray, list[Node]]],
+    markers: int,
+    periods_s: Sequence[float],
+    systematic: Systematic,
+    settings: TrackSettings,
 ) -> list[Outcome]:
     """Return the markers at all frames' moments.
 
@@ -110,6 +114,7 @@ def outcomes(
         markers: how many there are.
         periods_s: frame period of each camera.
         systematic: errors that no frame tells of.
+        settings: how certain what is measured is.
     """
     first = every[0][1]
     around = [_around(camera, first, period_s) for camera, period_s in enumerate(periods_s)]
@@ -123,7 +128,7 @@ def outcomes(
                 position[marker], covariance[marker] = where, upper
             for camera, sides in enumerate(around):
                 seen[camera, index] = _shown(nodes, k, sides[k], _NEAR * periods_s[camera])
-        found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), systematic))
+        found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), systematic, settings))
     return found
 
 
