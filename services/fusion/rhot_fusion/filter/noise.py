@@ -36,6 +36,7 @@ class CameraNoise:
     ) -> None:
         self._settings = settings
         self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
+        self._baseline_m = max(math.dist(a.center, b.center) for a, b in combinations(cameras, 2))
         self.calibration_px = calibration_px
         first = settings.first_px if calibrated else settings.uncalibrated_px
         least = settings.least_px if calibrated else settings.uncalibrated_least_px
@@ -53,6 +54,12 @@ class CameraNoise:
         """Return the variance of a coordinate, normalised units."""
         systematic = float(self.calibration_px[camera])
         return (self._variance_px2(camera) + systematic * systematic) / self._focal_px[camera] ** 2
+
+    @property
+    def pair_variance(self) -> float:
+        """Variance of the depth of what two views show, 1/m²: times the fourth power of how far away it is."""
+        count = len(self._focal_px)
+        return 2.0 * sum(self.variance(camera) for camera in range(count)) / count / self._baseline_m**2
 
     def _variance_px2(self, camera: int) -> float:
         """Return the variance of a coordinate, square pixels, as learnt."""

@@ -107,11 +107,11 @@ class TrackSettings:
             camera sees are 0.026 behind it, plus or minus 0.027 (15 develop rigs).
         lost_periods: one that nothing has shown for so many frame periods is not moved by a single view.
         measured_m: a point is called measured up to this standard deviation (root of the covariance's trace, hidden
-            paint included, the calibration's error not), metres: the breadth of a little finger's tip; what is known
-            no better may be the finger beside it. No other sign tells more of a point's error: not how much paint
-            comes, goes or differs between cameras, nor all of them together (15 develop rigs at 15, 30 and 60 fps).
-            From 0.011 to 0.013 coverage grows by 0.9 points at 60 fps and 4.7 at 15, the 95th percentile of errors by
-            0.3 and 1.0 mm.
+            paint included, the calibration's error not) beyond what any two views leave open, metres: the breadth of a
+            little finger's tip; what is known no better may be the finger beside it. No other sign tells more of a
+            point's error: not how much paint comes, goes or differs between cameras, nor all of them together (15
+            develop rigs at 15, 30 and 60 fps). From 0.010 to 0.012 coverage grows by one point at 60 fps and three at
+            15, the 95th percentile of errors by 0.5 mm.
         uncalibrated_measured_m: the same before cameras that are not calibrated: four pixels, of 2 cm of depth there.
         lost_m: a marker is not published beyond this one, and forgotten when nothing shows it any more, metres: that it
             is somewhere on its hand tells as much. What slow cameras out of step begin with is known less well at 15

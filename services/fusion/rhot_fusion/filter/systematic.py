@@ -6,6 +6,7 @@ added to what the filter knows, so that the covariance on the wire holds all of 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -52,6 +53,10 @@ class Systematic:
         self._along = settings.doubt**2 * (1.0 - 3.0 * settings.across)
         self._around = settings.doubt**2 * settings.across
         self._shape2: list[float] = np.square(settings.shape * radius_m).tolist()
+
+    def distance_m(self, position: Vector) -> float:
+        """Return how far a position is from the middle of the cameras, metres."""
+        return math.dist(position, self._middle)
 
     def covariance(self, marker: int, position: Vector) -> Upper:
         """Return xx, xy, xz, yy, yz and zz of the error of a marker at a position, metres."""

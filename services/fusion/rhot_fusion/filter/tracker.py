@@ -158,8 +158,9 @@ class FilterTracker:
                 if xx + yy + zz > self._settings.track.lost_m**2:
                     position[marker] = NOWHERE
         seen = [list(column) for column in zip(*shown, strict=True)]
+        rest = self._systematic, self._settings.track, self.noise.pair_variance
         hidden_m2 = [self._paint.hidden_m2(marker) for marker in range(self._count)]
-        outcome = outcome_of(then_s, position, covariance, seen, self._systematic, self._settings.track, hidden_m2)
+        outcome = outcome_of(then_s, position, covariance, seen, *rest, hidden_m2)
         self._counts["measured"] += sum(outcome.measured)
         return outcome
 
@@ -172,7 +173,7 @@ class FilterTracker:
                 paint = Paint(self._cameras, self._radii, self._settings.paint)
                 columns = hand, self._cameras, paint, self.noise.variance, periods_s, loose_m, self._time_variance
                 every.append((hand.index, hand.record.smoothed(self.noise.variance, self._settings, Repaint(*columns))))
-        rest = self._systematic, self._settings.track
+        rest = self._systematic, self._settings.track, self.noise.pair_variance
         return outcomes(every, self._count, periods_s, *rest) if every else []
 
     def _fresh_s(self) -> list[float]:

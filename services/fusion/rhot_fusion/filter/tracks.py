@@ -146,13 +146,15 @@ def outcome_of(
     seen: list[list[bool]],
     systematic: Systematic,
     settings: TrackSettings,
+    pair_variance: float,
     hidden_m2: Sequence[float] | None = None,
 ) -> Outcome:
     """Return markers at positions (M,), NaN = absent, with covariances (M,), seen by cameras (C, M).
 
-    Two cameras that see a marker measure it if its place has become certain by that. What is hidden from all of them
-    adds variances (M,) to each axis, square metres, which no frame makes smaller. The systematic error is stated, too,
-    but tells nothing of one frame rather than another.
+    Two cameras that see a marker measure it if its place has become certain by that: to `measured_m` beyond what any
+    two views leave open, whose depth has the `pair_variance` of `CameraNoise`. What is hidden from all of them adds variances
+    (M,) to each axis, square metres, which no frame makes smaller. The systematic error is stated, too, but tells
+    nothing of one frame rather than another.
     """
     sigmas, views, measured = [], [], []
     whole: list[Upper] = []
@@ -160,7 +162,8 @@ def outcome_of(
     for marker, (place, (xx, xy, xz, yy, yz, zz), *sees) in enumerate(zip(position, covariance, *seen, strict=True)):
         hidden = hidden_m2[marker] if hidden_m2 is not None else 0.0
         count = sum(sees)
-        state = state_of(count, xx + yy + zz + 3.0 * hidden <= settings.measured_m**2)
+        most = settings.measured_m**2 + pair_variance * systematic.distance_m(place) ** 4
+        state = state_of(count, xx + yy + zz + 3.0 * hidden <= most)
         a, b, c, d, e, f = systematic.covariance(marker, place)
         a, d, f = a + hidden, d + hidden, f + hidden
         whole.append((xx + a, xy + b, xz + c, yy + d, yz + e, zz + f))

@@ -106,6 +106,7 @@ def outcomes(
     periods_s: Sequence[float],
     systematic: Systematic,
     settings: TrackSettings,
+    pair_variance: float,
 ) -> list[Outcome]:
     """Return the markers at all frames' moments.
 
@@ -115,6 +116,7 @@ def outcomes(
         periods_s: frame period of each camera.
         systematic: errors that no frame tells of.
         settings: how certain what is measured is.
+        pair_variance: beyond what two views leave open, as `CameraNoise` has it.
     """
     first = every[0][1]
     around = [_around(camera, first, period_s) for camera, period_s in enumerate(periods_s)]
@@ -128,7 +130,7 @@ def outcomes(
                 position[marker], covariance[marker] = where, upper
             for camera, sides in enumerate(around):
                 seen[camera, index] = _shown(nodes, k, sides[k], _NEAR * periods_s[camera])
-        found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), systematic, settings))
+        found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), systematic, settings, pair_variance))
     return found
 
 
