@@ -65,11 +65,11 @@ def test_what_is_known_worse_than_a_finger_is_broad_is_not_measured() -> None:
         CAMERAS, {"expected_error_mm": {"80 cm": {"calibration": 20.0}}}, 0.1, np.zeros(4), DEFAULT.systematic
     )
     seen = [[True, True, True, True], [True, True, True, False]]
-    hidden_m2 = [0.0, 0.0, 0.009**2, 0.0]
+    hidden_m2 = [0.0, 0.0, 0.012**2, 0.0]
     columns = seen, systematic, DEFAULT.track
     outcome = outcome_of(0.0, places, [SHARP, wide, SHARP, SHARP], *columns, 0.0, hidden_m2)
     assert outcome.state == ["measured", "predicted", "predicted", "one_view"]
     assert outcome.measured == [True, False, False, False]
     assert outcome.sigma_m[0] > 0.02, "the calibration's error is stated"
-    coarse = outcome_of(0.0, places, [SHARP, wide, SHARP, SHARP], *columns, (0.015 / 0.8**2) ** 2, hidden_m2)
+    coarse = outcome_of(0.0, places, [SHARP, wide, SHARP, SHARP], *columns, (0.012 / 0.8**2) ** 2, hidden_m2)
     assert coarse.state == ["measured", "measured", "predicted", "one_view"], "coarse pixels tell no more of any frame"

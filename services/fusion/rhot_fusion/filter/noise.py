@@ -23,6 +23,9 @@ from rhot_fusion.filter.state import Innovation
 _CLEAR = 9.0
 """Innovations beyond this squared Mahalanobis distance teach as if they were at it: outliers are not noise."""
 
+_SHORTEST_M = 1e-3
+"""Cameras nearer to each other than this show no depth, or are one camera that was entered twice."""
+
 
 class CameraNoise:
     """The noise of C cameras.
@@ -36,7 +39,7 @@ class CameraNoise:
     ) -> None:
         self._settings = settings
         self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
-        self._baseline_m = max(math.dist(a.center, b.center) for a, b in combinations(cameras, 2))
+        self._baseline_m = max(_SHORTEST_M, *(math.dist(a.center, b.center) for a, b in combinations(cameras, 2)))
         self.calibration_px = calibration_px
         first = settings.first_px if calibrated else settings.uncalibrated_px
         least = settings.least_px if calibrated else settings.uncalibrated_least_px

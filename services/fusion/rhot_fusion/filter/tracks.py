@@ -152,9 +152,9 @@ def outcome_of(
     """Return markers at positions (M,), NaN = absent, with covariances (M,), seen by cameras (C, M).
 
     Two cameras that see a marker measure it if its place has become certain by that: to `measured_m` beyond what any
-    two views leave open, whose depth has the `pair_variance` of `CameraNoise`. What is hidden from all of them adds variances
-    (M,) to each axis, square metres, which no frame makes smaller. The systematic error is stated, too, but tells
-    nothing of one frame rather than another.
+    two views leave open, whose depth has the `pair_variance` of `CameraNoise`. What is hidden from all of them adds
+    variances (M,) to each axis, square metres, which no frame makes smaller. The systematic error is stated, too, but
+    tells nothing of one frame rather than another.
     """
     sigmas, views, measured = [], [], []
     whole: list[Upper] = []
