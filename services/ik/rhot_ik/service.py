@@ -6,14 +6,14 @@ from rhot.messages import FootPose, HeadPose, ObjectPose, PointSet
 from rhot.rig import IkConfig, Rig
 from rhot.rig.folder import latest_rig
 from rhot.service import StageService
-from rhot_ik.whole_stage import WholeStage
+from rhot_ik.stage import IkStage
 
 
 def ik_service(rig: Rig) -> StageService[PointSet | ObjectPose | HeadPose | FootPose, IkConfig]:
     """Return the service that turns `rhot/points` into `rhot/hand/<side>`, and head and feet into `rhot/body`."""
 
-    def make_stage(config: IkConfig) -> WholeStage:
-        stage = WholeStage(latest_rig(rig))
+    def make_stage(config: IkConfig) -> IkStage:
+        stage = IkStage(latest_rig(rig))
         stage.configure(config)
         return stage
 

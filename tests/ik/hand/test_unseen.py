@@ -11,7 +11,7 @@ from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vect
 from rhot.messages import CylinderShape, HandPose, ObjectPose
 from rhot.rig import Rig
 from rhot_ik.hand.stage import HandStage
-from rhot_ik.whole_stage import WholeStage
+from rhot_ik.stage import IkStage
 
 
 def test_hidden_finger_is_held_and_rejoins_without_a_step(
@@ -146,7 +146,7 @@ def test_hidden_fingers_stop_at_the_cylinder_that_the_hand_holds(
     tips = [JOINTS.index(f"{finger}_tip") for finger in FINGERS[1:]]
     depth = {}
     for shape in (None, CylinderShape(radius=radius, height=0.2)):
-        stage = WholeStage(right_rig)
+        stage = IkStage(right_rig)
         for k in range(150):
             points = make_points(right_hand, joints, markers, k / 60.0, hide=() if k < 30 else FINGERS[1:])
             place = {"position": tuple(middle.tolist()), "orientation": (x, y, z, w)}

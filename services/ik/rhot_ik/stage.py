@@ -12,7 +12,7 @@ from rhot_ik.hand.stage import HandStage
 from rhot_ik.legs.body_stage import BodyStage
 
 
-class WholeStage:
+class IkStage:
     """Passes points and objects to the hands' core; head, feet and solved hands to that of the body.
 
     Args:
