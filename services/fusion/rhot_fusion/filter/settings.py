@@ -111,8 +111,7 @@ class TrackSettings:
             little finger's tip; what is known no better may be the finger beside it. No other sign tells more of a
             point's error: not how much paint comes, goes or differs between cameras, nor all of them together (15
             develop rigs at 15, 30 and 60 fps). From 0.011 to 0.0125, 30 develop rigs: coverage 96.7 to 97.2 % at 60 fps
-            and 91.3 to 92.4 % at 30, 95th percentile of errors 7.74 to 7.83 mm and 9.34 to 9.70 mm; to 0.014, twelve
-            sets of pictures of six hands: at most 1.6 points of coverage more.
+            and 91.3 to 92.4 % at 30, 95th percentile of errors 7.74 to 7.83 mm and 9.34 to 9.70 mm.
         uncalibrated_measured_m: the same before cameras that are not calibrated: four pixels, of 2 cm of depth there.
         lost_m: a marker is not published beyond this one, and forgotten when nothing shows it any more, metres: that it
             is somewhere on its hand tells as much. What slow cameras out of step begin with is known less well at 15
