@@ -55,4 +55,5 @@ def stated_covariance(point: Point) -> tuple[float, ...]:
 
 def squared_distance(vector: FloatArray, covariance: FloatArray) -> float:
     """Return the squared Mahalanobis distance vᵀ·C⁻¹·v of a vector (3,) under a covariance (3, 3)."""
-    return max(0.0, float(vector @ symmetric_inverse(covariance) @ vector))
+    (distance,) = squared_distances(vector[None], covariance[None])
+    return max(0.0, distance)

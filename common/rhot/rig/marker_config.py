@@ -54,6 +54,12 @@ def worn_paints(markers: Mapping[str, MarkerConfig]) -> dict[str, str]:
     return {name: marker.paint_of or name for name, marker in markers.items()}
 
 
+def unshared_paints(markers: Mapping[str, MarkerConfig]) -> set[str]:
+    """Return the markers whose paint no other one wears."""
+    worn = [marker.paint_of for marker in markers.values()]
+    return {name for name in own_paints(markers) if name not in worn}
+
+
 def check_shared_paints(markers: Mapping[str, MarkerConfig]) -> None:
     """Check that hands whose markers share paints can be told apart.
 

@@ -163,6 +163,12 @@ def _is_rim(cutouts: Cutouts, blob: Blob, label: int, adjacency: float, larger: 
     return beside.share > _MAX_FAINT_ADJACENCY and is_mixture(blob, beside, cutouts.pixels[blob.cut])
 
 
+def continuing(candidate: Candidate, track: MarkerTrack) -> float:
+    """Return how much a candidate is like the marker, times how well it continues the marker's track."""
+    blob = candidate.blob
+    return candidate.plausibility * track.preference(*blob.middle, blob.area)
+
+
 def likeliest(candidates: Sequence[Candidate], track: MarkerTrack, usual_px: float = math.inf) -> Candidate | None:
     """Return the candidate that is most surely a marker; None where none is surely enough.
 
@@ -173,11 +179,7 @@ def likeliest(candidates: Sequence[Candidate], track: MarkerTrack, usual_px: flo
     """
     best = candidates[0]
     if len(candidates) > 1:
-        # How much it is like the marker, times how well it continues the track, times area.
-        weights = [
-            one.plausibility * track.preference(*one.blob.middle, one.blob.area) * min(one.blob.area, usual_px)
-            for one in candidates
-        ]
+        weights = [continuing(one, track) * min(one.blob.area, usual_px) for one in candidates]
         first, second = sorted(range(len(candidates)), key=weights.__getitem__, reverse=True)[:2]
         share = weights[first] / (weights[first] + weights[second])
         best = candidates[first]

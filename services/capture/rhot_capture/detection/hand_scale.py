@@ -7,11 +7,12 @@ pixels. Bent away or half hidden, paint covers fewer, never more. What covers ma
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 
 from rhot.rig.config import MarkerConfig
-from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Refusal
+from rhot.rig.marker_config import unshared_paints
+from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Refusal, continuing
 from rhot_capture.detection.track import MarkerTrack
 
 _CAP_M2: Final = 2.7e-4
@@ -37,10 +38,11 @@ class HandScale:
     """
 
     def __init__(self, markers: Mapping[str, MarkerConfig]) -> None:
-        shared = {marker.paint_of for marker in markers.values()}
+        # By marker its hand and the area of its paint.
         self._face_m2: dict[str, tuple[str, float]] = {}
-        for name, marker in markers.items():
-            if marker.kind != "ball" and marker.paint_of is None and name not in shared:
+        for name in unshared_paints(markers):
+            marker = markers[name]
+            if marker.kind != "ball":
                 face_m2 = _CAP_M2 if marker.size_m is None else marker.size_m[0] * marker.size_m[1]
                 self._face_m2[name] = marker.hand, face_m2
         self._scale = {hand: 0.0 for hand, _ in self._face_m2.values()}
@@ -64,37 +66,32 @@ class HandScale:
             tracks: of the markers.
             judged: name and verdict of every blob; candidates that are left out become refusals.
         """
-        scales: dict[str, list[float]] = {hand: [] for hand in self._scale}
-        for name in self._face_m2.keys() & candidates.keys():
-            likely = _likely(candidates[name], tracks[name])
-            if likely.plausibility >= MIN_PLAUSIBILITY:
-                hand, face_m2 = self._face_m2[name]
-                scales[hand].append(likely.blob.area / face_m2)
-        for hand, seen in scales.items():
-            kept = self._scale[hand]
-            self._scale[hand] = max(_MEMORY * kept, sorted(seen)[-2]) if len(seen) >= _FEWEST else _NEARER * kept
-        outsized = [
-            number
-            for number, (name, one) in enumerate(judged)
-            if isinstance(one, Candidate) and one.blob.area > _MOST * self.usual_px(name)
-        ]
-        if not outsized:
-            return candidates
-        for number in outsized:
-            name, one = judged[number]
-            judged[number] = name, Refusal(one.blob, "outsized", one.fill)
+        self._learn(candidates, tracks)
         most_px = {name: _MOST * self.usual_px(name) for name in candidates}
+        # In most frames this is all.
+        if all(one.blob.area <= most_px[name] for name, each in candidates.items() for one in each):
+            return candidates
+        for number, (name, one) in enumerate(judged):
+            if isinstance(one, Candidate) and one.blob.area > most_px[name]:
+                judged[number] = name, Refusal(one.blob, "outsized", one.fill)
         fits = {name: [one for one in each if one.blob.area <= most_px[name]] for name, each in candidates.items()}
         return {name: each for name, each in fits.items() if each}
 
     def usual_px(self, name: str) -> float:
         """Return the square pixels of a marker that is wholly seen; infinite where nothing tells."""
-        hand, face_m2 = self._face_m2.get(name, ("", math.inf))
-        return face_m2 * self._scale.get(hand, 1.0) or math.inf
+        if name not in self._face_m2:
+            return math.inf
+        hand, face_m2 = self._face_m2[name]
+        return face_m2 * self._scale[hand] or math.inf
 
-
-def _likely(candidates: Sequence[Candidate], track: MarkerTrack) -> Candidate:
-    if len(candidates) == 1:
-        return candidates[0]
-    weights = [one.plausibility * track.preference(*one.blob.middle, one.blob.area) for one in candidates]
-    return candidates[weights.index(max(weights))]
+    def _learn(self, candidates: Mapping[str, list[Candidate]], tracks: Mapping[str, MarkerTrack]) -> None:
+        scales: dict[str, list[float]] = {hand: [] for hand in self._scale}
+        for name, (hand, face_m2) in self._face_m2.items():
+            if name in candidates:
+                each, track = candidates[name], tracks[name]
+                likely = each[0] if len(each) == 1 else max(each, key=lambda one: continuing(one, track))
+                if likely.plausibility >= MIN_PLAUSIBILITY:
+                    scales[hand].append(likely.blob.area / face_m2)
+        for hand, seen in scales.items():
+            kept = self._scale[hand]
+            self._scale[hand] = max(_MEMORY * kept, sorted(seen)[-2]) if len(seen) >= _FEWEST else _NEARER * kept

@@ -14,6 +14,7 @@ import numpy as np
 
 from rhot.arrays import ImageArray
 from rhot.rig.config import MarkerConfig
+from rhot.rig.marker_config import unshared_paints
 from rhot_capture.detection.candidates import Candidate
 from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.cutouts import Region
@@ -38,8 +39,7 @@ class HandReach:
 
     def __init__(self, markers: Mapping[str, MarkerConfig]) -> None:
         self._hand_of = {name: marker.hand for name, marker in markers.items()}
-        shared = {marker.paint_of for marker in markers.values()}
-        self._alone = {name for name, marker in markers.items() if marker.paint_of is None and name not in shared}
+        self._alone = unshared_paints(markers)
         hands = list(self._hand_of.values())
         self._fewest = {hand: min(_FEWEST, hands.count(hand)) for hand in hands}
         self._extent_px = dict.fromkeys(hands, 0.0)
