@@ -153,4 +153,6 @@ def test_wrong_words_get_one_clear_error(arguments: list[str], says: str, capsys
     with pytest.raises(SystemExit) as ended:
         main(["sim", *arguments])
     assert ended.value.code != 0
-    assert says in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert says in said
+    assert "Traceback" not in said

@@ -84,7 +84,6 @@ def recorded_walk(path: Path) -> tuple[FloatArray, dict[Side, FloatArray]]:
 @pytest.mark.parametrize("name", ["HW3003_0.5", "HW3006_1.5", "HW3008_1.0"])
 def test_real_walks_never_bend_a_knee_backwards_or_jump(shared_data: Path, name: str) -> None:
     hips, ankles = recorded_walk(shared_data / "vive_tracker" / f"{name}.csv")
-    hips = hips[:2000]  # 23 of 45 s
     body = BodyModel.from_config(BodyConfig(height_m=1.80))
     knees, flexions = [], []
     for i in range(len(hips)):
