@@ -65,4 +65,4 @@ def show(command: str, sections: Sequence[Section], json_path: Path | None, **ab
     out.print(f"{missed(sections)} of {targets} targets missed")
     if json_path is not None:
         write_text_atomic(json_path, as_json(command, sections, run=provenance(), **about))
-        Console(stderr=True, soft_wrap=True).print(f"figures: {json_path}")
+        Console(stderr=True, soft_wrap=True, markup=False).print(f"figures: {json_path}")

@@ -228,7 +228,7 @@ def _run_and_compare(
     console.print(feet_summary(report) if isinstance(run, WalkerRun) else summary(report))
     if report_path is not None:
         write_text_atomic(report_path, json.dumps(report, indent=1) + "\n")
-        console.print(f"report: {report_path}")
+        console.print(f"report: {report_path}", markup=False)
     return 0
 
 

@@ -31,6 +31,14 @@ def frame(t_ns: int, camera: str = "left") -> MarkerFrame:
     )
 
 
+async def test_a_key_expression_that_is_none_is_an_error_of_ours(router: BusConfig) -> None:
+    async with await Bus.open(router) as bus:
+        with pytest.raises(BusError, match=r"^a//b: Invalid Key Expr `a//b`: empty chunks are forbidden"):
+            bus.events("a//b")
+        with pytest.raises(BusError, match=r"rhot/\*\*\$"):
+            bus.latest("rhot/points", "rhot/**$")
+
+
 async def test_a_message_arrives_as_sent_and_numbered(router: BusConfig) -> None:
     async with await Bus.open(router) as sender, await Bus.open(router) as receiver:
         mailbox = receiver.events("rhot/markers/*")

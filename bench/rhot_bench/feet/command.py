@@ -146,7 +146,7 @@ def feet(
             page_path,
             html_report("Feet against truth", text, sections, [layout.html(), *cell_plots(done), *_plots(done)]),
         )
-        console.print(f"report: {page_path}")
+        console.print(f"report: {page_path}", markup=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -143,7 +143,7 @@ def grasp(
     if page_path is not None:
         text = f"From {source}. Gaps are those of the flesh of a fingertip from the object's surface."
         write_text_atomic(page_path, html_report("Grasping", text, sections, _plots(session, found)))
-        console.print(f"report: {page_path}")
+        console.print(f"report: {page_path}", markup=False)
 
 
 def _plots(session: GraspSession, found: GraspFigures) -> list[str]:

@@ -128,7 +128,7 @@ def rig(
     if page_path is not None:
         about = f"From {source}. Intervals hold the truth in 95 of 100 cases; neighbouring samples count as alike."
         write_text_atomic(page_path, html_report(f"Measures of the rig “{loaded.config.name}”", about, sections, plots))
-        console.print(f"report: {page_path}")
+        console.print(f"report: {page_path}", markup=False)
     if failed:
         raise ConfigError(f"not measured: {', '.join(failed)}; the reasons stand above")
 

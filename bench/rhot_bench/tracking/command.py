@@ -112,7 +112,7 @@ def tracking(
     if page_path is not None:
         text = f"Simulated rig, seed {seed}, fusion method {used}. Truth is the centre of the painted volume."
         write_text_atomic(page_path, html_report("Tracking against truth", text, sections, _plots(done)))
-        console.print(f"report: {page_path}")
+        console.print(f"report: {page_path}", markup=False)
 
 
 def _with_method(rig: Rig, method: str) -> Rig:

@@ -67,40 +67,56 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
         rig = load_rig(path)
     except RhotError as error:
         return None, [Finding("bad", str(error), "correct the file")]
-    cameras = ", ".join(f"{name} ({camera.source})" for name, camera in rig.config.cameras.items())
-    findings = [Finding("ok", f"{path / RIG_FILE}: cameras {cameras}; {len(rig.config.markers)} markers")]
+    return rig, [
+        Finding("ok", f"{path / RIG_FILE}: {_tracked(rig)}"),
+        *(_check_hand_tracking(rig) if rig.config.cameras else ()),
+        # Without cameras the rig frame is the tracking system's own space.
+        *(_check_registrations(rig) if rig.config.cameras else ()),
+        *check_stage(rig),
+        *_check_sources(rig),
+        *check_bus(rig),
+    ]
+
+
+def _tracked(rig: Rig) -> str:
+    """Return what a rig looks at, and with what."""
+    config = rig.config
+    parts = []
+    if config.cameras:
+        cameras = ", ".join(f"{name} ({camera.source})" for name, camera in config.cameras.items())
+        parts.append(f"cameras {cameras}; {len(config.markers)} markers")
+    if config.feet is not None:
+        parts.append(f"feet {', '.join(config.feet.feet)} (depth camera: {config.feet.camera.source})")
+    return "; ".join(parts)
+
+
+def _check_hand_tracking(rig: Rig) -> Iterator[Finding]:
+    """Tell whether cameras, colours and hand are calibrated."""
+    path = rig.path
     if rig.calibrated:
-        findings.append(_check_cameras(rig))
+        yield _check_cameras(rig)
     else:
-        findings.append(
-            Finding(
-                "warn",
-                "cameras.json is missing: lenses and positions are only nominal",
-                f"calibrate the cameras: rhot calibrate cameras RECORDING --rig {path} --board 9x6 --square-mm 25",
-            )
+        yield Finding(
+            "warn",
+            "cameras.json is missing: lenses and positions are only nominal",
+            f"calibrate the cameras: rhot calibrate cameras RECORDING --rig {path} --board 9x6 --square-mm 25",
         )
     if rig.colors_path.exists():
-        findings.append(Finding("ok", "colors.json is there"))
+        yield Finding("ok", "colors.json is there")
     else:
-        findings.append(
-            Finding(
-                "bad",
-                "colors.json is missing: no marker can be found in a picture",
-                f"rhot calibrate colors PICTURE --pick thumb=U,V … --rig {path}",
-            )
+        yield Finding(
+            "bad",
+            "colors.json is missing: no marker can be found in a picture",
+            f"rhot calibrate colors PICTURE --pick thumb=U,V … --rig {path}",
         )
     if (path / HAND_FILE).exists():
-        findings.append(Finding("ok", _summary(HAND_FILE, rig.hand)))
+        yield Finding("ok", _summary(HAND_FILE, rig.hand))
     else:
-        findings.append(
-            Finding(
-                "note",
-                f"hand.json is missing: an average hand of {1e3 * rig.hand.length_m:.0f} mm is assumed",
-                f"rhot calibrate hand RECORDING --rig {path}",
-            )
+        yield Finding(
+            "note",
+            f"hand.json is missing: an average hand of {1e3 * rig.hand.length_m:.0f} mm is assumed",
+            f"rhot calibrate hand RECORDING --rig {path}",
         )
-    findings += _check_registrations(rig)
-    return rig, [*findings, *check_stage(rig), *_check_sources(rig), *check_bus(rig)]
 
 
 def _check_registrations(rig: Rig) -> Iterator[Finding]:
@@ -187,7 +203,8 @@ async def check_running(config: BusConfig, rig: Rig | None) -> list[Finding]:
         return [Finding("note", f"no rig is running at {where}", "rhot up, or rhot sim for a demo")]
     findings = [Finding("ok", f"the router at {where} answers; {len(alive)} services are alive")]
     if rig is not None:
-        wanted = [f"capture/{camera}" for camera in rig.config.cameras] + ["fusion/main", "ik/main"]
+        wanted = [f"capture/{camera}" for camera in rig.config.cameras]
+        wanted += [*(["fusion/main"] if wanted else []), "ik/main", *(["feet/main"] if rig.config.feet else [])]
         findings += [
             Finding("bad", f"{name} is not running", "start it, or look at its log on its machine")
             for name in wanted

@@ -4,12 +4,27 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from rhot.rig.file_model import FileModel
 
 BridgeTarget = Literal["json", "vmc", "vrchat", "vmt", "lsl", "ros2"]
-Host = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:%-]{1,255}$")]
+
+
+def _resolvable(host: str) -> str:
+    """Return a host as it is.
+
+    Raises:
+        ValueError: no name can be like this; a resolver would end in a UnicodeError.
+    """
+    try:
+        host.encode("idna")
+    except UnicodeError as error:
+        raise ValueError("not the name or address of a machine: a part of it is empty or too long") from error
+    return host
+
+
+Host = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:%-]{1,255}$"), AfterValidator(_resolvable)]
 
 
 class BridgeConfig(FileModel):

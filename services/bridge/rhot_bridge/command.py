@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import click
+from pydantic import ValidationError
 
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
+from rhot.messages import first_problem
 from rhot.rig import BridgeConfig
 from rhot.rig.folder import RIG_FILE, load_config
 from rhot.service.stop import run_to_the_end
@@ -93,5 +95,5 @@ def _chosen(
         raise click.UsageError(f"there is no bridge to {target!r}; one of {', '.join(TARGETS)}{own}")
     try:
         return {target: BridgeConfig.model_validate({**chosen.model_dump(), **given})}
-    except ValueError as error:
-        raise ConfigError(f"bridge {target}: {error}") from error
+    except ValidationError as error:
+        raise ConfigError(f"bridge {target}: {first_problem(error)}") from error

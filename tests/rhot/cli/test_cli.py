@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from rhot.cli import main
 from rhot.cli.operate.configure import parse_assignments
-from rhot.cli.operate.inspect import plain_value
+from rhot.cli.operate.inspect import json_text, plain_value
 from rhot.cli.options import tool_bus
 from rhot.errors import ConfigError
 
@@ -111,6 +111,8 @@ def test_assignments_are_json_or_text() -> None:
     assert parse_assignments(("a=1", "b.c=true", "b.d=slow")) == {"a": 1, "b": {"c": True, "d": "slow"}}
     with pytest.raises(ConfigError, match="FIELD=VALUE"):
         parse_assignments(("a",))
+    with pytest.raises(ConfigError, match="a has a value of its own already"):
+        parse_assignments(("a=1", "a.b=2"))
 
 
 def test_values_of_any_encoding_can_be_shown() -> None:
@@ -118,7 +120,14 @@ def test_values_of_any_encoding_can_be_shown() -> None:
     assert plain_value(b"\x81\xa1a\x01", "application/msgpack;X") == {"a": 1}
     assert plain_value(b"\xff\xd8", "image/jpeg") == {"encoding": "image/jpeg", "bytes": 2}
     assert "invalid" in plain_value(b"\xc1", "application/msgpack")
-    json.dumps(plain_value(b"\x81\xa1a\xc4\x01x", "application/msgpack"), default=repr)
+    assert json.loads(json_text(plain_value(b"\x81\xa1a\xc4\x01x", "application/msgpack"))) == {"a": "b'x'"}
+
+
+def test_what_json_cannot_hold_is_named_and_ends_no_command() -> None:
+    key_of_bytes = plain_value(b"\x81\xc4\x01a\x01", "application/msgpack")
+    nested = plain_value(b"\x91" * 1000 + b"\x01", "application/msgpack")
+    for value in (key_of_bytes, nested, plain_value(b"[" * 100_000, "application/json")):
+        assert "invalid" in json.loads(json_text(value))
 
 
 def test_tools_reach_the_router_of_the_rig(rig_folder: Path) -> None:

@@ -12,6 +12,7 @@ from rhot.cli.doctor import check_rig, check_running
 from rhot.cli.findings import Finding
 from rhot.messages import ServiceStatus
 from rhot.rig import BusConfig, CamerasFile, HandFile, RegistrationFile, Rig, load_rig, write_json_model
+from rhot_sim.walker.folder import write_walker_rig
 
 
 def calibrate(rig_folder: Path, quality: object) -> Rig:
@@ -36,6 +37,24 @@ def test_missing_calibrations_name_the_exact_command(rig_folder: Path) -> None:
         ("registration.steamvr.json", f"rhot calibrate objects --live --object cup --marker NAME --rig {rig_folder}"),
     ):
         assert remedy in about(findings, file).remedy
+
+
+def test_a_rig_of_feet_alone_is_not_asked_for_what_hands_need(tmp_path: Path) -> None:
+    write_walker_rig(tmp_path / "rig")
+    _, findings = check_rig(tmp_path / "rig")
+    assert "feet left, right (depth camera: simulated)" in about(findings, "rig.toml").text
+    assert [finding for finding in findings if finding.level != "ok"] == []
+
+
+async def test_a_running_rig_of_feet_alone_needs_no_fusion(tmp_path: Path, router: BusConfig) -> None:
+    rig = write_walker_rig(tmp_path / "rig")
+    async with await Bus.open(router) as bus:
+        status = ServiceStatus(t_ns=1, service="ik", instance="main", state="running", clock_uncertainty_s=1e-4)
+        bus.publisher("rhot/status/ik/main", ServiceStatus).put(status)
+        bus.alive("rhot/alive/ik/main")
+        await until_known(router, "ik/main")
+        findings = await check_running(router, rig)
+    assert [finding.text for finding in findings if finding.level == "bad"] == ["feet/main is not running"]
 
 
 def test_the_size_of_a_mesh_is_shown_and_a_bad_file_is_bad(rig_folder: Path) -> None:

@@ -32,6 +32,7 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def page_of(out: Path, *arguments: str) -> str:
     result = CliRunner().invoke(explain, [*arguments, "--out", str(out)], catch_exceptions=False)
     assert result.exit_code == 0, result.output
+    assert result.output.startswith(f"{out}: "), "its name as it is, whatever brackets mean to a terminal's markup"
     return out.read_text()
 
 
@@ -42,7 +43,7 @@ def rows_of(page: str, title: str) -> list[list[str]]:
 
 
 def test_a_moment_of_a_live_recording(take: Path, tmp_path: Path) -> None:
-    page = page_of(tmp_path / "page.html", str(take / "take.mcap"), "--at", "1.0")
+    page = page_of(tmp_path / "[bold]page.html", str(take / "take.mcap"), "--at", "1.0")
     pictures = re.findall(r"data:image/jpeg;base64,([^']+)'", page)
     assert len(pictures) == 2
     image = cv2.imdecode(np.frombuffer(base64.b64decode(pictures[0]), np.uint8), cv2.IMREAD_COLOR)

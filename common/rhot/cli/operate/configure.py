@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from rhot.bus import Bus
-from rhot.cli.operate.inspect import plain_value
+from rhot.cli.operate.inspect import json_text, plain_value
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
 from rhot.rig import BusConfig
@@ -36,7 +36,7 @@ def parse_assignments(words: tuple[str, ...]) -> dict[str, Any]:
     """Return the change that words like `thumb.threshold=0.4` ask for; values are JSON, or else plain text.
 
     Raises:
-        ConfigError: a word has no `=`.
+        ConfigError: a word has no `=`, or names a field inside of what another word gives a value.
     """
     change: dict[str, Any] = {}
     for word in words:
@@ -51,6 +51,8 @@ def parse_assignments(words: tuple[str, ...]) -> dict[str, Any]:
         *parents, last = path.split(".")
         for parent in parents:
             target = target.setdefault(parent, {})
+            if not isinstance(target, dict):
+                raise ConfigError(f"'{word}': {parent} has a value of its own already; give one or the other")
         target[last] = value
     return parse_change(json.dumps(change).encode())
 
@@ -73,4 +75,4 @@ def config(
     The change lasts until the service restarts; rig.toml is not written.
     """
     value = asyncio.run(_config(tool_bus(rig_path, connect, namespace), service, parse_assignments(changes)))
-    click.echo(json.dumps(value, indent=1))
+    click.echo(json_text(value, indent=1))

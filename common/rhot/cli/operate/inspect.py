@@ -32,13 +32,22 @@ def plain_value(payload: bytes, encoding: str) -> Any:
             return unpack(payload)
         if encoding.startswith("text/"):
             return payload.decode()
-    except (ValueError, WireError) as error:
+    except (ValueError, RecursionError, WireError) as error:
         return {"invalid": str(error), "bytes": len(payload)}
     return {"encoding": encoding, "bytes": len(payload)}
 
 
+def json_text(value: Any, *, indent: int | None = None, ensure_ascii: bool = True) -> str:
+    """Return a value of `plain_value` as JSON; where JSON cannot hold it, why not."""
+    try:
+        return json.dumps(value, ensure_ascii=ensure_ascii, default=repr, indent=indent)
+    except (TypeError, RecursionError) as error:
+        # msgpack may hold keys that are bytes, and nest deeper than Python can follow.
+        return json.dumps({"invalid": str(error)})
+
+
 def _line(key: str, value: Any) -> str:
-    line = json.dumps({"key": key, "value": value}, ensure_ascii=False, default=repr)
+    line = f'{{"key": {json.dumps(key, ensure_ascii=False)}, "value": {json_text(value, ensure_ascii=False)}}}'
     return printable(line, len(line))
 
 

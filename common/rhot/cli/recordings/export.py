@@ -152,10 +152,10 @@ def export(
     if foxglove_file is not None and foxglove_file.resolve() in [file.resolve() for file in files]:
         raise click.UsageError(f"--foxglove {foxglove_file} is the recording itself; choose another name")
     parts = [RecordedMessages(file) for file in files]
-    errors = Console(stderr=True, soft_wrap=True)
+    errors = Console(stderr=True, soft_wrap=True, markup=False)
     for part in parts:
         if part.note:
-            errors.print(f"[yellow]{part.note}[/]")
+            errors.print(part.note, style="yellow")
     if csv_folder is not None or parquet_folder is not None:
         _write_tables(parts, csv_folder, parquet_folder)
     rig = _attached_rig(parts) if rig_path is None else load_rig(rig_path)
@@ -163,11 +163,11 @@ def export(
         T_stage_rig = stage_of(chain.from_iterable(parts), rig)
         found = motions(chain.from_iterable(parts), measured=measured)
         if T_stage_rig is None:
-            errors.print(f"[yellow]{NO_STAGE}[/]")
+            errors.print(NO_STAGE, style="yellow")
         else:
             found = {name: motion.moved(T_stage_rig) for name, motion in found.items()}
         write_motion_files(targets, found, in_stage=T_stage_rig is not None)
     _write_viewer_files(parts, {} if rig is None else rig.cameras, foxglove_file, rerun_file)
     invalid = sum(part.invalid for part in parts)
     if invalid:
-        errors.print(f"[yellow]{invalid} messages are not valid and are left out[/]")
+        errors.print(f"{invalid} messages are not valid and are left out", style="yellow")

@@ -13,6 +13,7 @@ from typing import IO
 import click
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rhot.atomic_file import replacing
@@ -85,7 +86,7 @@ def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth:
     feet = feet_of(rig, recording)
     if recording.cameras and not rig.calibrated:
         console.print(
-            f"[yellow]{rig_path} is not calibrated (no cameras.json): cameras are taken as parallel, at the positions "
+            f"[yellow]{escape(str(rig_path))} is not calibrated (no cameras.json): cameras are taken as parallel, at the positions "
             "and with the field of view of rig.toml[/]"
         )
     with _output(out_path) as stream, Progress(*columns, console=console) as progress:

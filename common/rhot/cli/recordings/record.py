@@ -170,7 +170,7 @@ async def _record(
                 await record_session(mailbox, writer, tally, stop.requested, on_beat=show, duration_s=duration_s)
     Console().print(summary())
     if len(writer.files) > 1:
-        console.print(f"{len(writer.files)} files, the first is {writer.files[0]}")
+        console.print(f"{len(writer.files)} files, the first is {escape(str(writer.files[0]))}")
     if mailbox.overwritten:
         console.print(f"[red]{mailbox.overwritten} samples were lost because the disk was too slow[/]")
     if tally.left_out:
@@ -233,8 +233,8 @@ def record(
     attachments = rig_files(rig_path) if rig_path.is_dir() else {}
     if not attachments:
         hint = "no rig folder here" if rig_path == DEFAULT_RIG else f"{rig_path} holds no settings"
-        Console(stderr=True, soft_wrap=True).print(
-            f"[yellow]{hint}: the recording holds messages only; --rig names the folder to attach[/]"
+        Console(stderr=True, soft_wrap=True, markup=False).print(
+            f"{hint}: the recording holds messages only; --rig names the folder to attach", style="yellow"
         )
     about = {"connect": ",".join(config.connect), "namespace": config.namespace, "rig": str(rig_path.resolve())}
 

@@ -120,7 +120,7 @@ async def _step(bus: ReplayBus, samples: Iterator[RecordedSample], start_ns: int
             for sample in moment:
                 await asyncio.to_thread(bus.put_sample, sample)
             figures.sent += len(moment)
-            keys = ", ".join(dict.fromkeys(sample.key for sample in moment))
+            keys = escape(", ".join(dict.fromkeys(sample.key for sample in moment)))
             console.print(f"{(moment[0].log_ns - start_ns) / 1e9:10.3f} s  {keys}")
     finally:
         asked.cancel()

@@ -54,13 +54,20 @@ class UdpLink:
         loop = asyncio.get_running_loop()
         try:
             found = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_DGRAM)
-            family, kind, protocol, _, address = found[0]
-            opened = socket.socket(family, kind, protocol)
-            opened.setblocking(False)
+        except OSError as error:
+            raise self._unreachable(error) from error
+        family, kind, protocol, _, address = found[0]
+        opened = socket.socket(family, kind, protocol)
+        opened.setblocking(False)
+        try:
             opened.connect(address)
         except OSError as error:
-            raise DeviceError(f"{self._host} cannot be reached: {error.strerror or error}; check --host") from error
+            opened.close()
+            raise self._unreachable(error) from error
         self._socket = opened
+
+    def _unreachable(self, error: OSError) -> DeviceError:
+        return DeviceError(f"{self._host} cannot be reached: {error.strerror or error}; check --host")
 
     def wanted(self, now_ns: int) -> bool:
         """Return whether somebody listens, as far as can be told, or it is time to try again."""

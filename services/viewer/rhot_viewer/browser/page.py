@@ -156,8 +156,8 @@ def _check_free(host: str, port: int) -> None:
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
-    except OSError as error:
-        raise DeviceError(f"{_taken(host, port)} ({error.strerror or error})") from error
+    except (OSError, UnicodeError) as error:  # UnicodeError: no name can be like this
+        raise DeviceError(f"{_taken(host, port)} ({getattr(error, 'strerror', None) or error})") from error
 
 
 def _taken(host: str, port: int) -> str:

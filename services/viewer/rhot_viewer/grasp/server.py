@@ -142,10 +142,11 @@ class GraspServer:
                 close_timeout=0.3,
                 logger=logging.getLogger(_SOCKET_LOGGER),
             )
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # UnicodeError: no name can be like this
             raise DeviceError(
                 f"the page cannot be opened on {host} port {port}: another program, perhaps another viewer, has it, or "
-                f"the address is not this machine's; choose another with --port or --host ({error.strerror or error})"
+                f"the address is not this machine's; choose another with --port or --host "
+                f"({getattr(error, 'strerror', None) or error})"
             ) from error
         return int(next(iter(self._server.sockets)).getsockname()[1])
 
