@@ -73,14 +73,18 @@ async def broadcast(bus: Bus, action: Literal["start", "stop"], session: str, de
     publisher = bus.publisher(CONTROL_KEY, Control, reliable=True)
     await publisher.wait_for_reader(2.0)
     # Reliable: it waits where the network is full, so not on the event loop.
-    return await asyncio.to_thread(publisher.put, control)
+    sent = await asyncio.to_thread(publisher.put, control)
+    if action == "stop":
+        # Who took it answers for it. One that was refused, of another session, must not be learnt from its sender.
+        publisher.forget()
+    return sent
 
 
 async def followers(bus: Bus, sent: Control, wait_s: float) -> int:
     """Return how many services follow a control message of `broadcast`; asks until one does or `wait_s` is over."""
     deadline = time.monotonic() + wait_s
     while True:
-        count = -1  # whoever sent it knows it, too
+        count = -1 if sent.action == "start" else 0  # whoever sent a start knows it, too
         for reply in await bus.get(CONTROL_KEY, timeout_s=1.0):
             with contextlib.suppress(WireError):
                 known = decode(reply.payload, Control)

@@ -91,6 +91,13 @@ class Collected:
     points: list[PointsSample] = field(default_factory=list)
     invalid: int = 0
 
+    def clear(self) -> None:
+        """Forget all, as at a session's start."""
+        self.hands.clear()
+        self.objects.clear()
+        self.points.clear()
+        self.invalid = 0
+
 
 def hand_sample(pose: HandPose, age_s: float) -> HandSample:
     """Return what is kept of a hand pose."""

@@ -67,6 +67,12 @@ class CollectedFeet:
     knees: list[KneesSample] = field(default_factory=list)
     invalid: int = 0
 
+    def clear(self) -> None:
+        """Forget all, as at a session's start."""
+        self.feet.clear()
+        self.knees.clear()
+        self.invalid = 0
+
 
 async def collect_feet(bus: Bus, into: CollectedFeet, rig_now_ns: Callable[[], int]) -> None:
     """Collect feet and bodies until cancelled; `into` grows meanwhile, `rig_now_ns` reads the rig clock."""

@@ -58,7 +58,9 @@ def tracking_figures(world: World, start_t_ns: int, collected: Collected, from_s
     tips, joints, ages, stamps = [], [], [], []
     per_finger: dict[str, list[FloatArray]] = {finger: [] for finger in FINGERS}
     poses_measured: list[FloatArray] = []
-    for arrivals in collected.hands.values():
+    for side, arrivals in collected.hands.items():
+        if side not in world.hands:
+            continue  # a board may stand before the cameras by now
         poses = window(arrivals, start_t_ns, from_s, to_s)
         if not poses:
             continue

@@ -38,8 +38,8 @@ class SimRun(WatchedRun):
         """Prepare a run; arguments as of `WatchedRun`."""
         names = ("fusion", "ik", "truth", *(("objects",) if rig.config.objects else ()))
         super().__init__(rig, endpoint, duration_s, work, names, pages)
-        self._world = World.from_rig(rig)
         self._collected = Collected()
+        self._begin(rig)
 
     async def execute(self, console: Console, *, live: bool, announce: Sequence[str] = ()) -> None:
         """Start everything, run for the duration, end everything; see `WatchedRun.execute`."""
@@ -51,6 +51,10 @@ class SimRun(WatchedRun):
             await super().execute(console, live=live, announce=announce)
         finally:
             gc.enable()
+
+    def _begin(self, rig: Rig) -> None:
+        self._world = World.from_rig(rig)
+        self._collected.clear()
 
     def _collect(self, bus: Bus) -> Coroutine[Any, Any, None]:
         return collect(bus, self._collected, time.time_ns)

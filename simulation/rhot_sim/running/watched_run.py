@@ -14,11 +14,13 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.status import Status
 
-from rhot.bus import Bus
-from rhot.messages import ServiceStatus
+from rhot.bus import Bus, EventSubscriber
+from rhot.messages import Control, ServiceStatus
 from rhot.operation.control import broadcast
 from rhot.operation.status import fetch_status, status_table
 from rhot.rig import Rig
+from rhot.rig.folder import latest_rig
+from rhot.service.control_link import CONTROL_KEY
 from rhot_sim.running.processes import service_commands, with_processes
 
 _START_DELAY_S: Final = 1.0
@@ -62,6 +64,10 @@ class WatchedRun(ABC):
         self._steady_from_s = min(_STEADY_FROM_S, 0.3 * duration_s)
 
     @abstractmethod
+    def _begin(self, rig: Rig) -> None:
+        """Take the world of a rig, and forget what was collected in another one."""
+
+    @abstractmethod
     def _collect(self, bus: Bus) -> Coroutine[Any, Any, None]:
         """Keep what arrives, until cancelled."""
 
@@ -102,16 +108,33 @@ class WatchedRun(ABC):
             console.print(line, soft_wrap=True)
         async with asyncio.TaskGroup() as tasks:
             collecting = tasks.create_task(self._collect(bus))
+            controls = bus.events(CONTROL_KEY)
             control = await broadcast(bus, "start", "sim", _START_DELAY_S, wait_s=5.0)
             self._start_t_ns = control.start_t_ns
+            following = tasks.create_task(self._follow_starts(controls, console))
             if live:
                 with Live(console=console, auto_refresh=False) as display:
                     await self._show(bus, console, display)
             else:
                 await self._show(bus, console, None)
             self._after = (await fetch_status(bus))[1]
-            await broadcast(bus, "stop", "sim", 0.0, wait_s=5.0)
+            # Of whichever session: the page and `rhot start` begin others.
+            await broadcast(bus, "stop", "", 0.0, wait_s=5.0)
             collecting.cancel()
+            following.cancel()
+
+    async def _follow_starts(self, controls: EventSubscriber, console: Console) -> None:
+        """Start over with each session that somebody else begins: its world begins anew, too."""
+        async for _, control in controls.messages(Control):
+            if control.action == "start" and control.start_t_ns != self._start_t_ns:
+                self._rig = latest_rig(self._rig)
+                self._begin(self._rig)
+                self._start_t_ns, self._before = control.start_t_ns, {}
+                console.print(
+                    f"session {control.session} was started: the {self._duration_s:g} s count from here",
+                    soft_wrap=True,
+                    markup=False,
+                )
 
     def _elapsed_s(self) -> float:
         return (time.time_ns() - self._start_t_ns) / 1e9
@@ -130,4 +153,6 @@ class WatchedRun(ABC):
                 line = self._line(self._figures(elapsed_s - _LIVE_WINDOW_S, elapsed_s))
                 console.print(f"{elapsed_s:5.1f} of {self._duration_s:.0f} s   {line}", soft_wrap=True)
                 next_line_s += _LINE_EVERY_S
+            elif elapsed_s < next_line_s - _LINE_EVERY_S:
+                next_line_s = _LINE_EVERY_S  # another session was started
             await asyncio.sleep(min(_SHOW_EVERY_S, max(0.0, self._duration_s - self._elapsed_s())))

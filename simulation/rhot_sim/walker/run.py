@@ -37,8 +37,12 @@ class WalkerRun(WatchedRun):
             raise ConfigError(f"{rig.path / 'rig.toml'} names no feet; add [feet.left] or [feet.right] with marker_id")
         super().__init__(rig, endpoint, duration_s, work, _SERVICES, pages)
         self._feet = rig.config.feet
-        self._world = WalkerWorld.from_rig(rig)
         self._collected = CollectedFeet()
+        self._begin(rig)
+
+    def _begin(self, rig: Rig) -> None:
+        self._world = WalkerWorld.from_rig(rig)
+        self._collected.clear()
 
     def _collect(self, bus: Bus) -> Coroutine[Any, Any, None]:
         return collect_feet(bus, self._collected, time.time_ns)

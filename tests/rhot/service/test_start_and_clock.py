@@ -20,12 +20,13 @@ from running.doubling_service import (
 )
 
 from rhot.bus import Answer, Bus, Request, message_answer
+from rhot.cli.operate.start_stop import _control
 from rhot.clock import SkewedClock
 from rhot.errors import BusError, WireError
 from rhot.messages import ClockReply, Control, encode
-from rhot.operation.control import broadcast
+from rhot.operation.control import broadcast, followers
 from rhot.rig import BusConfig
-from rhot.service import ControlState
+from rhot.service import ControlState, control_link
 from rhot.service.runner import serve
 
 
@@ -154,6 +155,20 @@ async def test_a_stop_needs_no_rig_clock(router: BusConfig) -> None:
     async with running(doubler(owns_clock=False), router), await Bus.open(router) as bus:
         await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
         assert (await broadcast(bus, "stop", "", 0.0, 0.0)).action == "stop"
+
+
+async def test_a_stop_for_another_session_stops_nothing(router: BusConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control_link, "_QUERY_INTERVAL_S", 0.05)
+    async with running(doubler(), router), await Bus.open(router) as bus, await Bus.open(router) as other:
+        await start(bus, "one")
+        await wait_for_status(bus, "fusion/main", lambda status: status.session == "one")
+        with pytest.raises(BusError, match="--session two: session one runs; nothing was changed"):
+            await _control(router, "stop", "two", 0.0, LIMIT_S)
+        sent = await broadcast(other, "stop", "two", 0.0, LIMIT_S)
+        await wait_for_status(bus, "fusion/main", lambda status: "is for session two" in status.last_error)
+        # Who has sent it is there still, and is asked by the service again and again.
+        assert await followers(other, sent, 1.0) == 0
+        await wait_for_status(bus, "fusion/main", lambda status: status.session == "one")
 
 
 def in_force(control: ControlState) -> tuple[str, int] | None:

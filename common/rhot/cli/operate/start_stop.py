@@ -27,6 +27,11 @@ async def _control(
     config: BusConfig, action: Literal["start", "stop"], session: str, delay_s: float, wait_s: float
 ) -> None:
     async with await Bus.open(config, timeout_s=max(wait_s, 2.0)) as bus:
+        if action == "stop" and session:
+            known = await newest_control(bus)
+            if known is not None and known.session != session:
+                runs = f"session {known.session} runs" if known.action == "start" else "the rig is stopped"
+                raise BusError(f"--session {session}: {runs}; nothing was changed")
         sent = await broadcast(bus, action, session, delay_s, wait_s)
         alive = sorted({reply.key.removeprefix("rhot/alive/") for reply in await bus.who_is_alive()})
         # A camera's certificate does not even show who is there.
