@@ -95,7 +95,8 @@ def explain(
             moment = moment_of_mcap(messages, pictures_beside(recording_path), at, lead_s)
         page = _page(rig, moment, recording_path, lead_s)
     write_text_atomic(out_path, page)
-    Console(soft_wrap=True, markup=False).print(f"{out_path}: {len(page) / 1e3:.0f} kB, {moment.since_s:.3f} s into the recording")
+    console = Console(soft_wrap=True, markup=False)
+    console.print(f"{out_path}: {len(page) / 1e3:.0f} kB, {moment.since_s:.3f} s into the recording")
 
 
 def _page(rig: Rig, moment: Moment, path: Path, lead_s: float) -> str:

@@ -86,8 +86,8 @@ def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth:
     feet = feet_of(rig, recording)
     if recording.cameras and not rig.calibrated:
         console.print(
-            f"[yellow]{escape(str(rig_path))} is not calibrated (no cameras.json): cameras are taken as parallel, at the positions "
-            "and with the field of view of rig.toml[/]"
+            f"[yellow]{escape(str(rig_path))} is not calibrated (no cameras.json): cameras are taken as parallel, at "
+            "the positions and with the field of view of rig.toml[/]"
         )
     with _output(out_path) as stream, Progress(*columns, console=console) as progress:
         pictures = 0 if feet is None else feet.frame_count
