@@ -157,6 +157,18 @@ def test_a_device_that_is_gone_is_switched_off_once_and_the_room_is_told_again()
     assert any("RoomMatrix" in address for address, _ in messages(target.frame(without, 1_000_000_000)))
 
 
+def test_names_that_come_and_go_do_not_pile_up() -> None:
+    vmt, vmc = VmtTarget(), VmcTarget()
+    cup = bridge_poses.thing((0.0, 1.0, 0.0))
+    for number in range(200):
+        scene = Scene("stage", objects={f"cup{number}": cup})
+        packets = vmt.frame(scene, number)
+        vmc.frame(scene, number)
+        assert len(packets) <= 1
+    assert len(vmt._objects) == 48, "as many devices as VMT has"
+    assert len(vmc._trackers) == 1
+
+
 def test_bundles_stay_below_a_network_frame_and_keep_the_order() -> None:
     template = Template("/a/long/address", "with text", 7, floats=3)
     packets = bundles(template.pack(float(number), 0.0, 0.0) for number in range(200))

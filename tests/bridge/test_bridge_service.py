@@ -19,7 +19,7 @@ from websockets.asyncio.client import connect
 
 from rhot.bus import Bus
 from rhot.errors import ConfigError, RhotError
-from rhot.messages import Control, HandPose, Space
+from rhot.messages import Control, HandPose, ObjectPose, Space, encode, encoding_of
 from rhot.rig import BridgeConfig, BusConfig
 from rhot.service import configuration, runner
 from rhot.service.clock_sync import serve_clock
@@ -142,6 +142,26 @@ async def test_both_hands_of_a_moment_are_one_frame(router: BusConfig, free_port
         assert found.counts["output"] <= found.counts["input"] / 2 + 60 + repeated
 
 
+async def test_what_stands_on_a_key_that_is_not_its_own_reaches_no_program(router: BusConfig, free_port: int) -> None:
+    async with running(router, {"page": {"target": "json", "port": free_port}}) as (bus, _):
+        async for frame in frames(free_port):
+            if len(frame["hands"]) == 2:  # type: ignore[arg-type]
+                break
+        for key in ("rhot/hand/up", "rhot/hand/left", "rhot/object/a b"):
+            before = (await wait_for_status(bus, "bridge/page", lambda _: True)).counts.get("invalid", 0)
+            t_ns = time.time_ns()
+            if key.startswith("rhot/hand"):
+                message: HandPose | ObjectPose = bridge_poses.hand_message("fist", "right", t_ns)
+            else:
+                pose = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+                message = ObjectPose(t_ns=t_ns, frame="rig", position=pose[0], orientation=pose[1], state="measured")
+            await bus.put(key, encode(message), encoding_of(type(message)))
+            await wait_for_status(bus, "bridge/page", lambda each, least=before: each.counts.get("invalid", 0) > least)
+        async for frame in frames(free_port):
+            assert frame["objects"] == []
+            break
+
+
 async def test_without_a_floor_nothing_is_sent_and_it_is_said_once(
     router: BusConfig, free_port: int, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -197,6 +217,8 @@ def test_the_command_says_what_there_is(tmp_path: object) -> None:
     nothing = run(bridge, [])
     assert nothing.exit_code == 2
     assert "which program? one of vmc, vrchat, vmt, json" in nothing.output
+    with pytest.raises(ConfigError, match=r"^bridge vmc: host: not the name or address of a machine"):
+        run(bridge, ["vmc", "--host", "a..b"], catch_exceptions=False)
     unknown = run(bridge, ["teapot"])
     assert unknown.exit_code == 2
     assert "there is no bridge to 'teapot'" in unknown.output

@@ -23,8 +23,8 @@ from rhot.messages import Control, HandPose, ObjectPose, Space
 from rhot.rig import BusConfig
 from rhot.service.clock_sync import serve_clock
 from rhot_bridge.clock_map import STEP_NS, TIME_CONSTANT_NS, ClockMap
-from rhot_bridge.scene import Thing, tracked
-from rhot_bridge.targets.mocap_channels import channels_of, sample_of
+from rhot_bridge.scene import Body, Thing, tracked
+from rhot_bridge.targets.mocap_channels import channels_of, joints_of, sample_of
 
 _LOOPBACK = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n[log]\nlevel = -2\n"
 """Ask this machine alone, port by port: multicast is for real networks."""
@@ -86,6 +86,18 @@ def test_a_sample_is_position_and_quaternion_w_first() -> None:
     ]
     hand = tracked(bridge_poses.hand_message("flat", "left", 1))
     assert len(sample_of(hand)) == len(channels_of("hand_left", JOINTS)) == 26 * 7 + 1
+
+
+def test_a_bodys_stream_keeps_its_channels_when_an_arm_is_lost() -> None:
+    rows = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    identity = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
+    body = Body(1, "measured", 1.0, rows, identity, ("hips", "right_wrist"))
+    labels = [channel.label for channel in channels_of("body", joints_of("body", body))]
+    sample = dict(zip(labels, sample_of(body).tolist(), strict=True))
+    assert (sample["hips_PositionX"], sample["right_wrist_PositionZ"], sample["Confidence"]) == (1.0, 6.0, 1.0)
+    assert np.isnan(sample["left_wrist_PositionX"])
+    legless = Body(1, "measured", 1.0, rows[:1], identity[:1], ("hips",))
+    assert joints_of("body", legless) == joints_of("body", body)
 
 
 @pytest.mark.integration

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import json
 import os
 import struct
@@ -22,7 +23,7 @@ from rhot.errors import ConfigError, DeviceError
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.rig import BridgeConfig, BusConfig
 from rhot_bridge.links.rmw_zenoh import attachment, node_token, publisher_token, topic_key
-from rhot_bridge.scene import Scene, tracked
+from rhot_bridge.scene import Body, Scene, tracked
 from rhot_bridge.targets import ros2
 
 POSE_ARRAY_HASH = "RIHS01_af0cc36d190e104d546d168d6b39df04fa4b4ccecf59cb4c9ed328d3d5004aa0"
@@ -61,6 +62,23 @@ def test_nothing_goes_out_twice_or_after_it_is_lost() -> None:
         *("/rhot/foot_right", "/rhot/body", "/tf"),
     }
     assert messages.of(scene()) == []
+
+
+def test_poses_go_on_after_the_rig_clock_was_set_back() -> None:
+    messages = ros2.RosMessages("stage")
+    now, before = scene(), bridge_poses.scene("fist")
+    head = dataclasses.replace(now.head, t_ns=before.t_ns - 3_600_000_000_000)  # type: ignore[type-var]
+    assert messages.of(now)
+    assert [each.topic for each in messages.of(dataclasses.replace(before, head=head))] == ["/rhot/head", "/tf"]
+
+
+def test_a_topic_has_one_type_however_little_is_known_of_a_body() -> None:
+    body = Body(10**18, "measured", 1.0, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), ("hips",))
+    sent = ros2.RosMessages("stage").of(Scene("stage", body.t_ns, body=body))
+    assert [(each.topic, each.type) for each in sent] == [
+        ("/rhot/body", ros2.POSE_ARRAY),
+        ("/tf", ros2.TF_MESSAGE),
+    ]
 
 
 def test_what_ros_does_not_know_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,11 +9,12 @@ from collections.abc import Mapping
 from typing import Final, Protocol
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from rhot.arrays import FloatArray
 from rhot.bus import LatestSubscriber
 from rhot.errors import BusError, WireError
-from rhot.messages import BodyPose, FootPose, HandPose, HeadPose, ObjectPose, Space, decode
+from rhot.messages import BodyPose, FootPose, HandPose, HeadPose, Name, ObjectPose, Space, decode
 from rhot.service import Node
 from rhot_bridge.axes import Converter
 from rhot_bridge.scene import Axes, Tracked, tracked
@@ -35,6 +36,7 @@ _MODELS: Final[Mapping[str, type[HandPose | ObjectPose | FootPose | BodyPose]]] 
     "body": BodyPose,
 }
 """What stands on these keys, by the second chunk of each: its kind."""
+_NAME: Final = TypeAdapter(Name)
 
 
 class Listener(Protocol):
@@ -117,13 +119,14 @@ class Feed:
             message = node.read(sample, _MODELS[kind])
             if message is None:
                 continue
-            mailbox.keep_slot_of(sample.key)
-            node.status.tick("input")
             try:
+                _check_key(sample.key, message)
                 found = tracked(message)
             except WireError as error:
                 node.refuse(sample.key, error)
                 continue
+            mailbox.keep_slot_of(sample.key)
+            node.status.tick("input")
             for listener in self._listeners:
                 listener.take(sample.key, found, sample.arrived_ns)
             self._announce(kind, sample.key, found.t_ns, sample.arrived_ns)
@@ -178,3 +181,20 @@ class Feed:
         self._converters = {"rig": self._converters["rig"]}
         for listener in self._listeners:
             listener.floor()
+
+
+def _check_key(key: str, message: HandPose | ObjectPose | FootPose | BodyPose) -> None:
+    """Refuse what stands on a key that is not its own: names go on into other programs.
+
+    Raises:
+        WireError: the other side's key, one of no side, or an object whose name is none.
+    """
+    _, kind, *rest = key.split("/")
+    if isinstance(message, HandPose | FootPose):
+        if rest != [message.side]:
+            raise WireError(f"the message belongs on rhot/{kind}/{message.side}")
+    elif rest:
+        try:
+            _NAME.validate_python(rest[0])
+        except ValidationError as error:
+            raise WireError("not the name of an object: letters, digits, _, . and -, 64 at most") from error

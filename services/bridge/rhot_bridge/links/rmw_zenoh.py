@@ -33,6 +33,8 @@ logger = logging.getLogger(__name__)
 
 NODE: Final = "rhot"
 DEFAULT_QOS: Final = "::,10:,:,:,,"
+MOST_TOPICS: Final = 128
+"""Of one node; a rig has about ten."""
 _ID_BYTES: Final = 16
 _CLOSE_LIMIT_S: Final = 1.0
 _LOOK_NS: Final = 1_000_000_000
@@ -135,7 +137,7 @@ class RmwZenohLink:
         """
         publisher = self._publishers.get(topic)
         if publisher is None:
-            if self._session is not None and topic not in self._announcing:
+            if self._session is not None and topic not in self._announcing and len(self._announcing) < MOST_TOPICS:
                 number = len(self._announcing) + 1
                 self._announcing[topic] = asyncio.create_task(self._announce(self._session, number, topic, type_name))
             return None

@@ -51,7 +51,6 @@ class LslOutput:
         self._clock: RigClock | None = None
         self._map = ClockMap()
         self._outlets: dict[str, Any] = {}
-        self._joints: dict[str, tuple[str, ...]] = {}
         self._opening: dict[str, asyncio.Task[None]] = {}
         self._sent_ns: dict[str, int] = {}
 
@@ -81,11 +80,11 @@ class LslOutput:
             return False
         name = key.removeprefix("rhot/").replace("/", "_")
         outlet = self._outlets.get(name)
-        joints = joints_of(name, tracked)
-        if outlet is None or self._joints[name] != joints:
-            self._offer(name, joints)
+        if outlet is None:
+            self._offer(name, joints_of(name, tracked))
             return False
-        if tracked.t_ns <= self._sent_ns.get(name, 0) or not self._read_clocks():
+        # Not "later than": the rig clock may be set back.
+        if tracked.t_ns == self._sent_ns.get(name) or not self._read_clocks():
             return False
         self._sent_ns[name] = tracked.t_ns
         outlet.push_sample(sample_of(tracked).tolist(), self._map.to_local_ns(tracked.t_ns) / 1e9)
@@ -106,8 +105,7 @@ class LslOutput:
             return
 
         async def offer() -> None:
-            outlet = await asyncio.to_thread(_outlet, name, joints, self.axes)
-            self._outlets[name], self._joints[name] = outlet, joints
+            self._outlets[name] = await asyncio.to_thread(_outlet, name, joints, self.axes)
             del self._opening[name]
             logger.info("LSL stream %s is there, %d channels", name, 7 * len(joints) + 1)
 

@@ -1,7 +1,8 @@
 """The channels of a MoCap stream: which number of a sample is what.
 
 After the meta-data specification of MoCap streams (sccn/xdf wiki), float32: for each joint PositionX, Y, Z (metres) and
-OrientationA, B, C, D (quaternion w, x, y, z), then one Confidence: 1 measured, 0 predicted.
+OrientationA, B, C, D (quaternion w, x, y, z), then one Confidence: 1 measured, 0 predicted. A stream has the same
+channels from its beginning to its end: joints of a body that are not known at a moment are NaN.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.anatomy.skeleton import JOINTS
+from rhot.anatomy.skeleton import BODY_PARENTS, JOINTS
 from rhot_bridge.scene import Body, Hand, Tracked
 
 _POSITION: Final = ("PositionX", "PositionY", "PositionZ")
@@ -49,12 +50,16 @@ def sample_of(tracked: Tracked) -> NDArray[np.float32]:
     """Return the numbers of a sample, in the order of its channels."""
     wxyz = tracked.orientations[:, [3, 0, 1, 2]]
     joints = np.concatenate([tracked.positions, wxyz], axis=1)
+    if isinstance(tracked, Body):
+        rows = dict(zip(tracked.names, joints, strict=True))
+        unknown = np.full(joints.shape[1], np.nan)
+        joints = np.array([rows.get(name, unknown) for name in BODY_PARENTS])
     confidence = 1.0 if tracked.state == "measured" else 0.0
     return np.append(joints.ravel(), confidence).astype(np.float32)
 
 
 def joints_of(name: str, tracked: Tracked) -> tuple[str, ...]:
-    """Return the names of a thing's joints; its own name where it is rigid."""
+    """Return the names of all joints that a thing may have; its own name where it is rigid."""
     if isinstance(tracked, Hand):
         return JOINTS
-    return tracked.names if isinstance(tracked, Body) else (name,)
+    return tuple(BODY_PARENTS) if isinstance(tracked, Body) else (name,)

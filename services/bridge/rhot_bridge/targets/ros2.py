@@ -3,7 +3,7 @@
 | topic | message | of |
 |---|---|---|
 | `/rhot/hand_right`, `/rhot/hand_left` | geometry_msgs/PoseArray | the 26 joints in OpenXR's order |
-| `/rhot/body` | geometry_msgs/PoseArray | the body, in the order of `rhot.messages.BodyPose` |
+| `/rhot/body` | geometry_msgs/PoseArray | the body's joints, as many as are known; `/tf` names them |
 | `/rhot/object_cup`, `/rhot/head`, `/rhot/foot_left`, … | geometry_msgs/PoseStamped | one thing |
 | `/tf` | tf2_msgs/TFMessage | `rhot_floor` to `hand_right_wrist`, `object_cup`, `body_hips`, … |
 
@@ -33,7 +33,7 @@ from rhot.errors import ConfigError
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
 from rhot.rig import BridgeConfig
 from rhot_bridge.links.rmw_zenoh import RmwZenohLink
-from rhot_bridge.scene import Axes, Body, Poses, Scene
+from rhot_bridge.scene import Axes, Body, Poses, Scene, Thing
 
 PORT: Final = 7447
 """Of rmw_zenoh's router, and of ours."""
@@ -75,14 +75,15 @@ class RosMessages:
         """Return the messages of all that is new in a scene."""
         found: list[RosMessage] = []
         transforms: list[Any] = []
+        before, self._sent_ns = self._sent_ns, {name: poses.t_ns for name, poses in _named(scene)}
         for name, poses in _named(scene):
-            if poses.state == "kept" or poses.t_ns <= self._sent_ns.get(name, 0):
+            # Not "later than": the rig clock may be set back.
+            if poses.state == "kept" or poses.t_ns == before.get(name):
                 continue
-            self._sent_ns[name] = poses.t_ns
             header = self._header(poses.t_ns)
             positions, orientations = self._rotated(poses)
             ros = [_pose(*each) for each in zip(positions.tolist(), orientations.tolist(), strict=True)]
-            if len(ros) == 1:
+            if isinstance(poses, Thing):
                 found.append(_message(f"/rhot/{name}", POSE_STAMPED, header=header, pose=ros[0]))
             else:
                 found.append(_message(f"/rhot/{name}", POSE_ARRAY, header=header, poses=ros))
@@ -108,7 +109,7 @@ class RosMessages:
             rows = [(f"{name}_{joint}", row) for row, joint in enumerate(poses.names)]
         else:
             # A hand's other joints are in its own topic: every listener of /tf would keep ten seconds of all of them.
-            rows = [(name, 0) if len(positions) == 1 else (f"{name}_wrist", WRIST)]
+            rows = [(name, 0) if isinstance(poses, Thing) else (f"{name}_wrist", WRIST)]
         for child, row in rows:
             x, y, z = positions[row].tolist()
             qx, qy, qz, qw = orientations[row].tolist()

@@ -68,11 +68,14 @@ class VmcTarget:
                 if bone.name not in self._bones:
                     self._bones[bone.name] = _bone(bone.name)
                 messages.append(self._bones[bone.name].pack(*bone.position.tolist(), *rotation.tolist()))
+        # Made for what is there, so that names that have gone are not kept.
+        self._trackers = {
+            identity: self._trackers.get(identity) or Template("/VMC/Ext/Tra/Pos", identity, floats=7)
+            for identity in scene.objects
+        }
         for identity, thing in scene.objects.items():
-            template = self._trackers.get(identity)
-            if template is None:
-                template = self._trackers[identity] = Template("/VMC/Ext/Tra/Pos", identity, floats=7)
-            messages.append(template.pack(*thing.positions[0].tolist(), *thing.orientations[0].tolist()))
+            pose = (*thing.positions[0].tolist(), *thing.orientations[0].tolist())
+            messages.append(self._trackers[identity].pack(*pose))
         if scene.hands:
             for side, bones in zip(scene.hands, finger_bones(scene.hands), strict=True):
                 messages += self._fingers[side].pack(bones)

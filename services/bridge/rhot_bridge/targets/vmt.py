@@ -81,9 +81,10 @@ class VmtTarget:
         if scene.body is not None and (row := scene.body.row("hips")) is not None:
             device(_HIPS, _TRACKER, scene.body.positions[row], scene.body.orientations[row])
         for name, thing in scene.objects.items():
-            number = self._objects.setdefault(name, _FIRST_OBJECT + len(self._objects))
-            if number < _MOST_DEVICES:
-                device(number, _TRACKER, thing.positions[0], thing.orientations[0])
+            if name not in self._objects and len(self._objects) < _MOST_DEVICES - _FIRST_OBJECT:
+                self._objects[name] = _FIRST_OBJECT + len(self._objects)
+            if name in self._objects:
+                device(self._objects[name], _TRACKER, thing.positions[0], thing.orientations[0])
         messages += [self._driver(number, _OFF).pack(*_NOWHERE) for number in sorted(self._on - present)]
         self._on = present
         return bundles([*messages, *bones])
