@@ -9,12 +9,14 @@ import socket
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 
 import numpy as np
 import pytest
 from bridged import poses as bridge_poses
 from bus_watch import PATIENCE_S, until, wait_for_status
 from click.testing import CliRunner
+from running.doubling_service import has_refused
 from websockets.asyncio.client import connect
 
 from rhot.bus import Bus
@@ -156,7 +158,7 @@ async def test_what_stands_on_a_key_that_is_not_its_own_reaches_no_program(route
                 pose = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
                 message = ObjectPose(t_ns=t_ns, frame="rig", position=pose[0], orientation=pose[1], state="measured")
             await bus.put(key, encode(message), encoding_of(type(message)))
-            await wait_for_status(bus, "bridge/page", lambda each, least=before: each.counts.get("invalid", 0) > least)
+            await wait_for_status(bus, "bridge/page", partial(has_refused, before + 1))
         async for frame in frames(free_port):
             assert frame["objects"] == []
             break

@@ -113,6 +113,20 @@ async def test_the_newest_wins_and_waits_until_the_last_were_taken(page: Page) -
         assert len(seen) <= 5, "what was not taken was replaced, not kept"
 
 
+async def test_handshakes_that_fail_take_no_browsers_place(page: Page) -> None:
+    address = f"127.0.0.1:{page.port}"
+    for _ in range(40):
+        reader, writer = await asyncio.open_connection("127.0.0.1", page.port)
+        # Let in by its address and origin; then the key is missing, without which it is no WebSocket.
+        lines = ("GET / HTTP/1.1", f"Host: {address}", f"Origin: http://{address}", "Connection: Upgrade")
+        writer.write("\r\n".join((*lines, "Upgrade: websocket", "", "")).encode())
+        assert b"400 Bad Request" in await asyncio.wait_for(reader.readline(), LIMIT_S)
+        writer.close()
+        await writer.wait_closed()
+    async with browser(page) as one:
+        assert (await read(one))["role"] == "control"
+
+
 async def test_the_truth_is_sent_to_who_asks_for_it(page: Page) -> None:
     async with browser(page) as one, browser(page) as other:
         for each in (one, other):

@@ -15,7 +15,6 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any, Final
-from unittest import mock
 
 import msgspec
 import websockets.asyncio.server
@@ -72,16 +71,12 @@ class Guard:
         real = websockets.asyncio.server.serve
         guard = self
 
-        class Connection(ServerConnection):
-            async def recv(self, decode: bool | None = None) -> Data:  # type: ignore[override]  # viser's only call
+        class Connection(self.connection_kind):  # type: ignore[name-defined,misc]
+            async def recv(self, decode: bool | None = None) -> Data:  # viser's only call
                 while True:
-                    data = await super().recv(decode)
+                    data: Data = await super().recv(decode)
                     if guard.admits(self, data):
                         return data
-
-            def connection_lost(self, exc: Exception | None) -> None:
-                guard.forget(self)
-                super().connection_lost(exc)
 
         def serve(*arguments: Any, process_request: Check | None = None, **options: Any) -> Any:
             def check(connection: ServerConnection, request: Request) -> Response | None:
@@ -91,8 +86,23 @@ class Guard:
             self.standing = True
             return real(*arguments, **options)
 
-        with mock.patch.object(websockets.asyncio.server, "serve", serve):
+        websockets.asyncio.server.serve = serve  # type: ignore[assignment,misc]
+        try:
             yield
+        finally:
+            websockets.asyncio.server.serve = real  # type: ignore[misc]
+
+    @property
+    def connection_kind(self) -> type[ServerConnection]:
+        """The connections of a server with this guard: each is forgotten when it ends, however early."""
+        guard = self
+
+        class Connection(ServerConnection):
+            def connection_lost(self, exc: Exception | None) -> None:
+                guard.forget(self)
+                super().connection_lost(exc)
+
+        return Connection
 
     def role_of(self, connection: ServerConnection) -> Role:
         """Return what a connected browser may do."""

@@ -136,6 +136,8 @@ class GraspServer:
                 port,
                 ssl=tls,
                 process_request=self._request,
+                # A handshake that fails after it was let in never comes to `_stay`.
+                create_connection=self._guard.connection_kind,
                 # Small texts at 90 Hz: packing them costs more time than it saves.
                 compression=None,
                 max_size=MOST_BYTES,
@@ -191,7 +193,6 @@ class GraspServer:
         finally:
             self.browsers.discard(browser)
             self.audience_changed.set()
-            self._guard.forget(connection)
             self._gone(browser)
             logger.info("a browser has gone, %d left", len(self.browsers))
             if feeding is not None:

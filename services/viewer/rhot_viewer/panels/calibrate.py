@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
@@ -204,25 +205,35 @@ class CalibratePanel:
     async def _do(self, title: str, work: Callable[[Mapping[str, str]], Any]) -> None:
         parts = self._steps[title]
         parts.problem = ""
-        try:
+        with self._telling(title):
             await work({name: str(handle.value) for name, handle in parts.fields.items()})
-        except RhotError as error:
-            parts.problem = str(error)
-        except Exception as error:
-            # A fault of one step costs that press, never the page that others look at.
-            logger.exception("calibration step %s", title)
-            parts.problem = f"{type(error).__name__}: {error}; this is a fault of the program, its log says more"
         if self._sessions.files_have_changed():
             await self._restart()
         parts.values = {}  # what the step has chosen is shown again, also where somebody had chosen otherwise
         self.update()
+
+    @contextlib.contextmanager
+    def _telling(self, title: str) -> Iterator[None]:
+        """Show what goes wrong in a step: a fault of one step never costs the page that others look at."""
+        try:
+            yield
+        except RhotError as error:
+            self._steps[title].problem = str(error)
+        except Exception as error:
+            logger.exception("calibration step %s", title)
+            said = f"{type(error).__name__}: {error}; this is a fault of the program, its log says more"
+            self._steps[title].problem = said
+
+    async def _look(self, title: str) -> None:
+        with self._telling(title):
+            await self._steps[title].step.follow()
 
     async def _follow(self) -> None:
         """Let the step that is chosen look at the rig, while somebody looks at the page."""
         while True:
             self._chosen.clear()
             await self._page.looked_at()
-            looking = asyncio.create_task(self._steps[self._current].step.follow())
+            looking = asyncio.create_task(self._look(self._current))
             try:
                 await self._chosen.wait()
             finally:
