@@ -80,7 +80,8 @@ class Sensor:
     def read(self, now_ns: int) -> ImuSamples:
         if not self.plugged:
             raise DeviceError("the sensor went away")
-        self.last_ns = max(self.last_ns, now_ns - 50_000_000)
+        # Also where the clock was set back.
+        self.last_ns = min(max(self.last_ns, now_ns - 50_000_000), now_ns)
         count = (now_ns - self.last_ns) // 10_000_000
         samples = standing_samples(self.last_ns + 10_000_000, int(count))
         self.last_ns += 10_000_000 * int(count)
@@ -103,7 +104,7 @@ class Head:
         while True:
             now_ns = time.time_ns() - round(1e9 * self.late_s)
             # However seldom this task gets its turn, no pose is left out.
-            told_ns = max(told_ns, now_ns - 500_000_000)
+            told_ns = min(max(told_ns, now_ns - 500_000_000), now_ns)
             while told_ns < now_ns:
                 told_ns += 15_000_000
                 if self.tracked:
@@ -140,6 +141,18 @@ async def foot(bus: Bus, wanted: Callable[[FootPose], bool]) -> FootPose:
             if wanted(pose):
                 return pose
     raise AssertionError("no such foot")
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
+async def test_feet_are_back_after_the_rig_clock_was_set(
+    rig: Rig, router: BusConfig, monkeypatch: pytest.MonkeyPatch, step_s: float
+) -> None:
+    async with running(rig, router, Camera(), Sensor()) as bus:
+        await foot(bus, lambda pose: pose.state == "measured")
+        true_ns = time.time_ns
+        monkeypatch.setattr(time, "time_ns", lambda: true_ns() + round(1e9 * step_s))
+        set_ns = time.time_ns()
+        await foot(bus, lambda pose: pose.state == "measured" and 0 <= pose.t_ns - set_ns < 60_000_000_000)
 
 
 async def gone(bus: Bus, side: Side, besides: Side) -> None:

@@ -41,6 +41,9 @@ _HEAD_LATE_S: Final = 0.15
 """So long does a picture wait for the head's pose."""
 _HEADLESS_S: Final = 2.0
 """After so long without one it is said that it is missing."""
+_CLOCK_SET_NS: Final = 500_000_000
+"""A rig clock that moves by more than this at once was set. What is known of the feet and the head is of other times
+then, and would keep out all that comes; after a smaller step that is over as soon."""
 _PERIOD_S: Final = 0.01
 """Between two looks at the ankle sensors, and between two poses of a foot."""
 
@@ -131,7 +134,7 @@ class FeetService:
         if self._heads is None:
             raise RuntimeError("run before attach")
         self._T_head_camera = latest_rig(self._rig).T_head_camera
-        self._stage = FootStage(self._config, self._T_head_camera)
+        self._start_over()
         self._troubles.clear()
         self._head_known_s = asyncio.get_running_loop().time()
         heads, sources = self._heads, self._plan_sensors(self._rig, self._config)
@@ -233,8 +236,10 @@ class FeetService:
             await failed
         finally:
             self._sensors.pop(side, None)
-            await device.call("close", source.close, CLOSE_LIMIT_S)
-            device.end()
+            try:
+                await device.call("close", source.close, CLOSE_LIMIT_S)
+            finally:
+                device.end()
 
     def _read_sensors(self, node: Node) -> None:
         for side, source in list(self._sensors.items()):
@@ -257,11 +262,18 @@ class FeetService:
         loop = asyncio.get_running_loop()
         due = loop.time()
         published_ns = 0
+        ahead_ns = node.clock.now_ns() - time.monotonic_ns()
         while True:
             begun = time.perf_counter()
+            now_ns = node.clock.now_ns()
+            before_ns, ahead_ns = ahead_ns, now_ns - time.monotonic_ns()
+            if abs(ahead_ns - before_ns) > _CLOCK_SET_NS:
+                logger.warning("the rig clock was set by %.1f s; the feet start over", (ahead_ns - before_ns) / 1e9)
+                self._start_over()
+                published_ns = 0
             try:
                 self._read_sensors(node)
-                t_ns = self._stage.due_ns(node.clock.now_ns())
+                t_ns = self._stage.due_ns(now_ns)
                 outputs = self._stage.poses(t_ns) if t_ns > published_ns else []
             except (ValueError, ArithmeticError) as error:
                 self._failed(node, error)
@@ -280,4 +292,7 @@ class FeetService:
     def _failed(self, node: Node, error: Exception) -> None:
         """Begin afresh: what the core cannot digest costs its memory, never the service."""
         node.failed(error)
+        self._start_over()
+
+    def _start_over(self) -> None:
         self._stage = FootStage(self._config, self._T_head_camera)

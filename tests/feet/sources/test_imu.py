@@ -186,6 +186,16 @@ def test_clock_survives_a_restart_and_doubts_a_single_jump() -> None:
     assert after[4:] == [START + 2_000 * MS + k * 10 * MS for k in range(4, 8)]
 
 
+@pytest.mark.parametrize("step_s", [-3600, 3600])
+def test_clock_follows_a_rig_clock_that_was_set(step_s: int) -> None:
+    clock = DeviceClock(1000)
+    for k in range(10):
+        assert clock.to_rig_ns(10_000 * k, START + k * 10 * MS) == START + k * 10 * MS
+    for k in range(10, 20):
+        arrival_ns = START + step_s * 1000 * MS + k * 10 * MS
+        assert clock.to_rig_ns(10_000 * k, arrival_ns) == arrival_ns
+
+
 @pytest.fixture
 def terminal() -> Iterator[tuple[int, str]]:
     """A pseudo terminal: what is written to the file descriptor arrives at the port."""

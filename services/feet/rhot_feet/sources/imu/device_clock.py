@@ -17,7 +17,8 @@ _WRAP: Final = 1 << 32
 _DRIFT: Final = 100e-6
 """How far two quartzes may run apart."""
 _LONGEST_NS: Final = 1_000_000_000
-"""A stamp that jumps further, or backwards, is doubted."""
+"""A stamp that jumps further, or backwards, is doubted. A sample that arrives so much earlier or later than it should
+shows that the rig clock was set: no serial line holds a second's samples back."""
 _CONFIRMED: Final = 5
 """So many doubted stamps in a row that follow each other show that the sensor was restarted."""
 
@@ -59,6 +60,9 @@ class DeviceClock:
         self._doubted.clear()
         self._stamp = stamp
         self._device_ns += step_ns
+        if abs(arrival_ns - self._start_ns - self._device_ns - self._offset_ns) > _LONGEST_NS:
+            self._begin(stamp, arrival_ns)
+            step_ns = self._last_ns = 0
         self._offset_ns = min(self._offset_ns + _DRIFT * step_ns, arrival_ns - self._start_ns - self._device_ns)
         t_ns = self._start_ns + self._device_ns + round(self._offset_ns)
         if t_ns < self._last_ns + step_ns // 2:
