@@ -121,24 +121,17 @@ class Bus:
         return publisher
 
     def latest(self, *key_exprs: str) -> LatestSubscriber:
-        """Subscribe newest-wins: one slot per key; several key expressions share a mailbox and its wake-ups.
-
-        Raises:
-            BusError: a key expression is not valid, or the session is closed.
-        """
+        """Subscribe newest-wins: one slot per key; several key expressions share a mailbox and its wake-ups."""
         return self._subscribe(LatestSubscriber(self._limits), *key_exprs)
 
     def events(self, key_expr: str, limit: int = _EVENT_LIMIT) -> EventSubscriber:
-        """Subscribe to every sample, up to `limit` unread ones.
-
-        Raises:
-            BusError: the key expression is not valid, or the session is closed.
-        """
+        """Subscribe to every sample, up to `limit` unread ones."""
         return self._subscribe(EventSubscriber(limit, self._limits), key_expr)
 
     _Mail = TypeVar("_Mail", LatestSubscriber, EventSubscriber)
 
     def _subscribe(self, mailbox: _Mail, *key_exprs: str) -> _Mail:
+        """Subscribe; a BusError where a key expression is not valid."""
         try:
             self._subscribed[mailbox] = [
                 # indirect=False: no queue and no thread of zenoh's own between the network and the mailbox.
