@@ -131,7 +131,6 @@ class Bus:
     _Mail = TypeVar("_Mail", LatestSubscriber, EventSubscriber)
 
     def _subscribe(self, mailbox: _Mail, *key_exprs: str) -> _Mail:
-        """Subscribe; a BusError where a key expression is not valid."""
         try:
             self._subscribed[mailbox] = [
                 # indirect=False: no queue and no thread of zenoh's own between the network and the mailbox.
