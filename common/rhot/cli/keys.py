@@ -50,10 +50,12 @@ def keys() -> None:
 def make(addresses: tuple[str, ...], port: int, rig_path: Path) -> None:
     """Make the rig's authority and certificates, and switch TLS on in rig.toml."""
     bundles = _making().make_keys(rig_path, addresses, port)
-    click.echo(f"{rig_path / KEYS_FOLDER} written, TLS is on in rig.toml. Start router and services again, then bring")
-    for bundle in bundles:
-        click.echo(f"  {bundle}  to its machine: rhot keys install FILE --rig RIG")
-    click.echo("Each of these files is a key: send it over a safe way (scp, ssh), and delete it afterwards.")
+    click.echo(f"{rig_path / KEYS_FOLDER} written, TLS is on in rig.toml. Start router and services again.")
+    if bundles:
+        click.echo("Then bring")
+        for bundle in bundles:
+            click.echo(f"  {bundle}  to its machine: rhot keys install FILE --rig RIG")
+        click.echo("Each of these files is a key: send it through ssh, and delete it afterwards.")
 
 
 @keys.command()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime as dt
 import ipaddress
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -19,6 +20,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rhot.errors import ConfigError
 
+_LABEL: Final = "[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
+_HOST_NAME: Final = re.compile(rf"{_LABEL}(\.{_LABEL})*")
+"""RFC 1123, section 2.1."""
 _BEGIN: Final = dt.datetime(2020, 1, 1, tzinfo=dt.UTC)
 _YEARS: Final = 10
 _AUTHORITY_YEARS: Final = 20
@@ -117,10 +121,12 @@ def _alternative(address: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(address))
     except ValueError:
-        try:
-            return x509.DNSName(address)
-        except ValueError as error:
-            raise ConfigError(f"--address {address}: neither an IP address nor a host name") from error
+        if not _HOST_NAME.fullmatch(address):
+            raise ConfigError(
+                f"--address {address or '(empty)'}: neither an IP address nor a host name; give one such as "
+                "192.168.1.10 or pc.local, without protocol and port"
+            ) from None
+        return x509.DNSName(address)
 
 
 def _years_from_now(years: int) -> dt.datetime:

@@ -66,6 +66,8 @@ def load_roles(folder: Path) -> RolesFile:
     Raises:
         ConfigError: the file is missing or not valid; the router then lets nobody in.
     """
+    if not (folder / ROLES_FILE).exists():
+        raise ConfigError(f"{folder} holds no {ROLES_FILE}; `rhot keys make`, on the router's machine, makes it")
     return read_json_model(folder / ROLES_FILE, RolesFile, ConfigError)
 
 

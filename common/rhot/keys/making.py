@@ -32,7 +32,7 @@ def make_keys(rig_path: Path, addresses: Sequence[str], port: int = PORT) -> tup
         the bundles to bring to the other machines.
 
     Raises:
-        ConfigError: there are keys already, or something cannot be written.
+        ConfigError: there are keys already, an address is none, or something cannot be written.
     """
     config = load_config(rig_path)
     folder = rig_path / KEYS_FOLDER
@@ -41,17 +41,17 @@ def make_keys(rig_path: Path, addresses: Sequence[str], port: int = PORT) -> tup
             f"{folder} holds keys already: `rhot keys add` makes one more. To start over, move the folder away; all "
             "machines then need new ones"
         )
+    authority = new_authority(config.name)
+    # Before anything is written: an address may be none.
+    router = new_certificate(authority, ROUTER, [*addresses, *_LOCAL])
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
         folder.chmod(0o700)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be made: {error.strerror or error}") from error
-    authority = new_authority(config.name)
     _write_pair(folder, AUTHORITY, authority)
-    holders: dict[str, Holder] = {}
-    router = new_certificate(authority, ROUTER, [*addresses, *_LOCAL])
     _write_pair(folder, ROUTER, router)
-    holders[ROUTER] = Holder(role="router", expires=router.expires)
+    holders = {ROUTER: Holder(role="router", expires=router.expires)}
     for name, holder in {
         SERVICES: Holder(role="services"),
         OPERATOR: Holder(role="operator"),

@@ -84,6 +84,20 @@ def test_one_more_and_one_less(rig_folder: Path, tmp_path: Path) -> None:
             run(*arguments, "--rig", str(rig_folder))
 
 
+@pytest.mark.parametrize(
+    "address", ["", "a b", "a..b", "192.0.2.7:7447", "tcp/192.0.2.7:7447", "ä.local", "-x", "x" * 64]
+)
+def test_an_address_that_is_none_is_refused_and_nothing_is_written(rig_folder: Path, address: str) -> None:
+    before = (rig_folder / RIG_FILE).read_text()
+    with pytest.raises(ConfigError, match="without protocol and port"):
+        run("make", "--address", address, "--rig", str(rig_folder))
+    assert (rig_folder / RIG_FILE).read_text() == before
+    assert not (rig_folder / "keys").exists()
+    with pytest.raises(ConfigError, match="`rhot keys make`, on the router's machine, makes it"):
+        run("list", "--rig", str(rig_folder))
+    run("make", "--address", "pc-2.local", "--address", "fe80::1", "--rig", str(rig_folder))
+
+
 @pytest.mark.parametrize("name", ["../evil", "/etc/passwd", "keys/../../evil.key", "keys/a/b.pem", "run.sh"])
 def test_a_bundle_writes_nowhere_else(tmp_path: Path, name: str) -> None:
     stream = io.BytesIO()
