@@ -112,7 +112,8 @@ def _body(body: BodyPose) -> dict[str, Value]:
         row |= _pose(f"{name}_", joint.position, joint.orientation)
     for side, angles in body.angles.items():
         row |= {f"{side}_{name}": value for name, value in angles}
-    return row | {f"{side}_state": state for side, state in body.legs.items()}
+    row |= {f"{side}_state": state for side, state in body.legs.items()}
+    return row | {f"{side}_arm_state": state for side, state in body.arms.items()}
 
 
 def _points(points: PointSet) -> dict[str, Value]:

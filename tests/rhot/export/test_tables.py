@@ -6,14 +6,16 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
+from exported import person
 from hand_messages import hand_pose, marker_frame, object_pose, point_set
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
-from rhot.export.columns import tables
+from rhot.export.columns import row_of, tables
 from rhot.export.source import RecordedMessages
 from rhot.messages import Control, Message, encode, encoding_of
 from rhot.recording.mcap.writer import McapWriter
@@ -85,6 +87,14 @@ def test_csv_tables_hold_every_number_in_full(tmp_path: Path, written_as: object
     assert (points[1]["thumb_x"], points[1]["thumb_state"]) == ("0.01", "measured")
     cubes = rows(tmp_path / "out" / "object_cube.csv")
     assert [float(row["x"]) for row in cubes] == [0.0, 77.0, 1.0, 2.0, 3.0, 99.0], "by time, the last of a moment"
+
+
+def test_a_body_tells_how_its_arms_are_known_as_it_does_of_its_legs() -> None:
+    body = person.body_message(1, np.eye(4)).model_copy(update={"arms": {"right": "predicted"}})
+    row = row_of(body)
+    assert row is not None
+    assert (row["left_state"], row["right_arm_state"]) == ("measured", "predicted")
+    assert "left_arm_state" not in row
 
 
 def test_parquet_holds_what_csv_holds(tmp_path: Path) -> None:
