@@ -81,7 +81,12 @@ class ColorStep(PageStep[ColorsFile]):
         while True:
             await self._clicked.wait()
             self._clicked.clear()
-            await self._learn()
+            try:
+                await self._learn()
+            except asyncio.CancelledError:
+                # Another step was chosen meanwhile: whoever comes back wants to know what was clicked.
+                self._clicked.set()
+                raise
 
     def _state(self) -> str:
         if self._doing:

@@ -48,6 +48,26 @@ async def answering(router: BusConfig, image: Any) -> AsyncIterator[None]:
         yield
 
 
+async def test_who_looks_at_another_step_while_colours_are_learnt_finds_them_learnt_afterwards(
+    router: BusConfig, drawn: Any, write_rig: Callable[..., Path]
+) -> None:
+    step = ColorStep(StepContext(write_rig({"left": "width = 400\nheight = 300"}), router))
+    async with answering(router, drawn.image):
+        await step.press("take", {})
+    for name in MARKERS:
+        u, v, _ = drawn.truth[name]
+        await step.point("left", u, v, {"marker": name})
+    leaving = asyncio.create_task(step.follow())
+    await until(lambda: step.view().state == "learning the colours")
+    leaving.cancel()
+    await asyncio.gather(leaving, return_exceptions=True)
+    assert "try" not in step.view().enabled
+    back = asyncio.create_task(step.follow())
+    await until(lambda: "try" in step.view().enabled)
+    back.cancel()
+    await asyncio.gather(back, return_exceptions=True)
+
+
 async def test_clicks_become_colours_that_can_be_tried_saved_and_undone(
     router: BusConfig, drawn: Any, write_rig: Callable[..., Path]
 ) -> None:
