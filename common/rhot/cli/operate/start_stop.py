@@ -111,4 +111,5 @@ def start(
 @bus_options
 def stop(session: str, rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> None:
     """Tell every service of the rig to stop and wait for the next start."""
-    asyncio.run(_control(tool_bus(rig_path, connect, namespace), "stop", session, 0.0, 2.0))
+    # Without waiting for the rig clock: a stop is obeyed whatever its time says.
+    asyncio.run(_control(tool_bus(rig_path, connect, namespace), "stop", session, delay_s=0.0, wait_s=0.0))
