@@ -13,24 +13,22 @@ from rhot.messages import ObjectPose
 from rhot.object_mesh import mesh_file
 from rhot.rig import load_rig
 from rhot.rig.folder import RIG_FILE
-from rhot_sim.rig.folder import write_simulated_rig
 from rhot_viewer.browser.mesh_layer import MeshLayer
 from rhot_viewer.scene.things import PREDICTED_COLOR
 
 QUARTER_ABOUT_Y = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
 
 
-def test_a_mesh_is_sent_once_and_then_moved(tmp_path: Path) -> None:
+def test_a_mesh_is_sent_once_and_then_moved(rig_folder: Path) -> None:
     """From the rig folder's file where that holds what the message says, else the planes around it."""
-    write_simulated_rig(tmp_path)
-    with (tmp_path / RIG_FILE).open("a") as file:
+    with (rig_folder / RIG_FILE).open("a") as file:
         file.write('\n[objects.cup]\nserial = "A"\nshape = { kind = "mesh", file = "cup.glb" }\n')
-    cup = mesh_file(things.save(things.mug(), tmp_path / "cup.glb"))
+    cup = mesh_file(things.save(things.mug(), rig_folder / "cup.glb"))
     pose = ObjectPose(
         t_ns=1, frame="rig", position=(0.1, 0.2, 0.8), orientation=QUARTER_ABOUT_Y, state="measured", shape=cup.shape
     )
     scene = MagicMock()
-    layer, rig = MeshLayer(scene, "/meshes"), load_rig(tmp_path)
+    layer, rig = MeshLayer(scene, "/meshes"), load_rig(rig_folder)
     for state in ("measured", "predicted"):
         layer.show(rig, {"cup": pose.model_copy(update={"state": state})})
     scene.add_mesh_simple.assert_called_once()

@@ -51,6 +51,7 @@ async def test_two_sessions_within_a_second_are_two(rig: Rig, router: BusConfig)
     """The same name would be the same session, which services go on with."""
     async with await Bus.open(router) as bus:
         serve_clock(bus)
+        bus.events("rhot/control")  # a start is waited for until somebody hears it
         page = Sessions(StepContext(rig.path, router))
         names = await asyncio.gather(page.restart(), page.restart())
     assert len(set(names)) == 2
