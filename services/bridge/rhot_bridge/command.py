@@ -21,29 +21,37 @@ from rhot_bridge.targets import TARGETS
 
 @click.command()
 @click.argument("target", required=False)
-@click.option("--host", help="Where the other program runs; for a WebSocket, the address to listen on.  [127.0.0.1]")
-@click.option("--port", type=click.IntRange(1, 65535), help="Its port; that program's usual one when left out.")
-@click.option("--rate-hz", type=click.FloatRange(1.0, 200.0), help="Most frames per second.  [90]")
 @click.option(
-    "--predicted", type=click.Choice(["send", "absent"]), help="Send what is predicted, or treat it as absent.  [send]"
+    "--host", help="Where the other program runs; for a WebSocket, the address to listen on.  [default: 127.0.0.1]"
+)
+@click.option("--port", type=click.IntRange(1, 65535), help="Its port; that program's usual one when left out.")
+@click.option("--rate-hz", type=click.FloatRange(1.0, 200.0), help="Most frames per second.  [default: 90]")
+@click.option(
+    "--predicted",
+    type=click.Choice(["send", "absent"]),
+    help="Send what is predicted, or treat it as absent.  [default: send]",
 )
 @click.option(
     "--absent",
     type=click.Choice(["keep", "fade", "stop"]),
-    help="Of what is not tracked any more: send the last, let it fade, or send nothing.  [fade]",
+    help="Of what is not tracked any more: send the last, let it fade, or send nothing.  [default: fade]",
 )
 @click.option(
     "--axes",
     type=click.Choice(["stage", "unity", "rig"]),
-    help="json, lsl, ros2: metres from the floor, the same in Unity's axes, or the rig's own.  [stage]",
+    help="json, lsl, ros2: metres from the floor, the same in Unity's axes, or the rig's own.  [default: stage]",
 )
-@click.option("--transport", type=click.Choice(["websocket", "udp"]), help="json only: how it is sent.  [websocket]")
+@click.option(
+    "--transport", type=click.Choice(["websocket", "udp"]), help="json only: how it is sent.  [default: websocket]"
+)
 @click.option(
     "--body",
     type=click.Choice(["fingers", "arms"]),
-    help="vmc only: fingers alone, or arms, hips and feet, too.  [fingers]",
+    help="vmc only: fingers alone, or arms, hips and feet, too.  [default: fingers]",
 )
-@click.option("--height-m", type=click.FloatRange(0.5, 2.5), help="vmc with arms: height of the person.  [1.7]")
+@click.option(
+    "--height-m", type=click.FloatRange(0.5, 2.5), help="vmc with arms: height of the person, metres.  [default: 1.7]"
+)
 @click.option(
     "--allow-origin",
     "allow_origins",

@@ -18,6 +18,6 @@ from rhot_ik.service import ik_service
 def ik(rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> int:
     """Turn points into a hand with all its joints, until Ctrl-C.
 
-    Reads rhot/points and publishes rhot/hand/left and rhot/hand/right.
+    Reads rhot/points and publishes rhot/hand/left and rhot/hand/right; from head and feet also rhot/body.
     """
     return run_service(ik_service(load_rig(rig_path)), tool_bus(rig_path, connect, namespace))
