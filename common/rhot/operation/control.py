@@ -68,7 +68,8 @@ async def broadcast(bus: Bus, action: Literal["start", "stop"], session: str, de
         action=action,
         session=session,
         start_t_ns=now_ns + round(delay_s * 1e9) if action == "start" else 0,
-        revision=0 if newest is None else newest.revision + 1,
+        # 0 stands for a sender that did not ask; services would count it as 1, and not be told from others.
+        revision=1 if newest is None else newest.revision + 1,
     )
     publisher = bus.publisher(CONTROL_KEY, Control, reliable=True)
     await publisher.wait_for_reader(2.0)

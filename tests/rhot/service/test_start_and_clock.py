@@ -157,6 +157,16 @@ async def test_a_stop_needs_no_rig_clock(router: BusConfig) -> None:
         assert (await broadcast(bus, "stop", "", 0.0, 0.0)).action == "stop"
 
 
+async def test_the_first_start_of_a_rig_is_known_to_be_followed(
+    router: BusConfig, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async with running(doubler(), router), await Bus.open(router) as bus:
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
+        await _control(router, "start", "first", 0.0, LIMIT_S)
+        assert capsys.readouterr().out == "start first sent to 1 service: fusion/main\n"
+        await wait_for_status(bus, "fusion/main", lambda status: status.session == "first")
+
+
 async def test_a_stop_for_another_session_stops_nothing(router: BusConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(control_link, "_QUERY_INTERVAL_S", 0.05)
     async with running(doubler(), router), await Bus.open(router) as bus, await Bus.open(router) as other:

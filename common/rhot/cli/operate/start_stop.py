@@ -40,9 +40,8 @@ async def _control(
                 f"{action} was sent, but no service took it; on a secured bus only an operator may start and stop "
                 "(`rhot keys list` names the roles, RHOT_IDENTITY chooses a certificate)"
             )
-        click.echo(
-            f"{action} {sent.session or '(any session)'} sent to {len(alive)} services: {', '.join(alive) or 'none'}"
-        )
+        services = "1 service" if len(alive) == 1 else f"{len(alive)} services"
+        click.echo(f"{action} {sent.session or '(any session)'} sent to {services}: {', '.join(alive) or 'none'}")
 
 
 async def _start_by_itself(config: BusConfig, delay_s: float, wait_s: float) -> None:
