@@ -61,6 +61,13 @@ class TestClockMap:
         clocks.read(1_000_000_000 + STEP_NS + 1000, 600, 600)
         assert clocks.to_local_ns(1_000_000_000 + STEP_NS + 1000) == 600
 
+    def test_an_interruption_within_a_reading_moves_no_stamp(self) -> None:
+        clocks = ClockMap()
+        clocks.read(5_000_000_000, 100, 200)
+        # 18 ms pass after the rig clock was read, a second later.
+        clocks.read(6_000_000_000, 1_000_000_100, 1_018_000_100)
+        assert clocks.to_local_ns(5_000_000_000) == 150
+
     def test_the_rig_clocks_learning_moves_stamps_smoothly(self) -> None:
         """A jump of 1 ms in the estimate moves no stamp by more than its share, and is followed in the end."""
         clocks, last, largest = ClockMap(), None, 0.0

@@ -4,9 +4,11 @@ With r and l the readings of both clocks at one moment, o = l − r is their off
 
     s + ô
 
-on the other clock. ô follows o smoothly: it closes 1 − exp(−Δt/τ) of the difference after Δt. The rig clock of this
-machine is itself an estimate that moves by microseconds as it learns; a recording must not jump with it. A difference
-of more than `STEP_NS` is no estimate's, but a clock that was set: ô follows at once.
+on the other clock. r is read between l₀ and l₁, so o lies between l₀ − r and l₁ − r. Where ô lies there, too, the
+reading tells nothing new: a process that was interrupted between two of its lines moves no stamp. Else ô follows the
+nearer end smoothly: it closes 1 − exp(−Δt/τ) of the difference after Δt. The rig clock of this machine is itself an
+estimate that moves by microseconds as it learns; a recording must not jump with it. A difference of more than
+`STEP_NS` is no estimate's, but a clock that was set: ô follows at once.
 """
 
 from __future__ import annotations
@@ -35,13 +37,13 @@ class ClockMap:
     def read(self, rig_ns: int, before_ns: int, after_ns: int) -> None:
         """Take a reading of the rig clock between two of the other clock."""
         local_ns = (before_ns + after_ns) // 2
-        offset_ns = local_ns - rig_ns
-        last = self._offset_ns
-        if last is None or abs(offset_ns - last) > STEP_NS:
-            self._offset_ns = float(offset_ns)
+        last = float(local_ns - rig_ns) if self._offset_ns is None else self._offset_ns
+        nearest = min(max(last, before_ns - rig_ns), after_ns - rig_ns)
+        if abs(nearest - last) > STEP_NS:
+            self._offset_ns = float(local_ns - rig_ns)
         else:
             share = 1.0 - math.exp(-max(0, local_ns - self._read_ns) / TIME_CONSTANT_NS)
-            self._offset_ns = last + share * (offset_ns - last)
+            self._offset_ns = last + share * (nearest - last)
         self._read_ns = local_ns
 
     def to_local_ns(self, rig_ns: int) -> int:

@@ -34,6 +34,7 @@ logger = logging.getLogger(__name__)
 
 MOST_STREAMS: Final = 64
 """Things that one bridge sends; a rig has about ten."""
+_FIRST_READINGS: Final = 5
 _BUFFERED: Final = 60
 """Hundreds of samples that are kept for a recorder which stalls: a minute at 100 Hz, 4 MB for a hand."""
 
@@ -94,9 +95,10 @@ class LslOutput:
         clock = self._clock
         if clock is None or not clock.ready:
             return False
-        before_s = pylsl.local_clock()
-        rig_ns = clock.now_ns()
-        self._map.read(rig_ns, round(1e9 * before_s), round(1e9 * pylsl.local_clock()))
+        # The first reading counts whole: the shortest of several, so that no interruption lies within it.
+        readings = [_read(clock) for _ in range(1 if self._map.ready else _FIRST_READINGS)]
+        rig_ns, before_ns, after_ns = min(readings, key=lambda reading: reading[2] - reading[1])
+        self._map.read(rig_ns, before_ns, after_ns)
         return True
 
     def _offer(self, name: str, joints: tuple[str, ...]) -> None:
@@ -122,6 +124,12 @@ class LslOutput:
         self._sent_ns.clear()
         # The last reference ends a stream, which takes a moment.
         await asyncio.to_thread(outlets.clear)
+
+
+def _read(clock: RigClock) -> tuple[int, int, int]:
+    """Return a reading of the rig clock, and of LSL's before and after it, nanoseconds."""
+    before_s, rig_ns, after_s = pylsl.local_clock(), clock.now_ns(), pylsl.local_clock()
+    return rig_ns, round(1e9 * before_s), round(1e9 * after_s)
 
 
 def make_output(config: BridgeConfig) -> LslOutput:
