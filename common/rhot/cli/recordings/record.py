@@ -52,6 +52,8 @@ def _target(out: Path) -> Path:
         return out / f"rhot-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
     if out.suffix != ".mcap":
         raise ConfigError(f"--out {out}: the name of a recording ends in .mcap; without an ending it is a folder")
+    if not out.parent.is_dir():
+        raise ConfigError(f"--out {out}: the folder {out.parent} does not exist; make it, or choose another")
     return out
 
 

@@ -1,0 +1,27 @@
+"""Where `rhot record` writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rhot.cli.recordings.record import _target
+from rhot.errors import ConfigError
+
+
+def test_a_file_is_named_and_a_folder_is_made(tmp_path: Path) -> None:
+    assert _target(tmp_path / "grasp.mcap") == tmp_path / "grasp.mcap"
+    made = _target(tmp_path / "new" / "folder")
+    assert made.parent.is_dir()
+    assert made.suffix == ".mcap"
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [("take.mp4", "ends in .mcap"), ("nowhere/take.mcap", "the folder .*nowhere does not exist; make it")],
+)
+def test_what_cannot_be_written_is_refused_before_anything_is_recorded(tmp_path: Path, name: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        _target(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
