@@ -16,6 +16,7 @@ from bridged import poses as bridge_poses
 from bus_watch import PATIENCE_S
 from exported import person
 from exported.foreign_programs import ros_python
+from zenoh.ext import Int64, z_serialize
 
 from rhot.bus import Bus
 from rhot.bus.zenoh_config import session_config
@@ -53,6 +54,7 @@ def test_keys_tokens_and_attachments_are_those_of_rmw_zenoh() -> None:
     assert len(made) == 33
     assert struct.unpack_from("<qq", made) == (2, 10**18)
     assert made[16:] == bytes([16, *range(16)])
+    assert made == bytes(z_serialize((Int64(2), Int64(10**18), bytes(range(16))))), "as Zenoh itself writes it"
 
 
 def test_nothing_goes_out_twice_or_after_it_is_lost() -> None:
