@@ -253,3 +253,18 @@ def test_the_token_is_kept_and_only_its_owner_reads_it(tmp_path: Path) -> None:
         kept_token(file, 8080)
     with pytest.raises(ConfigError, match="cannot be written"):
         kept_token(tmp_path / "no" / "file", 8080)
+
+
+def test_kept_links_follow_the_page_to_https_and_to_another_port(tmp_path: Path) -> None:
+    file = tmp_path / "page.links"
+    token = kept_token(file, 8080)
+    # Whoever wrote another name meant it.
+    file.write_text(file.read_text().replace(socket.gethostname(), "desk.example"))
+    assert kept_token(file, 8081, "https") == token
+    lines = file.read_text().splitlines()
+    assert [line.partition("?")[0] for line in lines] == [
+        "to look and change: https://desk.example:8081/",
+        "to look: https://desk.example:8081/",
+    ]
+    assert [line.partition("token=")[2] for line in lines] == [token, Access(token).view_token]
+    assert file.stat().st_mode & 0o777 == 0o600
