@@ -54,4 +54,3 @@ def links(access: Access, host: str, port: int, scheme: str = "http") -> tuple[s
     base = f"{scheme}://{host}:{port}/?{TOKEN_PARAMETER}="
     look = f"to look: {base}{access.view_token}"
     return (look,) if access.view_only else (f"to look and change: {base}{access.token}", look)
-
