@@ -205,7 +205,7 @@ async def _look(bus: Bus, camera: str) -> CameraLook:
         return CameraLook(
             exposure_s=float(found["exposure_s"]),
             gain=float(found["gain"]),
-            white_balance=(red, blue),
+            white_balance=(float(red), float(blue)),
             bright=bright,
             clipped=clipped,
             unsaved=bool(keep.get("differs", False)),
@@ -213,7 +213,7 @@ async def _look(bus: Bus, camera: str) -> CameraLook:
         )
     except RhotError as error:
         return CameraLook(str(error).removeprefix(f"camera {camera}: "))
-    except (ValueError, KeyError, IndexError, TypeError):
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return CameraLook("its settings are not understood; do page and capture service have the same version?")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from bus_watch import PATIENCE_S, until
+from bus_watch import PATIENCE_S, settled, until
 
 from rhot.bus import Answer, Bus, Request
 from rhot.bus.query import json_answer
@@ -61,6 +62,35 @@ async def test_a_capture_service_that_is_not_there_is_named(router: BusConfig, w
     following.cancel()
     assert "rhot capture --camera left" in step.view().remarks[0].text
     assert not step.view().done
+
+
+_OPTICS = {"exposure_s": 0.004, "gain": 4.0, "white_balance": [1.5, 1.6]}
+
+
+@pytest.mark.parametrize(
+    ("settings", "kept"),
+    [
+        (b"[" * 100_000, b"{}"),
+        (b"[]", b"{}"),
+        (json.dumps(_OPTICS | {"white_balance": ["a", "b"]}).encode(), b"{}"),
+        (json.dumps(_OPTICS).encode(), b"[]"),
+    ],
+)
+async def test_answers_that_are_none_are_told_and_end_nothing(
+    router: BusConfig, write_rig: Callable[..., Path], settings: bytes, kept: bytes
+) -> None:
+    picture = bytes(cv2.imencode(".png", np.full((48, 64, 3), 90, np.uint8))[1])
+    step = LockStep(StepContext(write_rig({"left": ""}), router))
+    async with await Bus.open(router) as stranger:
+        for key, payload in (("config/capture", settings), ("preview", picture), ("keep/capture", kept)):
+            answer = Answer(payload, "application/json")
+            stranger.queryable(f"rhot/{key}/left", lambda _, answer=answer: answer)  # type: ignore[misc]
+        await settled(stranger)
+        following = asyncio.create_task(step.follow())
+        await until(lambda: step.view().remarks)
+        assert not following.done()
+        following.cancel()
+    assert "its settings are not understood" in step.view().remarks[0].text
 
 
 class StubCamera:

@@ -91,7 +91,7 @@ class CaptureSettings:
             return CameraState(before.settings, replies[0].error, before.version + 1)
         try:
             settings = json.loads(replies[0].payload)
-        except ValueError:
+        except (ValueError, RecursionError):
             settings = None
         if not isinstance(settings, dict):
             return CameraState(before.settings, "the answer is not a map of settings", before.version + 1)
