@@ -19,6 +19,8 @@ from rhot.messages.objects import ObjectShape
 
 HAND_PARENTS: Final = tuple(-1 if (parent := PARENTS[name]) is None else JOINTS.index(parent) for name in JOINTS)
 """(26,) index in `JOINTS` of each joint's parent, −1 for the wrist."""
+_MOST_FRAMES: Final = 5_000_000
+"""Of a file with a steady rate: a day at 60 Hz."""
 _LIMB_RADIUS_M: Final = 0.03
 """Of a body's joints where they are drawn; their messages carry none."""
 
@@ -127,6 +129,23 @@ def hand_motion(messages: Iterable[tuple[str, Message]], side: Side | None) -> M
     if len(found) > 1:
         raise ConfigError("the recording holds both hands; choose one with --hand left or --hand right")
     return next(iter(found.values()))
+
+
+def frame_times_s(end_s: float, rate_hz: float) -> FloatArray:
+    """Return the times (F,) of frames at a steady rate from 0 to an end, seconds.
+
+    Raises:
+        ConfigError: there would be more than a file is made of, as where one pose has a time of another year.
+    """
+    count = int(end_s * rate_hz + 1e-6) + 1
+    if count > _MOST_FRAMES:
+        raise ConfigError(
+            f"the poses lie {end_s / 3600:.1f} h apart, {count} frames at {rate_hz:.1f} Hz; {_MOST_FRAMES} are the "
+            "most. Was the clock set meanwhile, or does a stranger publish on the bus? `rhot export --csv` shows every "
+            "time"
+        )
+    times: FloatArray = np.arange(count) / rate_hz
+    return times
 
 
 def _posed(message: HandPose | BodyPose | FootPose | ObjectPose) -> tuple[tuple[str, ...], Mapping[str, Pose]]:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
-from rhot.export.poses import Motion
+from rhot.export.poses import Motion, frame_times_s
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 
 
@@ -75,6 +75,9 @@ def skeleton_motion(motion: Motion, rate_hz: float | None = None) -> SkeletonMot
         motion: at least one pose.
         rate_hz: frames per second, poses between the recorded ones interpolated; None = every pose is one frame, and
             the interval between frames is the poses' mean interval.
+
+    Raises:
+        ConfigError: see `frame_times_s`.
     """
     t_s = (motion.t_ns - motion.t_ns[0]) / 1e9
     offsets = _offsets(motion)
@@ -88,7 +91,7 @@ def skeleton_motion(motion: Motion, rate_hz: float | None = None) -> SkeletonMot
         interval_s = float(t_s[-1]) / (len(t_s) - 1) if len(t_s) > 1 else 1.0 / 60.0
         error_s = float(np.abs(t_s - interval_s * np.arange(len(t_s))).max())
         return SkeletonMotion(motion.joints, motion.parents, interval_s, offsets, root, local, error_s)
-    frames_s = np.arange(int(t_s[-1] * rate_hz + 1e-6) + 1) / rate_hz
+    frames_s = frame_times_s(float(t_s[-1]), rate_hz)
     before = np.clip(np.searchsorted(t_s, frames_s, side="right") - 1, 0, max(len(t_s) - 2, 0))
     after = np.minimum(before + 1, len(t_s) - 1)
     span_s = np.maximum(t_s[after] - t_s[before], 1e-9)

@@ -11,9 +11,12 @@ from exported import person
 from hand_messages import hand_pose, object_pose
 
 from rhot.cli.recordings.export import export
+from rhot.errors import ConfigError
+from rhot.export.gltf.shapes import mesh_of
 from rhot.export.lab.frames import MAX_GAP_S, frames_of
 from rhot.export.poses import motions
-from rhot.messages import Message, ObjectPose
+from rhot.export.skeleton_motion import skeleton_motion
+from rhot.messages import MeshShape, Message, ObjectPose
 
 BEGIN_NS = 1_800_000_000_000_000_000
 
@@ -54,6 +57,20 @@ def test_a_rate_of_ones_own_reads_between_poses() -> None:
     assert rate_hz == 250.0
     assert t_s[-1] == pytest.approx(1.0)
     np.testing.assert_allclose(x, t_s, atol=1e-6)
+
+
+def test_a_time_of_another_year_is_told_instead_of_filling_the_memory() -> None:
+    late: Message = object_pose(BEGIN_NS + 30_000_000_000_000_000, 0.0)
+    messages = [*objects([0.0, 0.01, 0.02]), ("rhot/object/cup", late)]
+    with pytest.raises(ConfigError, match=r"8333\.3 h apart, \d+ frames at 100\.0 Hz; 5000000 are the most"):
+        frames_of(list(motions(messages).values()))
+    with pytest.raises(ConfigError, match="apart"):
+        skeleton_motion(motions(messages)["object_cup"], 60.0)
+
+
+def test_planes_that_enclose_nothing_are_drawn_as_their_box() -> None:
+    shape = MeshShape(file="a.glb", size=(0.1, 0.2, 0.3), planes=((1.0, 0.0, 0.0, 0.1),) * 4)
+    assert np.ptp(mesh_of(shape).corners, axis=0) == pytest.approx((0.1, 0.2, 0.3))
 
 
 def test_what_was_only_predicted_can_be_left_out() -> None:

@@ -70,7 +70,9 @@ def mesh_of(shape: ObjectShape | None) -> Mesh:
         case SphereShape():
             return _sphere(shape.radius)
         case MeshShape():
-            return Mesh(*hull_surface(np.array(shape.planes)))
+            corners, triangles = hull_surface(np.array(shape.planes))
+            # Planes of a stranger need not close.
+            return Mesh(corners, triangles) if len(triangles) else box(np.array(shape.size))
         case _:
             return box(np.full(3, _UNKNOWN_M))
 

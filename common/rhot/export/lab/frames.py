@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
-from rhot.export.poses import Motion
+from rhot.export.poses import Motion, frame_times_s
 
 MAX_GAP_S: Final = 0.1
 """Longest pause between two poses that is bridged: a hand that turns back with 10 m/s² leaves the straight line by
@@ -50,11 +50,14 @@ def frames_of(motions: Sequence[Motion], rate_hz: float | None = None) -> Frames
         motions: at least one.
         rate_hz: frames per second; None = the real rate of the fastest motion (the inverse of its poses' median
             interval).
+
+    Raises:
+        ConfigError: see `frame_times_s`.
     """
     origin_ns = min(int(motion.t_ns[0]) for motion in motions)
     end_s = max(int(motion.t_ns[-1]) - origin_ns for motion in motions) / 1e9
     rate = rate_hz if rate_hz is not None else max(real_rate_hz(motion.t_ns) for motion in motions)
-    t_s = np.arange(int(end_s * rate + 1e-6) + 1) / rate
+    t_s = frame_times_s(end_s, rate)
     names: list[str] = []
     columns: list[FloatArray] = []
     angles: dict[str, FloatArray] = {}
