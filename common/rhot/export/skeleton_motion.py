@@ -1,4 +1,4 @@
-"""A recorded motion as a skeleton of constant bones that turn.
+"""A recorded motion as a skeleton of constant bones that rotate.
 
 Each joint but the root (a hand's wrist, a body's hips) hangs on its parent by an offset that is constant in the
 parent's axes; its length is the median of the recorded bone's. Axes are the recorded ones, each rotated by the smallest
@@ -97,8 +97,8 @@ def skeleton_motion(motion: Motion, rate_hz: float | None = None) -> SkeletonMot
     span_s = np.maximum(t_s[after] - t_s[before], 1e-9)
     share = np.clip((frames_s - t_s[before]) / span_s, 0.0, 1.0)
     root = root[before] + share[:, None] * (root[after] - root[before])
-    turned = rotations_between(local[before], local[after], share)
-    return SkeletonMotion(motion.joints, motion.parents, 1.0 / rate_hz, offsets, root, turned, 0.0)
+    local = rotations_between(local[before], local[after], share)
+    return SkeletonMotion(motion.joints, motion.parents, 1.0 / rate_hz, offsets, root, local, 0.0)
 
 
 def _offsets(motion: Motion) -> FloatArray:

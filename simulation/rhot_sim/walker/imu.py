@@ -1,15 +1,15 @@
 """Inertial sensors on the ankles, with the faults of a BNO080.
 
-The sensor sits on the shoe beside the ankle, turned as it happens to be strapped on. It reports, at 100 Hz as text or
-400 Hz as binary records, its turn against a frame of its own with z up (east, north, up, but north is where it thinks
-it is), linear acceleration with gravity taken away by that turn, and the angular rate:
+The sensor sits on the shoe beside the ankle, rotated as it happens to be strapped on. It reports, at 100 Hz as text or
+400 Hz as binary records, its orientation in a frame of its own with z up (east, north, up, but north is where it thinks
+it is), linear acceleration with gravity taken away by that orientation, and the angular rate:
 
     R_reported = R_north_rig · E · R_rig_sensor,
     a_reported = R_rig_sensorᵀ · (a + e × g) + bias + noise,   g = 9.81 m/s² along +y,
 
 where the tilt error e grows with the motion of the last second and fades when the foot rests: at rest a BNO080 finds
 down by its accelerometer, so that what is left of gravity is small. The amounts are set so that the figures of the
-BNO080 datasheet (2017, fig. 6-12: turn off by 2.5 degrees and linear acceleration by 0.35 m/s² in motion, heading
+BNO080 datasheet (2017, fig. 6-12: rotation off by 2.5 degrees and linear acceleration by 0.35 m/s² in motion, heading
 drift 0.5 degrees a minute) come out about, and the noise at rest as in real recordings of foot-mounted sensors
 (0.02 m/s²). Values are rounded to the Q points that Sparkfun's library for the BNO080 reads (8, 14 and 9 bits).
 """
@@ -60,7 +60,7 @@ class ImuErrors:
     Attributes:
         acceleration_m_s2: white noise of a sample.
         bias_m_s2: of the constant part of the acceleration's bias, and a third of that wanders within half a minute.
-        tilt_rad: of the reported turn about level axes at rest.
+        tilt_rad: of the reported orientation about level axes at rest.
         tilt_in_motion_rad: of the tilt error for each metre per second of the foot's mean speed in the last second.
         heading_rad: of the wandering of the heading.
         heading_drift_rad_s: largest steady drift of the heading.
@@ -138,8 +138,8 @@ class AnkleImu:
         self._strikes = np.array([[step.strike_s, 6.0 + 40.0 * step.strike_rad] for step in steps]).reshape(-1, 2)
         rng = seeded(*self._key)
         self._phase_s = rng.uniform(0.0, 1.0 / rate_hz)
-        place = np.array([OUTWARDS[side] * 0.045, 0.03, 0.0]) + rng.normal(0.0, 0.008, 3)
-        self.T_ankle_sensor = rigid(nearest_rotation(rng.normal(0.0, 1.0, (3, 3))), place)
+        position = np.array([OUTWARDS[side] * 0.045, 0.03, 0.0]) + rng.normal(0.0, 0.008, 3)
+        self.T_ankle_sensor = rigid(nearest_rotation(rng.normal(0.0, 1.0, (3, 3))), position)
         """How the sensor is strapped on, (4, 4); a tracker does not know it."""
         self._north_rad = rng.uniform(0.0, 2.0 * np.pi)
         self._drift_rad_s = rng.uniform(-1.0, 1.0) * self._errors.heading_drift_rad_s
@@ -155,8 +155,8 @@ class AnkleImu:
         """Return what the sensor measures from `t0_s` to before `t1_s`, lost samples left out.
 
         Returns:
-            Time stamps (N,), seconds; linear acceleration (N, 3), m/s², sensor frame; turn of the sensor in its own
-            frame with z up (N, 4), quaternion x, y, z, w; angular rate (N, 3), rad/s, sensor frame.
+            Time stamps (N,), seconds; linear acceleration (N, 3), m/s², sensor frame; orientation of the sensor in its
+            own frame with z up (N, 4), quaternion x, y, z, w; angular rate (N, 3), rad/s, sensor frame.
         """
         first, last = (int(np.ceil((t - self._phase_s) * self._rate_hz - 1e-9)) for t in (t0_s, t1_s))
         number = np.arange(max(first, 0), max(last, 0))
@@ -187,15 +187,15 @@ class AnkleImu:
         return delivered
 
     def _motion(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return acceleration (N, 3), rig frame, turn R_rig_sensor (N, 3, 3) and angular rate (N, 3), sensor frame.
+        """Return acceleration (N, 3), rig frame, rotation R_rig_sensor (N, 3, 3) and angular rate (N, 3), sensor frame.
 
         Differences over a sample's length, as a sensor's own low-pass filter leaves them.
         """
         half = 0.5 / self._rate_hz
         before, now, after = (self._ankles(t + shift) @ self.T_ankle_sensor for shift in (-half, 0.0, half))
         acceleration = (after[:, :3, 3] - 2.0 * now[:, :3, 3] + before[:, :3, 3]) / half**2
-        turned = np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]
-        return acceleration, now[:, :3, :3], _rotation_vectors(turned) / (2.0 * half)
+        rotation = np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]
+        return acceleration, now[:, :3, :3], _rotation_vectors(rotation) / (2.0 * half)
 
     def _tilt_in_motion(self, t: FloatArray) -> FloatArray:
         """Return the tilt error (N, 3), radians, about the rig's axes; none about the vertical."""
@@ -208,14 +208,14 @@ class AnkleImu:
         return level
 
     def _reported(self, t: FloatArray, R: FloatArray, tilt: FloatArray) -> FloatArray:
-        """Return the turn (N, 3, 3) that the sensor reports."""
+        """Return the rotation (N, 3, 3) that the sensor reports."""
         off = tilt + self._errors.tilt_rad * self._wander("tilt", t, 5.0) * [1.0, 0.0, 1.0]
         heading = self._north_rad + self._drift_rad_s * t
         heading = heading + self._errors.heading_rad * self._wander("heading", t, 10.0)[:, 0]
         c, s = np.cos(heading), np.sin(heading)
-        turn = np.zeros((len(t), 3, 3))
-        turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -s, s, c, 1.0
-        reported: FloatArray = turn @ R_UP_RIG @ (np.eye(3) + cross_matrix(off)) @ R
+        yaw = np.zeros((len(t), 3, 3))
+        yaw[:, 0, 0], yaw[:, 0, 1], yaw[:, 1, 0], yaw[:, 1, 1], yaw[:, 2, 2] = c, -s, s, c, 1.0
+        reported: FloatArray = yaw @ R_UP_RIG @ (np.eye(3) + cross_matrix(off)) @ R
         return reported
 
     def _ringing(self, t: FloatArray) -> FloatArray:

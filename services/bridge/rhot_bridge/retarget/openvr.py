@@ -83,15 +83,15 @@ def openvr_bones(hands: Mapping[Side, Hand]) -> FloatArray:
     p = np.concatenate([hand.positions for hand in hands.values()])
     offsets = p[rows] - p[parents]
     lengths = np.sqrt((offsets * offsets).sum(axis=1)).reshape(-1, 24)
-    turns = relative(q[parents], q[rows])[:, _ORDER].reshape(-1, 24, 4)
+    rotations = relative(q[parents], q[rows])[:, _ORDER].reshape(-1, 24, 4)
     bones = np.zeros((len(hands), BONES, 7))
     bones[:, 0, 6] = 1.0
-    for own, length, turn, (side, hand) in zip(bones, lengths, turns, hands.items(), strict=True):
+    for own, length, rotation, (side, hand) in zip(bones, lengths, rotations, hands.items(), strict=True):
         to_wrist = rotation_from_quaternion(hand.orientations[WRIST])
         from_wrist = (hand.positions - hand.positions[WRIST]) @ to_wrist
         own[1, 3:] = _WRIST[side]
         own[2:26, 0] = length if side == "left" else -length
-        own[2:26, 3:] = turn * _SIGNS[side]
+        own[2:26, 3:] = rotation * _SIGNS[side]
         own[METACARPALS, :3] = from_wrist[METACARPALS] @ _D[side].T
         own[METACARPALS, 3:] = own[METACARPALS, 3:] @ _BEFORE[side]
         own[26:, :3] = from_wrist[_LAST]

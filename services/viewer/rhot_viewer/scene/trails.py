@@ -28,14 +28,14 @@ class Trails:
             seconds: how far back the trails reach.
         """
         self._steps = max(2, round(seconds * 1e9 / _STEP_NS))
-        self._places: dict[str, deque[tuple[float, float, float]]] = {n: deque(maxlen=self._steps + 1) for n in names}
+        self._paths: dict[str, deque[tuple[float, float, float]]] = {n: deque(maxlen=self._steps + 1) for n in names}
         self._newest_ns: dict[str, int] = {}
 
     def add(self, t_ns: int, positions: Mapping[str, tuple[float, float, float]]) -> bool:
         """Add positions, metres, of the moment `t_ns`, but for unknown names; return whether a line has changed."""
         changed = False
         for name, position in positions.items():
-            trail = self._places.get(name)
+            trail = self._paths.get(name)
             if trail is None:
                 continue
             pause_ns = t_ns - self._newest_ns.get(name, t_ns - _STEP_NS)
@@ -50,7 +50,7 @@ class Trails:
 
     def clear(self, prefix: str = "") -> None:
         """Forget the trails whose names begin with `prefix`."""
-        for name, trail in self._places.items():
+        for name, trail in self._paths.items():
             if name.startswith(prefix):
                 trail.clear()
                 self._newest_ns.pop(name, None)
@@ -58,7 +58,7 @@ class Trails:
     @property
     def lines(self) -> FloatArray:
         """(names · steps, 2, 3) pieces of all trails, newest first, metres; those that are not there have no length."""
-        return np.concatenate([self._line(trail) for trail in self._places.values()])
+        return np.concatenate([self._line(trail) for trail in self._paths.values()])
 
     def _line(self, trail: deque[tuple[float, float, float]]) -> FloatArray:
         pieces = np.zeros((self._steps, 2, 3))
@@ -72,5 +72,5 @@ class Trails:
         """Return colours (names · steps, 2, 3) that fade into the background with age."""
         age = np.linspace(0.0, 1.0, self._steps + 1)
         ends = np.stack([age[:-1], age[1:]], axis=1)[..., None]
-        faded = [np.array(of[name]) * (1.0 - ends) + np.array(background) * ends for name in self._places]
+        faded = [np.array(of[name]) * (1.0 - ends) + np.array(background) * ends for name in self._paths]
         return np.concatenate(faded).astype(np.uint8)
