@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,9 @@ import pytest
 
 from rhot.errors import CalibrationError, ConfigError
 from rhot.rig import HandFile, RigConfig, load_rig, write_json_model
-from rhot.rig.folder import nominal_camera
+from rhot.rig.folder import RIG_FILE, load_config, nominal_camera
 from rhot.rig.template import rig_template
+from rhot.rig.toml_edit import change_rig_file
 
 CAMERA = {
     "width": 640,
@@ -129,3 +131,25 @@ def test_a_damaged_file_is_offered_its_predecessor(rig_folder: Path) -> None:
     (rig_folder / "cameras.previous.json").write_text("{}")
     with pytest.raises(CalibrationError, match=r"copy cameras\.previous\.json over it"):
         load_rig(rig_folder)
+
+
+def test_a_byte_order_mark_is_no_mistake(rig_folder: Path) -> None:
+    file = rig_folder / RIG_FILE
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert load_config(rig_folder).name == "test"
+    change_rig_file(rig_folder, {("bus",): {"namespace": "lab"}})
+    assert load_config(rig_folder).bus.namespace == "lab"
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ('[cameras."a b"]', "cameras.a b: a name is made of letters, digits, _, . and -, 64 at most"),
+        (f"x = {'[' * 3000}", "not TOML"),
+    ],
+)
+def test_what_people_type_is_refused_in_their_words(rig_folder: Path, line: str, says: str) -> None:
+    with (rig_folder / RIG_FILE).open("a") as file:
+        file.write(f"\n{line}\n")
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        load_config(rig_folder)

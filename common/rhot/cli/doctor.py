@@ -28,7 +28,9 @@ from rhot.object_mesh import configured_mesh
 from rhot.operation.status import fetch_status
 from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.calibration import CalibrationFile
+from rhot.rig.colors import load_colors
 from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE, registration_name, registration_path
+from rhot.rig.marker_config import own_paints
 from rhot.rig.quality import epipolar_limit_px, figure, figures_with_units, pair_epipolar_p95_px
 from rhot.rig.shape_config import MeshConfig
 
@@ -101,14 +103,7 @@ def _check_hand_tracking(rig: Rig) -> Iterator[Finding]:
             "cameras.json is missing: lenses and positions are only nominal",
             f"calibrate the cameras: rhot calibrate cameras RECORDING --rig {path} --board 9x6 --square-mm 25",
         )
-    if rig.colors_path.exists():
-        yield Finding("ok", "colors.json is there")
-    else:
-        yield Finding(
-            "bad",
-            "colors.json is missing: no marker can be found in a picture",
-            f"rhot calibrate colors PICTURE --pick thumb=U,V … --rig {path}",
-        )
+    yield _check_colors(rig)
     if (path / HAND_FILE).exists():
         yield Finding("ok", _summary(HAND_FILE, rig.hand))
     else:
@@ -117,6 +112,21 @@ def _check_hand_tracking(rig: Rig) -> Iterator[Finding]:
             f"hand.json is missing: an average hand of {1e3 * rig.hand.length_m:.0f} mm is assumed",
             f"rhot calibrate hand RECORDING --rig {path}",
         )
+
+
+def _check_colors(rig: Rig) -> Finding:
+    """Tell whether every paint has a colour."""
+    remedy = f"rhot calibrate colors PICTURE --pick thumb=U,V … --rig {rig.path}"
+    if not rig.colors_path.exists():
+        return Finding("bad", "colors.json is missing: no marker can be found in a picture", remedy)
+    try:
+        colors = load_colors(rig.colors_path)
+    except RhotError as error:
+        return Finding("bad", str(error), remedy)
+    without = [name for name in own_paints(rig.config.markers) if name not in colors.markers]
+    if without:
+        return Finding("warn", f"colors.json has no colour for {', '.join(without)}: not found in any picture", remedy)
+    return Finding("ok", _summary(rig.colors_path.name, colors))
 
 
 def _check_registrations(rig: Rig) -> Iterator[Finding]:

@@ -15,7 +15,8 @@ from rhot.text import printable
 SCHEMA_VERSION: Final = 1
 _QUATERNION_NORM_TOLERANCE: Final = 1e-3
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+NAME_PATTERN: Final = r"^[A-Za-z0-9_.-]{1,64}$"
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 """A camera, marker, joint, object or service name: it can stand as one chunk of a key."""
 TimeNs = Annotated[int, Field(ge=0, lt=1 << 62)]
 """Nanoseconds since the Unix epoch, until the year 2116: what is later is garbage, and sums of two still fit."""

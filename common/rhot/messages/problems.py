@@ -7,6 +7,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from rhot.messages.base import NAME_PATTERN
 from rhot.text import printable
 
 
@@ -19,13 +20,16 @@ def first_problem(error: ValidationError, model: type[BaseModel] | None = None) 
     """
     problems = error.errors(include_url=False)
     first = problems[0]
-    where = printable(".".join(str(part) for part in first["loc"]), 120) or "(whole)"
+    # "[key]" stands for the name of a table: its path ends with that name already.
+    where = printable(".".join(str(part) for part in first["loc"] if part != "[key]"), 120) or "(whole)"
     if first["type"] == "missing":
         text = f"{where}: is missing"
     elif first["type"] == "extra_forbidden":
         *parents, name = first["loc"]
         similar = difflib.get_close_matches(str(name), _fields_below(model, parents), 1)
         text = f"{where}: no such field" + (f"; did you mean {similar[0]}?" if similar else "")
+    elif first.get("ctx", {}).get("pattern") == NAME_PATTERN:
+        text = f"{where}: a name is made of letters, digits, _, . and -, 64 at most, got {_short(first['input'])}"
     else:
         text = f"{where}: {printable(first['msg'].removeprefix('Value error, '))}, got {_short(first['input'])}"
     return text if len(problems) == 1 else f"{text} (and {len(problems) - 1} more)"

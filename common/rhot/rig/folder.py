@@ -156,12 +156,13 @@ def load_config(path: Path) -> RigConfig:
     if not path.is_dir():
         raise ConfigError(f"{path}: no such rig folder; name yours with --rig, or make one: `rhot init {path}`")
     try:
-        data = tomllib.loads(file.read_text(encoding="utf-8"))
+        # utf-8-sig: editors of Windows put a byte order mark in front, which TOML has not.
+        data = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
         raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {path}` makes one") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigError(f"{file}: not TOML: {error}") from error
     try:
         config = RigConfig.model_validate(data)

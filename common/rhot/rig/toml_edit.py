@@ -79,7 +79,8 @@ def change_rig_file(rig_path: Path, changes: Mapping[tuple[str, ...], Mapping[st
 
 def _change(file: Path, changes: Mapping[tuple[str, ...], Mapping[str, Value]]) -> None:
     try:
-        text = file.read_bytes().decode()
+        # As bytes: line ends stay as they are. A byte order mark does not.
+        text = file.read_bytes().decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     try:

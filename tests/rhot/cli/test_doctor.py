@@ -12,6 +12,7 @@ from rhot.cli.doctor import check_rig, check_running
 from rhot.cli.findings import Finding
 from rhot.messages import ServiceStatus
 from rhot.rig import BusConfig, CamerasFile, HandFile, RegistrationFile, Rig, load_rig, write_json_model
+from rhot.rig.colors import nominal_colors
 from rhot_sim.walker.folder import write_walker_rig
 
 
@@ -37,6 +38,19 @@ def test_missing_calibrations_name_the_exact_command(rig_folder: Path) -> None:
         ("registration.steamvr.json", f"rhot calibrate objects --live --object cup --marker NAME --rig {rig_folder}"),
     ):
         assert remedy in about(findings, file).remedy
+
+
+def test_colours_that_cannot_be_used_or_lack_a_marker_are_told(rig_folder: Path) -> None:
+    file = rig_folder / "colors.json"
+    file.write_text('{"markers": {"thumb": {"kind": "paint"}}}')
+    found = about(check_rig(rig_folder)[1], "colors.json")
+    assert (found.level, "rhot calibrate colors" in found.remedy) == ("bad", True)
+    paints = dict.fromkeys(("thumb", "index", "middle", "ring", "little"), (200, 30, 30))
+    write_json_model(file, nominal_colors(paints))
+    found = about(check_rig(rig_folder)[1], "colors.json")
+    assert (found.level, "no colour for base" in found.text) == ("warn", True)
+    write_json_model(file, nominal_colors(paints | {"base": (30, 30, 200)}))
+    assert about(check_rig(rig_folder)[1], "colors.json").level == "ok"
 
 
 def test_a_rig_of_feet_alone_is_not_asked_for_what_hands_need(tmp_path: Path) -> None:
