@@ -63,6 +63,7 @@ def test_the_overview_imports_no_command() -> None:
         (["sim", "--listen", "tcp/127.0.0.1:0"], "port 0"),
         (["status", "--connect", NOBODY], "rhot sim"),
         (["start", "--connect", NOBODY], "no Zenoh router answers"),
+        (["config", "capture/*", "gain=2"], "one service at a time"),
         (["process", "/nonexistent", "--rig", "RIG", "--out", "OUT"], "/nonexistent"),
         (["process", "RIG", "--rig", "/nonexistent", "--out", "OUT"], "rhot init"),
         (["init", "RIG"], "is there already"),

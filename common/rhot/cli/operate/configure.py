@@ -74,5 +74,7 @@ def config(
 
     The change lasts until the service restarts; rig.toml is not written.
     """
+    if "*" in service:
+        raise ConfigError(f"{service}: one service at a time, such as capture/left; `rhot status` names them")
     value = asyncio.run(_config(tool_bus(rig_path, connect, namespace), service, parse_assignments(changes)))
     click.echo(json_text(value, indent=1))
