@@ -2,7 +2,10 @@
 
 That such a tip is behind something is true, but tells little: told with every sample that it is behind the hand's own
 flesh, the filter put fingers that a held object hid below their neighbours and believed it (`rhot evaluate motion`,
-hands in a grasp with two to five hidden tips: 2 mm more).
+hands in a grasp with two to five hidden tips: 2 mm more). Told only where nothing of the estimated hand lies between
+the tip and cameras that show the rest of it, so that the finger closes until something does, it helped one half of the
+recorded hands and harmed the other (60 fps, tips hidden up to 0.5 s, 95 %: 58.9 to 54.6 and 50.5 to 48.7 mm; hidden
+longer in free hands: 77.2 to 75.5 and 79.4 to 90.3; all joints, mean: 11.3 to 11.3 and 10.9 to 11.0).
 """
 
 from __future__ import annotations
