@@ -165,3 +165,18 @@ def test_paint_that_one_camera_loses_first_is_made_up_for_at_once() -> None:
         # What is hidden is a strip of the square that has its area.
         missed_px.append(0.5 * hidden * 150.0**0.5 - shift[0, 0] * FOCAL_PX)
     assert max(np.abs(missed_px)) < 0.75, "less than half a pixel but for what whole markers differ by"
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 30.0])
+def test_a_finger_that_curls_hides_nothing_from_the_camera_that_looks_later(rate_hz: float) -> None:
+    """Both cameras, out of step, see a tip shrink from 300 to 100 square pixels in 0.12 s: nothing hides any of it."""
+    paint, period_s = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), 1.0 / rate_hz
+    shifts_px = []
+    for number in range(round(0.62 * rate_hz)):
+        for camera, later_s in ((0, 0.0), (1, 0.3 * period_s)):
+            t_s = number * period_s + later_s
+            area = 300.0 - 200.0 * min(max(t_s - 0.5, 0.0) / 0.12, 1.0)
+            shift, _ = paint.correct(camera, [0], t_s, [area], [0.8], period_s, [True])
+            if t_s > 0.5 + 1.3 * period_s:
+                shifts_px.append(abs(shift[0, 0]) * FOCAL_PX)
+    assert max(shifts_px) < 0.5, "three quarters of a pixel and more, were areas of different moments compared"

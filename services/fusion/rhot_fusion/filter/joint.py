@@ -23,8 +23,6 @@ from rhot_fusion.views.vectors import Vector
 
 _HUBER = 9.0
 """Squared Mahalanobis distance beyond which the variance of a view, or of its innovation, grows in proportion to it."""
-_BACK = 6.0
-"""The same of a view of a marker that the camera had lost, beyond which the marker is elsewhere: 5 % by chance."""
 _FREEDOM = 60.0
 """Degrees of freedom of Student's t, by which far views tell of the scale where nothing is refused. Between 25 and 150
 the ruler's rigs at 15 to 60 fps are alike within 4 %. Fewer lose fast grasps of rendered pictures at 30 fps. At 150 the
@@ -161,7 +159,7 @@ class JointFilter:
         before = State(state.t_s, state.x, state.P + scale2 * Q, weight, state.alive)
         HP, S, variance = HP + scale2 * HQ, S + scale2 * S_more, views.variance
         innovation = self._gated(views, y, own + scale2 * more, evidence)
-        if views.back is not None and (loose := views.back & innovation.accepted & (innovation.nis > _BACK)).any():
+        if views.certain is not None and (loose := innovation.accepted & (innovation.nis > views.certain)).any():
             before = self._loosened(before, views.index[loose], innovation.nis[loose])
             HP = H @ before.P
             S = HP @ H.T
@@ -179,7 +177,7 @@ class JointFilter:
         return float(weight @ self._scales2)
 
     def _loosened(self, state: State, index: IndexArray, nis: FloatArray) -> State:
-        """Return a state that is less sure of markers that came back elsewhere: it is not the views that are wrong."""
+        """Return a state that is less sure of markers whose views lie far off: it is not the views that are wrong."""
         P = state.P.copy()
         for marker, distance2 in zip(index.tolist(), nis.tolist(), strict=True):
             rows = self._rows(marker)

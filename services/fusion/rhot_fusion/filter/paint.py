@@ -49,6 +49,7 @@ class _Shown:
         t_s: when last, seconds; −∞ = never.
         width_m: root of the area that the middle of the cameras would see, averaged over `settle_s` while it does not
             change.
+        shrinking: share of it that is lost in a second, from its last two frames; 0 while it is not.
         slow_m: the same, lagging by `appears_s`.
         own: whether that width was told by the marker's own depth rather than by its hand's.
         changing: share by which the visible paint has grown or shrunk of late, 0 to 1.
@@ -57,10 +58,15 @@ class _Shown:
 
     t_s: float = -math.inf
     width_m: float = 0.0
+    shrinking: float = 0.0
     slow_m: float = 0.0
     own: bool = False
     changing: float = 0.0
     wider: float = 1.0
+
+    def expected_m(self, t_s: float, shrinking: float) -> float:
+        """Return the width at a moment after the last frame, if it goes on shrinking as it did, or less strongly."""
+        return self.width_m * max(1.0 - min(self.shrinking, shrinking) * (t_s - self.t_s), 0.0)
 
 
 class Paint:
@@ -225,9 +231,11 @@ class Paint:
         full = told_full = 0.0
         for shown in every:
             if shown.t_s >= t_s - settings.compare_s:
-                full = max(full, shown.width_m)
+                # A finger that bends shows all cameras less and less; what shows less by being later hides nothing.
+                there = shown.expected_m(t_s, every[camera].shrinking)
+                full = max(full, there)
                 if shown.own:
-                    told_full = max(told_full, shown.width_m)
+                    told_full = max(told_full, there)
         # The largest area is not known at first: half way between that of a finger bent as usual and that of paint as
         # long as it should be. What is seen before anything is told of its distance is the best guess until then.
         told_full = told_full or full
@@ -270,7 +278,10 @@ class Paint:
         shown.changing = max(_unlike(slow, width_m) - settings.uneven, 0.0) if width_m > 0.0 else 0.0
         # At rest the noise of areas is averaged. What one camera loses first must not wait: it becomes depth.
         afresh = lost or not shown.own or shown.changing > 0.0
+        before = shown.width_m
         shown.width_m += (1.0 if afresh else -math.expm1(-elapsed / settings.settle_s)) * (width_m - shown.width_m)
+        shrinks = shown.width_m < before and shown.changing > 0.0 and not lost
+        shown.shrinking = (1.0 - shown.width_m / before) / elapsed if shrinks and elapsed > 0.0 else 0.0
         shown.t_s, shown.own = t_s, known
 
     def hidden_m2(self, marker: int) -> float:

@@ -26,7 +26,8 @@ class Views:
         xy: (N, 2) normalised image coordinates.
         variance: (N, 3) xx, xy and yy of their covariances.
         slack: (N,) standard deviation beyond that which the gate allows for, normalised units.
-        back: (N,) whether the camera has not shown the marker for a while; none when not given.
+        certain: (N,) squared Mahalanobis distance beyond which not the view is doubted, but the marker is less certain
+            than was stated; never when not given.
     """
 
     camera: CameraModel
@@ -35,7 +36,7 @@ class Views:
     xy: FloatArray
     variance: FloatArray
     slack: FloatArray
-    back: BoolArray | None = None
+    certain: FloatArray | None = None
 
     def chosen(self, chosen: BoolArray) -> Views:
         """Return some (N,) of the views."""
@@ -46,7 +47,7 @@ class Views:
             self.xy[chosen],
             self.variance[chosen],
             self.slack[chosen],
-            None if self.back is None else self.back[chosen],
+            None if self.certain is None else self.certain[chosen],
         )
 
 

@@ -297,12 +297,13 @@ class FilterTracker:
             depths = np.array(self._depths(hand, sightings.camera, markers))
             variances += self._time_variance * pace_squares(camera, hand.filter.velocity[local], depths)
         slack = self._paint.slack(sightings.camera, areas_px)
-        back = None
-        if self._calibrated and not again:
-            lost_s = sightings.t_s - self._settings.track.lost_periods * self._schedule.longest_period_s
-            lost = [self.tracks[marker].accepted_s[sightings.camera] < lost_s for marker in markers]
-            back = np.array(lost) if any(lost) else None
-        views = Views(camera, local, sightings.times_s - t_s, xy, variances, slack, back)
+        certain = None
+        if self._calibrated:
+            settings = self._settings.track
+            since_s = sightings.t_s - settings.lost_periods * self._schedule.longest_period_s
+            lost = [not again and self.tracks[marker].accepted_s[sightings.camera] < since_s for marker in markers]
+            certain = np.where(lost, settings.back, settings.far)
+        views = Views(camera, local, sightings.times_s - t_s, xy, variances, slack, certain)
         innovation, _ = hand.filter.step(t_s, views)
         if again:
             return
