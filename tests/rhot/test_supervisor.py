@@ -101,6 +101,10 @@ async def test_what_was_restarted_ends_with_the_rest(programs: Programs, tmp_pat
     await programs.start("feet", counting(tmp_path, f"sys.exit({EXIT_AGAIN})"))
     keeping = asyncio.create_task(programs.keep_running())
     await until_started(tmp_path, 2)
+    async with asyncio.timeout(LIMIT_S):
+        # A program that has started may not be known yet; one that is not is ended when its start is cancelled.
+        while not programs.children:
+            await asyncio.sleep(0.01)
     keeping.cancel()
     await asyncio.gather(keeping, return_exceptions=True)
     await programs.stop()
