@@ -71,9 +71,8 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
         return None, [Finding("bad", str(error), "correct the file")]
     return rig, [
         Finding("ok", f"{path / RIG_FILE}: {_tracked(rig)}"),
-        *(_check_hand_tracking(rig) if rig.config.cameras else ()),
-        # Without cameras the rig frame is the tracking system's own space.
-        *(_check_registrations(rig) if rig.config.cameras else ()),
+        # Without cameras there is nothing to calibrate, and the rig frame is the tracking system's own space.
+        *((*_check_hand_tracking(rig), *_check_registrations(rig)) if rig.config.cameras else ()),
         *check_stage(rig),
         *_check_sources(rig),
         *check_bus(rig),
