@@ -1,19 +1,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from rhot.arrays import ImageArray
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError
+from rhot.recording import PictureTrack
 from rhot.rig import load_rig
 from rhot.rig.colors import nominal_colors
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources import Frame, Source, open_source
+from rhot_capture.sources.pictures import read_pictures
 
 SIZE = "width = 32\nheight = 24\n"
 
@@ -68,6 +71,28 @@ def test_a_frame_is_not_there_before_it_was_read_out(write_rig: Callable[..., Pa
     source.open(start_ns)
     while (frame := source.read()) is not None:
         assert clock.now_ns() >= frame.t_first_row_ns + 24_000_000
+
+
+def test_a_picture_is_decoded_in_the_second_half_of_the_wait_for_it(
+    write_rig: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = write_rig({"left": f'source = "images"\npath = "left"\nrate_hz = 10\n{SIZE}'})
+    write_pictures(folder / "left", [0, 100_000_000, 200_000_000])
+    clock = SystemClock()
+    decoded_ns = []
+
+    def read_and_note(track: PictureTrack) -> Iterator[ImageArray]:
+        for image in read_pictures(track):
+            decoded_ns.append(clock.now_ns())
+            yield image
+
+    monkeypatch.setattr("rhot_capture.sources.recorded.read_pictures", read_and_note)
+    source = open_source("left", load_rig(folder), clock)
+    source.open(clock.now_ns())
+    frames = read_all(source)
+    for frame, when_ns in list(zip(frames, decoded_ns, strict=True))[1:]:
+        # While the picture before it is searched for markers, the cores are wanted there.
+        assert when_ns > frame.t_first_row_ns - 50_000_000
 
 
 def test_late_start_joins_at_what_is_due(write_rig: Callable[..., Path]) -> None:

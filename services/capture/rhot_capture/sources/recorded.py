@@ -74,11 +74,16 @@ class RecordedSource:
         scan_ns = round(1e9 * (timing.exposure_s + timing.readout_s))
         joined = False
         while True:
-            first_index, offset_ns = index, 0
-            for image, offset_ns in zip(read_pictures(self._track), self._offsets_ns(period_ns), strict=False):
-                t_first_row_ns = pass_start_ns + offset_ns
-                due_ns = t_first_row_ns + scan_ns
-                index += 1
+            first_index, t_first_row_ns = index, pass_start_ns
+            pictures = read_pictures(self._track)
+            for offset_ns in self._offsets_ns(period_ns):
+                due_ns = pass_start_ns + offset_ns + scan_ns
+                # Decoded half a period ahead: right after the last one, it would take the core from the search in it.
+                if joined and not self._pacer.wait_until(due_ns - period_ns // 2):
+                    return
+                if (image := next(pictures, None)) is None:
+                    break
+                index, t_first_row_ns = index + 1, pass_start_ns + offset_ns
                 if not joined and due_ns + period_ns < self._pacer.now_ns():
                     continue
                 joined = True
@@ -88,13 +93,14 @@ class RecordedSource:
                 yield Frame(image, index - 1, t_first_row_ns, timing.exposure_s, timing.readout_s)
             if not self._camera.loop or index == first_index or self._pacer.stopped:
                 return
-            pass_start_ns += offset_ns + period_ns
+            pass_start_ns = t_first_row_ns + period_ns
 
     def _offsets_ns(self, period_ns: int) -> Iterator[int]:
         """Return each frame's distance from the first one."""
         if self._track.has_times:
             return iter((self._track.t_ns - self._track.t_ns[0]).tolist())
-        return itertools.count(0, period_ns)
+        offsets = itertools.count(0, period_ns)
+        return itertools.islice(offsets, len(self._track.files)) if isinstance(self._track, PictureTrack) else offsets
 
     def _require_size(self, shape: tuple[int, ...]) -> None:
         if shape[:2] != (self._camera.height, self._camera.width):
