@@ -7,7 +7,6 @@ services share goes on beside it: status once a second, rig clock, control, conf
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import gc
 import logging
 from collections.abc import Callable, Sequence
@@ -107,11 +106,12 @@ async def serve(
         await asyncio.wait((work, asked), return_when=asyncio.FIRST_COMPLETED)
         if asked.done() and on_stop is not None:
             on_stop(stop.exit_code)
+    finally:
         asked.cancel()
         work.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await work
-    except BaseExceptionGroup as group:
+        # Also where the caller was cancelled: no service goes on that nobody awaits.
+        await asyncio.wait((work,))
+    if not work.cancelled() and (group := work.exception()) is not None:
         raise _first_cause(group) or group from group
     return stop.exit_code
 

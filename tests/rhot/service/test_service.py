@@ -87,6 +87,23 @@ async def test_a_sample_that_the_core_cannot_digest_costs_only_itself(router: Bu
         await points_follow(bus)
 
 
+async def test_a_service_ends_with_the_task_that_runs_it(router: BusConfig) -> None:
+    ended = asyncio.Event()
+
+    class Noting(StageService[MarkerFrame, FusionConfig]):
+        async def run(self, node: Node, start: Control) -> None:
+            try:
+                await super().run(node, start)
+            finally:
+                ended.set()
+
+    async with await Bus.open(router) as bus:
+        async with running(doubler(kind=Noting), router):
+            await start(bus)
+            await points_follow(bus)
+        assert ended.is_set()
+
+
 async def test_a_flood_of_bad_samples_fills_no_log(router: BusConfig, caplog: pytest.LogCaptureFixture) -> None:
     async with running(doubler(), router), await Bus.open(router) as bus:
         await start(bus)
