@@ -6,6 +6,7 @@ import asyncio
 import json
 import time
 from collections.abc import AsyncIterator, Awaitable
+from functools import partial
 from types import SimpleNamespace
 from typing import cast
 
@@ -16,12 +17,13 @@ from stub_rig import StubRig
 from rhot.bus import Answer, Bus, Request, Sample
 from rhot.clock import LocalRigClock, SystemClock
 from rhot.errors import ConfigError
-from rhot.messages import HandPose, PointSet, ServiceStatus, encode
+from rhot.messages import HandPose, ObjectPose, PointSet, ServiceStatus, encode
 from rhot.rig import BusConfig
 from rhot.service import Node, StatusBoard
 from rhot.service.configuration import changed, config_answer, parse_change
 from rhot_capture.settings import CameraSettings
 from rhot_viewer.rig import capture_settings, picture_feed
+from rhot_viewer.rig import inbox as inbox_module
 from rhot_viewer.rig.capture_settings import CaptureSettings
 from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.picture_feed import Picture, PictureFeed
@@ -132,17 +134,60 @@ async def test_what_moves_is_subscribed_to_only_while_somebody_looks(bus: Bus, v
             await until(lambda: not hands.has_reader)
 
 
-class WaitingStatuses:
-    """A bus on which the statuses of a large rig wait, and nothing else comes."""
+async def test_strangers_names_shut_nobody_out(
+    bus: Bus, viewer_bus: Bus, stub: StubRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(inbox_module, "_MAX_KEYS", 8)
+    clock = SystemClock()
+    node = Node("viewer", "main", viewer_bus, clock, LocalRigClock(clock), StatusBoard())
+    inbox = Inbox()
+    hands = bus.publisher("rhot/hand/right", HandPose)
+    message = stub.messages(1.0, 10**18, 0)["rhot/hand/right"]
+    assert isinstance(message, HandPose)
+    async with Running(inbox.run(node, Audience(looking=True))):
+        assert await hands.wait_for_reader(PATIENCE_S)
+        hands.put(message)
+        await until(lambda: inbox.newest("rhot/hand/right", HandPose, 10 * PATIENCE_S))
+        # Garbage makes room for garbage; what has been valid stays.
+        for number in range(40):
+            await bus.put(f"rhot/object/stranger{number}", b"\xc1", "application/msgpack")
+        await until(lambda: "rhot/object/stranger39" in inbox._slots)
+        assert "rhot/hand/right" in inbox._slots
+        assert len(inbox._slots) <= 8
+        # Where all names are valid, those go that have been silent longest.
+        cube = stub.messages(1.0, 10**18, 0)["rhot/object/cube"]
+        for number in range(40):
+            await bus.put(f"rhot/object/box{number}", encode(cube), "application/msgpack")
+            await until(partial(inbox.newest, f"rhot/object/box{number}", ObjectPose, 10 * PATIENCE_S))
+        assert len(inbox._slots) <= 8
+        hands.put(message)
+        await until(lambda: inbox.newest("rhot/hand/right", HandPose, 10 * PATIENCE_S))
 
-    async def latest(self, *key_exprs: str) -> AsyncIterator[Sample]:
-        for number in range(20 if key_exprs == ("rhot/status/*/*",) else 0):
+
+class Mailbox:
+    """Statuses of so many cameras, and then nothing more."""
+
+    def __init__(self, statuses: int) -> None:
+        self._statuses = statuses
+
+    async def __aiter__(self) -> AsyncIterator[Sample]:
+        for number in range(self._statuses):
             status = ServiceStatus(t_ns=1, service="capture", instance=f"c{number}", state="running")
             yield Sample(f"rhot/status/capture/c{number}", encode(status), "", False, time.monotonic_ns())
         await asyncio.Event().wait()
 
-    def liveliness(self, key_expr: str) -> AsyncIterator[Sample]:
-        return self.latest(key_expr)
+    def keep_slot_of(self, key: str) -> None:
+        """Nobody else's keys come."""
+
+
+class WaitingStatuses:
+    """A bus on which the statuses of a large rig wait, and nothing else comes."""
+
+    def latest(self, *key_exprs: str) -> Mailbox:
+        return Mailbox(20 if key_exprs == ("rhot/status/*/*",) else 0)
+
+    def liveliness(self, key_expr: str) -> Mailbox:
+        return Mailbox(0)
 
 
 async def test_all_statuses_that_wait_are_taken_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

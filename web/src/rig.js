@@ -8,6 +8,8 @@ const GONE_MS = 600;
 /** … and nothing is when nothing has come for so long; longer, because a slow browser takes frames late. */
 const SILENT_MS = 5000;
 const TRUTHS = 16;
+/** Objects that are remembered once they have gone; a rig has about ten, but anybody may make up names. */
+const MOST_THINGS = 64;
 
 export class Rig {
   constructor() {
@@ -56,6 +58,9 @@ export class Rig {
   }
 
   #put(things, name, value) {
+    if (!things.has(name) && things.size >= MOST_THINGS) {
+      for (const [other, { track }] of things) if (track.age(this.latest) > GONE_MS) things.delete(other);
+    }
     const thing = things.get(name) ?? { track: new Track() };
     thing.track.put(value.t, [pose(value.pose)]);
     things.set(name, Object.assign(thing, { shape: value.shape ?? null, state: value.state }));

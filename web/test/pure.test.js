@@ -5,6 +5,7 @@ import { compose, distance, fromAxis, invert, poseOfMatrix, qmul, qunit, rotate,
 import { MOST_AHEAD_MS, RigClock, Track } from "../src/motion.js";
 import { Pace, isSoftware } from "../src/pace.js";
 import { Body, halfHeight } from "../src/shapes.js";
+import { Rig } from "../src/rig.js";
 import { BONES, FINGERS, JOINTS } from "../src/skeleton.js";
 import { Timing } from "../src/timing.js";
 import { HANDS, bent, placed, radii, random, rest } from "./hands.js";
@@ -187,4 +188,15 @@ test("the skin goes where the joints go", () => {
   });
   assert.ok(Math.max(...rows.thumb) < 0.002, "a bent index pulls no thumb");
   assert.ok(Math.max(...rows.index) > 0.05);
+});
+
+test("names that somebody makes up fill no memory and push nothing out", () => {
+  const rig = new Rig();
+  const put = (name, t) => rig.frame({ [`rhot/object/${name}`]: { t, pose: [0, 0, 0, 0, 0, 0, 1], state: "measured" } });
+  for (let number = 0; number < 1000; number++) {
+    put("cup", 20 * number);
+    put(`stranger${number}`, 20 * number);
+  }
+  assert.ok(rig.objects.size <= 64, `${rig.objects.size}`);
+  assert.ok(rig.thingsAt(rig.objects, rig.latest).has("cup"));
 });

@@ -29,6 +29,14 @@ def test_a_problem_stands_there_once_until_its_words_change() -> None:
     assert problems.newest[0].text == "the cameras were bumped"
 
 
+def test_names_that_somebody_makes_up_fill_no_memory() -> None:
+    problems = Problems()
+    for number in range(1000):
+        problems.add("1", {f"{number}/main": status("lost"), "ik/main": status("late")})
+    assert len(problems._said) <= 256
+    assert [p.service for p in problems.newest if p.service == "ik/main"] == [], "said once, long ago"
+
+
 def test_words_of_others_are_no_markup() -> None:
     problems = Problems()
     problems.add("1", {"<i>": status("<script>alert(1)</script>")})

@@ -35,9 +35,13 @@ def test_a_frame_tells_when_the_bus_handed_over_its_hand() -> None:
 
 def test_strangers_cannot_fill_the_table() -> None:
     newest = Newest()
+    newest.put("rhot/hand/right", "1")
     for number in range(2 * MOST_KEYS):
         newest.put(f"rhot/object/{number}", "1")
-    assert len(json.loads(newest.since(0))["keys"]) == MOST_KEYS
+        newest.put("rhot/object/cup", "1")
+    keys = json.loads(newest.since(0))["keys"]
+    assert len(keys) == MOST_KEYS + 1
+    assert {"rhot/hand/right", "rhot/object/cup", f"rhot/object/{2 * MOST_KEYS - 1}"} <= keys.keys()
 
 
 def test_a_browser_is_sent_no_more_than_it_wishes() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rhot.messages import ServiceStatus
-from rhot_viewer.rig.history import SECONDS, History
+from rhot_viewer.rig.history import MOST_ROWS, SECONDS, History
 
 
 def status(service: str, rate: float, missed: int = 0) -> ServiceStatus:
@@ -49,3 +49,14 @@ def test_the_charts_end_after_two_minutes_and_the_gone_are_forgotten() -> None:
     assert np.count_nonzero(history.chart("rate").rows["ik/main"]) == 1
     history.add({}, {})
     assert history.chart("rate").rows == {}
+
+
+def test_names_that_somebody_makes_up_fill_no_memory_and_make_room_again() -> None:
+    history = History()
+    for number in range(3 * MOST_ROWS):
+        history.add({f"{number}/main": status(str(number), 60.0)}, {})
+    assert len(history.chart("rate").rows) <= MOST_ROWS
+    assert len(history._lost_before) <= MOST_ROWS
+    for _ in range(SECONDS):
+        history.add({"ik/main": status("ik", 60.0)}, {})
+    assert list(history.chart("rate").rows) == ["ik/main"]

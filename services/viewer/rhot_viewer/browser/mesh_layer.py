@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 import viser
@@ -13,6 +14,9 @@ from rhot.messages import MeshShape, ObjectPose
 from rhot.object_mesh import known_mesh
 from rhot.rig import Rig
 from rhot_viewer.scene.things import OBJECT_COLOR, PREDICTED_COLOR
+
+_MOST_KEPT: Final = 64
+"""Meshes that stay in the browser, hidden, once they have gone: a rig has about ten, but anybody may make up names."""
 
 
 class MeshLayer:
@@ -33,6 +37,9 @@ class MeshLayer:
         """Show those objects whose shape is a mesh, and no others."""
         for name, (_, handle) in self._drawn.items():
             handle.visible = name in objects and isinstance(objects[name].shape, MeshShape)
+        if len(self._drawn) > _MOST_KEPT:
+            for name in [name for name, (_, handle) in self._drawn.items() if not handle.visible]:
+                self._drawn.pop(name)[1].remove()
         for name, pose in objects.items():
             if isinstance(pose.shape, MeshShape):
                 handle = self._handle(rig, name, pose.shape)

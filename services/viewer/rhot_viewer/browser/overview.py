@@ -14,6 +14,8 @@ from rhot_viewer.browser.sentence import sentence_html
 from rhot_viewer.rig.history import latency_ms, lost, rate_hz
 
 _KEPT: Final = 12
+_MOST_SAID: Final = 256
+"""Services' words that are remembered; their names are an outsider's choice."""
 _SILENT: Final = "no status"
 """Of a service that is alive and has not told of itself lately: it has just come, or the machine is busy."""
 _STATE_COLOR: Final = {
@@ -53,9 +55,13 @@ class Problems:
         """Take what services say at a time of day."""
         for name, status in statuses.items():
             for kind, text in (("problem", status.problem), ("error", status.last_error)):
-                if text and self._said.get((name, kind)) != text:
+                # Taken out first, so that the first is the one that has been silent longest.
+                before = self._said.pop((name, kind), "")
+                if text and before != text:
                     self._newest.appendleft(Problem(at, name, text))
                 self._said[name, kind] = text
+        for forgotten in list(self._said)[: max(0, len(self._said) - _MOST_SAID)]:
+            del self._said[forgotten]
 
     @property
     def newest(self) -> Sequence[Problem]:

@@ -249,8 +249,8 @@ class RigScene:
                     f"/labels/{name}", name, anchor="bottom-center", font_screen_scale=0.9
                 )
             self._labels[name].position = tuple(np.array(position) + 0.06 * up)
-        for name, label in self._labels.items():
-            label.visible = name in positions
+        for name in [name for name in self._labels if name not in positions]:
+            self._labels.pop(name).remove()
 
     def _show_feet(self) -> None:
         feet = self._inbox.all_newest("rhot/foot/", FootPose, _SLOW_AGE_S)

@@ -7,8 +7,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-MOST_KEYS: Final = 256
-"""The last part of a key is an outsider's choice: the table must not grow with it."""
+MOST_KEYS: Final = 64
+"""Of each kind (`hand`, `object`, …): the last part of a key is an outsider's choice, and must neither make the table
+grow nor take another kind's room."""
 _HAND: Final = "rhot/hand/"
 
 
@@ -17,7 +18,7 @@ class Newest:
 
     def __init__(self) -> None:
         self.version = 0
-        self._texts: dict[str, tuple[int, str, float]] = {}
+        self._texts: dict[str, dict[str, tuple[int, str, float]]] = {}
 
     def put(self, key: str, text: str, bus_ms: float = math.nan) -> None:
         """Keep a text in place of the key's last one.
@@ -27,10 +28,12 @@ class Newest:
             text: JSON.
             bus_ms: when the bus handed it over, rig clock; NaN where nobody waits for it.
         """
-        if key not in self._texts and len(self._texts) >= MOST_KEYS:
-            return
         self.version += 1
-        self._texts[key] = (self.version, text, bus_ms)
+        texts = self._texts.setdefault(key.split("/", 2)[1], {})
+        # Taken out first, so that the first is the one that has been silent longest.
+        if texts.pop(key, None) is None and len(texts) >= MOST_KEYS:
+            del texts[next(iter(texts))]
+        texts[key] = (self.version, text, bus_ms)
 
     def since(self, version: int, without: tuple[str, ...] = ()) -> str:
         """Return a frame of what has changed since a version, JSON; empty when nothing has.
@@ -43,7 +46,8 @@ class Newest:
         """
         changed = {
             key: (text, bus_ms)
-            for key, (at_version, text, bus_ms) in self._texts.items()
+            for texts in self._texts.values()
+            for key, (at_version, text, bus_ms) in texts.items()
             if at_version > version and key not in without
         }
         if not changed:

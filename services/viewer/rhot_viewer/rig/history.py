@@ -15,6 +15,8 @@ from rhot.messages import ServiceStatus
 SECONDS: Final = 120
 _LOST: Final = ("dropped_late", "missed", "invalid", "overwritten", "failed")
 """Counts of what did not get through: late, lost by the source, refused, replaced unread, not digested."""
+MOST_ROWS: Final = 64
+"""Of one chart. Names are an outsider's choice; a row whose service has gone makes room after `SECONDS`."""
 OWN_FIGURES: Final = "viewer"
 """The viewer's rows are left out of the charts: it looks, it does not track."""
 
@@ -68,13 +70,14 @@ class History:
         self._append("latency", {name: latency_ms(s) for name, s in shown.items()})
         # A count that falls is that of a service that was started again.
         self._append("lost", {n: max(0, lost(s) - self._lost_before.get(n, lost(s))) for n, s in shown.items()})
-        self._lost_before |= {name: lost(s) for name, s in shown.items()}
+        totals = self._lost_before | {name: lost(s) for name, s in shown.items()}
+        self._lost_before = {name: total for name, total in totals.items() if name in self._rows["lost"]}
         self._append("error", errors_mm)
 
     def _append(self, kind: str, values: Mapping[str, float]) -> None:
         rows = self._rows[kind]
         for name in values:
-            if name not in rows:
+            if name not in rows and len(rows) < MOST_ROWS:
                 rows[name] = deque([0.0] * (self._count - 1), maxlen=SECONDS)
         for name, row in rows.items():
             row.append(float(np.nan_to_num(values.get(name, 0.0))))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import AsyncIterable, Callable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeVar
 
-from rhot.bus import Bus, Sample
+from rhot.bus import Bus, LatestSubscriber, Sample
 from rhot.errors import WireError
 from rhot.messages import Message, decode
 from rhot.service import Node
@@ -36,9 +36,16 @@ _MAX_KEYS: Final = 1024
 
 @dataclass(slots=True)
 class _Slot:
-    """The newest sample of a key; `message` is None until it is decoded, and stays so where it is invalid."""
+    """The newest sample of a key; `message` is None until it is decoded, and stays so where it is invalid.
+
+    Attributes:
+        mailbox: that brought it.
+        trusted: whether a message of this key has been valid.
+    """
 
     sample: Sample
+    mailbox: LatestSubscriber
+    trusted: bool
     decoded: bool = False
     message: Message | None = None
 
@@ -87,17 +94,28 @@ class Inbox:
                 await bus.unsubscribe(moving)
                 await bus.unsubscribe(markers)
 
-    async def _receive(self, samples: AsyncIterable[Sample], rest_s: float) -> None:
+    async def _receive(self, mailbox: LatestSubscriber, rest_s: float) -> None:
         """Keep the newest sample of each key; with a rest, newer ones meanwhile replace older ones unread."""
         rested_s = -math.inf
-        async for sample in samples:
+        async for sample in mailbox:
             if time.monotonic() - rested_s >= rest_s > 0.0:
                 # All that wait then are taken at once: one rest for each would keep a status back for seconds.
                 await asyncio.sleep(rest_s)
                 rested_s = time.monotonic()
-            if sample.deleted or (sample.key not in self._slots and len(self._slots) >= _MAX_KEYS):
+            if sample.deleted:
                 continue
-            self._slots[sample.key] = _Slot(sample)
+            # Taken out first, so that the table is in the order of arrival.
+            before = self._slots.pop(sample.key, None)
+            if len(self._slots) >= _MAX_KEYS:
+                self._make_room()
+            self._slots[sample.key] = _Slot(sample, mailbox, trusted=before is not None and before.trusted)
+
+    def _make_room(self) -> None:
+        """Forget the keys that have brought nothing valid; where all have, the quarter that has been silent longest."""
+        trusted = {key: slot for key, slot in self._slots.items() if slot.trusted}
+        if len(trusted) == len(self._slots):
+            trusted = dict(list(trusted.items())[len(trusted) // 4 :])
+        self._slots = trusted
 
     async def _follow_alive(self, bus: Bus) -> None:
         async for sample in bus.liveliness(ALIVE_KEYS):
@@ -116,6 +134,8 @@ class Inbox:
             slot.decoded = True
             try:
                 slot.message = decode(slot.sample.payload, model)
+                slot.trusted = True
+                slot.mailbox.keep_slot_of(key)
             except WireError as error:
                 self._refuse(key, error)
         return slot.message if isinstance(slot.message, model) else None
