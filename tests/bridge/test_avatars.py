@@ -146,15 +146,35 @@ def test_spine_and_elbows_follow_a_body_that_has_them() -> None:
         assert arm[bone] == pytest.approx(positions[row], abs=2e-3)
 
 
-def test_a_device_that_is_gone_is_switched_off_once_and_the_room_is_told_again() -> None:
+def devices(packets: list[bytes]) -> list[list[object]]:
+    """Number and mode of each device in VMT's packets."""
+    return sorted(values[:2] for address, values in messages(packets) if "Room/Driver" in address)
+
+
+def test_a_device_that_is_gone_is_switched_off_for_a_second_and_the_room_is_told_again() -> None:
     target, scene = VmtTarget(), bridge_poses.scene("flat")
     target.frame(scene, 0)
     without = dataclasses.replace(scene, hands={"left": scene.hands["left"]}, objects={})
-    drivers = [values[:2] for address, values in messages(target.frame(without, 1)) if "Room/Driver" in address]
-    assert sorted(drivers) == [[0, 5], [1, 0], [2, 1], [3, 1], [10, 0]]
-    again = [values[:2] for address, values in messages(target.frame(without, 2)) if "Room/Driver" in address]
-    assert sorted(again) == [[0, 5], [2, 1], [3, 1]]
-    assert any("RoomMatrix" in address for address, _ in messages(target.frame(without, 1_000_000_000)))
+    for at_ns in (1, 500_000_000, 1_000_000_000):
+        assert devices(target.frame(without, at_ns)) == [[0, 5], [1, 0], [2, 1], [3, 1], [10, 0]], "packets get lost"
+    assert devices(target.frame(without, 1_000_000_001)) == [[0, 5], [2, 1], [3, 1]]
+    assert any("RoomMatrix" in address for address, _ in messages(target.frame(without, 2_000_000_000)))
+
+
+def test_devices_are_switched_off_when_the_bridge_ends() -> None:
+    target = VmtTarget()
+    assert target.farewell() == []
+    target.frame(bridge_poses.scene("flat"), 0)
+    assert devices(target.farewell()) == sorted(3 * [[0, 0], [1, 0], [2, 0], [3, 0], [10, 0]])
+    assert target.farewell() == [], "once"
+
+
+def test_an_object_that_is_new_takes_the_device_of_one_that_has_gone() -> None:
+    target, cup = VmtTarget(), bridge_poses.thing((0.0, 1.0, 0.0))
+    target.frame(Scene("stage", objects={f"cup{number}": cup for number in range(48)}), 0)
+    there = {f"cup{number}": cup for number in range(1, 48)}
+    later = target.frame(Scene("stage", objects=there | {"new": cup, "one too many": cup}), 5_000_000_000)
+    assert devices(later) == [[number, 1] for number in range(10, 58)]
 
 
 def test_names_that_come_and_go_do_not_pile_up() -> None:
@@ -164,7 +184,7 @@ def test_names_that_come_and_go_do_not_pile_up() -> None:
         scene = Scene("stage", objects={f"cup{number}": cup})
         packets = vmt.frame(scene, number)
         vmc.frame(scene, number)
-        assert len(packets) <= 1
+        assert len(packets) <= 3, "48 devices, most of them off"
     assert len(vmt._objects) == 48, "as many devices as VMT has"
     assert len(vmc._trackers) == 1
 

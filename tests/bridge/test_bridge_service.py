@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
 import socket
@@ -14,6 +15,7 @@ from functools import partial
 import numpy as np
 import pytest
 from bridged import poses as bridge_poses
+from bridged.readers import messages
 from bus_watch import PATIENCE_S, until, wait_for_status
 from click.testing import CliRunner
 from running.doubling_service import has_refused
@@ -27,6 +29,7 @@ from rhot.service import configuration, runner
 from rhot.service.clock_sync import serve_clock
 from rhot_bridge.command import bridge
 from rhot_bridge.feed import Feed
+from rhot_bridge.output import make_output
 from rhot_bridge.service import BridgeService, serve_bridges
 
 
@@ -205,12 +208,39 @@ async def test_a_hand_that_is_gone_fades_and_then_is_not_sent(router: BusConfig,
     assert fading == sorted(fading, reverse=True)
 
 
+async def test_devices_of_steamvr_are_off_when_the_bridge_has_ended(router: BusConfig) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.setblocking(False)
+        heard: list[bytes] = []
+
+        def modes() -> dict[object, object]:
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    heard.append(receiver.recv(65536))
+            drivers = [values for address, values in messages(heard) if address == "/VMT/Room/Driver"]
+            return {values[0]: values[1] for values in drivers}
+
+        async with running(router, {"vr": {"target": "vmt", "port": receiver.getsockname()[1]}}):
+            await until(lambda: modes() == {0: 5, 1: 6})
+        assert modes() == {0: 0, 1: 0}
+
+
 async def test_rate_and_policy_can_change_while_it_runs_and_the_port_cannot() -> None:
     service = BridgeService("page", BridgeConfig(target="json", axes="rig"), Feed())
     service.reconfigure(configuration.changed(service.config, {"rate_hz": 30.0, "absent": "keep"}))
     assert service.config.rate_hz == 30.0
     with pytest.raises(ConfigError, match="port: fixed while the bridge runs"):
         service.reconfigure(configuration.changed(service.config, {"port": 9}))
+
+
+async def test_a_setting_without_a_meaning_is_refused() -> None:
+    for target, setting in (("vmc", {"axes": "unity"}), ("vrchat", {"transport": "udp"}), ("json", {"body": "arms"})):
+        with pytest.raises(ConfigError, match=f"^{next(iter(setting))} means nothing to {target}, only to "):
+            make_output(BridgeConfig.model_validate({"target": target, **setting}))
+    for words in (["vmc", "--axes", "stage"], ["vmt", "--height-m", "1.7"], ["json", "--body", "fingers"]):
+        with pytest.raises(ConfigError, match=f"^bridge {words[0]}: .* means nothing to {words[0]}"):
+            CliRunner().invoke(bridge, words, standalone_mode=False, catch_exceptions=False)
 
 
 def test_the_command_says_what_there_is(tmp_path: object) -> None:

@@ -10,6 +10,7 @@ import sys
 import textwrap
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,9 @@ from bus_watch import PATIENCE_S
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.bus import Bus
+from rhot.clock import LocalRigClock, SystemClock
 from rhot.messages import Control, HandPose, ObjectPose, Space
-from rhot.rig import BusConfig
+from rhot.rig import BridgeConfig, BusConfig
 from rhot.service.clock_sync import serve_clock
 from rhot_bridge.clock_map import STEP_NS, TIME_CONSTANT_NS, ClockMap
 from rhot_bridge.scene import Body, Thing, tracked
@@ -105,6 +107,22 @@ def test_a_bodys_stream_keeps_its_channels_when_an_arm_is_lost() -> None:
     assert np.isnan(sample["left_wrist_PositionX"])
     legless = Body(1, "measured", 1.0, rows[:1], identity[:1], ("hips",))
     assert joints_of("body", legless) == joints_of("body", body)
+
+
+async def test_streams_that_are_silent_make_room_for_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    lsl = pytest.importorskip("rhot_bridge.targets.lsl", reason="pip install 'rhot[lsl]'")
+    monkeypatch.setattr(lsl, "MOST_STREAMS", 2)
+    monkeypatch.setattr(lsl, "_SILENT_NS", 200_000_000)
+    monkeypatch.setattr(lsl, "_outlet", lambda *_: SimpleNamespace(push_sample=lambda *_: None))
+    output = lsl.make_output(BridgeConfig(target="lsl"))
+    output.use_clock(LocalRigClock(SystemClock()))
+    async with asyncio.timeout(PATIENCE_S):
+        for number, name in enumerate(("a", "b", "c", "d", "a")):
+            thing = Thing(number, "measured", 1.0, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+            while not output.take(f"rhot/object/{name}", thing):
+                await asyncio.sleep(0.01)
+    assert list(output._outlets) == ["object_d", "object_a"]
+    await output.close()
 
 
 @pytest.mark.integration

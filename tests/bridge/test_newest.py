@@ -81,3 +81,16 @@ def test_strangers_keys_take_no_more_room_than_there_is() -> None:
     assert len(kept.scene(0).objects) == MOST_KEYS
     kept.clear()
     assert kept.scene(0).empty
+
+
+def test_what_is_only_kept_makes_room_for_what_is_there() -> None:
+    kept = newest(absent="keep")
+    thing = bridge_poses.thing((0.0, 0.0, 0.0))
+    for number in range(MOST_KEYS):
+        kept.put(f"rhot/object/{number}", thing, 0)
+    kept.put("rhot/object/0", thing, ns(0.5))
+    kept.put("rhot/object/cup", thing, ns(0.5))
+    names = kept.scene(ns(0.5)).objects.keys()
+    assert "cup" in names
+    assert "1" not in names, "silent longest"
+    assert len(names) == MOST_KEYS

@@ -23,6 +23,7 @@ from rhot.bus.zenoh_config import session_config
 from rhot.errors import ConfigError, DeviceError
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.rig import BridgeConfig, BusConfig
+from rhot_bridge.links import rmw_zenoh
 from rhot_bridge.links.rmw_zenoh import attachment, node_token, publisher_token, topic_key
 from rhot_bridge.scene import Body, Scene, tracked
 from rhot_bridge.targets import ros2
@@ -135,6 +136,26 @@ async def test_a_router_carries_messages_tokens_and_attachments(
         assert (size, len(sample.attachment.to_bytes())) == (16, 33)
         assert sequence >= 1
         assert abs(t_ns - 1e9 * (await asyncio.to_thread(_now_s))) < 60e9
+
+
+async def test_topics_that_are_silent_make_room_for_others(free_port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rmw_zenoh, "MOST_TOPICS", 2)
+    monkeypatch.setattr(rmw_zenoh, "_SILENT_NS", 200_000_000)
+    link = rmw_zenoh.RmwZenohLink("127.0.0.1", free_port, 0, ros2.type_hash)
+
+    async def goes_out(topic: str) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while not link.put(topic, ros2.POSE_STAMPED, b""):
+                await asyncio.sleep(0.01)
+
+    async with await Bus.open(BusConfig(mode="router", connect=(), listen=(f"tcp/127.0.0.1:{free_port}",))):
+        await link.open()
+        try:
+            for topic in ("/a", "/b", "/c", "/d", "/a"):
+                await goes_out(topic)
+            assert list(link._publishers) == ["/d", "/a"]
+        finally:
+            await link.close()
 
 
 def _now_s() -> float:

@@ -15,8 +15,9 @@ from rhot.messages import first_problem
 from rhot.rig import BridgeConfig
 from rhot.rig.folder import RIG_FILE, load_config
 from rhot.service.stop import run_to_the_end
+from rhot_bridge.output import meaningless
 from rhot_bridge.service import serve_bridges
-from rhot_bridge.targets import TARGETS
+from rhot_bridge.targets import TARGETS, TARGETS_OF
 
 
 @click.command()
@@ -101,6 +102,9 @@ def _chosen(
     else:
         own = f", or one of rig.toml: {', '.join(known)}" if known else ""
         raise click.UsageError(f"there is no bridge to {target!r}; one of {', '.join(TARGETS)}{own}")
+    for name in given:
+        if chosen.target not in TARGETS_OF.get(name, TARGETS):
+            raise ConfigError(f"bridge {target}: {meaningless(name, chosen.target)}")
     try:
         return {target: BridgeConfig.model_validate({**chosen.model_dump(), **given})}
     except ValidationError as error:

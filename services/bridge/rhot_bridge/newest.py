@@ -36,8 +36,14 @@ class Newest:
         """Keep a sample; a predicted one only where such are sent."""
         if tracked.state == "predicted" and self.config.predicted == "absent":
             return
-        if key in self._arrived or len(self._arrived) < MOST_KEYS:
-            self._arrived[key] = _Arrived(tracked, now_ns)
+        # Taken out first, so that the first is the one that has been silent longest.
+        if self._arrived.pop(key, None) is None and len(self._arrived) >= MOST_KEYS:
+            silent = next(iter(self._arrived))
+            if self._weight((now_ns - self._arrived[silent].at_ns) / 1e9)[1]:
+                return
+            # It has gone, and is only kept or fading.
+            del self._arrived[silent]
+        self._arrived[key] = _Arrived(tracked, now_ns)
 
     def clear(self) -> None:
         """Forget all, as at a session's start."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 from rhot.clock import RigClock
@@ -11,7 +11,7 @@ from rhot.errors import ConfigError
 from rhot.rig import BridgeConfig
 from rhot_bridge.links import Link
 from rhot_bridge.scene import Axes, Scene, Tracked
-from rhot_bridge.targets import TARGETS, Target
+from rhot_bridge.targets import TARGETS, TARGETS_OF, Target
 
 
 class Output(Protocol):
@@ -74,11 +74,12 @@ class SampleOutput(Output, Protocol):
 class PacketOutput:
     """A target's packets over a link."""
 
-    def __init__(self, target: Target, link: Link) -> None:
-        self._target, self._link = target, link
+    def __init__(self, target: Target, link: Link, farewell: Callable[[], list[bytes]] = list) -> None:
+        """Put them together; `farewell` returns the packets that take back what is there when the bridge ends."""
+        self._target, self._link, self._farewell = target, link, farewell
         self.axes: Axes = target.axes
         self.leads = tuple(target.leads)
-        self.open, self.close, self.wanted = link.open, link.close, link.wanted
+        self.open, self.wanted = link.open, link.wanted
 
     @property
     def where(self) -> str:
@@ -96,6 +97,27 @@ class PacketOutput:
         lost = self._link.send(packets)
         return len(packets) - lost, lost
 
+    async def close(self) -> None:
+        """Send the farewell and close the link."""
+        self._link.send(self._farewell())
+        await self._link.close()
+
+
+def refuse_meaningless(config: BridgeConfig) -> None:
+    """Refuse a setting that the target has no use for, instead of leaving it without effect.
+
+    Raises:
+        ConfigError: such a setting differs from its default.
+    """
+    for name, targets in TARGETS_OF.items():
+        if config.target not in targets and getattr(config, name) != BridgeConfig.model_fields[name].default:
+            raise ConfigError(meaningless(name, config.target))
+
+
+def meaningless(name: str, target: str) -> str:
+    """Return the sentence that refuses a setting of a target."""
+    return f"{name} means nothing to {target}, only to {', '.join(sorted(TARGETS_OF[name]))}; leave it out"
+
 
 def make_output(config: BridgeConfig) -> Output:
     """Return what a configuration asks for.
@@ -106,6 +128,7 @@ def make_output(config: BridgeConfig) -> Output:
     kind = TARGETS.get(config.target)
     if kind is None:
         raise ConfigError(f'target = "{config.target}": there is no such bridge; one of {", ".join(TARGETS)}')
+    refuse_meaningless(config)
     try:
         module = importlib.import_module(kind.module)
     except ModuleNotFoundError as error:

@@ -18,7 +18,7 @@ from rhot.service import Node
 from rhot.service.runner import serve
 from rhot_bridge.feed import Feed
 from rhot_bridge.newest import Newest
-from rhot_bridge.output import SampleOutput, make_output
+from rhot_bridge.output import SampleOutput, make_output, refuse_meaningless
 from rhot_bridge.pace import Pace
 from rhot_bridge.scene import Tracked
 
@@ -71,6 +71,7 @@ class BridgeService:
         changed = [name for name in _FIXED if getattr(config, name) != getattr(self._config, name)]
         if changed:
             raise ConfigError(f"{', '.join(changed)}: fixed while the bridge runs; change rig.toml and start it again")
+        refuse_meaningless(config)
         self._config = self._newest.config = config
         self._pace = Pace(config.rate_hz, self._output.leads)
 

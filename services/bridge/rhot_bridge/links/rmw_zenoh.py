@@ -14,6 +14,7 @@ Source: rmw_zenoh, docs/design.md and `attachment_helpers.cpp`, versions from Ja
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import logging
 import struct
@@ -34,7 +35,8 @@ logger = logging.getLogger(__name__)
 NODE: Final = "rhot"
 DEFAULT_QOS: Final = "::,10:,:,:,,"
 MOST_TOPICS: Final = 128
-"""Of one node; a rig has about ten."""
+"""Of one node; a rig has about ten. Names are an outsider's choice: beyond it a topic that is silent makes room."""
+_SILENT_NS: Final = 5_000_000_000
 _ID_BYTES: Final = 16
 _CLOSE_LIMIT_S: Final = 1.0
 _LOOK_NS: Final = 1_000_000_000
@@ -72,7 +74,14 @@ class _Publisher:
     publisher: Any
     token: Any
     id: bytes
+    put_ns: int
     sequence: int = 0
+
+    def undeclare(self) -> None:
+        """Take publisher and token back."""
+        for declared in (self.token, self.publisher):
+            with contextlib.suppress(zenoh.ZError):
+                declared.undeclare()
 
 
 class RmwZenohLink:
@@ -86,6 +95,7 @@ class RmwZenohLink:
         self._node: Any = None
         self._publishers: dict[str, _Publisher] = {}
         self._announcing: dict[str, asyncio.Task[None]] = {}
+        self._announced = 0
         self._looked_ns = 0
         self._problem = ""
 
@@ -135,17 +145,33 @@ class RmwZenohLink:
 
         Announcing waits for the router, so it happens on a thread of its own.
         """
-        publisher = self._publishers.get(topic)
+        # Taken out and put back, so that the first is the one that has been silent longest.
+        publisher = self._publishers.pop(topic, None)
         if publisher is None:
-            if self._session is not None and topic not in self._announcing and len(self._announcing) < MOST_TOPICS:
-                number = len(self._announcing) + 1
-                self._announcing[topic] = asyncio.create_task(self._announce(self._session, number, topic, type_name))
+            if self._session is not None and topic not in self._announcing and self._make_room():
+                self._announced += 1
+                announcing = self._announce(self._session, self._announced, topic, type_name)
+                self._announcing[topic] = asyncio.create_task(announcing)
             return None
+        self._publishers[topic] = publisher
         publisher.sequence += 1
+        publisher.put_ns = time.monotonic_ns()
         try:
             publisher.publisher.put(payload, attachment=attachment(publisher.sequence, time.time_ns(), publisher.id))
         except zenoh.ZError:
             return False
+        return True
+
+    def _make_room(self) -> bool:
+        """Return whether there is room for another topic, perhaps in place of one that is silent."""
+        if len(self._publishers) + len(self._announcing) < MOST_TOPICS:
+            return True
+        topic, publisher = next(iter(self._publishers.items()), (None, None))
+        if topic is None or publisher is None or time.monotonic_ns() - publisher.put_ns < _SILENT_NS:
+            return False
+        del self._publishers[topic]
+        # On a thread, and nobody waits for it: what is left of it ends with the session.
+        asyncio.get_running_loop().run_in_executor(None, publisher.undeclare)
         return True
 
     async def _announce(self, session: zenoh.Session, number: int, topic: str, type_name: str) -> None:
@@ -161,14 +187,18 @@ class RmwZenohLink:
                 reliability=zenoh.Reliability.RELIABLE,
             )
             publisher_id = hashlib.blake2b(token.encode(), digest_size=_ID_BYTES).digest()
-            return _Publisher(publisher, session.liveliness().declare_token(token), publisher_id)
+            declared = session.liveliness().declare_token(token)
+            return _Publisher(publisher, declared, publisher_id, put_ns=time.monotonic_ns())
 
         try:
             self._publishers[topic] = await asyncio.to_thread(declare)
+            logger.info("ROS topic %s is there, %s", topic, type_name)
         except zenoh.ZError as error:
             logger.warning("ROS topic %s cannot be announced: %s", topic, plain_reason(error))
-            return
-        logger.info("ROS topic %s is there, %s", topic, type_name)
+            # Not again with the next frame.
+            await asyncio.sleep(_SILENT_NS / 1e9)
+        finally:
+            self._announcing.pop(topic, None)
 
     def _zid(self) -> str:
         if self._session is None:
@@ -178,9 +208,10 @@ class RmwZenohLink:
     async def close(self) -> None:
         """Close the session; what it has declared goes with it."""
         session, self._session = self._session, None
-        for task in self._announcing.values():
+        announcing = list(self._announcing.values())
+        for task in announcing:
             task.cancel()
-        await asyncio.gather(*self._announcing.values(), return_exceptions=True)
+        await asyncio.gather(*announcing, return_exceptions=True)
         self._announcing.clear()
         self._publishers.clear()
         self._node = None

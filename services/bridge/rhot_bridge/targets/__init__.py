@@ -63,3 +63,17 @@ TARGETS: Final[Mapping[str, TargetKind]] = {
     ),
     "ros2": TargetKind("ROS 2, by rmw_zenoh: tf, PoseArray, PoseStamped.", "rhot_bridge.targets.ros2", 7447, "ros2"),
 }
+
+_BY_NETWORK: Final = frozenset(TARGETS) - {"lsl"}
+"""LSL finds its readers itself, and takes every sample."""
+TARGETS_OF: Final[Mapping[str, frozenset[str]]] = {
+    "host": _BY_NETWORK,
+    "port": _BY_NETWORK,
+    "rate_hz": _BY_NETWORK,
+    "axes": frozenset({"json", "lsl", "ros2"}),
+    "transport": frozenset({"json"}),
+    "allow_origins": frozenset({"json"}),
+    "body": frozenset({"vmc"}),
+    "height_m": frozenset({"vmc"}),
+}
+"""Settings that mean something to some targets only, and to which."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
+import time
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -33,7 +34,9 @@ except RuntimeError as error:
 logger = logging.getLogger(__name__)
 
 MOST_STREAMS: Final = 64
-"""Things that one bridge sends; a rig has about ten."""
+"""Things that one bridge sends; a rig has about ten. Names are an outsider's choice: beyond it a stream that is silent
+makes room."""
+_SILENT_NS: Final = 5_000_000_000
 _FIRST_READINGS: Final = 5
 _BUFFERED: Final = 60
 """Hundreds of samples that are kept for a recorder which stalls: a minute at 100 Hz, 4 MB for a hand."""
@@ -54,6 +57,7 @@ class LslOutput:
         self._outlets: dict[str, Any] = {}
         self._opening: dict[str, asyncio.Task[None]] = {}
         self._sent_ns: dict[str, int] = {}
+        self._heard_ns: dict[str, int] = {}
 
     @property
     def where(self) -> str:
@@ -80,10 +84,12 @@ class LslOutput:
         if tracked.state == "predicted" and not self._predicted:
             return False
         name = key.removeprefix("rhot/").replace("/", "_")
-        outlet = self._outlets.get(name)
+        # Taken out and put back, so that the first is the one that has been silent longest.
+        outlet = self._outlets.pop(name, None)
         if outlet is None:
             self._offer(name, joints_of(name, tracked))
             return False
+        self._outlets[name], self._heard_ns[name] = outlet, time.monotonic_ns()
         # Not "later than": the rig clock may be set back.
         if tracked.t_ns == self._sent_ns.get(name) or not self._read_clocks():
             return False
@@ -103,15 +109,29 @@ class LslOutput:
 
     def _offer(self, name: str, joints: tuple[str, ...]) -> None:
         """Make a stream, on a thread of its own: opening its ports takes some milliseconds."""
-        if name in self._opening or len(self._outlets) + len(self._opening) >= MOST_STREAMS:
+        if name in self._opening or not self._make_room():
             return
 
         async def offer() -> None:
             self._outlets[name] = await asyncio.to_thread(_outlet, name, joints, self.axes)
+            self._heard_ns[name] = time.monotonic_ns()
             del self._opening[name]
             logger.info("LSL stream %s is there, %d channels", name, 7 * len(joints) + 1)
 
         self._opening[name] = asyncio.create_task(offer())
+
+    def _make_room(self) -> bool:
+        """Return whether there is room for another stream, perhaps in place of one that is silent."""
+        if len(self._outlets) + len(self._opening) < MOST_STREAMS:
+            return True
+        silent = next(iter(self._outlets), None)
+        if silent is None or time.monotonic_ns() - self._heard_ns[silent] < _SILENT_NS:
+            return False
+        del self._heard_ns[silent]
+        self._sent_ns.pop(silent, None)
+        # The last reference ends a stream, which takes a moment.
+        asyncio.get_running_loop().run_in_executor(None, [self._outlets.pop(silent)].clear)
+        return True
 
     async def close(self) -> None:
         """Close all streams."""
@@ -122,6 +142,7 @@ class LslOutput:
         self._opening.clear()
         self._outlets.clear()
         self._sent_ns.clear()
+        self._heard_ns.clear()
         # The last reference ends a stream, which takes a moment.
         await asyncio.to_thread(outlets.clear)
 

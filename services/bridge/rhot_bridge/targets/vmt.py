@@ -8,7 +8,9 @@
 
 OpenVR's axes, which are the stage's. VMT refuses poses until it has a room matrix: the identity is sent once a second,
 and holds until SteamVR ends. Devices: 0 and 1 the hands, 2 and 3 the feet, 4 the hips, 10 and up the objects in the
-order in which they came. Types are strict. Source: VMT's documentation.
+order in which they came. VMT keeps a device where it was last until it is told that it is off, so that is repeated for
+a second, for lost packets not to matter, and said of all when the bridge ends. Types are strict. Source: VMT's
+documentation.
 """
 
 from __future__ import annotations
@@ -26,6 +28,9 @@ from rhot_bridge.targets.osc import Block, Template, bundles
 
 PORT: Final = 39570
 _ROOM_INTERVAL_NS: Final = 1_000_000_000
+_OFF_REPEATED_NS: Final = 1_000_000_000
+_FAREWELLS: Final = 3
+"""Nothing comes after them, so each is sent more than once. Chosen."""
 _OFF, _TRACKER = 0, 1
 _CONTROLLER: Final[dict[Side, int]] = {"left": 5, "right": 6}
 _HAND: Final[dict[Side, int]] = {"left": 0, "right": 1}
@@ -56,10 +61,10 @@ class VmtTarget:
         }
         self._drivers: dict[tuple[int, int], Template] = {}
         self._objects: dict[str, int] = {}
-        self._on: set[int] = set()
+        self._seen_ns: dict[int, int] = {}
 
     def frame(self, scene: Scene, now_ns: int) -> list[bytes]:
-        """Return all devices; what was there and is no more is switched off."""
+        """Return all devices; what was there and is no more is switched off, for a second."""
         messages: list[bytes] = []
         bones: list[bytes] = []
         if self._room_sent_ns is None or now_ns - self._room_sent_ns >= _ROOM_INTERVAL_NS:
@@ -81,13 +86,33 @@ class VmtTarget:
         if scene.body is not None and (row := scene.body.row("hips")) is not None:
             device(_HIPS, _TRACKER, scene.body.positions[row], scene.body.orientations[row])
         for name, thing in scene.objects.items():
-            if name not in self._objects and len(self._objects) < _MOST_DEVICES - _FIRST_OBJECT:
-                self._objects[name] = _FIRST_OBJECT + len(self._objects)
-            if name in self._objects:
-                device(self._objects[name], _TRACKER, thing.positions[0], thing.orientations[0])
-        messages += [self._driver(number, _OFF).pack(*_NOWHERE) for number in sorted(self._on - present)]
-        self._on = present
+            if (number := self._number(name, scene)) is not None:
+                device(number, _TRACKER, thing.positions[0], thing.orientations[0])
+        self._seen_ns |= dict.fromkeys(present, now_ns)
+        self._seen_ns = {n: seen_ns for n, seen_ns in self._seen_ns.items() if now_ns - seen_ns <= _OFF_REPEATED_NS}
+        messages += [self._off(number) for number in sorted(self._seen_ns.keys() - present)]
         return bundles([*messages, *bones])
+
+    def farewell(self) -> list[bytes]:
+        """Return that all devices are off, a few times over."""
+        packets = bundles(self._off(number) for number in sorted(self._seen_ns))
+        self._seen_ns.clear()
+        return packets * _FAREWELLS
+
+    def _off(self, number: int) -> bytes:
+        return self._driver(number, _OFF).pack(*_NOWHERE)
+
+    def _number(self, name: str, scene: Scene) -> int | None:
+        """Return an object's device; where all are given away, that of the object which came first and has gone."""
+        if name not in self._objects:
+            number = _FIRST_OBJECT + len(self._objects)
+            if number >= _MOST_DEVICES:
+                gone = next((other for other in self._objects if other not in scene.objects), None)
+                if gone is None:
+                    return None
+                number = self._objects.pop(gone)
+            self._objects[name] = number
+        return self._objects[name]
 
     def _driver(self, number: int, mode: int) -> Template:
         found = self._drivers.get((number, mode))
@@ -98,4 +123,5 @@ class VmtTarget:
 
 def make_output(config: BridgeConfig) -> PacketOutput:
     """Return the output that a configuration asks for."""
-    return PacketOutput(VmtTarget(), UdpLink(config.host, config.port or PORT))
+    target = VmtTarget()
+    return PacketOutput(target, UdpLink(config.host, config.port or PORT), target.farewell)
