@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from bus_watch import PATIENCE_S
+from bus_watch import PATIENCE_S, answers
 from running.rig_processes import Processes, hand_measured_after, start_rig
 
 from rhot.bus import Bus
@@ -25,17 +25,21 @@ pytestmark = [pytest.mark.integration]
 SERVICES = ("router", "capture left", "capture right", "fusion", "ik")
 
 
+def secured_rig(folder: Path, port: int) -> None:
+    """Write a simulated rig with keys."""
+    # Slow cameras leave the machine to other tests.
+    write_simulated_rig(folder, rate_hz=15.0)
+    make_keys(folder, ["127.0.0.1"], port)
+    add_holder(folder, "tablet", Holder(role="tool"))
+    change_rig_file(folder, {("bus",): {"listen": [f"tls/127.0.0.1:{port}"]}})
+    assert "tcp/" not in "".join(load_config(folder).bus.connect), (folder / RIG_FILE).read_text()
+
+
 @pytest.fixture
 async def secured(tmp_path: Path, free_port: int) -> AsyncIterator[Processes]:
     """A simulated rig with keys, whose services run."""
-    folder = tmp_path / "rig"
-    # Slow cameras leave the machine to other tests.
-    write_simulated_rig(folder, rate_hz=15.0)
-    make_keys(folder, ["127.0.0.1"], free_port)
-    add_holder(folder, "tablet", Holder(role="tool"))
-    change_rig_file(folder, {("bus",): {"listen": [f"tls/127.0.0.1:{free_port}"]}})
-    assert "tcp/" not in "".join(load_config(folder).bus.connect), (folder / RIG_FILE).read_text()
-    processes = Processes(folder, tmp_path)
+    secured_rig(tmp_path / "rig", free_port)
+    processes = Processes(tmp_path / "rig", tmp_path)
     try:
         for name in SERVICES:
             await processes.start(name)
@@ -76,3 +80,20 @@ async def test_only_an_operator_starts_and_stops_it(secured: Processes) -> None:
         assert known.action == "start", f"one of {strangers} stopped the rig"
         code, said = await said_by(secured.rig, "operator", "stop")
         assert (code, "sent to 4 services" in said) == (0, True), said
+
+
+async def test_the_router_lets_holders_into_the_namespace_of_the_environment(
+    tmp_path: Path, free_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RHOT_NAMESPACE", "desk1")
+    rig = tmp_path / "rig"
+    secured_rig(rig, free_port)
+    processes = Processes(rig, tmp_path)
+    try:
+        for name in ("router", "fusion"):
+            await processes.start(name)
+        bus_config = load_config(rig).bus.model_copy(update={"listen": (), "namespace": "desk1"})
+        async with await Bus.open(bus_config, timeout_s=PATIENCE_S) as bus:
+            await answers(bus, "rhot/status/fusion/main")
+    finally:
+        await processes.supervisor.stop()

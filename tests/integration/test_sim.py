@@ -19,7 +19,9 @@ from wall_clock import figures_in_time, in_time
 
 from rhot.bus import Bus
 from rhot.cli import main
-from rhot.rig import BusConfig
+from rhot.rig import BusConfig, load_rig
+from rhot.rig.toml_edit import change_rig_file
+from rhot_sim.running import processes
 from rhot_sim.running.run import free_endpoint
 
 pytestmark = pytest.mark.integration
@@ -138,6 +140,28 @@ def test_a_parent_that_is_killed_leaves_no_child(simulated_rig: tuple[Path, str]
         assert time.monotonic() < begun + PATIENCE_S, "a child outlived its parent"
         time.sleep(0.05)
     in_time(time.monotonic() - begun, 3.0, "the children's end")
+
+
+@pytest.mark.parametrize("said", ["file", "environment"])
+async def test_a_rig_with_a_namespace_meets_its_services(
+    said: str, simulated_rig: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, endpoint = simulated_rig
+    if said == "file":
+        change_rig_file(folder, {("bus",): {"namespace": "desk1"}})
+    else:
+        monkeypatch.setenv("RHOT_NAMESPACE", "desk1")
+    met = asyncio.Event()
+
+    async def meet(bus: Bus) -> None:
+        met.set()
+
+    command = ["truth", "--rig", str(folder), "--connect", endpoint]
+    monkeypatch.setattr(processes, "_UP_LIMIT_S", PATIENCE_S)
+    await processes.with_processes(
+        processes.bus_of(load_rig(folder), endpoint), {"truth/main": command}, tmp_path, meet
+    )
+    assert met.is_set()
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,41 @@ async def test_a_second_rig_on_the_same_keys_is_refused(router: BusConfig, tmp_p
     assert list(processes_that_name(str(rig))) == []
 
 
+@pytest.mark.parametrize("variable", [True, False])
+async def test_it_starts_the_rig_in_the_namespace_that_it_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: bool
+) -> None:
+    rig = make_rig(tmp_path / "rig", ("left", "right"))
+    if variable:
+        monkeypatch.setenv("RHOT_NAMESPACE", "desk1")
+    words = [] if variable else ["--namespace", "desk1"]
+    up = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "rhot", "up", "--no-viewer", "--rig", str(rig), *words), stderr=asyncio.subprocess.PIPE
+    )
+    assert up.stderr is not None
+    said = ""
+    async for line in up.stderr:
+        said += line.decode()
+        if re.search("session .* runs", said):
+            break
+    else:
+        pytest.fail(said)
+    up.send_signal(signal.SIGINT)
+    await up.communicate()
+
+
+async def test_a_router_that_was_named_must_be_there(tmp_path: Path) -> None:
+    rig = make_rig(tmp_path / "rig", ("left", "right"))
+    elsewhere = free_endpoint("tcp/127.0.0.1:0")
+    up = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "rhot", "up", "--no-viewer", "--rig", str(rig), "--connect", elsewhere),
+        stderr=asyncio.subprocess.PIPE,
+    )
+    _, said = await up.communicate()
+    assert up.returncode == 1
+    assert f"no Zenoh router answers at {elsewhere}" in said.decode()
+
+
 def test_bridges_of_the_rig_run_and_end_with_it(tmp_path: Path, free_port: int) -> None:
     rig = make_rig(tmp_path / "rig", ("left", "right"))
     with (rig / "rig.toml").open("a") as toml:

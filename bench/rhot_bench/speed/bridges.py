@@ -158,7 +158,8 @@ async def _measured(rig: Rig, seconds: float, targets: Sequence[str]) -> _Measur
         endpoint = free_endpoint("tcp/127.0.0.1:0")
         text = rig_template(folder="rig", name="bench", connect=(endpoint,), listen=(endpoint,))
         for target, program in programs.items():
-            text += f'\n[bridges.{target}]\ntarget = "{target}"\nport = {program.port}\ntransport = "udp"\n'
+            text += f'\n[bridges.{target}]\ntarget = "{target}"\nport = {program.port}\n'
+            text += 'transport = "udp"\n' if target == "json" else ""
         (path / RIG_FILE).write_text(text, encoding="utf-8")
         try:
             await supervisor.start("router", ["-q", "router", "--rig", str(path)])

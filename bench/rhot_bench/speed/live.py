@@ -32,7 +32,7 @@ from rhot_sim.comparison.collect import follow
 from rhot_sim.rendering.renderer import Renderer
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.rig.schedule import FrameSchedule
-from rhot_sim.running.processes import with_processes
+from rhot_sim.running.processes import bus_of, with_processes
 from rhot_sim.running.run import free_endpoint
 from rhot_sim.world.world import World
 
@@ -127,7 +127,7 @@ async def _measured(rig: Rig, logs: Path, seconds: float) -> Arrivals:
         finally:
             await broadcast(bus, "stop", "bench", 0.0, wait_s=_PATIENCE_S)
 
-    await with_processes(endpoint, services, logs, work)
+    await with_processes(bus_of(rig, endpoint), services, logs, work)
     return arrivals
 
 

@@ -28,7 +28,7 @@ from rhot.operation.control import broadcast
 from rhot.rig import Rig
 from rhot_bench.measures.rows import Row, Section
 from rhot_bench.speed.live import Arrivals, latencies_s, played_rig, reading
-from rhot_sim.running.processes import with_processes
+from rhot_sim.running.processes import bus_of, with_processes
 from rhot_sim.running.run import free_endpoint
 
 BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
@@ -172,7 +172,7 @@ async def _measured(rig: Rig, folder: Path, browser: str, seconds: float, rounds
         finally:
             await broadcast(bus, "stop", "bench", 0.0, wait_s=_PATIENCE_S)
 
-    await with_processes(endpoint, services, folder, work)
+    await with_processes(bus_of(rig, endpoint), services, folder, work)
     return turns
 
 

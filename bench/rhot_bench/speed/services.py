@@ -15,7 +15,7 @@ from rhot.operation.control import broadcast
 from rhot.operation.supervisor import Supervisor
 from rhot.rig import BusConfig, Rig
 from rhot_bench.measures.rows import Row, Section
-from rhot_sim.running.processes import service_commands
+from rhot_sim.running.processes import bus_of, service_commands
 from rhot_sim.running.run import free_endpoint
 
 _ENDPOINT: Final = "tcp/127.0.0.1:7457"
@@ -57,7 +57,7 @@ async def _measured(rig: Rig, logs: Path) -> list[ServiceCost]:
     started: dict[str, tuple[float, int]] = {}
     router = BusConfig(mode="router", connect=(), listen=(endpoint,))
     try:
-        async with await Bus.open(router), await Bus.open(BusConfig(connect=(endpoint,))) as bus:
+        async with await Bus.open(router), await Bus.open(bus_of(rig, endpoint)) as bus:
             for name, arguments in service_commands(rig, endpoint, ["fusion", "ik", "objects"]).items():
                 began = time.perf_counter()
                 child = await supervisor.start(name.replace("/", " "), arguments)

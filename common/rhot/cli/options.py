@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import click
+from pydantic import ValidationError
 
 from rhot.errors import ConfigError
+from rhot.messages import first_problem
 from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE, load_config
 
@@ -35,11 +37,15 @@ def rig_option(command: F) -> F:
     )(command)
 
 
-def bus_options(command: F) -> F:
-    """Add `--connect` and `--namespace`."""
-    command = click.option(
+def namespace_option(command: F) -> F:
+    """Add `--namespace`."""
+    return click.option(
         "--namespace", envvar="RHOT_NAMESPACE", show_envvar=True, help="Namespace of the rig; overrides rig.toml."
     )(command)
+
+
+def bus_options(command: F) -> F:
+    """Add `--connect` and `--namespace`."""
     return click.option(
         "--connect",
         multiple=True,
@@ -47,7 +53,7 @@ def bus_options(command: F) -> F:
         show_envvar=True,
         metavar="ENDPOINT",
         help="Endpoint of the Zenoh router, such as tcp/192.168.1.10:7447; overrides rig.toml. May be repeated.",
-    )(command)
+    )(namespace_option(command))
 
 
 def endpoints(option: str, words: tuple[str, ...]) -> tuple[str, ...]:
@@ -74,13 +80,16 @@ def overridden(bus: BusConfig, connect: tuple[str, ...], namespace: str | None) 
     """Return a bus configuration with what the command line says instead.
 
     Raises:
-        ConfigError: `connect` names no endpoint.
+        ConfigError: `connect` names no endpoint, or `namespace` is none.
     """
     changes: dict[str, Any] = {}
     if chosen := endpoints("--connect", connect):
         changes |= {"mode": "client", "connect": chosen, "listen": ()}
     if namespace is not None:
-        changes["namespace"] = namespace
+        try:
+            changes["namespace"] = BusConfig(namespace=namespace).namespace
+        except ValidationError as error:
+            raise ConfigError(f"--{first_problem(error)}") from error
     return bus.model_copy(update=changes)
 
 

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import re
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from rhot.rig.file_model import FileModel
 
 Endpoint = Annotated[str, Field(min_length=1, max_length=200)]
 _ENCRYPTED = ("tls/", "quic/")
+_NAMESPACE: Final = re.compile(r"([A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*)?")
+
+
+def _namespace(text: str) -> str:
+    """Return a namespace as it is.
+
+    Raises:
+        ValueError: it cannot stand before a key.
+    """
+    if not _NAMESPACE.fullmatch(text):
+        raise ValueError("a namespace is made of letters, digits, _, . and -, with / between its parts, such as desk1")
+    return text
 
 
 class BusConfig(FileModel):
@@ -31,7 +44,7 @@ class BusConfig(FileModel):
     mode: Literal["client", "peer", "router"] = "client"
     connect: Annotated[tuple[Endpoint, ...], Field(max_length=16)] = ("tcp/127.0.0.1:7447",)
     listen: Annotated[tuple[Endpoint, ...], Field(max_length=16)] = ()
-    namespace: Annotated[str, Field(pattern=r"^([A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*)?$", max_length=64)] = ""
+    namespace: Annotated[str, Field(max_length=64), AfterValidator(_namespace)] = ""
     multicast: bool = False
     tls: bool = False
     keys: Annotated[str, Field(min_length=1, max_length=4096)] = "keys"

@@ -14,7 +14,7 @@ from rhot.bus import Bus
 from rhot.operation.control import broadcast
 from rhot.rig import Rig
 from rhot.rig.folder import CAMERAS_FILE
-from rhot_sim.running.processes import service_commands, with_processes
+from rhot_sim.running.processes import bus_of, service_commands, with_processes
 from rhot_sim.world.touching import WAIT_S
 
 _START_DELAY_S: Final = 0.5
@@ -78,7 +78,8 @@ async def run_for_calibration(
     tracking = "fusion" if rig.config.cameras else "feet"
     names = [tracking, "ik", "truth", *(["objects"] if rig.config.objects else [])]
     services = service_commands(rig, endpoint, names, pages)
-    await with_processes(endpoint, services, work, partial(_stay, rig, endpoint, duration_s, console, announce))
+    stay = partial(_stay, rig, endpoint, duration_s, console, announce)
+    await with_processes(bus_of(rig, endpoint), services, work, stay)
 
 
 async def _stay(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import time
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -34,13 +35,18 @@ def service_commands(
     return services | {name: [*command, *options] for name, command in (pages or {}).items()}
 
 
+def bus_of(rig: Rig, endpoint: str) -> BusConfig:
+    """Return how this process meets a rig's services at a router: in the namespace that they find for themselves."""
+    return BusConfig(connect=(endpoint,), namespace=os.environ.get("RHOT_NAMESPACE") or rig.config.bus.namespace)
+
+
 async def with_processes(
-    endpoint: str, services: Mapping[str, Sequence[str]], logs: Path, work: Callable[[Bus], Awaitable[None]]
+    bus_config: BusConfig, services: Mapping[str, Sequence[str]], logs: Path, work: Callable[[Bus], Awaitable[None]]
 ) -> None:
     """Run a router in this process and services beside it, wait until all are there, do the work, end everything.
 
     Args:
-        endpoint: where the router listens.
+        bus_config: how the services are met, see `bus_of`; the router listens where it connects.
         services: name on the bus and command of each.
         logs: folder for their output.
         work: done while they run.
@@ -49,10 +55,9 @@ async def with_processes(
         RhotError: the router or a service did not come up, or one ended by itself.
     """
     supervisor = Supervisor(logs)
-    router = BusConfig(mode="router", connect=(), listen=(endpoint,))
-    client = BusConfig(connect=(endpoint,))
+    router = BusConfig(mode="router", connect=(), listen=bus_config.connect)
     try:
-        async with await Bus.open(router), await Bus.open(client) as bus:
+        async with await Bus.open(router), await Bus.open(bus_config) as bus:
             for name, arguments in services.items():
                 await supervisor.start(name.replace("/", " "), arguments)
             working = asyncio.create_task(_when_up(bus, set(services), work))

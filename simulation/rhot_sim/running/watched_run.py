@@ -21,7 +21,7 @@ from rhot.operation.status import fetch_status, status_table
 from rhot.rig import Rig
 from rhot.rig.folder import latest_rig
 from rhot.service.control_link import CONTROL_KEY
-from rhot_sim.running.processes import service_commands, with_processes
+from rhot_sim.running.processes import bus_of, service_commands, with_processes
 
 _START_DELAY_S: Final = 1.0
 _STEADY_FROM_S: Final = 3.0
@@ -100,7 +100,7 @@ class WatchedRun(ABC):
         """
         with console.status("starting router, cameras, tracker and pages") as starting:
             follow = partial(self._follow, console, live, announce, starting)
-            await with_processes(self._endpoint, self._services, self._logs, follow)
+            await with_processes(bus_of(self._rig, self._endpoint), self._services, self._logs, follow)
 
     async def _follow(self, console: Console, live: bool, announce: Sequence[str], starting: Status, bus: Bus) -> None:
         starting.stop()

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from rhot.bus import Bus
-from rhot.cli.options import endpoints, rig_option
+from rhot.cli.options import endpoints, namespace_option, overridden, rig_option
 from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE, load_config
 from rhot.service import systemd
@@ -42,9 +42,14 @@ async def _route(config: BusConfig) -> int:
     metavar="ENDPOINT",
     help="Endpoint to open. Without it, rig.toml decides, or else tcp/127.0.0.1:7447. May be repeated.",
 )
+@namespace_option
 @rig_option
-def router(listen: tuple[str, ...], rig_path: Path) -> int:
-    """Connect all services of a rig until Ctrl-C; any Zenoh router of the same version will do, too."""
+def router(listen: tuple[str, ...], rig_path: Path, namespace: str | None) -> int:
+    """Connect all services of a rig until Ctrl-C; any Zenoh router of the same version will do, too.
+
+    One router serves several namespaces. With certificates it lets them into the rig's own alone.
+    """
     bus = load_config(rig_path).bus if (rig_path / RIG_FILE).exists() else BusConfig()
+    bus = overridden(bus, (), namespace)
     chosen = endpoints("--listen", listen) or bus.listen or DEFAULT_LISTEN
     return asyncio.run(_route(bus.model_copy(update={"mode": "router", "connect": (), "listen": chosen})))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from rhot.bus import Bus
-from rhot.cli.options import rig_option, tool_bus
+from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.cli.page import Pages, free_pages, page_options
 from rhot.errors import BusError
 from rhot.operation.control import broadcast, new_session
@@ -28,22 +29,31 @@ _RIG_TIMEOUT_S = 20.0
 @click.option("--no-start", is_flag=True, help="Do not send the start signal; wait for `rhot start`.")
 @page_options
 @rig_option
-def up(no_start: bool, viewer: bool, page_port: int, rig_path: Path) -> int:
+@bus_options
+def up(
+    no_start: bool, viewer: bool, page_port: int, rig_path: Path, connect: tuple[str, ...], namespace: str | None
+) -> int:
     """Run router, fusion, ik, objects, feet and the web pages on this machine, and start the rig. Ctrl-C stops all.
 
     So do the bridges to other programs that rig.toml names, as [bridges.NAME].
 
     The capture services run on the Pis (rhot capture --camera NAME) and join by themselves. If a router already
-    answers, it is used instead of a second one; where another rig tracks on it, this one is refused. A service that
-    ends by itself is started again.
+    answers, it is used instead of a second one; where another rig tracks on it, this one is refused. With --connect
+    there must be one. A service that ends by itself is started again.
     """
     pages = free_pages(page_port) if viewer else Pages()
-    return asyncio.run(_up(rig_path, pages, start=not no_start))
+    bus_config = tool_bus(rig_path, connect, namespace)
+    # The environment reaches the services by itself, what was typed does not.
+    options = ["--rig", str(rig_path), *(f"--connect={each}" for each in connect)]
+    options += [] if namespace is None else [f"--namespace={namespace}"]
+    return asyncio.run(_up(rig_path, bus_config, options, pages, start=not no_start, elsewhere=bool(connect)))
 
 
-async def _up(rig_path: Path, pages: Pages, *, start: bool) -> int:
+async def _up(
+    rig_path: Path, bus_config: BusConfig, options: Sequence[str], pages: Pages, *, start: bool, elsewhere: bool
+) -> int:
+    """Run it all; `elsewhere`: at a router that is not this rig's own."""
     rig = load_rig(rig_path)
-    bus_config = tool_bus(rig_path, (), None)
     stop = install_stop()
     supervisor = Supervisor()
     # On their own: the page and other programs are for looking, and tracking goes on without them.
@@ -51,16 +61,20 @@ async def _up(rig_path: Path, pages: Pages, *, start: bool) -> int:
     watching: list[asyncio.Task[Any]] = []
     try:
         alive = await _alive(bus_config)
+        if alive is None and elsewhere:
+            raise BusError(
+                f"no Zenoh router answers at {', '.join(bus_config.connect)}; start it, or leave --connect out"
+            )
         if alive is None:
-            await supervisor.start("router", ["router", "--rig", str(rig_path)])
+            await supervisor.start("router", ["router", *options])
         _refuse_second_rig(alive or set(), bus_config)
         names = {"fusion": rig.config.cameras, "ik": True, "objects": rig.config.objects, "feet": rig.config.feet}
         for name in (name for name, wanted in names.items() if wanted):
-            await supervisor.start(name, [name, "--rig", str(rig_path)])
+            await supervisor.start(name, [name, *options])
         for name, command in pages.commands().items():
-            await beside.start(name.replace("/", " "), [*command, "--rig", str(rig_path)])
+            await beside.start(name.replace("/", " "), [*command, *options])
         if rig.config.bridges:
-            await bridges.start("bridge", ["bridge", "--rig", str(rig_path)])
+            await bridges.start("bridge", ["bridge", *options])
             watching.append(asyncio.create_task(_keep_bridges(bridges)))
         failed = asyncio.create_task(supervisor.keep_running())
         asked = asyncio.create_task(stop.requested.wait())
