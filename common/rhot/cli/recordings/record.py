@@ -39,6 +39,9 @@ from rhot.text import printable
 _CONNECT_TIMEOUT_S = 2.0
 _SWITCH_S = 0.0005
 _MOST_ROWS = 60
+_MOST_NAMED = 3
+_BEFORE_START = ("rhot/status/", "rhot/space/", "rhot/control")
+"""Keys that bring something without a session, too."""
 _LONGEST_SHOWN = 100
 
 
@@ -173,17 +176,29 @@ async def _record(
     Console().print(summary())
     if len(writer.files) > 1:
         console.print(f"{len(writer.files)} files, the first is {escape(str(writer.files[0]))}")
-    if mailbox.overwritten:
-        console.print(f"[red]{mailbox.overwritten} samples were lost because the disk was too slow[/]")
+    for remark in remarks(tally, mailbox.overwritten):
+        console.print(remark)
+
+
+def remarks(tally: Tally, overwritten: int) -> list[str]:
+    """Return what is wrong with a recording, as markup; `overwritten`: samples that were not written in time."""
+    found = []
+    if overwritten:
+        found.append(f"[red]{overwritten} samples were lost because the disk was too slow[/]")
     if tally.left_out:
-        console.print(
+        found.append(
             f"[red]{tally.left_out} samples on more keys than a rig has are left out; does a stranger publish on this "
             "bus? `rhot doctor` says what is open[/]"
         )
     if tally.lost:
-        console.print(f"[red]{tally.lost} samples were lost between publisher and recorder: is the network full?[/]")
-    if not tally.messages:
-        console.print("[yellow]nothing was published: is the rig started (`rhot start`)?[/]")
+        found.append(f"[red]{tally.lost} samples were lost between publisher and recorder: is the network full?[/]")
+    shared = [escape(printable(key, _LONGEST_SHOWN)) for key, count in sorted(tally.keys.items()) if count.shared]
+    if shared:
+        names = ", ".join(shared[:_MOST_NAMED])
+        found.append(f"[red]{names}: two publishers at once; does a service run twice? (`rhot status`)[/]")
+    if all(key.startswith(_BEFORE_START) for key in tally.keys):
+        found.append("[yellow]nothing that moves was published: is the rig started (`rhot start`)?[/]")
+    return found
 
 
 @click.command()

@@ -19,6 +19,18 @@ _LONGEST_KEY: Final = 512
 _MOST_LOST: Final = 1_000_000
 """Numbers skipped at once: more than an hour at 240 a second is another publisher with numbers of its own."""
 
+_SILENT_MESSAGES: Final = 32
+"""Messages of others on its key after which a publisher counts as gone. Chosen."""
+_FEWEST_TURNS: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class _Numbers:
+    """The last number of one publisher, and how many messages its key had brought by then."""
+
+    seq: int
+    at: int
+
 
 @dataclass(slots=True)
 class KeyCount:
@@ -29,6 +41,7 @@ class KeyCount:
         bytes: sum of their payloads.
         lost: sequence numbers that were skipped.
         restarts: how often the numbers began again, because the publisher did.
+        turns: how often two publishers with numbers of their own took turns.
         left_out: arrived and were not recorded.
     """
 
@@ -36,8 +49,14 @@ class KeyCount:
     bytes: int = 0
     lost: int = 0
     restarts: int = 0
+    turns: int = 0
     left_out: int = 0
-    _last_seq: int | None = None
+    _publishers: list[_Numbers] = field(default_factory=list)
+
+    @property
+    def shared(self) -> bool:
+        """Whether two publishers sent at once; one that was started again takes its turn once."""
+        return self.turns >= _FEWEST_TURNS
 
     def note(self, seq: int | None, size: int) -> None:
         """Count one sample of `size` bytes; `seq` is None where the payload carries no number."""
@@ -45,12 +64,18 @@ class KeyCount:
         self.bytes += size
         if seq is None:
             return
-        if self._last_seq is not None:
-            if 0 < seq - self._last_seq <= _MOST_LOST:
-                self.lost += seq - self._last_seq - 1
-            else:
-                self.restarts += 1
-        self._last_seq = seq
+        # The newest first. One that was started again soon sends no more, and is forgotten.
+        known = [each for each in self._publishers if self.messages - each.at <= _SILENT_MESSAGES]
+        sender = max(
+            (each for each in known if 0 < seq - each.seq <= _MOST_LOST), key=lambda each: each.seq, default=None
+        )
+        if sender is None:
+            self.restarts += bool(self._publishers)
+        else:
+            self.lost += seq - sender.seq - 1
+            self.turns += sender is not self._publishers[0]
+            known.remove(sender)
+        self._publishers = [_Numbers(seq, self.messages), *known[:1]]
 
 
 @dataclass(slots=True)

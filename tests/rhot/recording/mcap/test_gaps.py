@@ -58,3 +58,20 @@ def test_time_and_number_are_read_without_the_rest() -> None:
 )
 def test_garbage_has_neither(payload: bytes) -> None:
     assert peek(payload) == (None, None)
+
+
+def test_two_publishers_of_a_key_are_told_from_losses() -> None:
+    tally = Tally()
+    for number in range(100):
+        tally.note("rhot/points", 5000 + number, 1)
+        tally.note("rhot/points", number, 1)
+    count = tally.keys["rhot/points"]
+    assert (count.lost, count.restarts, count.shared) == (0, 1, True)
+
+
+def test_a_publisher_that_was_restarted_is_no_second_one() -> None:
+    tally = Tally()
+    for seq in (*range(50), *range(100), 103, *range(104, 200)):
+        tally.note("rhot/points", seq, 1)
+    count = tally.keys["rhot/points"]
+    assert (count.lost, count.restarts, count.shared) == (3, 1, False)
