@@ -45,9 +45,11 @@ def keys() -> None:
     metavar="ADDRESS",
     help="Host name or IP address by which the other machines reach this one. May be repeated; the first is used.",
 )
-@click.option("--port", type=click.IntRange(1, 65535), default=7447, show_default=True, help="Port of the router.")
+@click.option(
+    "--port", type=click.IntRange(1, 65535), help="Port of the router.  [default: that of rig.toml, as a rule 7447]"
+)
 @rig_option
-def make(addresses: tuple[str, ...], port: int, rig_path: Path) -> None:
+def make(addresses: tuple[str, ...], port: int | None, rig_path: Path) -> None:
     """Make the rig's authority and certificates, and switch TLS on in rig.toml."""
     bundles = _making().make_keys(rig_path, addresses, port)
     click.echo(f"{rig_path / KEYS_FOLDER} written, TLS is on in rig.toml. Start router and services again.")

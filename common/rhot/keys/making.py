@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import tarfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,13 +21,13 @@ PORT: Final = 7447
 _LOCAL: Final = ("127.0.0.1", "::1", "localhost")
 
 
-def make_keys(rig_path: Path, addresses: Sequence[str], port: int = PORT) -> tuple[Path, ...]:
+def make_keys(rig_path: Path, addresses: Sequence[str], port: int | None = None) -> tuple[Path, ...]:
     """Make a rig's authority, its certificates and a bundle for each camera, and switch TLS on in `rig.toml`.
 
     Args:
         rig_path: rig folder, on the machine of the router.
         addresses: by which the other machines reach the router; the first stands in their `rig.toml`.
-        port: of the router.
+        port: of the router; None = that of `[bus] listen`.
 
     Returns:
         the bundles to bring to the other machines.
@@ -41,6 +42,7 @@ def make_keys(rig_path: Path, addresses: Sequence[str], port: int = PORT) -> tup
             f"{folder} holds keys already: `rhot keys add` makes one more. To start over, move the folder away; all "
             "machines then need new ones"
         )
+    port = port or _port(config.bus.listen)
     authority = new_authority(config.name)
     # Before anything is written: an address may be none.
     router = new_certificate(authority, ROUTER, [*addresses, *_LOCAL])
@@ -71,6 +73,12 @@ def make_keys(rig_path: Path, addresses: Sequence[str], port: int = PORT) -> tup
         },
     )
     return tuple(write_bundle(rig_path, name) for name, holder in holders.items() if holder.role == "camera")
+
+
+def _port(listen: Sequence[str]) -> int:
+    """Return the port on which a router listens already, else the usual one."""
+    found = [re.search(r":(\d+)(?:$|[?#])", endpoint) for endpoint in listen]
+    return next((int(each.group(1)) for each in found if each is not None), PORT)
 
 
 def add_holder(rig_path: Path, name: str, holder: Holder) -> Path:

@@ -29,6 +29,13 @@ def findings(rig: Path) -> str:
     return "\n".join(f"{finding.level} {finding.text} → {finding.remedy}" for finding in check_bus(load_rig(rig)))
 
 
+def test_the_router_keeps_its_port(rig_folder: Path) -> None:
+    change_rig_file(rig_folder, {("bus",): {"listen": ["tcp/127.0.0.1:7472"], "connect": ["tcp/127.0.0.1:7472"]}})
+    run("make", "--address", "192.0.2.7", "--rig", str(rig_folder))
+    bus = load_config(rig_folder).bus
+    assert (bus.connect, bus.listen) == (("tls/192.0.2.7:7472",), ("tls/0.0.0.0:7472",))
+
+
 def test_two_commands_secure_two_machines(rig_folder: Path, tmp_path: Path) -> None:
     assert "closed" in findings(rig_folder)
     said = run("make", "--address", "192.0.2.7", "--rig", str(rig_folder))
