@@ -24,7 +24,7 @@ class Stop:
     """Whether the process was asked to end.
 
     Attributes:
-        requested: set by SIGINT, SIGTERM or the parent's end.
+        requested: set by SIGINT, SIGTERM, SIGHUP or the parent's end.
         interrupted: it was Ctrl-C.
     """
 
@@ -38,7 +38,11 @@ class Stop:
 
 
 def install_stop() -> Stop:
-    """Catch SIGINT and SIGTERM, and the parent's end where it asked for that; the second signal ends at once."""
+    """Catch SIGINT and SIGTERM, and the parent's end where it asked for that; the second signal ends at once.
+
+    A terminal that is closed, or an ssh connection that ends, asks by SIGHUP, perhaps twice: from shell and kernel.
+    With `nohup` it is ignored.
+    """
     stop = Stop()
     loop = asyncio.get_running_loop()
 
@@ -50,7 +54,12 @@ def install_stop() -> Stop:
         stop.requested.set()
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, on_signal, number)
+        if sys.platform == "win32":  # its event loops take no handlers; objects run there, beside SteamVR
+            signal.signal(number, lambda number, _: loop.call_soon_threadsafe(on_signal, number))
+        else:
+            loop.add_signal_handler(number, on_signal, number)
+    if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        loop.add_signal_handler(signal.SIGHUP, stop.requested.set)
     if os.environ.get(EXIT_WITH_PARENT):
         _watch_parent(loop, stop.requested)
     return stop

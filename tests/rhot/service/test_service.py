@@ -9,6 +9,7 @@ import os
 import signal
 import time
 from functools import partial
+from types import SimpleNamespace
 
 import msgpack
 import pytest
@@ -217,6 +218,50 @@ async def test_a_signal_right_after_stop_is_not_lost(router: BusConfig) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
         async with asyncio.timeout(2.0):
             assert await task == 0
+
+
+async def test_a_terminal_that_is_closed_ends_it_in_order(router: BusConfig) -> None:
+    async with await Bus.open(router) as bus:
+        task = asyncio.create_task(serve(doubler(), router, SystemClock()))
+        await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
+        # From the shell and from the kernel.
+        for _ in range(2):
+            os.kill(os.getpid(), signal.SIGHUP)
+        async with asyncio.timeout(LIMIT_S):
+            assert await task == 0
+
+
+async def test_nohup_is_obeyed(router: BusConfig) -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        async with running(doubler(), router), await Bus.open(router) as bus:
+            await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
+            assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+async def test_a_signal_ends_it_where_event_loops_take_no_handlers(
+    router: BusConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on Windows, where `rhot objects` runs beside SteamVR."""
+
+    def refuse(*_: object) -> None:
+        raise NotImplementedError
+
+    monkeypatch.setattr(asyncio.get_running_loop(), "add_signal_handler", refuse)
+    monkeypatch.setattr("rhot.service.stop.sys", SimpleNamespace(platform="win32"))
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        async with await Bus.open(router) as bus:
+            task = asyncio.create_task(serve(doubler(), router, SystemClock()))
+            await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
+            os.kill(os.getpid(), signal.SIGINT)
+            async with asyncio.timeout(LIMIT_S):
+                assert await task == 130
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 async def test_an_error_of_the_service_ends_it_with_that_error(router: BusConfig) -> None:
