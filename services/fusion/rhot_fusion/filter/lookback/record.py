@@ -122,15 +122,17 @@ def outcomes(
     around = [_around(camera, first, period_s) for camera, period_s in enumerate(periods_s)]
     found = []
     for k, node in enumerate(first):
-        position, covariance = [NOWHERE] * markers, [NOTHING] * markers
+        position, covariance, hidden_m2 = [NOWHERE] * markers, [NOTHING] * markers, [0.0] * markers
         seen = np.zeros((len(periods_s), markers), dtype=bool)
         for index, nodes in every:
             own = nodes[k].covariance[:, _UPPER[0], _UPPER[1]].tolist()
-            for marker, where, upper in zip(index.tolist(), nodes[k].position.tolist(), own, strict=True):
-                position[marker], covariance[marker] = where, upper
+            columns = nodes[k].position.tolist(), own, nodes[k].hidden_m2.tolist()
+            for marker, where, upper, hidden in zip(index.tolist(), *columns, strict=True):
+                position[marker], covariance[marker], hidden_m2[marker] = where, upper, hidden
             for camera, sides in enumerate(around):
                 seen[camera, index] = _shown(nodes, k, sides[k], _NEAR * periods_s[camera])
-        found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), systematic, settings, pair_variance))
+        rest = systematic, settings, pair_variance, hidden_m2
+        found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), *rest))
     return found
 
 

@@ -49,7 +49,11 @@ class Repaint:
         """Return the views of frames in order of time, the markers having been as the states tell."""
         self.paint.clear()
         hand_depths_m = [math.inf for _ in self.cameras]
-        return [self._views(frame, state, hand_depths_m) for frame, state in zip(frames, states, strict=True)]
+        views = []
+        for frame, state in zip(frames, states, strict=True):
+            views.append(self._views(frame, state, hand_depths_m))
+            frame.hidden_m2 = np.array([self.paint.hidden_m2(marker) for marker in self.hand.markers])
+        return views
 
     def _views(self, frame: Frame, state: State, hand_depths_m: list[float]) -> Views:
         """Return a frame's views, and put how far the hand is from its camera; where unknown, it is where it was."""

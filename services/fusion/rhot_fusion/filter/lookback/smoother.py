@@ -64,6 +64,8 @@ class Frame:
         seen_xy: (N, 2) where the camera saw them, normalised units.
         area_px: (N,) of each, square pixels; 0 = not told.
         border: (N, 3) of the picture, as `Sightings` has it.
+        hidden_m2: (M,) variance of the hand's markers for paint that no camera shows, each axis, square metres; none
+            before it is known.
     """
 
     t_s: float
@@ -74,6 +76,7 @@ class Frame:
     seen_xy: FloatArray
     area_px: FloatArray
     border: FloatArray | None = None
+    hidden_m2: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +88,7 @@ class Node:
         position: (M, 3) metres; NaN = not known.
         velocity: (M, 3) metres per second.
         covariance: (M, 6, 6).
+        hidden_m2: (M,) variance of each for paint that no camera shows, each axis, square metres.
         shown: (M,) whether the frame showed each where it is.
         camera: index of the camera that took it.
     """
@@ -93,6 +97,7 @@ class Node:
     position: FloatArray
     velocity: FloatArray
     covariance: FloatArray
+    hidden_m2: FloatArray
     shown: BoolArray
     camera: int
 
@@ -273,7 +278,8 @@ def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
     shown, index = np.zeros(count, dtype=bool), frame.views.index
     shown[index] = state.alive[index] & (_on_path(frame, position, velocity, P[:, :3, :3]) <= settings.track.gate)
     position[~state.alive] = np.nan
-    return Node(state.t_s, position, velocity, P, shown, frame.camera)
+    hidden_m2 = np.zeros(count) if frame.hidden_m2 is None else frame.hidden_m2
+    return Node(state.t_s, position, velocity, P, hidden_m2, shown, frame.camera)
 
 
 def _extend(frames: Sequence[Frame], nodes: list[Node], settings: FilterSettings) -> None:
