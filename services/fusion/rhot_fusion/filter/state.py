@@ -71,6 +71,12 @@ class State:
     alive: BoolArray
 
     @property
+    def spread_m2(self) -> FloatArray:
+        """(M,) traces of the covariances of the positions, square metres."""
+        spread: FloatArray = self.P.diagonal()[: 3 * len(self.alive)].reshape(-1, 3).sum(axis=1)
+        return spread
+
+    @property
     def mean(self) -> FloatArray:
         """(2, 3 M) positions and velocities."""
         mean: FloatArray = self.x[:-SHARED].reshape(2, -1)

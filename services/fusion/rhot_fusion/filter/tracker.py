@@ -62,6 +62,8 @@ class FilterTracker:
                 settings.track,
                 confirmations=settings.track.uncalibrated_confirmations,
                 measured_m=settings.track.uncalibrated_measured_m,
+                far=math.inf,
+                back=math.inf,
             )
             settings = replace(settings, track=track)
         self._cameras, self._config, self._counts, self._settings = list(cameras), config, counts, settings
@@ -80,7 +82,6 @@ class FilterTracker:
         calibration_px = float(self.noise.calibration_px.max())
         self._radii, self._paint = radii, Paint(cameras, radii, settings.paint)
         self._systematic = Systematic(cameras, rig.quality, calibration_px, radii, settings.systematic)
-        self._calibrated = rig.calibrated
         self._middle = vector(np.mean([camera.center for camera in cameras], axis=0))
         self._time_variance = 0.0 if rig.calibrated else settings.noise.uncalibrated_s**2
         self.gates: dict[int, tuple[IndexArray, Innovation, FloatArray]] = {}
@@ -297,12 +298,10 @@ class FilterTracker:
             depths = np.array(self._depths(hand, sightings.camera, markers))
             variances += self._time_variance * pace_squares(camera, hand.filter.velocity[local], depths)
         slack = self._paint.slack(sightings.camera, areas_px)
-        certain = None
-        if self._calibrated:
-            settings = self._settings.track
-            since_s = sightings.t_s - settings.lost_periods * self._schedule.longest_period_s
-            lost = [not again and self.tracks[marker].accepted_s[sightings.camera] < since_s for marker in markers]
-            certain = np.where(lost, settings.back, settings.far)
+        settings = self._settings.track
+        since_s = sightings.t_s - settings.lost_periods * self._schedule.longest_period_s
+        lost = [not again and self.tracks[marker].accepted_s[sightings.camera] < since_s for marker in markers]
+        certain = np.where(lost, settings.back, settings.far)
         views = Views(camera, local, sightings.times_s - t_s, xy, variances, slack, certain)
         innovation, _ = hand.filter.step(t_s, views)
         if again:
@@ -313,7 +312,7 @@ class FilterTracker:
         self.gates[sightings.camera] = sightings.index, innovation, slack
         for marker, accepted in zip(markers, innovation.accepted.tolist(), strict=True):
             if accepted:
-                self.tracks[marker].accept(sightings.camera, sightings.t_s, self._settings.track)
+                self.tracks[marker].accept(sightings.camera, sightings.t_s, settings)
             else:
                 self._counts["refused"] += 1
                 if self.tracks[marker].status is TrackStatus.TENTATIVE:

@@ -66,7 +66,7 @@ class Repaint:
         if any(alive):
             hand_depths_m[frame.camera] = fmean(compress(away, alive))
         depths = [away[k] if alive[k] else hand_depths_m[frame.camera] for k in local]
-        sure = [alive[k] and _spread_m2(state, k) <= self.loose_m**2 for k in local]
+        sure = (state.alive & (state.spread_m2 <= self.loose_m**2))[views.index].tolist()
         markers, areas_px = [self.hand.markers[k] for k in local], frame.area_px.tolist()
         period_s = self.periods_s[frame.camera]
         of_paint = areas_px, depths, period_s, sure, frame.border
@@ -81,8 +81,3 @@ class Repaint:
             velocity = state.mean[1].reshape(-1, 3)[views.index]
             variance += self.time_variance * pace_squares(camera, velocity, np.array(depths))
         return replace(views, xy=frame.seen_xy + shift, variance=variance)
-
-
-def _spread_m2(state: State, marker: int) -> float:
-    """Return the trace of the covariance of a marker's position, square metres."""
-    return float(state.P.diagonal()[3 * marker : 3 * marker + 3].sum())

@@ -146,7 +146,7 @@ def _forward(
 ) -> tuple[list[tuple[Step, BoolArray]], list[FloatArray]]:
     # What the live filter refused stays out; among the rest there is no gate, but doubt.
     hand = JointFilter(count, settings.motion, settings.track.gate, refuses=False)
-    steps, evidence = [], []
+    steps, evidence, loose_m2 = [], [], settings.track.loose_m**2
     begins = _begins(frames)
     for number, (frame, own, scale) in enumerate(zip(frames, variance, scale2, strict=True)):
         new = np.zeros(count, dtype=bool)
@@ -155,7 +155,9 @@ def _forward(
                 _begin(hand, event, frame.t_s, settings)
                 new[event.marker] = True
         alive = hand.state.alive[frame.views.index] & frame.taken
-        views = replace(frame.views, variance=own)
+        # Of what is hardly known, a far view tells nothing: the path would run away with it.
+        certain = np.where(hand.state.spread_m2[frame.views.index] <= loose_m2, settings.track.far, np.inf)
+        views = replace(frame.views, variance=own, certain=certain)
         if not alive.all():
             views = views.chosen(alive)
         innovation, step = hand.step(frame.t_s, views, scale)
