@@ -16,7 +16,7 @@ from rhot_fusion.stage import FusionStage
 MakeRig = Callable[..., Rig]
 
 STILL = Motion(amplitude_m=(0.0, 0.0, 0.0))
-WHOLE_PX, TIP_PX = 520.0, 100.0
+WHOLE_PX, TIP_PX, NEAR_TIP_PX = 520.0, 100.0, 300.0
 WIDTH_PX = 26.0
 
 
@@ -53,3 +53,29 @@ def test_what_either_camera_sees_of_it_does_not_become_depth(make_rig: MakeRig, 
                 off_mm.append(1e3 * (np.array(base.position) - truth)[2])
     # The middles of what they see are 3 or 4 px further apart than those of the whole: 50 mm of depth.
     assert np.abs(off_mm).max(initial=0.0) < 20.0
+
+
+def test_a_tip_of_which_little_is_left_is_less_certain_live_and_looked_back_at(make_rig: MakeRig) -> None:
+    """Both cameras lose most of its paint alike, so they agree on where it is; its middle may be elsewhere."""
+    rig = make_rig(pinhole_cameras(2), fusion='method = "filter"')
+    stage = FusionStage(rig, record=True)
+    live = []
+    for one in watch(rig, STILL, 2.0):
+        share = 0.1 if one.arrival_s > 1.0 else 1.0
+        areas = {"index": share * NEAR_TIP_PX, "base": WHOLE_PX}
+        markers = {
+            name: each.model_copy(update={"area": areas.get(name, NEAR_TIP_PX)}) for name, each in one.frame.markers.items()
+        }
+        live += [points for _, points in stage.feed(one.frame.model_copy(update={"markers": markers}))]
+    for every in (live, stage.smoothed()):
+        before, after = [], []
+        for points in every:
+            assert isinstance(points, PointSet)
+            t_s = (points.t_ns - EPOCH_NS) * 1e-9
+            if 0.5 < t_s < 0.9:
+                before.append(points.points["index"])
+            elif 1.2 < t_s < 1.9:
+                after.append(points.points["index"])
+        assert {point.state for point in before} == {"measured"}
+        assert {point.state for point in after} == {"predicted"}
+        assert min(point.sigma for point in after) > 0.008 > max(point.sigma for point in before)

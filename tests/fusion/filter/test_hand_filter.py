@@ -226,6 +226,19 @@ def test_a_finger_that_curls_while_the_others_rest_is_followed() -> None:
     assert errors[0] < 0.75 * errors[1]
 
 
+def test_looking_back_follows_a_finger_that_curls_while_the_others_rest() -> None:
+    errors = []
+    for far in (DEFAULT.track.far, np.inf):
+        settings = replace(DEFAULT, track=replace(DEFAULT.track, far=far))
+        off = []
+        for seed in range(4):
+            frames = run(0.1, 30.0, 1.6, seed, _curled).frames
+            nodes = smooth(frames, COUNT, settings, lambda same, _: [frame.views for frame in same])
+            off += [node.position[2] - _curled(node.t_s)[2] for node in nodes if 1.0 < node.t_s < 1.24]
+        errors.append(np.sqrt(np.square(off).sum(axis=1).mean()))
+    assert errors[0] < 0.75 * errors[1]
+
+
 def _swung(t_s: float) -> FloatArray:
     """From rest by 10 cm and back in 0.67 s: 4.4 m/s² within one frame."""
     moved: FloatArray = np.array([0.1, 0.0, 0.05]) * 0.5 * (1.0 - np.cos(3.0 * np.pi * t_s))
