@@ -63,9 +63,8 @@ def test_a_tip_of_which_little_is_left_is_less_certain_live_and_looked_back_at(m
     for one in watch(rig, STILL, 2.0):
         share = 0.1 if one.arrival_s > 1.0 else 1.0
         areas = {"index": share * NEAR_TIP_PX, "base": WHOLE_PX}
-        markers = {
-            name: each.model_copy(update={"area": areas.get(name, NEAR_TIP_PX)}) for name, each in one.frame.markers.items()
-        }
+        seen = one.frame.markers.items()
+        markers = {name: each.model_copy(update={"area": areas.get(name, NEAR_TIP_PX)}) for name, each in seen}
         live += [points for _, points in stage.feed(one.frame.model_copy(update={"markers": markers}))]
     for every in (live, stage.smoothed()):
         before, after = [], []
