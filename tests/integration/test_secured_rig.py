@@ -75,6 +75,10 @@ async def test_only_an_operator_starts_and_stops_it(secured: Processes) -> None:
             assert code != 0, (identity, said)
             assert "Traceback" not in said
             assert "only an operator may start and stop" in said, said
+        code, said = await said_by(secured.rig, "tablet", "config", "fusion/main")
+        assert (code, '"hold_s"' in said) == (0, True), said
+        code, said = await said_by(secured.rig, "tablet", "config", "fusion/main", "hold_s=0.3")
+        assert (code != 0, "only an operator may change configurations" in said) == (True, True), said
         known = await newest_control(bus)
         assert known is not None
         assert known.action == "start", f"one of {strangers} stopped the rig"

@@ -25,6 +25,14 @@ async def _config(bus_config: BusConfig, service: str, change: dict[str, Any]) -
             replies = await bus.get(f"{key}?format=json", json.dumps(change).encode())
         else:
             replies = await bus.get(f"{key}?format=json")
+        if not replies and not change and bus_config.tls:
+            # Whoever may only read may not name the key: with wildcards a question changes nothing.
+            replies = [reply for reply in await bus.get("rhot/config/**?format=json") if reply.key == key]
+        if not replies and f"rhot/alive/{service}" in {reply.key for reply in await bus.who_is_alive()}:
+            raise BusError(
+                f"{service}: is alive and does not answer; on a secured bus only an operator may change configurations "
+                "(`rhot keys list` names the roles, RHOT_IDENTITY chooses a certificate)"
+            )
     if not replies:
         raise BusError(f"{service}: no such service is running; `rhot status` shows who is there")
     if replies[0].error:
