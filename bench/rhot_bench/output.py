@@ -49,7 +49,7 @@ def counted(console: Console) -> Progress:
 
 
 def show(command: str, sections: Sequence[Section], json_path: Path | None, **about: Any) -> None:
-    """Print sections, say how many targets are missed, and write the JSON file.
+    """Print sections, say how many of the targets are missed, and write the JSON file.
 
     Args:
         command: that was run, for the file.
@@ -62,7 +62,8 @@ def show(command: str, sections: Sequence[Section], json_path: Path | None, **ab
         out.print(section_table(section))
         out.print()
     targets = sum(bool(row.verdict) for section in sections for row in section.rows)
-    out.print(f"{missed(sections)} of {targets} targets missed")
+    if targets:
+        out.print(f"{missed(sections)} of {targets} targets missed")
     if json_path is not None:
         write_text_atomic(json_path, as_json(command, sections, run=provenance(), **about))
         Console(stderr=True, soft_wrap=True, markup=False).print(f"figures: {json_path}")
