@@ -39,6 +39,12 @@ def test_guesses_count_less_each_time_in_all_directions_until_both_cameras_see_t
         sigmas(guesses, point("measured"))
 
 
+def test_what_two_cameras_see_badly_is_no_guess() -> None:
+    guesses, told = RepeatedGuesses(), point("predicted").model_copy(update={"views": 2})
+    for _ in range(3):
+        assert sigmas(guesses, told) == pytest.approx((ALONG_M, ACROSS_M))
+
+
 def test_a_point_without_covariance_is_alike_in_all_directions() -> None:
     told = Point(position=(0.0, 0.0, 0.7), sigma=0.003, views=2, state="measured")
     assert np.allclose(RepeatedGuesses().covariance("ring", told), (0.003**2 / 3.0 * np.eye(3)).reshape(9))

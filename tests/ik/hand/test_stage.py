@@ -31,6 +31,26 @@ def test_first_sample_gives_a_full_valid_message(
     assert max(pose.residual.values()) < 2e-3
 
 
+@pytest.mark.parametrize("views", [0, 2])
+def test_a_finger_that_cameras_see_badly_is_seen(
+    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist, views: int
+) -> None:
+    points = make_points(right_hand, right_hand.forward(wrist(), EASE), right_rig.config.markers, 0.0)
+    badly = points.points["ring"].model_copy(update={"state": "predicted", "views": views, "sigma": 0.03})
+    points = points.model_copy(update={"points": {**points.points, "ring": badly}})
+    assert only_pose(HandStage(right_rig), points).fingers["ring"] == ("measured" if views else "predicted")
+
+
+@pytest.mark.parametrize("state", ["predicted", "measured"])
+def test_a_hand_is_not_begun_by_a_tip_that_cameras_see_badly(
+    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist, state: str
+) -> None:
+    points = make_points(right_hand, right_hand.forward(wrist(), EASE), right_rig.config.markers, 0.0)
+    ring = points.points["ring"].model_copy(update={"state": state})
+    points = points.model_copy(update={"points": {"base": points.points["base"], "ring": ring}})
+    assert bool(HandStage(right_rig).feed(points)) == (state == "measured")
+
+
 @dataclass(frozen=True, slots=True)
 class Case:
     solver: str

@@ -133,7 +133,7 @@ class HandStage:
         return [table for side, solver in self._solvers.items() for table in solver_tables(side, solver)]
 
     def _observation(self, points: PointSet, base_name: str, solver: HandSolver) -> HandObservation:
-        tips, covariances, measured = [_NOWHERE] * 5, [_ANY] * 5, [False] * 5
+        tips, covariances, measured, certain = [_NOWHERE] * 5, [_ANY] * 5, [False] * 5, [False] * 5
         base = self._believable(points, base_name)
         reach_m = _REACH * solver.geometry.model.length_m
         for place, finger in enumerate(FINGERS):
@@ -145,7 +145,9 @@ class HandStage:
                 continue
             tips[place] = point.position
             covariances[place] = self._guesses.covariance(solver.geometry.markers[finger], point)
-            measured[place] = point.state != "predicted"
+            # Fusion calls what cameras see badly predicted, too; how badly is stated.
+            certain[place] = point.state != "predicted"
+            measured[place] = certain[place] or point.views > 0
         return HandObservation(
             t_ns=points.t_ns,
             base=None if base is None else np.array(base.position),
@@ -153,6 +155,7 @@ class HandStage:
             corners=None if base is None or base.corners is None else np.array(base.corners),
             tips=np.array(tips),
             tips_measured=np.array(measured),
+            tips_certain=np.array(certain),
             base_covariance=None if base is None else np.array(self._guesses.covariance(base_name, base)).reshape(3, 3),
             tip_covariances=np.array(covariances).reshape(-1, 3, 3),
         )

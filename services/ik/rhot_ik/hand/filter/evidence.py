@@ -29,6 +29,8 @@ class HandObservation:
         base_covariance: (3, 3) of the base marker; a millimetre or so when not given.
         tip_covariances: (5, 3, 3) those of the tips.
         across: (3,) unit direction of the wrist's +X axis, where two points of the wrist tell it.
+        tips_certain: (5,) whether each was seen well enough to take a hand up by it, which may be found the wrong way
+            round by a tip that is seen badly; all when not given.
     """
 
     t_ns: int
@@ -40,6 +42,7 @@ class HandObservation:
     base_covariance: FloatArray | None = None
     tip_covariances: FloatArray | None = None
     across: FloatArray | None = None
+    tips_certain: BoolArray | None = None
 
     @property
     def tips_seen(self) -> BoolArray:

@@ -43,13 +43,14 @@ class HandInitialiser:
     def find(
         self, seen: HandObservation, person: tuple[FloatArray, FloatArray] | None = None
     ) -> tuple[HandState, Evidence] | None:
-        """Return the best state and the evidence it was judged by; None without the base or without any tip.
+        """Return the best state and the evidence it was judged by; None without the base or a tip seen well.
 
         `person` is what is known of the hand from before, see `HandState.what_is_personal`.
         """
         # What is only bridged may have been anything; a measured tip tells one end of the patch from the other.
         visible = seen.tips_seen & seen.tips_measured
-        if seen.base is None or not visible.any():
+        well = visible if seen.tips_certain is None else visible & seen.tips_certain
+        if seen.base is None or not well.any():
             return None
         direction = seen.tips[visible].mean(axis=0) - seen.base
         if direction @ direction < 1e-6:
