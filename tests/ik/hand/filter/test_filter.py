@@ -184,3 +184,21 @@ def test_one_wild_tip_does_not_turn_the_palm() -> None:
         state = hand.update(hand.predict(state, 1 / 60), dataclasses.replace(wild, tips=tips))
     # The patch may be tilted on the palm by 5°, so its corners alone do not hold it.
     assert degrees_off(state) < 5.0
+
+
+def test_a_patch_that_lies_otherwise_once_hardly_turns_the_palm_and_one_that_goes_on_does() -> None:
+    hand = filter_of()
+    truth = coupled(HandModel.from_file(HandFile(), "right"), 30.0, 50.0)
+    known = evidence_of(hand, truth)
+    before = hand.update(hand.start(R_TRUE, P_TRUE, truth), known, steps=6)
+    for _ in range(10):
+        before = hand.update(hand.predict(before, 1 / 60), known)
+    turned = R_TRUE @ rotation_from_vector(np.array([0.0, np.radians(50.0), 0.0]))
+    other = dataclasses.replace(evidence_of(hand, truth, hidden=(0, 1, 2, 3, 4)), rotation=turned)
+    state = hand.update(hand.predict(before, 1 / 60), other)
+    assert degrees_off(state) < 3.0
+    samples = 1
+    while degrees_off(state) < 40.0:
+        state = hand.update(hand.predict(state, 1 / 60), other)
+        samples += 1
+    assert samples < 30

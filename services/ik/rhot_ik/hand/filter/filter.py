@@ -6,8 +6,7 @@ Measurements, each with its own full 3x3 covariance, so that what one camera see
 marker p + R·(b + shift); each tip p + R·m(q, length); and the corners of the base patch, which are first made into one
 rotation R·exp(tilt) with its information matrix. The update is the iterated extended Kalman filter, which is
 Gauss–Newton on the posterior (Bell & Cathey 1993), with analytic derivatives. Limits are hard: angles that leave them
-are set to the limit and all others moved by what that says about them (projection of the estimate in the metric of P,
-Simon & Chia 2002).
+are set to the limit and all others moved by what that says about them (`rhot_ik.hand.filter.limits`).
 
 Points come from fusion's filter, so their errors last over samples. The process is therefore loose where a sample
 tells: pose and seen fingers follow each sample, and memory serves what it leaves open. The person is learned by a
@@ -30,6 +29,7 @@ from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import Evidence, Rows, mean_residual_m, rows_of
 from rhot_ik.hand.filter.hidden_tips import ContactOfHiddenTips
 from rhot_ik.hand.filter.kinematics import HandKinematics
+from rhot_ik.hand.filter.limits import within_limits
 from rhot_ik.hand.filter.prior import COUNT
 from rhot_ik.hand.filter.process import (
     ANGLES,
@@ -139,7 +139,10 @@ class HandFilter(HandProcess):
             S.reshape(7, 3, 7, 3)[_BLOCKS, :, _BLOCKS] += noise
             gain = PHt @ inverse_covariance(S)
             posterior = P - gain @ PHt.T
-            about, (dx, posterior) = dx, self._within_limits(gain @ innovation, prior.angles, posterior)
+            about, (dx, posterior) = (
+                dx,
+                within_limits(gain @ innovation, posterior, prior.angles, self._low, self._high),
+            )
             denied = (1.0 - learned) * dx[PERSON]
             if prior.dt_s > 0.0:
                 dx[PERSON] -= denied
@@ -250,14 +253,16 @@ class HandFilter(HandProcess):
         """
         PHt = prior.P @ H.T
         S = H @ PHt
-        own = S.reshape(7, 3, 7, 3)[_TIPS, :, _TIPS] + rows.noise[:5]
-        off = innovation[:15].reshape(5, 3)
-        nis = np.array(squared_distances(off, own)) / 3.0
-        nis *= rows.seen[:5]
+        own = S.reshape(7, 3, 7, 3)[_BLOCKS, :, _BLOCKS] + rows.noise
+        nis = np.array(squared_distances(innovation.reshape(7, 3), own)) * rows.seen
         P, noise = prior.P, rows.noise
-        fastest = float(nis.max())
-        if fastest > 1.0:
-            noise = rows.noise.copy()
+        unlikely = nis[6] / self.settings.turn_outlier**2
+        if unlikely > 1.0:
+            noise = noise.copy()
+            noise[6] *= unlikely**2
+        nis = nis[:5] / 3.0
+        if float(nis.max()) > 1.0:
+            noise = noise.copy()
             noise[:5] *= np.maximum(1.0, 3.0 * nis / self.settings.outlier**2)[:, None, None]
             if prior.stationary_share > 0.0:
                 times = np.sqrt(np.minimum(np.maximum(nis, 1.0), self.settings.most_activity) - 1.0)
@@ -288,28 +293,6 @@ class HandFilter(HandProcess):
         doubted[:5] *= (1.0 + share)[:, None, None]
         doubted[:5] += (self.settings.miss_m**2 * np.maximum(0.0, share - 1.0))[:, None, None] * _UNIT
         return doubted
-
-    def _within_limits(self, dx: FloatArray, angles: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the errors with all angles legal, the others moved by what the limits say about them, and then P."""
-        for _ in range(3):
-            q = angles + dx[ANGLES]
-            over = np.minimum(np.maximum(q, self._low), self._high) - q
-            bad = np.flatnonzero(np.abs(over) > 1e-6)
-            if not len(bad):
-                break
-            columns = P[:, ANGLES.start + bad]
-            own = columns[ANGLES.start + bad]
-            if len(bad) == 1:
-                gain: FloatArray = columns.T / (own + 1e-6)
-            elif len(bad) == 2:
-                # The most usual case by far (a last hinge goes with its middle one), and half of the cost that way.
-                (a, b), (_, c) = own.tolist()
-                a, c = a + 1e-6, c + 1e-6
-                gain = np.array([[c, -b], [-b, a]]) / (a * c - b * b) @ columns.T
-            else:
-                gain = np.asarray(np.linalg.solve(own + 1e-6 * np.eye(len(bad)), columns.T), dtype=np.float64)
-            dx, P = dx + over[bad] @ gain, P - columns @ gain
-        return dx, P
 
     def tips(self, state: HandState) -> FloatArray:
         """Return the markers (5, 3), metres, rig frame, as a state has them."""

@@ -51,12 +51,15 @@ class HandSettings:
         contact_m: how far fingers sink into what they hold, or its shape is off.
         close_rad: steps end when the derivatives were taken this near to where they led.
         outlier: a tip that many standard deviations off loses weight.
+        turn_outlier: a patch's rotation that many standard deviations off loses weight, with the fourth power of it. Of
+            those 30 to 45° off what was expected half were wrong by over 15°, beyond that 61 % by over 30° (fast hands
+            of `rhot evaluate motion`, 30 fps, develop seeds 0 to 29): cameras out of step, another order of corners.
         miss_m: and one that no legal pose meets within this.
         gap_s: after a silence this long nothing of the past is used.
         late_s: a sample that is older than the last one by less than this came out of order and is left out.
         lost_m, lost_s: when the seen tips miss the model by more than this on average for this long, the hand is
             looked for again: more than wrong proportions explain, for longer than a wild marker lasts.
-        lost_haste: time counts up to this many times when they miss it by as many times as much.
+        lost_haste: time counts up to this many times, with the square of how many times as much they miss it.
     """
 
     acceleration: float = 6.0
@@ -85,9 +88,10 @@ class HandSettings:
     contact_m: float = 0.002
     close_rad: float = 0.05
     outlier: float = 10.0
+    turn_outlier: float = 3.0
     miss_m: float = 0.012
     gap_s: float = 1.0
     late_s: float = 0.1
     lost_m: float = 0.012
     lost_s: float = 0.3
-    lost_haste: float = 8.0
+    lost_haste: float = 20.0
