@@ -225,3 +225,19 @@ def test_what_five_tips_have_met_is_not_overturned_by_two(
             if k >= 30:
                 largest = max(largest, float(np.linalg.norm(vector_from_rotation(T[:3, :3].T @ found))))
     assert np.degrees(largest) < 45.0
+
+
+def test_a_hand_of_which_all_tips_say_that_it_was_turned_round_is_looked_for_at_once(
+    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
+) -> None:
+    """It is shown as it is found: fingers of another palm are not led in from where they were."""
+    stage, T = HandStage(right_rig), wrist()
+    turned = T.copy()
+    turned[:3, :3] = T[:3, :3] @ rotation_from_vector(np.array([0.0, 2.0, 0.0]))
+    for k in range(65):
+        joints = right_hand.forward(turned if k < 60 else T, EASE)
+        points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0)
+        ((_, pose),) = stage.feed(points)
+    assert isinstance(pose, HandPose)
+    found = np.array([pose.joints[name].position for name in JOINTS])
+    assert np.linalg.norm(found - joints.positions, axis=1).max() < 0.02

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from rhot.anatomy.hand import HandModel
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-from rhot_ik.hand.rejoin import RejoinSettings, rejoined
+from rhot_ik.hand.rejoin import RejoinSettings, carried, rejoined
 
 SETTINGS = RejoinSettings()
 
@@ -60,3 +61,12 @@ def test_a_tip_that_goes_faster_than_fingers_do_is_led_in_as_if_it_came_back(rig
     angles, _ = rejoined(HandKinematics(geometry), known, shown, np.zeros(5), 1 / 60, SETTINGS)
     step = np.linalg.norm(geometry.marker_points(angles)[2] - geometry.marker_points(shown)[2])
     assert 0.001 < step < 1.1 * (SETTINGS.step_m + SETTINGS.speed_m_s / 60)
+
+
+def test_a_finger_that_is_led_in_goes_its_own_way_as_well_unless_it_jumps(right_hand: HandModel) -> None:
+    kinematics = HandKinematics(FingerGeometry.of(right_hand, {}))
+    moved = np.zeros((5, 4))
+    moved[:, 0] = np.radians([3.0, 3.0, 3.0, 3.0, 60.0])
+    led = np.array([True, False, True, False, True])
+    carried_on = carried(kinematics, np.zeros((5, 4)), moved, led, 1 / 60, SETTINGS)
+    assert np.degrees(carried_on[:, 0]).tolist() == pytest.approx([3.0, 0.0, 3.0, 0.0, 0.0])

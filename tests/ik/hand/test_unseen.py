@@ -159,3 +159,23 @@ def test_hidden_fingers_stop_at_the_cylinder_that_the_hand_holds(
         depth[shape is None] = radius + right_hand.radii[tips] - np.linalg.norm(off, axis=1)
     assert depth[True].max() > 0.008
     assert depth[False].max() < 0.003
+
+
+def test_a_tip_that_returns_and_moves_on_is_not_followed_behind(
+    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
+) -> None:
+    """The ring finger comes back bent by some 25° more at either hinge, and bends on, its tip at 0.4 m/s."""
+    stage, T = HandStage(right_rig), wrist()
+    tip, errors = JOINTS.index("ring_tip"), []
+    for k in range(130):
+        bent = np.clip(k - 75, 0.0, 1.0) + np.clip((k - 98) / 12.0, 0.0, 1.5)
+        angles = EASE.copy()
+        angles[3, 0] += np.radians(25.0) * bent
+        angles[3, 2] += np.radians(30.0) * bent
+        angles[3, 3] = right_hand.coupling[3] * angles[3, 2]
+        joints = right_hand.forward(T, right_hand.clamp(angles))
+        hide = ("ring",) if 60 <= k < 98 else ()
+        points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide)
+        errors.append(float(np.linalg.norm(positions(only_pose(stage, points))[tip] - joints.positions[tip])))
+    assert errors[98] > 0.02
+    assert max(errors[110:]) < 0.006

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from rhot.anatomy.hand import HandModel, patch_outline
 from rhot.anatomy.skeleton import FINGERS
-from rhot.arrays import BoolArray, FloatArray
+from rhot.arrays import BoolArray, FloatArray, IntArray
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.fabrik.finger_chains import FabrikFingers
 from rhot_ik.hand.contact import Shape
@@ -23,7 +24,7 @@ from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.filter.smoother import smoothed_states
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
-from rhot_ik.hand.rejoin import RejoinSettings, rejoined
+from rhot_ik.hand.rejoin import RejoinSettings, carried, rejoined
 
 __all__ = ["HandObservation", "HandSolution", "HandSolver"]
 
@@ -65,6 +66,7 @@ class HandTrack:
         base_seen_ns, measured_ns: when the base marker was there last, and when anything was measured.
         measured: (5,) whether each finger was.
         sure: (5,) and whether well in all directions.
+        known_since_ns: (5,) since when each has been known at all, without a break.
         seen: the sample.
         expected: the state as it was expected before the sample; none where the hand was taken up with it.
         lost_s: for how long the seen tips have missed the model.
@@ -82,6 +84,7 @@ class HandTrack:
     measured_ns: int
     measured: BoolArray
     sure: BoolArray
+    known_since_ns: IntArray
     seen: HandObservation
     expected: HandState | None = None
     lost_s: float = 0.0
@@ -190,16 +193,10 @@ class HandSolver:
             base_seen_ns=seen.t_ns,
             measured_ns=seen.t_ns,
             measured=seen.tips_seen & seen.tips_measured,
-            sure=seen.tips_seen & seen.tips_measured & self._is_sure(seen),
+            sure=seen.tips_seen & seen.tips_measured & _known_to(seen, self._rejoin.sure_m),
+            known_since_ns=np.where(seen.tips_seen & seen.tips_measured, seen.t_ns, _NEVER_NS),
             seen=seen,
         )
-
-    def _is_sure(self, seen: HandObservation) -> BoolArray:
-        """Tell which tips (5,) are known in all directions."""
-        if seen.tip_covariances is None:
-            return np.ones(5, dtype=np.bool_)
-        worst: BoolArray = np.trace(seen.tip_covariances, axis1=1, axis2=2) < self._rejoin.sure_m**2
-        return worst
 
     def _continued(self, before: HandTrack, seen: HandObservation, shapes: Sequence[Shape]) -> HandTrack:
         dt_s = (seen.t_ns - before.t_ns) / 1e9
@@ -214,9 +211,18 @@ class HandSolver:
             # A palm that was taken up without the corners of its patch was guessed to point to its tips.
             state, lost_s = self._found_anew(updated, seen), 0.0
         angles = self._angles(state, seen, before.shown)
-        sure = measured & self._is_sure(seen)
+        sure = measured & _known_to(seen, self._rejoin.sure_m)
+        known = measured & _known_to(seen, self._rejoin.known_m)
+        since_ns = np.where(known, np.minimum(before.known_since_ns, seen.t_ns), _NEVER_NS)
         left_s = np.where(sure & before.sure, before.rejoins_s, self._rejoin.lasts_s)
-        shown, left_s = rejoined(self._kinematics, angles, before.shown, left_s, dt_s, self._rejoin)
+        # Fingers that go with another palm than before are led in from nowhere.
+        shown, left_s = (before.shown, left_s) if state is updated else (angles, np.zeros(5))
+        if left_s.any():
+            moved = (state.angles - before.state.angles).reshape(5, 4)
+            led = (left_s > 0.0) & (seen.t_ns - since_ns > 1e9 * self._rejoin.settles_s)
+            shown = carried(self._kinematics, shown, moved, led, dt_s, self._rejoin)
+            shown = self._filter.legal(shown.reshape(-1)).reshape(5, 4)
+        shown, left_s = rejoined(self._kinematics, angles, shown, left_s, dt_s, self._rejoin)
         return HandTrack(
             t_ns=seen.t_ns,
             state=state,
@@ -229,6 +235,7 @@ class HandSolver:
             measured_ns=seen.t_ns if seen.measured_any else before.measured_ns,
             measured=measured,
             sure=sure,
+            known_since_ns=since_ns,
             seen=seen,
             expected=expected if state is updated else None,
             lost_s=lost_s,
@@ -245,7 +252,8 @@ class HandSolver:
         if state.mean_residual_m < self._settings.lost_m:
             return state, 0.0
         # The further they are off, the less there is to wait for: 150 mm are a palm taken up the wrong way round.
-        lost_s = before.lost_s + dt_s * min(state.mean_residual_m / self._settings.lost_m, self._settings.lost_haste)
+        haste = (state.mean_residual_m / self._settings.lost_m) ** 2
+        lost_s = before.lost_s + dt_s * min(haste, self._settings.lost_haste)
         if lost_s < self._settings.lost_s:
             return state, lost_s
         return self._found_anew(state, seen), 0.0
@@ -297,3 +305,14 @@ class HandSolver:
         else:
             solved = self._analytic.solve(local).angles
         return np.where(measured[:, None], solved, estimated)
+
+
+def _known_to(seen: HandObservation, sigma_m: float) -> BoolArray:
+    """Tell which tips (5,) are known to so much in all directions together."""
+    if seen.tip_covariances is None:
+        return np.ones(5, dtype=np.bool_)
+    known: BoolArray = np.trace(seen.tip_covariances, axis1=1, axis2=2) < sigma_m**2
+    return known
+
+
+_NEVER_NS: Final = 2**62
