@@ -25,6 +25,8 @@ from rhot_bench.hands.recorded_joints import RATE_HZ, Recorded, fit_open_hand, r
 
 CUTOFF_HZ: Final = 6.0
 _FIT_FRAMES: Final = 120
+_LEAST_S: Final = 0.7
+"""The shortest recording of FPHA lasts 0.83 s; the low-pass needs half a second."""
 _FREE_HANDED: Final = ("high_five", "flip_pages")
 """FPHA actions in which the hand closes round nothing."""
 _LIFT: Final = 0.3
@@ -88,14 +90,14 @@ def read_recording(path: Path, source: str) -> RecordedHand:
         source: `msra`, `nyu` or `fpha`.
 
     Raises:
-        ConfigError: it cannot be read or is shorter than a second.
+        ConfigError: it cannot be read or is shorter than `_LEAST_S`.
     """
     if source == "nyu":
         recorded = _nyu_made_whole(path)
     else:
         recorded = read_joints(path, ["W" if source == "fpha" else "wrist"], whole_chains())
-    if len(recorded.wrists) < RATE_HZ:
-        raise ConfigError(f"{path}: {len(recorded.wrists)} frames are too few; a second needs {RATE_HZ:g}")
+    if len(recorded.wrists) < (least := round(_LEAST_S * RATE_HZ)):
+        raise ConfigError(f"{path}: {len(recorded.wrists)} frames are too few; {_LEAST_S:g} s need {least}")
     low_pass = butter(2, CUTOFF_HZ, fs=RATE_HZ, output="sos")
     wrists = sosfiltfilt(low_pass, recorded.wrists, axis=0)
     chains = sosfiltfilt(low_pass, recorded.chains, axis=0)

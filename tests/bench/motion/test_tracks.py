@@ -85,7 +85,8 @@ def test_views_and_hidden_times_agree(exact: Tracks) -> None:
 
 def test_every_source_is_read_as_a_hand_of_believable_size(shared_data: Path) -> None:
     for source, files in list_recordings(shared_data).items():
-        hand = read_recording(files[0], source)
+        # The shortest of each: every file may be drawn.
+        hand = read_recording(min(files, key=lambda file: len(file.read_text().splitlines())), source)
         length = float(np.linalg.norm(hand.knuckles[2]) + hand.bones[2].sum())
         assert 0.14 < length < 0.24, source
         assert np.isfinite(hand.chains).all()
