@@ -14,6 +14,7 @@ import pytest
 # As the program itself does, before numpy is loaded: BLAS threads that wait for each other cost more than they bring.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import hypothesis
 import marker_streams
 from running.simulated_colors import copy_or_learn
 from wall_clock import ForeignLoad, excuse
@@ -22,6 +23,10 @@ from rhot.bus import Bus
 from rhot.rig import BusConfig, Rig
 from rhot.rig.template import rig_template
 from rhot_sim.rig import folder as simulated_rig_folder
+
+# Time on the clock is judged by tests marked `real_time` alone: an example of 0.2 s is a machine that stood still.
+hypothesis.settings.register_profile("rhot", deadline=None)
+hypothesis.settings.load_profile("rhot")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LOAD = pytest.StashKey[ForeignLoad]()
