@@ -29,14 +29,16 @@ import zenoh
 from rhot.bus.zenoh_config import plain_reason, session_config
 from rhot.errors import DeviceError
 from rhot.rig import BusConfig
+from rhot_bridge.opened import Opened
 
 logger = logging.getLogger(__name__)
 
 NODE: Final = "rhot"
 DEFAULT_QOS: Final = "::,10:,:,:,,"
 MOST_TOPICS: Final = 128
-"""Of one node; a rig has about ten. Names are an outsider's choice: beyond it a topic that is silent makes room."""
-_SILENT_NS: Final = 5_000_000_000
+"""Of one node; a rig has about ten."""
+_RETRY_S: Final = 5.0
+"""Until a topic that could not be announced is announced again."""
 _ID_BYTES: Final = 16
 _CLOSE_LIMIT_S: Final = 1.0
 _LOOK_NS: Final = 1_000_000_000
@@ -74,7 +76,6 @@ class _Publisher:
     publisher: Any
     token: Any
     id: bytes
-    put_ns: int
     sequence: int = 0
 
     def undeclare(self) -> None:
@@ -93,7 +94,7 @@ class RmwZenohLink:
         self._type_hash = type_hash
         self._session: zenoh.Session | None = None
         self._node: Any = None
-        self._publishers: dict[str, _Publisher] = {}
+        self._publishers: Opened[_Publisher] = Opened(MOST_TOPICS)
         self._announcing: dict[str, asyncio.Task[None]] = {}
         self._announced = 0
         self._looked_ns = 0
@@ -145,34 +146,22 @@ class RmwZenohLink:
 
         Announcing waits for the router, so it happens on a thread of its own.
         """
-        # Taken out and put back, so that the first is the one that has been silent longest.
-        publisher = self._publishers.pop(topic, None)
+        publisher = self._publishers.heard(topic)
         if publisher is None:
-            if self._session is not None and topic not in self._announcing and self._make_room():
+            if self._session is not None and topic not in self._announcing and self._has_room():
                 self._announced += 1
                 announcing = self._announce(self._session, self._announced, topic, type_name)
                 self._announcing[topic] = asyncio.create_task(announcing)
             return None
-        self._publishers[topic] = publisher
         publisher.sequence += 1
-        publisher.put_ns = time.monotonic_ns()
         try:
             publisher.publisher.put(payload, attachment=attachment(publisher.sequence, time.time_ns(), publisher.id))
         except zenoh.ZError:
             return False
         return True
 
-    def _make_room(self) -> bool:
-        """Return whether there is room for another topic, perhaps in place of one that is silent."""
-        if len(self._publishers) + len(self._announcing) < MOST_TOPICS:
-            return True
-        topic, publisher = next(iter(self._publishers.items()), (None, None))
-        if topic is None or publisher is None or time.monotonic_ns() - publisher.put_ns < _SILENT_NS:
-            return False
-        del self._publishers[topic]
-        # On a thread, and nobody waits for it: what is left of it ends with the session.
-        asyncio.get_running_loop().run_in_executor(None, publisher.undeclare)
-        return True
+    def _has_room(self) -> bool:
+        return self._publishers.make_room(len(self._announcing), _Publisher.undeclare)
 
     async def _announce(self, session: zenoh.Session, number: int, topic: str, type_name: str) -> None:
         type_hash = self._type_hash(type_name)
@@ -188,15 +177,15 @@ class RmwZenohLink:
             )
             publisher_id = hashlib.blake2b(token.encode(), digest_size=_ID_BYTES).digest()
             declared = session.liveliness().declare_token(token)
-            return _Publisher(publisher, declared, publisher_id, put_ns=time.monotonic_ns())
+            return _Publisher(publisher, declared, publisher_id)
 
         try:
-            self._publishers[topic] = await asyncio.to_thread(declare)
+            self._publishers.add(topic, await asyncio.to_thread(declare))
             logger.info("ROS topic %s is there, %s", topic, type_name)
         except zenoh.ZError as error:
             logger.warning("ROS topic %s cannot be announced: %s", topic, plain_reason(error))
             # Not again with the next frame.
-            await asyncio.sleep(_SILENT_NS / 1e9)
+            await asyncio.sleep(_RETRY_S)
         finally:
             self._announcing.pop(topic, None)
 

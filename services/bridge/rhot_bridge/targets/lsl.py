@@ -12,14 +12,15 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
-import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 from rhot.clock import RigClock
 from rhot.errors import ConfigError
 from rhot.rig import BridgeConfig
 from rhot_bridge.clock_map import ClockMap
+from rhot_bridge.opened import Opened
 from rhot_bridge.scene import Axes, Scene, Tracked
 from rhot_bridge.targets.mocap_channels import channels_of, joints_of, sample_of
 
@@ -34,12 +35,18 @@ except RuntimeError as error:
 logger = logging.getLogger(__name__)
 
 MOST_STREAMS: Final = 64
-"""Things that one bridge sends; a rig has about ten. Names are an outsider's choice: beyond it a stream that is silent
-makes room."""
-_SILENT_NS: Final = 5_000_000_000
+"""Things that one bridge sends; a rig has about ten."""
 _FIRST_READINGS: Final = 5
 _BUFFERED: Final = 60
 """Hundreds of samples that are kept for a recorder which stalls: a minute at 100 Hz, 4 MB for a hand."""
+
+
+@dataclass(slots=True)
+class _Stream:
+    """One stream, and the time of the sample that it sent last."""
+
+    outlet: Any
+    sent_ns: int | None = None
 
 
 class LslOutput:
@@ -54,10 +61,8 @@ class LslOutput:
         self._predicted = config.predicted == "send"
         self._clock: RigClock | None = None
         self._map = ClockMap()
-        self._outlets: dict[str, Any] = {}
+        self._outlets: Opened[_Stream] = Opened(MOST_STREAMS)
         self._opening: dict[str, asyncio.Task[None]] = {}
-        self._sent_ns: dict[str, int] = {}
-        self._heard_ns: dict[str, int] = {}
 
     @property
     def where(self) -> str:
@@ -84,17 +89,15 @@ class LslOutput:
         if tracked.state == "predicted" and not self._predicted:
             return False
         name = key.removeprefix("rhot/").replace("/", "_")
-        # Taken out and put back, so that the first is the one that has been silent longest.
-        outlet = self._outlets.pop(name, None)
-        if outlet is None:
+        stream = self._outlets.heard(name)
+        if stream is None:
             self._offer(name, joints_of(name, tracked))
             return False
-        self._outlets[name], self._heard_ns[name] = outlet, time.monotonic_ns()
         # Not "later than": the rig clock may be set back.
-        if tracked.t_ns == self._sent_ns.get(name) or not self._read_clocks():
+        if tracked.t_ns == stream.sent_ns or not self._read_clocks():
             return False
-        self._sent_ns[name] = tracked.t_ns
-        outlet.push_sample(sample_of(tracked).tolist(), self._map.to_local_ns(tracked.t_ns) / 1e9)
+        stream.sent_ns = tracked.t_ns
+        stream.outlet.push_sample(sample_of(tracked).tolist(), self._map.to_local_ns(tracked.t_ns) / 1e9)
         return True
 
     def _read_clocks(self) -> bool:
@@ -109,42 +112,29 @@ class LslOutput:
 
     def _offer(self, name: str, joints: tuple[str, ...]) -> None:
         """Make a stream, on a thread of its own: opening its ports takes some milliseconds."""
-        if name in self._opening or not self._make_room():
+        if name in self._opening or not self._outlets.make_room(len(self._opening), _forget):
             return
 
         async def offer() -> None:
-            self._outlets[name] = await asyncio.to_thread(_outlet, name, joints, self.axes)
-            self._heard_ns[name] = time.monotonic_ns()
+            self._outlets.add(name, _Stream(await asyncio.to_thread(_outlet, name, joints, self.axes)))
             del self._opening[name]
             logger.info("LSL stream %s is there, %d channels", name, 7 * len(joints) + 1)
 
         self._opening[name] = asyncio.create_task(offer())
-
-    def _make_room(self) -> bool:
-        """Return whether there is room for another stream, perhaps in place of one that is silent."""
-        if len(self._outlets) + len(self._opening) < MOST_STREAMS:
-            return True
-        silent = next(iter(self._outlets), None)
-        if silent is None or time.monotonic_ns() - self._heard_ns[silent] < _SILENT_NS:
-            return False
-        del self._heard_ns[silent]
-        self._sent_ns.pop(silent, None)
-        # The last reference ends a stream, which takes a moment.
-        asyncio.get_running_loop().run_in_executor(None, [self._outlets.pop(silent)].clear)
-        return True
 
     async def close(self) -> None:
         """Close all streams."""
         for task in self._opening.values():
             task.cancel()
         await asyncio.gather(*self._opening.values(), return_exceptions=True)
-        outlets = list(self._outlets.values())
+        outlets = self._outlets.clear()
         self._opening.clear()
-        self._outlets.clear()
-        self._sent_ns.clear()
-        self._heard_ns.clear()
         # The last reference ends a stream, which takes a moment.
         await asyncio.to_thread(outlets.clear)
+
+
+def _forget(_: _Stream) -> None:
+    """Do nothing more: the last reference ends a stream, which takes a moment."""
 
 
 def _read(clock: RigClock) -> tuple[int, int, int]:

@@ -147,7 +147,7 @@ def outcome_of(
     systematic: Systematic,
     settings: TrackSettings,
     pair_variance: float,
-    hidden_m2: Sequence[float] | None = None,
+    hidden_m2: Sequence[float],
 ) -> Outcome:
     """Return markers at positions (M,), NaN = absent, with covariances (M,), seen by cameras (C, M).
 
@@ -159,8 +159,8 @@ def outcome_of(
     sigmas, views, measured = [], [], []
     whole: list[Upper] = []
     states: list[PointState] = []
-    for marker, (place, (xx, xy, xz, yy, yz, zz), *sees) in enumerate(zip(position, covariance, *seen, strict=True)):
-        hidden = hidden_m2[marker] if hidden_m2 is not None else 0.0
+    columns = zip(position, covariance, hidden_m2, *seen, strict=True)
+    for marker, (place, (xx, xy, xz, yy, yz, zz), hidden, *sees) in enumerate(columns):
         count = sum(sees)
         most = settings.measured_m**2 + pair_variance * systematic.distance_m(place) ** 4
         state = state_of(count, xx + yy + zz + 3.0 * hidden <= most)

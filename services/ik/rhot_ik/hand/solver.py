@@ -28,6 +28,9 @@ from rhot_ik.hand.rejoin import RejoinSettings, carried, rejoined
 
 __all__ = ["HandObservation", "HandSolution", "HandSolver"]
 
+_NEVER_NS: Final = 2**62
+"""Since when a tip has been known that is not: later than any sample."""
+
 
 @dataclass(frozen=True, slots=True)
 class HandSolution:
@@ -182,6 +185,7 @@ class HandSolver:
         if found is None or not seen.measured_any:
             return None
         state, evidence = found
+        measured = seen.tips_seen & seen.tips_measured
         return HandTrack(
             t_ns=seen.t_ns,
             state=state,
@@ -192,9 +196,9 @@ class HandSolver:
             laid=evidence.rotation is not None,
             base_seen_ns=seen.t_ns,
             measured_ns=seen.t_ns,
-            measured=seen.tips_seen & seen.tips_measured,
-            sure=seen.tips_seen & seen.tips_measured & _known_to(seen, self._rejoin.sure_m),
-            known_since_ns=np.where(seen.tips_seen & seen.tips_measured, seen.t_ns, _NEVER_NS),
+            measured=measured,
+            sure=measured & _known_to(seen, self._rejoin.sure_m),
+            known_since_ns=np.where(measured, seen.t_ns, _NEVER_NS),
             seen=seen,
         )
 
@@ -313,6 +317,3 @@ def _known_to(seen: HandObservation, sigma_m: float) -> BoolArray:
         return np.ones(5, dtype=np.bool_)
     known: BoolArray = np.trace(seen.tip_covariances, axis1=1, axis2=2) < sigma_m**2
     return known
-
-
-_NEVER_NS: Final = 2**62

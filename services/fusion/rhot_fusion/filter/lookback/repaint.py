@@ -46,7 +46,10 @@ class Repaint:
     time_variance: float
 
     def __call__(self, frames: Sequence[Frame], states: Sequence[State]) -> list[Views]:
-        """Return the views of frames in order of time, the markers having been as the states tell."""
+        """Return the views of frames in order of time, the markers having been as the states tell.
+
+        What no camera shows of the markers is noted in the frames.
+        """
         self.paint.clear()
         hand_depths_m = [math.inf for _ in self.cameras]
         views = []
