@@ -1,4 +1,4 @@
-"""`rhot evaluate page`: measured figures as a page of the documentation, so that nobody types a figure by hand."""
+"""`rhot evaluate page`: generate the accuracy page and the README's headline figures from result files."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ _END: Final = "<!-- end of headlines -->"
 _INTRODUCTION: Final = """\
 # Accuracy and speed
 
-This page is written by a command from the files in [results](results); please do not edit it:
+This page is generated from the files in [results](results); do not edit it by hand:
 
 ```
 {command}
 ```
 
-Each part names the command that measured it, the day and the machine. For your own figures, `pip install 'rhot[bench]'`
-and run the same command with `--json FILE`.
+Each section gives the command, date and machine of its measurement. To measure on your own machine, run
+`pip install 'rhot[bench]'` and the same command with `--json FILE`.
 
-*Load* is how many processes ran or waited during the last minute, this one included. Where it exceeds the cores, others
-used the machine too, and times come out longer than on a quiet one. *Beside it* stands the same figure of the 2018 or
-2021 thesis or of another tracker. Where a target is missed, the table says so. Figures that tests assert, and older
-ones that no command writes, are in [tested.md](tested.md).
+*Load* is the load average over the last minute, including the measurement itself. If it exceeds the number of cores, other
+programs were running too, and times are longer than on an idle machine. *For comparison* gives the same figure for the
+2018 or 2021 thesis or for another tracker. Missed targets are marked. [tested.md](tested.md) lists figures that tests
+assert, and older ones that were measured by hand.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """A figure for the README.
+    """A figure shown in the README.
 
     Attributes:
-        label: what it says there.
-        file: name of the file of figures, without `.json`.
-        section: beginning of the table's title.
+        label: its name in the README.
+        file: name of the results file, without `.json`.
+        section: first words of the table's title.
         row: name of the figure.
     """
 
@@ -60,9 +60,9 @@ HEADLINES: Final = (
     Headline("photo-real grasp: fingertips, median", "pictures", "G2", "live, nothing removed, median"),
     Headline("photo-real gestures: 21 joints, mean", "pictures", "G1", "live, joints, mean"),
     Headline("simulated: false points, fast hand, 15 s", "tracking", "Points, the same motion", "false points"),
-    Headline("real hands: inner joints", "hands", "MSRA14", "PIP and DIP, from wrist and tips alone, mean"),
+    Headline("real hands: PIP and DIP joints", "hands", "MSRA14", "PIP and DIP, from wrist and tips alone, mean"),
     Headline("real foot sensors: dead reckoning", "steps", "Dead reckoning, 200", "off on average, 7 trials"),
-    Headline("cost of a camera's frame, times the thesis's", "bench", "Capture", "tracked, ours / thesis, medians"),
+    Headline("cost per camera frame, relative to the thesis", "bench", "Capture", "tracked, ours / thesis, medians"),
 )
 
 
@@ -79,12 +79,12 @@ HEADLINES: Final = (
     "--readme",
     "readme_path",
     type=click.Path(path_type=Path, dir_okay=False, exists=True),
-    help="README whose table of headline figures to renew.",
+    help="README whose table of headline figures to update.",
 )
 def page(results_path: Path, out_path: Path, readme_path: Path | None) -> None:
-    """Write a page from the figures that `rhot evaluate …` and `rhot bench` left with --json.
+    """Generate a page from the results that `rhot evaluate …` and `rhot bench` wrote with --json.
 
-    RESULTS is a folder of such files. NAME.md beside NAME.json, if there is one, introduces its figures.
+    RESULTS is a folder of such files. If there is a NAME.md beside NAME.json, it becomes the introduction of that section.
 
     \b
     rhot evaluate hands DATA --json docs/results/hands.json
@@ -101,7 +101,7 @@ def page(results_path: Path, out_path: Path, readme_path: Path | None) -> None:
 
 
 def introductions(folder: Path, results: Mapping[str, Results]) -> dict[str, str]:
-    """Return the text of NAME.md for each file of figures that has one beside it."""
+    """Return the contents of NAME.md for each results file NAME.json that has one."""
     files = {name: folder / f"{name}.md" for name in results}
     return {name: file.read_text(encoding="utf-8").strip() for name, file in files.items() if file.exists()}
 
@@ -110,8 +110,8 @@ def accuracy_page(results: Mapping[str, Results], texts: Mapping[str, str]) -> s
     """Return the page as Markdown.
 
     Args:
-        results: files of figures by name.
-        texts: introduction of each that has one.
+        results: results files by name.
+        texts: introductions by the same names; may be incomplete.
     """
     command = "rhot evaluate page docs/results --out docs/accuracy.md --readme README.md"
     parts = [_INTRODUCTION.format(command=command), _overview(results)]
@@ -124,21 +124,21 @@ def accuracy_page(results: Mapping[str, Results], texts: Mapping[str, str]) -> s
 
 
 def with_headlines(readme: str, results: Mapping[str, Results], link: str) -> str:
-    """Return a README with its table of headline figures renewed.
+    """Return the README with an updated table of headline figures.
 
     Args:
-        readme: with the two comments that enclose the table.
-        results: files of figures by name.
-        link: the page of all figures, from the README.
+        readme: its text, with the two comments that enclose the table.
+        results: results files by name.
+        link: relative link from the README to the accuracy page.
 
     Raises:
-        ConfigError: it does not hold both comments, or a headline figure is missing.
+        ConfigError: a comment or a headline figure is missing.
     """
     begin, end = readme.find(_BEGIN), readme.find(_END)
     if not 0 <= begin < end:
-        raise ConfigError(f"the README does not hold {_BEGIN} and, after it, {_END}")
+        raise ConfigError(f"the README must contain {_BEGIN} followed by {_END}")
     table = _lines(
-        ("figure", "value", "target", "beside it", "measured by"),
+        ("figure", "value", "target", "for comparison", "measured by"),
         [_headline(headline, results, link) for headline in HEADLINES],
     )
     return f"{readme[: begin + len(_BEGIN)]}\n{table}{readme[end:]}"
@@ -197,7 +197,7 @@ def _table(section: Table) -> str:
     rows = [figure.row for figure in section.rows]
     notes = list(dict.fromkeys(row.note for row in rows if row.note))
     columns = ["figure", "value", "target", ""]
-    columns += ["beside it"] if any(row.peer for row in rows) else []
+    columns += ["for comparison"] if any(row.peer for row in rows) else []
     lines = [
         (
             f"{_indented(row.name)}{f' [{notes.index(row.note) + 1}]' if row.note else ''}",
@@ -213,7 +213,7 @@ def _table(section: Table) -> str:
 
 
 def _indented(name: str) -> str:
-    """Return a name whose indentation survives in Markdown."""
+    """Replace leading spaces, which Markdown drops, with a dash."""
     return f"– {name.strip()}" if name.startswith(" ") else name
 
 
@@ -228,5 +228,5 @@ def _cell(text: str) -> str:
 
 
 def _anchor(heading: str) -> str:
-    """Return a heading's anchor as GitHub makes it."""
+    """Return GitHub's anchor for a heading."""
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
