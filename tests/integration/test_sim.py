@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -146,7 +147,9 @@ def test_a_parent_that_is_killed_leaves_no_child(simulated_rig: tuple[Path, str]
 async def test_a_rig_with_a_namespace_meets_its_services(
     said: str, simulated_rig: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder, endpoint = simulated_rig
+    shared, endpoint = simulated_rig
+    # The rig is shared with other tests of this process: they would wait in another namespace.
+    folder = shutil.copytree(shared, tmp_path / "rig")
     if said == "file":
         change_rig_file(folder, {("bus",): {"namespace": "desk1"}})
     else:

@@ -32,8 +32,12 @@ _LIST = """(() => {
 
 
 def text_shows(browser: Browser, text: str, timeout_s: float = 120.0) -> None:
-    """Wait until the page shows a text."""
-    browser.wait_for(f"document.body?.innerText.includes({json.dumps(text)})", timeout_s)
+    """Wait until the page shows a text; where it does not, say what it shows and what the browser complained of."""
+    try:
+        browser.wait_for(f"document.body?.innerText.includes({json.dumps(text)})", timeout_s)
+    except AssertionError as error:
+        shown = browser.evaluate("document.body?.innerText")
+        raise AssertionError(f"{error}; it shows {shown!r}; errors: {browser.errors}") from error
 
 
 def chosen(browser: Browser, label: str) -> str:
