@@ -30,10 +30,10 @@ This page is generated from the files in [results](results); do not edit it by h
 Each section gives the command, date and machine of its measurement. To measure on your own machine, run
 `pip install 'rhot[bench]'` and the same command with `--json FILE`.
 
-*Load* is the load average over the last minute, including the measurement itself. If it exceeds the number of cores, other
-programs were running too, and times are longer than on an idle machine. *For comparison* gives the same figure for the
-2018 or 2021 thesis or for another tracker. Missed targets are marked. [tested.md](tested.md) lists figures that tests
-assert, and older ones that were measured by hand.
+*Load* is the load average over the last minute, including the measurement itself. If it exceeds the number of cores,
+other programs were running too, and times are longer than on an idle machine. *For comparison* gives the same figure
+for the 2018 or 2021 thesis or for another tracker. Missed targets are marked. [tested.md](tested.md) lists figures that
+tests assert, and older ones that were measured by hand.
 """
 
 
@@ -84,7 +84,7 @@ HEADLINES: Final = (
 def page(results_path: Path, out_path: Path, readme_path: Path | None) -> None:
     """Generate a page from the results that `rhot evaluate …` and `rhot bench` wrote with --json.
 
-    RESULTS is a folder of such files. If there is a NAME.md beside NAME.json, it becomes the introduction of that section.
+    RESULTS is a folder of such files. If there is a NAME.md beside NAME.json, it introduces that section.
 
     \b
     rhot evaluate hands DATA --json docs/results/hands.json
