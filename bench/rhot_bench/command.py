@@ -57,9 +57,9 @@ NAMED_PARTS: Final = ("page", "soak")
 def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | None, rig_path: Path | None) -> None:
     """Measure how fast each part is on this machine, and compare with the 2018 thesis.
 
-    The thesis's algorithms are re-implemented here. They run in turns with ours on the same pictures, so the ratios
-    hold on a busy machine too. The pictures come from the simulated rig: 640x480, with all its faults. OpenCV uses
-    one thread.
+    The thesis's algorithms are re-implemented here. They alternate with ours on the same images, so the ratios are
+    valid on a busy machine too. The images come from the simulated rig: 640x480, with all its imperfections. OpenCV
+    uses one thread.
 
     \b
     capture    a frame with all markers tracked, and with all searched
@@ -75,7 +75,7 @@ def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | N
     page       two windows with the page Grasp: pose on the bus to its picture, and what they cost the tracker
     soak       hours of the running rig: memory, descriptors, threads, latency and losses, each minute
 
-    The machine should do nothing else meanwhile. This takes about two minutes, or one with --quick.
+    Run nothing else on the machine meanwhile. This takes about two minutes, or one with --quick.
     """
     check_output("--json", json_path)
     chosen = parts or PARTS

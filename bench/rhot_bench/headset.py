@@ -48,10 +48,10 @@ class _Found:
 @click.option("--seconds", type=click.FloatRange(10, 30), default=29.0, show_default=True, help="How long each looks.")
 @json_option
 def headset(seeds: int, seconds: float, json_path: Path | None) -> None:
-    """Let simulated persons look at a marker on the floor, calibrate, and compare with where the camera truly sits.
+    """Calibrate from simulated persons who look at a marker on the floor, and compare with the true camera pose.
 
-    Each has a camera that sits askew by up to 4 degrees and 2 cm about and along each axis. Pictures are drawn, and
-    coded as recordings are; the head's poses have the noise of a Vive tracker: 0.3 mm and 0.1 degrees per axis.
+    Each camera is mounted with an error of up to 4 degrees and 2 cm about and along each axis. Images are rendered and
+    encoded as in recordings; head poses have the noise of a Vive tracker: 0.3 mm and 0.1 degrees per axis.
     """
     check_output("--json", json_path)
     console = Console(stderr=True, soft_wrap=True)

@@ -42,10 +42,10 @@ _RATE_HZ: Final = 30.0
 def streams(data_path: Path, rig_path: Path | None, quick: bool, json_path: Path | None) -> None:
     """Run recorded marker tracks through fusion, and measure steps, delay and noise at rest.
 
-    DATA is a recording whose cameras hold markers.csv, or a folder of such recordings. There is no truth to
-    compare with. Steps are those between consecutive frames. The delay is how far the sideways position lags behind the
-    picture. The hand is at rest wherever the recorded pixels stay within 2 px for half a second. A masks.csv (frame,
-    one column a marker, bits 2 and 8 for glitches) only tells afterwards whether a glitch was believed.
+    DATA is a recording whose cameras hold markers.csv, or a folder of such recordings. There is no ground truth. Steps
+    are those between consecutive frames. The delay is how far the sideways position lags behind the picture. The hand
+    is at rest wherever the recorded pixels stay within 2 px for half a second. A masks.csv (frame, one column a marker,
+    bits 2 and 8 for glitches) is only used to check whether a glitch was accepted.
     """
     check_output("--json", json_path)
     found = _recordings(data_path)

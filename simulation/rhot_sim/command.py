@@ -66,7 +66,7 @@ _TO_CALIBRATE: Final = ("board", "desk_board", "touch", "headset")
     type=click.Choice(["right", "left", "both"]),
     default="right",
     show_default=True,
-    help="Hands in the simulated world. The second one's fingertips wear the paints of the first one's.",
+    help="Hands in the simulated world. Both hands have the same paints on their fingertips.",
 )
 @click.option(
     "--motion",
@@ -98,7 +98,9 @@ _TO_CALIBRATE: Final = ("board", "desk_board", "touch", "headset")
     help="With --feet: height of the person, metres.",
 )
 @click.option(
-    "--headless", is_flag=True, help="Show no web page and no live table, only a line now and then and the summary."
+    "--headless",
+    is_flag=True,
+    help="Show no web page and no live table, only occasional progress lines and the summary.",
 )
 @page_options
 @click.option(
@@ -147,7 +149,7 @@ def sim(
     Every part runs as its own process, as on a real rig: one capture service per camera, fusion, ik, objects and the
     web pages. Each capture service draws what its camera would see, with lens, noise, blur, rolling shutter, lost
     frames and its own clock. While it runs, open http://localhost:8081 to see the hand or http://localhost:8080 to work
-    on the rig, or look at any key from another terminal:
+    on the rig, or inspect any key from another terminal:
 
     \b
     rhot status
@@ -155,15 +157,16 @@ def sim(
     rhot watch rhot/hand/right
 
     With --rig, it uses a rig folder made by `rhot init RIG --sim` (or `--sim --feet`) instead of a temporary one. Its
-    rig.toml says what moves (`motion` and `walk` under [sim]), how often the cameras look, and with which seed.
+    rig.toml says what moves (`motion` and `walk` under [sim]), the cameras' frame rate, and the seed.
 
     With --motion board, the cameras see a calibration chessboard in one position after the other, and the rig runs
     until Ctrl-C: try `rhot calibrate cameras --live` on it. With --motion desk_board it lies on the desk, for `rhot
     calibrate stage --live`. With --motion touch a finger touches the faces of a box, for `rhot calibrate objects
-    --touch cube`. With --motion headset somebody looks about over a marker on the floor, with a camera that sits askew
-    on the headset, for `rhot calibrate headset --live`.
+    --touch cube`. With --motion headset a person looks at a marker on the floor through a camera that is mounted at an
+    angle on the headset, for `rhot calibrate headset --live`.
 
-    With --hands both --motion crossing, two hands touch and cross, which is what a tracker may mix up.
+    With --hands both --motion crossing, two hands touch and cross, which is when a tracker is most likely to confuse
+    them.
 
     A rig made by `rhot init RIG --sim --uncalibrated` also runs until Ctrl-C: the page's tab Calibrate leads you
     through the calibration.

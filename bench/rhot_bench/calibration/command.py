@@ -64,7 +64,7 @@ def calibration(
     connect: tuple[str, ...],
     namespace: str | None,
 ) -> int:
-    """Tell whether the cameras have moved since they were calibrated.
+    """Check whether the cameras have moved since they were calibrated.
 
     Any movement of the hand before two cameras or more will do; half a minute over all of the picture is good.
     RECORDING is a folder of pictures, videos or marker tracks, as for `rhot process`.
@@ -73,8 +73,8 @@ def calibration(
     rhot evaluate calibration RECORDING --rig RIG
     rhot evaluate calibration --live 30 --rig RIG
 
-    What one camera sees must lie on a line in the other's picture (the epipolar line). How far it lies off, and how
-    that varies over the picture and over time, tells how the cameras have turned against each other.
+    A point seen by one camera must lie on its epipolar line in the other's image. The distance from that line, and how
+    it varies over the image and over time, shows how the cameras have rotated relative to each other.
 
     The exit code is 1 when they were bumped.
     """

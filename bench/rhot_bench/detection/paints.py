@@ -36,8 +36,8 @@ def paints(saturation: float, worn: tuple[str, ...]) -> None:
     """Choose paints: the sets of five to twelve whose two most similar ones differ most.
 
     Skin and grey surroundings count as members. The largest confusion is the share of pixels of these two that may be
-    taken for the other; blobs are much surer than pixels, up to about a tenth. Brands differ: when you have painted,
-    `rhot calibrate colors` measures what your own cameras see.
+    misclassified as the other; up to about a tenth is fine, because blobs are far more reliable than single pixels.
+    Brands differ: when you have painted, `rhot calibrate colors` measures what your own cameras see.
     """
     table = Table(title=f"Paints that differ most, as seen with a saturation of {saturation:g}")
     for title in ("paints", "distance", "confusion", "most alike", "the set"):

@@ -105,8 +105,8 @@ def feet(
     """Track the feet of a simulated person and compare with the truth.
 
     Pictures of a head-worn depth camera and samples of ankle sensors, with all their faults and delays, go through the
-    core of the feet service that runs live. Beside each figure stands the 2021 thesis's tracker on the same data, and
-    what the thesis measured in its own room.
+    core of the feet service that runs live. For comparison, the 2021 thesis's tracker runs on the same data, and the
+    thesis's own measurements are listed.
 
     \b
     still, marker_moving, head_moving, sudden   the thesis's tests

@@ -91,7 +91,7 @@ def grasp(
     connect: tuple[str, ...],
     namespace: str | None,
 ) -> None:
-    """Measure how well a hand takes hold of an object: reach, close, carry, release.
+    """Measure how well grasping is tracked: reach, close, carry, release.
 
     Without DATA the simulated rig grasps a box. DATA is an MCAP file of `rhot record`, JSON Lines of `rhot process`
     with objects in it, or the folder of the rendered pictures.
@@ -101,8 +101,8 @@ def grasp(
     rhot evaluate grasp session.mcap --report grasp.html
     rhot evaluate grasp --live 60 --rig RIG
 
-    Pick-ups are found by themselves: the object moves, and thumb and a finger are near its surface. The object's shape
-    must be known, from `shape = …` under [objects.NAME] of rig.toml or by --shape.
+    Pick-ups are detected automatically: the object moves while the thumb and a finger are near its surface. The
+    object's shape must be known, from `shape = …` under [objects.NAME] of rig.toml or by --shape.
     """
     check_output("--json", json_path)
     check_output("--report", page_path)

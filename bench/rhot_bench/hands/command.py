@@ -49,8 +49,8 @@ def hands(data_path: Path, quick: bool, json_path: Path | None) -> None:
     """Predict the inner joints of recorded hands from wrist and tips, and compare with the recording.
 
     DATA is a folder with any of msra14_dev.csv, nyu_dev.csv and fpha/S1_*.csv: columns JOINT_x, JOINT_y, JOINT_z in
-    millimetres. Bone lengths come from other frames of the same person. Beside each figure stands plain FABRIK on
-    the same frames: with our bone lengths and knuckles, without limits and coupling, from a slightly bent start.
+    millimetres. Bone lengths come from other frames of the same person. For comparison, plain FABRIK runs on the same
+    frames: with our bone lengths and knuckles, without limits and coupling, from a slightly bent start.
     """
     check_output("--json", json_path)
     if data_path.is_dir() and (data_path / "hand_motion").is_dir():

@@ -46,7 +46,7 @@ _NAMES: Final = {"60": STRATA[0], "30": STRATA[1], "15": STRATA[2], "family": ST
     type=click.Choice(["develop", "held-back"]),
     default="develop",
     show_default=True,
-    help="Half of the family; the other one is for the last look, so that nothing is tuned to it.",
+    help="Half of the family; held-back is for final validation only, so that nothing is tuned to it.",
 )
 @click.option(
     "--markers",
@@ -70,15 +70,15 @@ def motion(
     first: int,
     json_path: Path | None,
 ) -> None:
-    """Track recorded hand motion before random rigs, and compare points and hands with the truth.
+    """Track recorded hand motion with random simulated rigs, and compare points and hands with ground truth.
 
     DATA is a folder with recorded joints (msra14_*.csv, nyu_*.csv, fpha/S*_*.csv), or one that holds it as hand_motion.
     Each rig is drawn from a family (15 to 120 fps, any phase, 2 to 4 cameras, rolling shutters, lost frames, a
     calibration as wrong as it states) and looks at another clip, hand, paint and patch. Fingers, palm and an object in
     the hand hide what lies behind them.
 
-    Beside the tracker, on the very same tracks, stand a plain filter per marker (causal) and a cubic spline per camera
-    and marker (looks back). The same seeds give the same figures.
+    For comparison, two references run on the same tracks: a plain filter per marker (causal) and a cubic spline per
+    camera and marker (offline). The same seeds give the same figures.
     """
     check_output("--json", json_path)
     list_recordings(data_path)

@@ -97,9 +97,9 @@ def pictures(
     """Track photo-real pictures of another rig and another hand, and score them with their own scorer.
 
     DATA is the folder of the rendered pictures, or the one that holds it. Cameras and colours are calibrated from its
-    chessboards and its colour reference by `rhot calibrate`, the hand by two measures of a ruler. Beside the tracker
-    stand two references on the same detections: a plain filter per marker (causal) and a cubic spline per camera and
-    marker (looks back).
+    chessboards and its colour reference by `rhot calibrate`, the hand by two ruler measurements. For comparison, two
+    references run on the same detections: a plain filter per marker (causal) and a cubic spline per camera and marker
+    (offline).
     """
     check_output("--json", json_path)
     data = require_pictures(data_path)

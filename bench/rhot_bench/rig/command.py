@@ -107,8 +107,8 @@ def rig(
     depth   disparity at measured distances, and the depth law through them (see `rhot calibrate depth`)
     grasp   the phases of grasping, as `rhot evaluate grasp`
 
-    Every figure has an interval that holds the truth in 95 of 100 cases, which takes into account that neighbouring
-    samples are alike. On `rhot sim` the truth stands beside the figures; the depth session then takes it as its ruler.
+    Every figure has a 95 % confidence interval that accounts for the correlation of neighbouring samples. On `rhot sim`
+    the report also shows ground truth; the depth session then uses it instead of a ruler.
     """
     check_output("--json", json_path)
     check_output("--report", page_path)

@@ -74,10 +74,11 @@ def tracking(
     page_path: Path | None,
     rig_path: Path | None,
 ) -> None:
-    """Track simulated pictures and compare every point and joint with the truth.
+    """Track simulated images and compare every point and joint with ground truth.
 
-    The pictures have all faults of the simulated rig: lens, noise, blur, rolling shutter, drifting light, lost frames,
-    cameras out of step and a calibration with errors. The cores of capture, fusion and ik that run live track them.
+    The images have all imperfections of the simulated rig: lens distortion, noise, blur, rolling shutter, drifting
+    light, lost frames, unsynchronised cameras and calibration errors. They are tracked by the same code that runs live
+    in capture, fusion and ik.
 
     \b
     script  gestures and grasps: accuracy, swaps, false points, occlusions, the whole hand

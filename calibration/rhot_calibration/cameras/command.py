@@ -95,8 +95,9 @@ def cameras(
     right/000001.png; those of the same number were taken together. Take 20 to 40: the board still, near and far, in
     every part of the picture, tilted by 20 to 40 degrees in all directions. `rhot calibrate board` draws one to print.
 
-    Pictures that do not fit are left out by name. What cannot be right is refused, and nothing is written then. The
-    result is cameras.json in the rig folder, with its quality figures; the former one is kept as cameras.previous.json.
+    Pictures that do not fit are excluded and listed. An implausible result is rejected, and nothing is written. The
+    result is cameras.json in the rig folder, with its quality figures; the previous file is kept as
+    cameras.previous.json.
     """
     rig = load_rig(rig_path)
     console = Console(soft_wrap=True, markup=False, highlight=False, width=max(Console().width, 118))

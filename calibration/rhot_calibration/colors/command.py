@@ -39,7 +39,7 @@ _PICTURES: Final = (".png", ".jpg", ".jpeg")
     "picks",
     multiple=True,
     metavar="NAME=U,V[@PICTURE]",
-    help="A place on a marker, pixels from the upper left. Repeat for each marker.",
+    help="A point on a marker, in pixels from the upper left. Repeat for each marker.",
 )
 @click.option(
     "--box",
@@ -112,9 +112,9 @@ def colors(
     named for one (left.png, left/000000.jpg), let cameras differ in white balance and exposure. A marker that is not
     shown gets no colour and is never reported.
 
-    Writes colors.json; the one before becomes colors.previous.json. Two tables say how well the colours can be told
-    apart: each marker's nearest other one, and what share of every class's pixels will be taken for which other. Pairs
-    that will be mixed up are named, with a better paint.
+    Writes colors.json; the previous file is kept as colors.previous.json. Two tables show how well the colours can be
+    distinguished: each marker's most similar other one, and the confusion matrix of all classes. Pairs that will be
+    confused are listed, with a better paint.
     """
     _check_options(images, picks, boxes, live, save_path, import_path, settings_path)
     for path, suffixes in ((report_path, _PICTURES), (preview_path, (".jpg", ".jpeg"))):

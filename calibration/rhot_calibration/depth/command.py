@@ -55,7 +55,7 @@ def _number(file: Path, line: int, name: str, text: str | None) -> float:
 @click.argument("table", metavar="TABLE.csv", type=click.Path(path_type=Path, dir_okay=False))
 @click.option("--focal-px", type=click.FloatRange(min=1.0), help="Focal length, to say what the physical law means.")
 def depth(table: Path, focal_px: float | None) -> None:
-    """Fit the law from disparity to depth to measured distances.
+    """Fit the disparity-to-depth law to measured distances.
 
     TABLE.csv has one row per distance, with a header: distance_cm and either disparity_px or left_x and right_x (where
     the marker is in both pictures). Hold a marker at ten or more measured distances over the range that you use.

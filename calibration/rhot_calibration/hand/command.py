@@ -75,7 +75,7 @@ def hand(
 ) -> None:
     """Measure a hand (bone lengths, positions of its markers) and write hand.json into the rig folder.
 
-    The one before becomes hand.previous.json.
+    The previous file is kept as hand.previous.json.
 
     \b
     rhot calibrate hand take.mcap --rig myrig         a recording, or a .jsonl file of `rhot process`
@@ -89,11 +89,11 @@ def hand(
     2. KNUCKLES, 10 s  fingers kept straight, bent at the knuckles only: down to 60° or more and up, three times
     3. FREE, 6 s       bend everything as you like; this only checks the result
 
-    Flat fingers tell how far the tips reach. Straight fingers that bend at the knuckles move on circles, which tell
-    where the knuckles are and how long the fingers are. How a finger divides into its bones, and the thumb, follow from
-    the proportions of an average hand, as does all that a recording does not show; the table says which is which and
-    how surely: measured is within 2 mm, roughly measured within 4 mm. A length by a ruler beside the recording
-    (--length-mm) sharpens the rest.
+    Flat fingers give the reach of the tips. Straight fingers that bend at the knuckles move on circles, which give the
+    knuckle positions and finger lengths. The individual bones, the thumb and everything else that a recording does not
+    show follow from the proportions of an average hand; the table states the source and accuracy of each length:
+    measured is within 2 mm, roughly measured within 4 mm. An additional ruler measurement (--length-mm) improves the
+    rest.
     """
     ways = (recording_path is not None) + live
     if ways == 2 or (ways == 0 and length_mm is None and width_mm is None):

@@ -24,7 +24,7 @@ _SAY_EVERY: Final = 25
 
 @click.command()
 @click.argument("recording", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path, file_okay=False))
-@click.option("--live", is_flag=True, help="Look now, through the running rig.")
+@click.option("--live", is_flag=True, help="Use the running rig.")
 @click.option("--marker", "marker_id", type=click.IntRange(0), help="Number of the marker.  [default: the left foot's]")
 @click.option(
     "--size-mm", type=click.FloatRange(5, 500), help="Side of its black square.  [default: marker_size_m of [feet]]"
@@ -46,18 +46,18 @@ def headset(
     connect: tuple[str, ...],
     namespace: str | None,
 ) -> None:
-    """Find where the feet's camera sits on the headset: its position, pitch, yaw and roll.
+    """Find the pose of the feet's camera on the headset: its position, pitch, yaw and roll.
 
     Lay one of the feet's markers flat on the floor half a metre before you (nobody may wear it meanwhile), put the
     headset on and look at it from all sides for half a minute: nod, turn and tilt your head, lean to all sides, bend
-    your knees. A larger marker of the same kind is better still: name it with --marker and --size-mm.
+    your knees. A larger marker of the same kind is even better: specify it with --marker and --size-mm.
 
     \b
     rhot calibrate headset --live --rig RIG
     rhot calibrate headset walk --rig RIG         a folder of `rhot record --frames`
 
-    Writes headset.json, which holds in place of pitch_deg and position_m of [feet.camera]; the one before becomes
-    headset.previous.json. `rhot feet` takes it at the next start (`rhot start`).
+    Writes headset.json, which overrides pitch_deg and position_m of [feet.camera]; the previous file is kept as
+    headset.previous.json. `rhot feet` loads it at the next start (`rhot start`).
     """
     rig = load_rig(rig_path)
     feet = rig.config.feet

@@ -145,15 +145,15 @@ def objects(
     tracker_x_m, tracker_y_m, tracker_z_m, tracker_qx, tracker_qy, tracker_qz, tracker_qw (the device in the tracking
     system's space) and, where known, sigma_m (noise of each coordinate).
 
-    Once that is done, --touch finds where an object with a `shape` in rig.toml sits on its tracker. Touch the faces
-    that are named with a tracked fingertip and hold still; a touch is taken by itself. Faces of a box: top (+y),
+    Once that is done, --touch finds where an object with a `shape` in rig.toml sits on its tracker. Touch the named
+    faces with a tracked fingertip and hold still; each touch is recorded automatically. Faces of a box: top (+y),
     bottom, front (+z), back, right (+x), left; of a cylinder: top (+z), bottom, side; a sphere: anywhere.
 
     \b
     rhot calibrate objects --touch cup --rig RIG
     rhot calibrate objects --touch cup TOUCHES.mcap --rig RIG
 
-    Writes registration.SOURCE.json, such as registration.steamvr.json; the one before becomes
+    Writes registration.SOURCE.json, such as registration.steamvr.json; the previous file is kept as
     registration.SOURCE.previous.json.
     """
     rig = load_rig(rig_path)

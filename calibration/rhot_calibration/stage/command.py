@@ -72,7 +72,7 @@ def stage(
     connect: tuple[str, ...],
     namespace: str | None,
 ) -> None:
-    """Find the floor: a frame with y up and its origin on the floor, which games, avatars and labs want.
+    """Find the floor: define a frame with y up and its origin on the floor, as games, avatars and lab software expect.
 
     Lay the calibration board flat on the desk, in view of the cameras, and measure how high the desk is:
 
@@ -85,7 +85,8 @@ def stage(
     own pictures will do when the board lay on the desk in two of them or more. With --registration the floor is that
     of SteamVR's room setup, and nothing needs to be measured.
 
-    Writes stage.json; the one before becomes stage.previous.json. The running rig publishes it on rhot/space/stage.
+    Writes stage.json; the previous file is kept as stage.previous.json. The running rig publishes it on
+    rhot/space/stage.
     """
     rig = load_rig(rig_path)
     if sum((recording is not None, live, registration)) != 1:

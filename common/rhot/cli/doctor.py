@@ -274,7 +274,7 @@ def _check_service(name: str, status: ServiceStatus) -> Iterator[Finding]:
 @rig_option
 @bus_options
 def doctor(rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> int:
-    """Check this machine, the rig folder and the running rig; every finding says what to do.
+    """Check this machine, the rig folder and the running rig; every finding includes a remedy.
 
     The exit code is 1 when something is BAD.
     """

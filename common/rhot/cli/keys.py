@@ -76,7 +76,7 @@ def add(name: str, role: RoleKind, camera: str | None, rig_path: Path) -> None:
     feet      publishes feet
     services  publishes everything that is tracked, owns the clock
 
-    The router knows the new name when it is started again.
+    The router accepts the new name after a restart.
     """
     try:
         holder = Holder(role=role, camera=camera)
@@ -89,7 +89,7 @@ def add(name: str, role: RoleKind, camera: str | None, rig_path: Path) -> None:
 @click.argument("name")
 @rig_option
 def remove(name: str, rig_path: Path) -> None:
-    """Take the rights of the holder NAME away, such as those of a stolen Pi."""
+    """Revoke the certificate of the holder NAME, such as that of a stolen Pi."""
     _making().remove_holder(rig_path, name)
     click.echo(f"{name} removed; start the router again")
 
@@ -98,7 +98,7 @@ def remove(name: str, rig_path: Path) -> None:
 @click.argument("bundle", type=click.File("rb"))
 @rig_option
 def install(bundle: Any, rig_path: Path) -> None:
-    """Take over the BUNDLE that `rhot keys` made for this machine; - reads it from standard input."""
+    """Install the BUNDLE that `rhot keys` made for this machine; - reads it from standard input."""
     written = install_bundle(bundle.read(MAX_BUNDLE_BYTES + 1), rig_path)
     click.echo(f"{rig_path}: {', '.join(written)} written; start the services of this machine again")
 
@@ -106,7 +106,7 @@ def install(bundle: Any, rig_path: Path) -> None:
 @keys.command(name="list")
 @rig_option
 def list_holders(rig_path: Path) -> None:
-    """Show who holds a certificate, and until when."""
+    """List certificates, with their holders and expiry dates."""
     for name, holder in load_roles(rig_path / KEYS_FOLDER).holders.items():
         camera = f" {holder.camera}" if holder.camera else ""
         click.echo(f"{name:24} {holder.role}{camera}, until {holder.expires}")

@@ -21,7 +21,10 @@ _COMMANDS: Final = {
         "Tell every service of the rig to start at the same moment.", "rhot.cli.operate.start_stop:start"
     ),
     "stop": LazyCommand("Tell every service of the rig to stop.", "rhot.cli.operate.start_stop:stop"),
-    "status": LazyCommand("Show which services are alive and how well they do.", "rhot.cli.operate.status:status"),
+    "status": LazyCommand(
+        "Show which services are running, with their rates, losses, latency and errors.",
+        "rhot.cli.operate.status:status",
+    ),
     "get": LazyCommand("Print the last value of keys as JSON.", "rhot.cli.operate.inspect:get"),
     "watch": LazyCommand("Print messages as JSON as they arrive.", "rhot.cli.operate.inspect:watch"),
     "config": LazyCommand("Show or change a running service's configuration.", "rhot.cli.operate.configure:config"),
@@ -67,7 +70,7 @@ _CALIBRATIONS: Final = {
     "board": LazyCommand("Draw a calibration board, to print.", extra="pc"),
     "markers": LazyCommand("Draw the markers for the feet, to print.", extra="pc"),
     "colors": LazyCommand("Learn the markers' colours from pictures, or import them.", extra="capture"),
-    "depth": LazyCommand("Fit the law from disparity to depth to measured distances.", extra="fusion"),
+    "depth": LazyCommand("Fit the disparity-to-depth law to measured distances.", extra="fusion"),
     "hand": LazyCommand("Measure a hand: bone lengths and where its markers are.", extra="pc"),
     "objects": LazyCommand("Register the space of a tracking system to the rig.", extra="objects"),
     "stage": LazyCommand("Find the floor, from a board on the desk or a registered tracking system.", extra="pc"),
@@ -91,7 +94,7 @@ _EVALUATIONS: Final = {
     "steps": LazyCommand("Track feet on recordings of real sensors and cameras.", extra="bench"),
     "thesis": LazyCommand("Repeat the 2018 thesis's tables, with our figures beside them.", extra="bench"),
     "rig": LazyCommand("Measure your own rig: jitter, stage times, depth and grasping, as one report.", extra="bench"),
-    "calibration": LazyCommand("Tell whether the cameras have moved since they were calibrated.", extra="pc"),
+    "calibration": LazyCommand("Check whether the cameras have moved since they were calibrated.", extra="pc"),
     "page": LazyCommand("Write measured figures as a page of the documentation.", extra="bench"),
 }
 

@@ -70,8 +70,8 @@ def bridge(target: str | None, rig_path: Path, connect: tuple[str, ...], namespa
     TABLE
     or the NAME of a [bridges.NAME] of rig.toml. Without TARGET all of those run, as they do in `rhot up`.
 
-    Most programs want positions above a floor; `rhot doctor` tells whether yours is known. What to click in each
-    program stands in docs/bridges.md.
+    Most programs expect positions relative to a floor; `rhot doctor` shows whether it is known. docs/bridges.md
+    explains the setup of each program.
     """
     known = load_config(rig_path).bridges if (rig_path / RIG_FILE).exists() else {}
     given = {name: value for name, value in settings.items() if value not in (None, ())}

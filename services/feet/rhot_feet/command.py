@@ -19,8 +19,8 @@ from rhot_feet.service import FeetService
 def feet(rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> int:
     """Track the feet with a depth camera on the head and sensors on the ankles, until Ctrl-C.
 
-    Reads rhot/head and publishes rhot/foot/left and rhot/foot/right. If a camera or a sensor is unplugged,
-    the service looks for it every two seconds and goes on with what is left.
+    Reads rhot/head and publishes rhot/foot/left and rhot/foot/right. If a camera or a sensor is unplugged, the service
+    tries to reopen it every two seconds and continues with the others.
     """
     # One core is the budget; OpenCV's own threads would take it from the others and jitter more.
     cv2.setNumThreads(1)

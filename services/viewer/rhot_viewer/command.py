@@ -76,17 +76,17 @@ def viewer(
 ) -> int:
     """Show the running rig as a web page, until Ctrl-C.
 
-    Open http://localhost:8080 in a browser: the hand and what else is tracked, what each camera sees, how every service
-    does, and sliders for the cameras. Several browsers may look at once. Nothing is fetched from the internet.
+    Open http://localhost:8080 in a browser: the hand and what else is tracked, what each camera sees, the state of
+    every service, and sliders for the cameras. Several browsers may connect at once. Nothing is loaded from the
+    internet.
 
-    Only this machine can open the page. For a tablet, add --host 0.0.0.0: the log then shows two links, one to look
-    and one to change things, too. Without a link nobody on the network gets in, and no website that you visit
-    meanwhile can talk to the page.
+    Only this machine can open the page. For a tablet, add --host 0.0.0.0: the log then shows two links, one read-only
+    and one with full access. Other machines cannot connect without a link, and websites that you visit cannot access
+    the page.
 
-    With --xr it is the page Grasp (docs/grasp.md): the tracked hand takes hold of the tracked object's twin, with a
-    mouse on a desktop or through a headset's browser. Both pages can run side by side, each on its own port. A
-    stand-alone headset needs https: --xr uses the rig's certificates (`rhot keys make`) as soon as --host lets other
-    machines in.
+    With --xr it is the page Grasp (docs/grasp.md): the tracked hand grasps the tracked object's twin, on a desktop or
+    in a headset's browser. Both pages can run side by side, each on its own port. A stand-alone headset needs https:
+    --xr uses the rig's certificates (`rhot keys make`) as soon as --host lets other machines in.
     """
     # It logs every connection; the page itself reports who looks.
     logging.getLogger("websockets").setLevel(logging.WARNING)

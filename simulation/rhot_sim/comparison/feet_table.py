@@ -1,4 +1,4 @@
-"""The figures of a run with feet as people read them."""
+"""Tables of the figures of a run with feet, for the terminal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def live_feet_table(
 ) -> RenderableType:
     """Return the table that is shown while the person walks; see `rhot_sim.comparison.table.live_table`."""
     head = Text.assemble(
-        ("RHOT simulated feet", "bold"), f"   {elapsed_s:5.1f} of {duration_s:.0f} s   ", ("Ctrl-C ends it", "dim")
+        ("RHOT simulated feet", "bold"), f"   {elapsed_s:5.1f} of {duration_s:.0f} s   ", ("Ctrl-C to stop", "dim")
     )
     tracking = figures_table("tracked", "rate /s", "error median mm", "error p95 mm", "worst mm", "age p50 ms")
     tracking.add_column("stages")
@@ -43,7 +43,7 @@ def live_feet_table(
 
 
 def feet_summary(report: Mapping[str, Any]) -> RenderableType:
-    """Return the summary that ends a run; every number of it stands in the report."""
+    """Return the summary printed at the end of a run; all of its figures are in the report."""
     table = figures_table("figure", "value", title="Summary")
     table.add_column("")
 
@@ -52,16 +52,16 @@ def feet_summary(report: Mapping[str, Any]) -> RenderableType:
 
     rows = [
         ("foot poses per second", number_text(report, "rate_hz"), f"camera at {report['camera_rate_hz']:g} Hz"),
-        ("pictures per second", number_text(report, "pictures_hz"), "that were drawn in time and tracked"),
+        ("pictures per second", number_text(report, "pictures_hz"), "rendered in time and tracked"),
         ("measured", f"{100 * report['measured']:.1f} %", stages_text(report)),
         ("foot error, median", millimetres("foot_error_mm", "median"), "centre of the marker, measured feet"),
         ("foot error, p95", millimetres("foot_error_mm", "p95"), ""),
         ("foot error, worst", millimetres("foot_error_mm", "max"), ""),
-        ("predicted feet, p95", millimetres("predicted_error_mm", "p95"), "while nothing backs them"),
+        ("predicted feet, p95", millimetres("predicted_error_mm", "p95"), "without any measurement"),
         ("knee error, median", millimetres("knee_error_mm", "median"), f"{report['knees_backwards']} bent backwards"),
-        ("latency, p50", f"{number_text(report, 'latency_ms', 'p50')} ms", "from the pose's own time to the reader"),
+        ("latency, p50", f"{number_text(report, 'latency_ms', 'p50')} ms", "from the pose's timestamp to the reader"),
         ("latency, p99", f"{number_text(report, 'latency_ms', 'p99')} ms", ""),
-        ("cores of the feet service", number_text(report, "feet_cores", digits=2), "without drawing the pictures"),
+        ("cores of the feet service", number_text(report, "feet_cores", digits=2), "without rendering"),
     ]
     for row in rows:
         table.add_row(*row)

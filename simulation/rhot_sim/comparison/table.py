@@ -1,4 +1,4 @@
-"""The figures of a run as people read them."""
+"""Tables of a run's figures for the terminal."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def live_table(
         services: table of the services.
     """
     head = Text.assemble(
-        ("RHOT simulated rig", "bold"), f"   {elapsed_s:5.1f} of {duration_s:.0f} s   ", ("Ctrl-C ends it", "dim")
+        ("RHOT simulated rig", "bold"), f"   {elapsed_s:5.1f} of {duration_s:.0f} s   ", ("Ctrl-C to stop", "dim")
     )
     tracking = figures_table("tracked", "rate /s", "error median mm", "error p95 mm", "age p50 ms", "age p99 ms")
     tracking.add_row(
@@ -57,7 +57,7 @@ def live_table(
 
 
 def summary(report: Mapping[str, Any]) -> RenderableType:
-    """Return the summary that ends a run; every number of it stands in the report."""
+    """Return the summary printed at the end of a run; all of its figures are in the report."""
     table = figures_table("figure", "value", title="Summary")
     table.add_column("", style="dim")
     coverage = f"{100 * report['coverage']:.2f} %" if "coverage" in report else _NOTHING
@@ -67,8 +67,12 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
 
     rows = [
         ("hand poses per second", number_text(report, "rate_hz"), f"cameras at {report['camera_rate_hz']:g} Hz"),
-        ("coverage", coverage, f"measured, of {report.get('coverage_samples', 0)} in view of two cameras"),
-        ("fingertip error, median", millimetres("fingertip_error_mm", "median"), "tip joint of the hand against truth"),
+        ("coverage", coverage, f"measured, of {report.get('coverage_samples', 0)} visible to two cameras"),
+        (
+            "fingertip error, median",
+            millimetres("fingertip_error_mm", "median"),
+            "tip joint of the hand, against ground truth",
+        ),
         ("fingertip error, p95", millimetres("fingertip_error_mm", "p95"), ""),
         ("marker error, median", millimetres("point_error_mm", "median"), "centre of the paint, before ik"),
         ("joint error, median", millimetres("joint_error_mm", "median"), "all 26 joints"),
@@ -80,7 +84,7 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
         ),
         ("latency, p99", f"{number_text(report, 'latency_ms', 'p99')} ms", ""),
         ("frames dropped as late", str(report["dropped_late"]), f"after the first {report['steady_from_s']:g} s"),
-        ("frames lost by cameras", str(report["missed"]), "2 in 100 on purpose; more where this machine is busy"),
+        ("frames lost by cameras", str(report["missed"]), "2 % by design; more if this machine is busy"),
     ]
     for row in rows:
         table.add_row(*row)

@@ -69,7 +69,7 @@ class TruthService:
 @rig_option
 @bus_options
 def truth(rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> int:
-    """Publish rhot/truth, what is true in the simulated world, until Ctrl-C."""
+    """Publish rhot/truth, the ground truth of the simulated world, until Ctrl-C."""
     # It must not disturb what it is there to judge.
     os.nice(5)
     return run_service(TruthService(load_rig(rig_path)), tool_bus(rig_path, connect, namespace))

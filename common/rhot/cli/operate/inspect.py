@@ -80,7 +80,7 @@ async def _get(bus_config: BusConfig, selector: str, timeout_s: float) -> list[R
 def get(
     key_expr: str, raw: bool, timeout_s: float, rig_path: Path, connect: tuple[str, ...], namespace: str | None
 ) -> None:
-    """Print the last value of every key that matches KEYEXPR, one JSON object a line.
+    """Print the last value of every key that matches KEYEXPR, one JSON object per line.
 
     \b
     rhot get 'rhot/**'                       everything there is
@@ -144,7 +144,7 @@ def watch(
     connect: tuple[str, ...],
     namespace: str | None,
 ) -> None:
-    """Print messages on KEYEXPR as they come, one JSON object a line, until Ctrl-C.
+    """Print messages on KEYEXPR as they arrive, one JSON object per line, until Ctrl-C.
 
     \b
     rhot watch 'rhot/hand/right' --count 1

@@ -45,9 +45,9 @@ async def _route(config: BusConfig) -> int:
 @namespace_option
 @rig_option
 def router(listen: tuple[str, ...], rig_path: Path, namespace: str | None) -> int:
-    """Connect all services of a rig until Ctrl-C; any Zenoh router of the same version will do, too.
+    """Connect all services of a rig, until Ctrl-C. Any Zenoh router of the same version works too.
 
-    One router serves several namespaces. With certificates it lets them into the rig's own alone.
+    One router serves several namespaces. With certificates, clients can only access the namespace of the rig.
     """
     bus = load_config(rig_path).bus if (rig_path / RIG_FILE).exists() else BusConfig()
     bus = overridden(bus, (), namespace)

@@ -93,7 +93,7 @@ def start(
     connect: tuple[str, ...],
     namespace: str | None,
 ) -> None:
-    """Tell every service of the rig to start at one moment; those that join later follow by themselves."""
+    """Tell every service of the rig to start at the same time. Services that join later start automatically."""
     config = tool_bus(rig_path, connect, namespace)
     if auto:
         if load_config(rig_path).autostart:

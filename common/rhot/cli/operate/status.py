@@ -27,12 +27,11 @@ async def _fetch(config: BusConfig) -> tuple[set[str], dict[str, ServiceStatus]]
 @rig_option
 @bus_options
 def status(as_json: bool, rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> None:
-    """Show which services are alive and how well they do.
+    """Show which services are running, with their rates, losses, latency and errors.
 
-    A row says how many messages a service publishes per second, how many frames it dropped as late, how many its source
-    lost, how many invalid messages it refused, how old its output is when it leaves, and how well it knows rig time.
-    Problems are listed below the table. --json holds everything that a service reports, such as all counts and the
-    latency of each stage.
+    Each row shows the messages published per second, frames dropped as late, frames lost by the source, invalid
+    messages rejected, the age of the output when it is sent, and the uncertainty of the clock. Problems are listed
+    below the table. --json holds everything that a service reports, such as all counts and the latency of each stage.
     """
     alive, statuses = asyncio.run(_fetch(tool_bus(rig_path, connect, namespace)))
     if not alive and not statuses:

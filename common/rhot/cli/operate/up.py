@@ -37,9 +37,9 @@ def up(
 
     So do the bridges to other programs that rig.toml names, as [bridges.NAME].
 
-    The capture services run on the Pis (rhot capture --camera NAME) and join by themselves. If a router already
-    answers, it is used instead of a second one; where another rig tracks on it, this one is refused. With --connect
-    there must be one. A service that ends by itself is started again.
+    The capture services run on the Pis (rhot capture --camera NAME) and connect automatically. If a router is already
+    running, it is used; if another rig is already active on it, this command exits with an error. With --connect, a
+    router must be running. A service that exits unexpectedly is restarted.
     """
     pages = free_pages(page_port) if viewer else Pages()
     bus_config = tool_bus(rig_path, connect, namespace)

@@ -71,12 +71,12 @@ def _time(_: click.Context, __: click.Parameter, text: str) -> float:
 def explain(
     context: click.Context, recording_path: Path, at: float, out_path: Path, lead_s: float, rig_path: Path
 ) -> None:
-    """Show why a recording was tracked as it was at one moment, as one page to attach to a report.
+    """Explain how one moment of a recording was tracked, as an HTML page to attach to a bug report.
 
-    RECORDING is an MCAP file of `rhot record`, or a folder of pictures, videos or marker tracks. The very cores of the
-    live rig run over the seconds before the moment. The page shows the pictures, if `rhot record --frames` took them,
-    with every candidate and why it was taken or refused, the gates, the filters and the hand. The rig is the one that
-    the recording has attached, unless --rig names another.
+    RECORDING is an MCAP file of `rhot record`, or a folder of pictures, videos or marker tracks. The same code as in
+    the live rig processes the seconds before that moment. The page shows the pictures, if `rhot record --frames` took
+    them, with every candidate and why it was accepted or rejected, the gates, the filters and the hand. The rig is the
+    one stored in the recording, unless --rig names another.
 
     \b
     rhot explain grasp.mcap --at 12.5 --out report.html

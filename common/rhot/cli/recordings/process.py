@@ -57,12 +57,12 @@ def _output(file: Path) -> Iterator[IO[str]]:
 @click.option(
     "--smooth",
     is_flag=True,
-    help="Use the frames after each moment too, for the best paths; a live rig cannot do that. Marker frames are "
+    help="Also use later frames, for the most accurate paths; a live rig cannot do that. Marker frames are "
     "written first, then points and hands.",
 )
 @rig_option
 def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth: bool, rig_path: Path) -> None:
-    """Track a recording and write every published message as one JSON object a line.
+    """Track a recording and write every message that would be published, one JSON object per line.
 
     RECORDING is a folder that holds, per camera of the rig, pictures with timestamps.csv, a video, or marker tracks
     (markers.csv), and, for feet, what `rhot record --frames` wrote of the depth camera, the ankle sensors and the head.

@@ -237,9 +237,9 @@ def record(
     Every message is kept as it was sent, with its time, and the settings of the rig folder go with it. `rhot replay`
     puts a recording back on the bus, `rhot export` makes tables and animations of it, and any MCAP tool opens it.
 
-    With --frames the capture services also send every picture in which they looked for markers, as JPEG of quality 90,
-    after the messages and only while somebody records; the feet service sends colour and depth of its camera, and the
-    ankles' sensors. `rhot process` tracks such a folder again.
+    With --frames the capture services also send every image that they process, as JPEG of quality 90, after the
+    messages and only during a recording; the feet service sends colour and depth of its camera, and the ankles'
+    sensors. `rhot process` tracks such a folder again.
 
     \b
     rhot record                                until Ctrl-C, into recordings/

@@ -267,9 +267,9 @@ def replay(
     sees the recorded one, with its recorded times; a router must run (`rhot router`). Keys that a running service
     publishes are refused.
 
-    Services do not believe messages from the past. With --now times are moved to today, and with --only markers a
-    running fusion and ik (`rhot up`) track the recorded markers again. At another pace than 1 the hand then moves at
-    another speed, too.
+    Services reject messages from the past. With --now the times are shifted to the present, and with --only markers a
+    running fusion and ik (`rhot up`) track the recorded markers again. At a rate other than 1 the hand then also moves
+    at a different speed.
 
     \b
     rhot replay grasp.mcap
