@@ -1,4 +1,4 @@
-"""What fusion knows of each marker and why it believed the cameras or not; reads, changes nothing."""
+"""Explain fusion: the state of each marker, and why views were accepted or rejected (read-only)."""
 
 from __future__ import annotations
 

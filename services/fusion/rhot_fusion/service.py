@@ -1,6 +1,6 @@
 """The fusion service: newest marker frames in, points out; owns the rig clock.
 
-What the rig folder knows of further frames, such as the floor's, is published beside.
+It also publishes the further frames that the rig folder defines, such as the floor's.
 """
 
 from __future__ import annotations

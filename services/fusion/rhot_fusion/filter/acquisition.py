@@ -1,4 +1,4 @@
-"""The hands of a rig, and which markers are in their filters: how they begin, go on elsewhere, and end."""
+"""Track management for the hands of a rig: initialising, relocating and dropping markers."""
 
 from __future__ import annotations
 

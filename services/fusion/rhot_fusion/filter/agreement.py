@@ -1,8 +1,8 @@
-"""Do the cameras still stand as they were calibrated? Watched on the epipolar residuals of all markers while they run.
+"""Online check of the calibration, from the epipolar residuals of all markers.
 
-A calibrated rig is believed until its views contradict it: a systematic residual beyond what `rhot doctor` allows, told
-by enough views, is a bump. It is reported, and from then on the views are corrected by what was learnt (`epipolar`), as
-those of a rig that was never calibrated are from the start.
+The calibration is trusted until the views contradict it: a systematic residual beyond the limit of `rhot doctor`, in
+enough views, means that a camera was bumped. This is reported, and from then on the views are corrected by the
+estimated residual (`epipolar`), as they are from the start in a rig that was never calibrated.
 """
 
 from __future__ import annotations

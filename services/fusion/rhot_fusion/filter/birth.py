@@ -1,4 +1,4 @@
-"""Beginning a marker: from two views of different cameras and times, or from one on a ray.
+"""Initialising a marker: from two views of different cameras and times, or from one view on a ray.
 
 The state (p, v) behind views (x_k, y_k) at times t_k, with a prior of the velocity, by Gauss–Newton on the reprojection
 error; its covariance is the inverse of the information (Hartley and Zisserman, "Multiple View Geometry", 2nd ed.,

@@ -1,4 +1,4 @@
-"""Finding markers that are not known, or that are elsewhere: places on which the newest views of two cameras agree."""
+"""Candidate positions of unknown or misplaced markers, on which the newest views of two cameras agree."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far each camera's pixels are trusted: what its calibration states, and what its innovations teach.
+"""Pixel noise of each camera: the stated calibration error, and an estimate from its innovations.
 
 With S the covariance of an innovation y, r² of it the pixels' own, the log-likelihood −½ (log |S| + yᵀ S⁻¹ y) has the
 derivative ½ (yᵀ S⁻² y − tr S⁻¹) by r² and the expected curvature ½ tr S⁻². Each innovation so asks for

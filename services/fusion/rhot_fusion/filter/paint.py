@@ -1,4 +1,4 @@
-"""From the middle of the paint that a camera sees to the middle of the marker.
+"""Correction from the centre of the visible paint to the centre of the marker.
 
 A fingertip is round, so a camera sees the paint on the side that faces it. Of a finger along d, with c = d·u for the
 direction u to the camera, the middle of that side lies off the finger's axis, and in the picture that is

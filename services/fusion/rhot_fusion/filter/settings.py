@@ -1,4 +1,4 @@
-"""What the filter assumes of hands, cameras and paint: every figure with its unit and where it comes from.
+"""Parameters of the filter: assumptions about hands, cameras and paint, each with unit and provenance.
 
 *Develop rigs* are those of `rhot evaluate motion --half develop`, the *rendered pictures* those of `rhot evaluate
 pictures`, *simulated hands* those of `rhot evaluate tracking`.

@@ -1,4 +1,4 @@
-"""The markers of a hand at one moment, what a frame says of them, and what it changed."""
+"""State of a hand's markers, the views in one frame, and the innovations of an update."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stays wrong however many frames are averaged: the calibration's own error, and the shape of paint.
+"""Systematic errors that averaging does not reduce: those of the calibration and of the paint model.
 
 `cameras.json` states how far points are off at some distances, which is depth above all. It and the paint's share are
 added to what the filter knows, so that the covariance on the wire holds all of a point's error.

@@ -1,4 +1,4 @@
-"""Fusion by filtering: each camera's frame moves all markers of a hand when it comes, each at its own row's time."""
+"""Fusion by filtering: each camera frame updates all markers of a hand, each at its own row's time."""
 
 from __future__ import annotations
 

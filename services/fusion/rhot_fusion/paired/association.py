@@ -1,4 +1,4 @@
-"""Deciding which views of a moment belong to which marker, and what they say together.
+"""Association of views with markers, and their combination into points.
 
 Three passes over the markers: views that agree with the prediction and with each other measure a marker; where that
 fails, all its views are judged without regard to the prediction and believed once they repeat; what is left follows the

@@ -1,4 +1,4 @@
-"""What is believed of each marker: where it is, how it moves, and whether new points are to be believed.
+"""State of each marker: position, velocity, and the gating of new points.
 
 A point is gated by its innovation against the prediction, in the axes of its own noise; one that passes moves the
 1-euro filter, by a bounded amount. One that does not is kept as a candidate, and believed once it repeats.

@@ -1,4 +1,4 @@
-"""What the paired methods take for granted, unit and provenance beside each number."""
+"""Parameters of the paired methods, each with unit and provenance."""
 
 from __future__ import annotations
 

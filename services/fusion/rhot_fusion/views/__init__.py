@@ -1,1 +1,1 @@
-"""What cameras see: marker views, their geometry, and whether the calibration still holds."""
+"""Marker views, their geometry, and checks of the calibration."""

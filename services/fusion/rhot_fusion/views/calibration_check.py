@@ -1,4 +1,4 @@
-"""Have the cameras moved since they were calibrated? What pairs of views of the same markers say.
+"""Detect cameras that have moved since calibration, from pairs of views of the same markers.
 
 Camera j sees a marker at the direction y_j = (x, y, 1), camera i the same marker, interpolated to the same moment, at
 y_i. With the essential matrix E of the calibration the signed epipolar residual in camera j is the distance of y_j from

@@ -1,4 +1,4 @@
-"""The epipolar error that a rig has picked up since it was calibrated, learnt while it runs.
+"""Online estimate of the epipolar error that a rig has accumulated since it was calibrated.
 
 Mounts give and cameras turn: the two views of one point then miss each other by some pixels that vary slowly over the
 picture. For each camera but the first, the signed distance of its observation from the epipolar line of the first

@@ -1,4 +1,4 @@
-"""Keeping absurd frames away from the tracks; what is refused is counted by reason."""
+"""Rejects implausible frames before they reach the tracks, and counts them by reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one frame of one camera says of the markers, as arrays."""
+"""The marker views of one camera frame, as arrays."""
 
 from __future__ import annotations
 

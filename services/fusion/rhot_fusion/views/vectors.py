@@ -1,4 +1,4 @@
-"""Vectors as plain numbers, where there are too few for numpy."""
+"""Vector algebra on plain floats, for arrays that are too small for numpy to pay off."""
 
 from __future__ import annotations
 

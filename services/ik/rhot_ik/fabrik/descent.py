@@ -1,4 +1,4 @@
-"""Damped least squares on the free angles of limited chains: what finishes FABRIK where limits stall it.
+"""Damped least squares on the free angles of limited chains, for when joint limits stall FABRIK.
 
 Source: Levenberg–Marquardt on the end's position, damping proportional to the error (Sugihara, "Solvability-unconcerned
 inverse kinematics by the Levenberg–Marquardt method", IEEE T-RO 27(5), 2011); angles at a limit that the step would
@@ -19,7 +19,7 @@ _LARGEST_STEP_RAD: Final = 0.5
 _AT_LIMIT_RAD: Final = 1e-9
 """Rounding: an angle this near to its limit is at it."""
 _PATIENCE: Final = 4
-"""Iterations without gain, each more cautious than the one before, until nothing is to be had any more."""
+"""Iterations without improvement, each with more damping, before the descent stops."""
 
 
 def descend(

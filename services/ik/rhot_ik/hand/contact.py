@@ -1,4 +1,4 @@
-"""Signed distances of points from the objects that fingers close round, and the outward direction there."""
+"""Signed distances of points from the objects that fingers close around, and the outward normals there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What inverse kinematics knows of a hand: misses, angles and their limits, the prior; reads, changes nothing."""
+"""Explain the hand estimate: residuals, angles and their limits, the prior (read-only)."""
 
 from __future__ import annotations
 

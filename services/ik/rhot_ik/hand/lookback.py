@@ -1,4 +1,4 @@
-"""Looking back over a recording piece by piece, so that a long one needs no more memory than a short one."""
+"""Smoothing of a recording in blocks, so that memory does not grow with its length."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""How a finger that comes back is led in: no joint jumps, and what was seen all along is not slowed down.
+"""Blending a reappearing finger into the output: no joint jumps, and visible fingers are not delayed.
 
-When a hidden finger is seen again, what was shown of it and what is known now differ by as much as the guess was wrong,
-and its first points err most. For a short time, and until it has arrived, what is shown of it therefore goes towards
-the estimate by bounded steps, and so does what is shown of a hidden finger; the estimate itself knows nothing of it.
-While it is seen, its own motion goes on top: led to where a moving finger is, it would stay behind.
+When a hidden finger is seen again, its published pose and the new estimate differ by the error of the prediction, and
+its first points have the largest errors. For a short time, until both agree, the published pose therefore approaches
+the estimate in bounded steps, as does that of a hidden finger; the estimate itself is not affected. While the finger is
+seen, its own motion is added to these steps: otherwise the output would lag behind a moving finger.
 """
 
 from __future__ import annotations

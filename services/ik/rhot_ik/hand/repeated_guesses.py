@@ -1,12 +1,12 @@
-"""How much a point that is partly a guess tells of a hand: less each time that the same guess is sent again.
+"""Weights of points that are partly predicted: repeating a prediction adds little information.
 
-Where no camera, or only one, sees a marker, fusion goes on with what it knew: a `predicted` point is where the last
-movement would have led, and the depth of a `one_view` point follows from the rest of the hand. What one camera sees is
-a guess across its ray, too: the other camera sees nothing of the marker because it is half hidden, and the middle of
-the half that is seen lies off the marker's. Such errors are stated, but they are alike sample after sample, for it is
-one guess that is sent again and again. The filter takes the errors of samples for independent, so the k-th sample of a
-guess counts as 1/k of one: its covariance is k times as large. That grows with the logarithm of their number, whatever
-the frame rate is. A point that two cameras see is no guess, however badly they do and whatever fusion calls it.
+Where no camera, or only one, sees a marker, fusion extrapolates: a `predicted` point continues the last motion, and the
+depth of a `one_view` point follows from the rest of the hand. A single view is also biased across its ray: a marker
+that the other camera does not see is usually half hidden, and the centre of the visible half is not that of the marker.
+These errors are part of the stated covariance, but they are correlated from sample to sample. The filter assumes
+independent errors, so the k-th consecutive sample is weighted by 1/k: its covariance is multiplied by k. The
+information then grows with the logarithm of the number of samples, whatever the frame rate. A point that two cameras
+see is never treated as a prediction, whatever its state and however poor the views.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rhot.messages import Point
 
 
 class RepeatedGuesses:
-    """Knows, of each marker, for how many samples running it has been the same kind of guess."""
+    """Counts, for each marker, the consecutive samples that are the same kind of prediction."""
 
     def __init__(self) -> None:
         self._running: dict[str, tuple[int, int]] = {}

@@ -1,4 +1,4 @@
-"""One hand over time: the filter of the whole hand, how it starts, and how what comes back is led in."""
+"""Solver of one hand: initialisation, filtering, and blending of reappearing fingers."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Looking back at a whole recording."""
+"""Offline smoothing of a whole recording."""

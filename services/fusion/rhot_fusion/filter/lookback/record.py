@@ -1,4 +1,4 @@
-"""What a recording held, kept for looking back at it."""
+"""The frames of a recording, kept for smoothing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from rhot_fusion.filter.tracks import outcome_of
 from rhot_fusion.views.sightings import NOTHING, NOWHERE, Outcome, Sightings
 
 _BRIDGED = 1.6
-"""A camera shows a marker, looked back at, if it did so within this many periods before and after: one frame lost."""
+"""When smoothing, a camera sees a marker if it did so within this many frame periods before and after: one lost
+frame."""
 _UPPER = np.triu_indices(3)
 _NEAR = 0.75
 """Or within this many of them before or after."""

@@ -1,4 +1,4 @@
-"""What cameras saw of a hand's paint, understood anew by where its markers really were."""
+"""Paint corrections of the views in a recording, recomputed from the smoothed marker positions."""
 
 from __future__ import annotations
 

@@ -1,15 +1,13 @@
-"""Looking back: the path of each marker as a whole recording shows it.
+"""Offline smoothing: the path of each marker, estimated from a whole recording.
 
-The views that the live filter took are taken again, now by a filter that knows how noisy the cameras proved to be and,
-by the forward-backward algorithm over the scales of `motion` (L. R. Rabiner, "A tutorial on hidden Markov models",
-1989, section III), what the hand was going to do. Its states are then smoothed (Rauch, Tung and Striebel, "Maximum
+The views that the live filter accepted are filtered again, now with the estimated noise of the cameras and with noise scales of `motion` from the forward-backward algorithm (L. R. Rabiner, "A tutorial on hidden Markov models",
+1989, section III). The states are then smoothed (Rauch, Tung and Striebel, "Maximum
 likelihood estimates of linear dynamic systems", AIAA Journal 3(8), 1965):
 
     G = P F' P⁻¹(next, before),    x ← x + G (x(next) − x(next, before)),    P ← P + G (P(next) − P(next, before)) G'.
 
-What a camera saw of the markers' paint is then understood anew, by where they really were: live, a fast hand before
-slow cameras is often elsewhere than it was believed to be. Views that lie far from the smoothed path count less, and
-all is done once more.
+The paint corrections are then recomputed from the smoothed positions, because the live estimate of a fast hand with
+slow cameras is often wrong. Views far from the smoothed path are down-weighted, and the smoother runs once more.
 """
 
 from __future__ import annotations

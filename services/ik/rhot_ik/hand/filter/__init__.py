@@ -1,1 +1,1 @@
-"""The filter of the whole hand: state, prediction, measurement, update and start."""
+"""The filter of the whole hand: state, prediction, measurement, update and initialisation."""

@@ -1,4 +1,4 @@
-"""What one sample says of a hand: points and corners with the covariance of their errors."""
+"""The measurements of one sample: points and corners with the covariance of their errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole hand as one estimate: wrist pose, twenty angles and the person from all points of all samples together.
+"""Kalman filter of the whole hand: wrist pose, twenty angles and person-specific parameters from all points.
 
 State and prediction are `rhot_ik.hand.filter.process`'s.
 

@@ -1,4 +1,4 @@
-"""What is expected of a tip that no camera sees: it is not inside of the thing that the hand holds.
+"""Constraint on a tip that no camera sees: it is not inside the object that the hand holds.
 
 That such a tip is behind something is true, but tells little: told with every sample that it is behind the hand's own
 flesh, the filter put fingers that a held object hid below their neighbours and believed it (`rhot evaluate motion`,

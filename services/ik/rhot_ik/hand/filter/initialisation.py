@@ -1,4 +1,4 @@
-"""Where a hand is when nothing is known of it but one sample."""
+"""Initialisation of a hand from a single sample."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forward kinematics of all five fingers at once, with derivatives, in as few array operations as can be.
+"""Forward kinematics of all five fingers at once, with derivatives, in as few array operations as possible.
 
 In a finger's rest frame the axes of its three bones are, with abduction a and bend b (flexion summed up to the bone),
 x = (cos a, 0, −sin a), y = (−sin b·sin a, cos b, −sin b·cos a), z = (cos b·sin a, sin b, cos b·cos a). Every joint, the

@@ -1,4 +1,4 @@
-"""What the limits of the joints say about an estimate: angles that left them are not where it has them.
+"""Joint limits as inequality constraints on the estimate.
 
 The estimate is projected onto the limits in the metric of P (Simon & Chia 2002): an angle that is beyond is set to its
 limit, and all others are moved by what that says about them. That the angle is at its limit is not known, only that it

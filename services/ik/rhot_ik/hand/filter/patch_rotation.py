@@ -1,4 +1,4 @@
-"""The rectangle on the back of the hand: from its four corners in space to the wrist's rotation."""
+"""The wrist's rotation from the four corners of the patch on the back of the hand."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""What is known of a hand's angles before anything is measured: where they rest and how they move together.
+"""Prior of the joint angles: the rest pose, and how the joints move together.
 
-The angles are taken as normally distributed about a hand at ease. Their covariance is a sum of independent causes, each
-with its own standard deviation: the whole hand closes or spreads, neighbours bend together, a finger bends by itself,
-a hinge does something of its own. From that one matrix follow all soft rules of the hand: the last hinge goes with the
-middle one, a knuckle with its hinges, a finger with its neighbours the more the nearer they are. In time the angles are
-an Ornstein–Uhlenbeck process with that distribution: left alone they drift back to rest, and what moves them moves
-neighbours too.
+The angles are modelled as normally distributed about a relaxed hand. Their covariance is a sum of independent causes,
+each with its own standard deviation: the whole hand closes or spreads, neighbours bend together, a finger bends by
+itself, a hinge does something of its own. From that one matrix follow all soft rules of the hand: the last hinge goes
+with the middle one, a knuckle with its hinges, a finger with its neighbours the more the nearer they are. In time the
+angles are an Ornstein–Uhlenbeck process with that distribution: left alone they drift back to rest, and what moves them
+moves neighbours too.
 
 The shares are round numbers of the order of those in the literature (Rijpkema & Girard 1991 for DIP ≈ ⅔ PIP; Santello
 et al. 1998 for the common closing); they are not fitted to recordings.

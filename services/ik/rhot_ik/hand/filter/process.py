@@ -1,4 +1,4 @@
-"""How a hand moves: the state of the estimate of a whole hand, and what time does to it.
+"""Process model of the hand: the state of the estimate, and its prediction over time.
 
 State: the wrist's pose T_rig_wrist = (R, p), its angular and linear velocity, the angles q of `rhot.anatomy.hand`, and
 what is particular of this person: where the patch really sits and how long the fingers are. Errors are R·exp(δθ),

@@ -1,4 +1,4 @@
-"""What the estimate of a hand takes for granted: one field per number, with its unit and where it comes from."""
+"""Parameters of the hand estimate: one field each, with unit and provenance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The hand as the samples before and after each moment show it.
+"""Smoothing of the hand estimate, from the samples before and after each moment.
 
 The filter knows of each moment what came before. Going back from the last sample, the smoother (Rauch, Tung & Striebel
 1965) moves each state x by what the next one turned out to be: x + P·Fᵀ·P'⁻¹·(smoothed next − expected next), with P'

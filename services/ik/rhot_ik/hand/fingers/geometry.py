@@ -1,4 +1,4 @@
-"""What the finger solvers need to know of a hand: where each finger hangs and where its marker is painted."""
+"""Hand geometry for the finger solvers: where each finger is attached, and where its marker is painted."""
 
 from __future__ import annotations
 
