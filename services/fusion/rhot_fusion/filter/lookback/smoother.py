@@ -1,8 +1,9 @@
 """Offline smoothing: the path of each marker, estimated from a whole recording.
 
-The views that the live filter accepted are filtered again, now with the estimated noise of the cameras and with noise scales of `motion` from the forward-backward algorithm (L. R. Rabiner, "A tutorial on hidden Markov models",
-1989, section III). The states are then smoothed (Rauch, Tung and Striebel, "Maximum
-likelihood estimates of linear dynamic systems", AIAA Journal 3(8), 1965):
+The views that the live filter accepted are filtered again, now with the estimated noise of the cameras and with noise
+scales of `motion` from the forward-backward algorithm (L. R. Rabiner, "A tutorial on hidden Markov models", 1989,
+section III). The states are then smoothed (Rauch, Tung and Striebel, "Maximum likelihood estimates of linear dynamic
+systems", AIAA Journal 3(8), 1965):
 
     G = P F' P⁻¹(next, before),    x ← x + G (x(next) − x(next, before)),    P ← P + G (P(next) − P(next, before)) G'.
 
