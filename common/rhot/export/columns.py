@@ -10,9 +10,10 @@ from typing import Final
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.messages import BodyPose, FootPose, HandPose, MarkerFrame, Message, ObjectPose, PointSet
 
-Value = float | str
+Value = float | int | str
 
 _ANGLES: Final = ("mcp_flexion", "mcp_abduction", "pip_flexion", "dip_flexion")
+_COVARIANCES: Final = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 class Table:
@@ -22,12 +23,14 @@ class Table:
         name: of the table, such as `hand_right`.
         t_ns: (N,) capture times, nanoseconds since the Unix epoch, rig clock.
         columns: by name: numbers (NaN = no value) or words (empty = no value).
+        whole: names of the columns of numbers that count something and so have no decimals.
     """
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.t_ns: array[int] = array("q")
         self.columns: dict[str, array[float] | list[str]] = {}
+        self.whole: set[str] = set()
 
     def add(self, t_ns: int, row: Mapping[str, Value]) -> None:
         """Append one row; a column that is new has no value in the rows before."""
@@ -39,6 +42,8 @@ class Table:
                     [""] * length if isinstance(value, str) else array("d", [math.nan]) * length
                 )
                 self.columns[name] = empty
+                if isinstance(value, int):
+                    self.whole.add(name)
             self.columns[name].append(value)  # type: ignore[arg-type]  # a column keeps the type of its first value
         for column in self.columns.values():
             if len(column) == length:
@@ -91,6 +96,7 @@ def _hand(hand: HandPose) -> dict[str, Value]:
             row |= _pose(f"{name}_", (math.nan,) * 3, (math.nan,) * 4)
         else:
             row |= _pose(f"{name}_", joint.position, joint.orientation)
+        row[f"{name}_radius"] = math.nan if joint is None else joint.radius
     for finger in FINGERS:
         angles = hand.angles.get(finger)
         for angle in _ANGLES:
@@ -101,7 +107,7 @@ def _hand(hand: HandPose) -> dict[str, Value]:
 
 
 def _foot(foot: FootPose) -> dict[str, Value]:
-    row: dict[str, Value] = {"state": foot.state, "stage": foot.stage, "stationary": float(foot.stationary)}
+    row: dict[str, Value] = {"state": foot.state, "stage": foot.stage, "stationary": int(foot.stationary)}
     row |= _pose("", foot.position, foot.orientation)
     return row | dict(zip(("vx", "vy", "vz"), foot.velocity, strict=True)) | {"sigma": foot.sigma}
 
@@ -120,12 +126,14 @@ def _points(points: PointSet) -> dict[str, Value]:
     row: dict[str, Value] = {}
     for name, point in points.points.items():
         row |= dict(zip((f"{name}_x", f"{name}_y", f"{name}_z"), point.position, strict=True))
-        row |= {f"{name}_sigma": point.sigma, f"{name}_views": float(point.views), f"{name}_state": point.state}
+        row |= {f"{name}_sigma": point.sigma, f"{name}_views": point.views, f"{name}_state": point.state}
+        covariance = (math.nan,) * len(_COVARIANCES) if point.covariance is None else point.covariance
+        row |= {f"{name}_cov_{part}": value for part, value in zip(_COVARIANCES, covariance, strict=True)}
     return row
 
 
 def _markers(frame: MarkerFrame) -> dict[str, Value]:
-    row: dict[str, Value] = {"frame": float(frame.frame)}
+    row: dict[str, Value] = {"frame": frame.frame}
     for name, marker in frame.markers.items():
         row |= {
             f"{name}_u": marker.u,

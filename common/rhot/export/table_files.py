@@ -30,7 +30,7 @@ def write_csv(folder: Path, tables: Sequence[Table]) -> list[Path]:
             writer.writerow(["t_s", "t_ns", *table.columns])
             for row in table.order():
                 t_ns = table.t_ns[row]
-                cells = [_cell(column[row]) for column in table.columns.values()]
+                cells = [_cell(column[row], name in table.whole) for name, column in table.columns.items()]
                 writer.writerow([f"{(t_ns - origin_ns) / 1e9:.9f}", t_ns, *cells])
         files.append(file)
     return files
@@ -57,7 +57,8 @@ def write_parquet(folder: Path, tables: Sequence[Table]) -> list[Path]:
             if isinstance(column, list):
                 columns[name] = arrow.array([column[row] or None for row in order], arrow.string())
             else:
-                columns[name] = arrow.array(np.array(column)[order], from_pandas=True)
+                numbers = arrow.array(np.array(column)[order], from_pandas=True)
+                columns[name] = numbers.cast(arrow.int64()) if name in table.whole else numbers
         with replacing(file) as part:
             parquet.write_table(arrow.table(columns), part)
         files.append(file)
@@ -77,5 +78,9 @@ def _file(folder: Path, table: Table, suffix: str) -> Path:
     return folder / f"{table.name}{suffix}"
 
 
-def _cell(value: float | str) -> float | str:
-    return "" if isinstance(value, float) and math.isnan(value) else value
+def _cell(value: float | str, whole: bool) -> float | str:
+    if isinstance(value, str):
+        return value
+    if math.isnan(value):
+        return ""
+    return int(value) if whole else value

@@ -13,7 +13,7 @@ from hand_messages import hand_pose, object_pose
 from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
 from rhot.export.gltf.shapes import mesh_of
-from rhot.export.lab.frames import MAX_GAP_S, frames_of
+from rhot.export.lab.frames import MAX_GAP_S, frames_of, real_rate_hz
 from rhot.export.poses import motions
 from rhot.export.skeleton_motion import skeleton_motion
 from rhot.messages import MeshShape, Message, ObjectPose
@@ -37,6 +37,15 @@ def test_the_rate_is_the_real_one_also_where_a_sample_is_lost() -> None:
     assert t_s[0] == 0.0
     assert len(t_s) == 40
     np.testing.assert_allclose(x, t_s, atol=1e-6)
+
+
+@pytest.mark.parametrize("phase", [0.02, 0.12, 0.31, 0.5])
+@pytest.mark.parametrize("cameras", [2, 3])
+def test_the_rate_of_cameras_out_of_step_is_that_of_all_of_them(phase: float, cameras: int) -> None:
+    shifts = np.array([0.0, phase, 0.8])[:cameras]
+    times = (np.arange(200)[:, None] + shifts).ravel() / 60.0
+    times = np.delete(times, [17, 90, 211])
+    assert real_rate_hz((times * 1e9).astype(np.int64)) == pytest.approx(60.0 * cameras, rel=0.02)
 
 
 def test_a_pause_is_a_gap_and_what_begins_later_is_absent_before() -> None:

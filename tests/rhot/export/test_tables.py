@@ -17,7 +17,8 @@ from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
 from rhot.export.columns import row_of, tables
 from rhot.export.source import RecordedMessages
-from rhot.messages import Control, Message, encode, encoding_of
+from rhot.export.table_files import write_csv
+from rhot.messages import Control, Message, Point, PointSet, encode, encoding_of
 from rhot.recording.mcap.writer import McapWriter
 
 BEGIN_NS = 1_800_000_000_000_000_000
@@ -87,6 +88,18 @@ def test_csv_tables_hold_every_number_in_full(tmp_path: Path, written_as: object
     assert (points[1]["thumb_x"], points[1]["thumb_state"]) == ("0.01", "measured")
     cubes = rows(tmp_path / "out" / "object_cube.csv")
     assert [float(row["x"]) for row in cubes] == [0.0, 77.0, 1.0, 2.0, 3.0, 99.0], "by time, the last of a moment"
+
+
+def test_what_is_counted_has_no_decimals_and_points_their_covariance(tmp_path: Path) -> None:
+    covariance = (1e-6, 0.0, -2e-7, 1e-6, 0.0, 9e-6)
+    point = Point(position=(0.0, 0.0, 0.8), sigma=0.003, views=2, state="measured", covariance=covariance)
+    first = PointSet(t_ns=1, frame="rig", points={"index": point.model_copy(update={"covariance": None})})
+    second = PointSet(t_ns=2, frame="rig", points={"index": point, "thumb": point})
+    write_csv(tmp_path, tables([("rhot/points", first), ("rhot/points", second)]))
+    before, after = rows(tmp_path / "points.csv")
+    assert (before["index_views"], before["thumb_views"], after["thumb_views"]) == ("2", "", "2")
+    assert before["index_cov_zz"] == ""
+    assert tuple(float(after[f"thumb_cov_{part}"]) for part in ("xx", "xy", "xz", "yy", "yz", "zz")) == covariance
 
 
 def test_a_body_tells_how_its_arms_are_known_as_it_does_of_its_legs() -> None:

@@ -21,6 +21,12 @@ MAX_GAP_S: Final = 0.1
 a·t²/8 = 12 mm in it."""
 AXIS_M: Final = 0.1
 """Length of a rigid thing's axes, whose ends are markers beside its origin: its rotation follows from them."""
+_ROUND: Final = 24
+"""Poses of a round: a multiple of 2, 3, 4, 6 and 8 cameras."""
+_ALIKE: Final = 0.02
+_STEADY: Final = 0.6
+"""Intervals come steadily where so great a share of them is that near to the median, as a part of it. Of two cameras
+out of step it is half; of one that loses every fourth frame, two thirds."""
 _AXES: Final = ("x", "y", "z")
 
 
@@ -48,8 +54,7 @@ def frames_of(motions: Sequence[Motion], rate_hz: float | None = None) -> Frames
 
     Args:
         motions: at least one.
-        rate_hz: frames per second; None = the real rate of the fastest motion (the inverse of its poses' median
-            interval).
+        rate_hz: frames per second; None = the real rate of the fastest motion, see `real_rate_hz`.
 
     Raises:
         ConfigError: see `frame_times_s`.
@@ -71,8 +76,19 @@ def frames_of(motions: Sequence[Motion], rate_hz: float | None = None) -> Frames
 
 
 def real_rate_hz(t_ns: NDArray[np.int64]) -> float:
-    """Return the inverse of the median interval of times (N,); 60 where there is one time alone."""
-    return 60.0 if len(t_ns) < 2 else 1e9 / float(np.median(np.diff(t_ns)))
+    """Return how many poses come in a second, of times (N,); 60 where there is one time alone.
+
+    It is the inverse of the median interval, so that lost frames and pauses do not count. A hand is seen by cameras in
+    turn, with long and short intervals between them: there it is the median over rounds of all cameras.
+    """
+    intervals = np.diff(t_ns)
+    if not len(intervals):
+        return 60.0
+    usual = float(np.median(intervals))
+    alike = np.abs(intervals - usual) <= _ALIKE * usual
+    if alike.mean() < _STEADY and len(t_ns) > 2 * _ROUND:
+        usual = float(np.median(t_ns[_ROUND:] - t_ns[:-_ROUND])) / _ROUND
+    return 1e9 / usual
 
 
 def _markers(motion: Motion) -> tuple[list[str], FloatArray]:
