@@ -8,6 +8,8 @@ says. `printable` writes all of these as the escapes that JSON uses, so that it 
 from __future__ import annotations
 
 import logging
+import os
+import shlex
 import unicodedata
 from typing import Final
 
@@ -33,6 +35,11 @@ def printable(text: str, limit: int = MOST_CHARACTERS) -> str:
 def printable_lines(text: str, limit: int = 20 * MOST_CHARACTERS) -> str:
     """Return a text of several lines with each made printable; for errors of ours that quote the end of a log."""
     return "\n".join(printable(line) for line in text[:limit].split("\n"))
+
+
+def as_argument(path: str | os.PathLike[str]) -> str:
+    """Return a path as a word of a command to paste into a shell: quoted where it holds spaces and the like."""
+    return shlex.quote(printable(os.fspath(path)))
 
 
 class PrintableFormatter(logging.Formatter):

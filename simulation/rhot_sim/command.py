@@ -22,6 +22,7 @@ from rhot.rig import Rig, load_rig
 from rhot.rig.feet_config import WalkProgram
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.service.stop import install_stop
+from rhot.text import as_argument
 from rhot_sim.comparison.feet_table import feet_summary
 from rhot_sim.comparison.table import summary
 from rhot_sim.rig.folder import DEFAULT_ENDPOINT, with_motion, write_simulated_rig
@@ -287,7 +288,7 @@ async def _unless_interrupted(run: Coroutine[Any, Any, None]) -> bool:
 
 def _simulated_rig(path: Path) -> Rig:
     if not (path / RIG_FILE).exists():
-        raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {path} --sim` makes a simulated rig")
+        raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {as_argument(path)} --sim` makes a simulated rig")
     rig = load_rig(path)
     sources: dict[str, str] = {name: camera.source for name, camera in rig.config.cameras.items()}
     if rig.config.feet is not None and not sources:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import logging
+import shlex
 
 import pytest
 from hypothesis import given
@@ -14,7 +15,7 @@ from pydantic import ValidationError
 from rhot.errors import WireError
 from rhot.messages import Control, MarkerFrame, ServiceStatus, decode, first_problem
 from rhot.messages.codec import encode
-from rhot.text import PrintableFormatter, printable, printable_lines
+from rhot.text import PrintableFormatter, as_argument, printable, printable_lines
 
 HOSTILE = "\x1b[2J\x1b]0;owned\x07\nroot: all is well\r\u202egnp.exe\x9b31m\U000e0041\ud800"
 
@@ -77,3 +78,9 @@ def test_texts_in_messages_are_made_harmless_as_they_arrive() -> None:
         assert text == "\\u001b[2J\\n"
     control = Control(t_ns=1, action="start").model_copy(update={"session": "a\nb"})
     assert decode(encode(control), Control).session == "a\\nb"
+
+
+@pytest.mark.parametrize("path", ["rig", "/tmp/my rig", "Übung", "it's", "a;rm -rf b", "$HOME"])
+def test_a_path_in_a_command_is_one_word_of_it(path: str) -> None:
+    assert shlex.split(f"rhot doctor --rig {as_argument(path)}")[-1] == path
+    assert as_argument("rigs/left-1") == "rigs/left-1"

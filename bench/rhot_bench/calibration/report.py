@@ -14,6 +14,7 @@ from rich.text import Text
 
 from rhot.report.tables import figures_table
 from rhot.rig import CamerasFile
+from rhot.text import as_argument
 from rhot_fusion.views.calibration_check import Tracks
 from rhot_fusion.views.calibration_verdict import AXES, CalibrationReport, PairReport, Turn
 
@@ -79,7 +80,7 @@ def print_report(report: CalibrationReport, file: CamerasFile, seen: Seen, rig_p
     dated = f" (calibrated {file.date})" if file.date else ""
     console.print(f"{report.verdict}: {verdict}{dated}", style=f"bold {_COLORS[report.verdict]}")
     if report.verdict != "good":
-        console.print(f"→ rhot calibrate cameras RECORDING --rig {rig_path} --board 9x6 --square-mm 25")
+        console.print(f"→ rhot calibrate cameras RECORDING --rig {as_argument(rig_path)} --board 9x6 --square-mm 25")
 
 
 def _pairs_table(report: CalibrationReport) -> Table:

@@ -13,6 +13,7 @@ from rich.progress import Progress
 from rhot.errors import ConfigError
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import RIG_FILE
+from rhot.text import as_argument
 from rhot_sim.rig.folder import write_simulated_rig
 
 RATE_HZ: Final = 60.0
@@ -27,7 +28,9 @@ def simulated_rig(path: Path | None, progress: Progress, seed: int = 1) -> Itera
     """
     if path is not None:
         if not (path / RIG_FILE).exists():
-            raise ConfigError(f"--rig {path}: holds no {RIG_FILE}; `rhot init {path} --sim` makes a simulated rig")
+            raise ConfigError(
+                f"--rig {path}: holds no {RIG_FILE}; `rhot init {as_argument(path)} --sim` makes a simulated rig"
+            )
         rig = load_rig(path)
         real = [name for name, camera in rig.config.cameras.items() if camera.source != "simulated"]
         if real or len(rig.config.cameras) < 2:

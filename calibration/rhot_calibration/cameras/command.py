@@ -16,6 +16,7 @@ from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.rig import CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import CAMERAS_FILE, nominal_camera
+from rhot.text import as_argument
 from rhot_calibration.cameras.board.boards import DEFAULT_DICTIONARY, parse_board
 from rhot_calibration.cameras.calibration import cameras_file
 from rhot_calibration.cameras.interchange.interchange import export_opencv_yaml, import_cameras
@@ -114,7 +115,7 @@ def cameras(
             errors = Console(stderr=True)
             views = asyncio.run(collect(config, list(rig.cameras), board, folder, errors, enough=enough))
             reading = PictureReading(views)
-            again = f"rhot calibrate cameras {folder} --board {counts} --square-mm {square_mm:g}"
+            again = f"rhot calibrate cameras {as_argument(folder)} --board {counts} --square-mm {square_mm:g}"
             console.print(f"the pictures are in {folder}; to calibrate from them again: {again}")
         else:
             reading = _read(rig, recording or Path(), board)

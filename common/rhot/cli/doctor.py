@@ -33,6 +33,7 @@ from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE
 from rhot.rig.marker_config import own_paints
 from rhot.rig.quality import epipolar_limit_px, figure, figures_with_units, pair_epipolar_p95_px
 from rhot.rig.shape_config import MeshConfig
+from rhot.text import as_argument
 
 _MARK: Final = {"ok": "[green]ok  [/]", "note": "[blue]note[/]", "warn": "[yellow]warn[/]", "bad": "[red]BAD [/]"}
 _ROLES: Final = {
@@ -64,7 +65,9 @@ def check_machine() -> Iterator[Finding]:
 def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
     """Look at a rig folder: is it valid, is it calibrated."""
     if not (path / RIG_FILE).exists():
-        return None, [Finding("note", f"no rig folder at {path}", f"rhot init {path}, or name one with --rig")]
+        return None, [
+            Finding("note", f"no rig folder at {path}", f"rhot init {as_argument(path)}, or name one with --rig")
+        ]
     try:
         rig = load_rig(path)
     except RhotError as error:
@@ -100,7 +103,7 @@ def _check_hand_tracking(rig: Rig) -> Iterator[Finding]:
         yield Finding(
             "warn",
             "cameras.json is missing: lenses and positions are only nominal",
-            f"calibrate the cameras: rhot calibrate cameras RECORDING --rig {path} --board 9x6 --square-mm 25",
+            f"rhot calibrate cameras RECORDING --rig {as_argument(path)} --board 9x6 --square-mm 25 calibrates them",
         )
     yield _check_colors(rig)
     if (path / HAND_FILE).exists():
@@ -109,13 +112,13 @@ def _check_hand_tracking(rig: Rig) -> Iterator[Finding]:
         yield Finding(
             "note",
             f"hand.json is missing: an average hand of {1e3 * rig.hand.length_m:.0f} mm is assumed",
-            f"rhot calibrate hand RECORDING --rig {path}",
+            f"rhot calibrate hand RECORDING --rig {as_argument(path)}",
         )
 
 
 def _check_colors(rig: Rig) -> Finding:
     """Tell whether every paint has a colour."""
-    remedy = f"rhot calibrate colors PICTURE --pick thumb=U,V … --rig {rig.path}"
+    remedy = f"rhot calibrate colors PICTURE --pick thumb=U,V … --rig {as_argument(rig.path)}"
     if not rig.colors_path.exists():
         return Finding("bad", "colors.json is missing: no marker can be found in a picture", remedy)
     try:
@@ -140,7 +143,7 @@ def _check_registrations(rig: Rig) -> Iterator[Finding]:
             yield Finding(
                 "warn",
                 f"{registration_name(source)} is missing: objects are not in the cameras' frame",
-                f"rhot calibrate objects --live --object {name} --marker NAME --rig {rig.path}",
+                f"rhot calibrate objects --live --object {name} --marker NAME --rig {as_argument(rig.path)}",
             )
         elif file not in told:
             told.add(file)
@@ -183,7 +186,7 @@ def _check_cameras(rig: Rig) -> Finding:
         error_mm = figure(file.quality, "expected_error_mm", distance, "with_marker_noise")
         if error_mm is not None:
             text += f"; {error_mm:.1f} mm expected at {distance}"
-    remedy = f"rhot evaluate calibration --live 30 --rig {rig.path} shows whether they have moved since"
+    remedy = f"rhot evaluate calibration --live 30 --rig {as_argument(rig.path)} shows whether they have moved since"
     return Finding("ok", text, remedy)
 
 
@@ -243,8 +246,8 @@ def _check_drift(name: str, status: ServiceStatus, rig: Rig) -> Iterator[Finding
             "warn",
             f"{name}: the cameras have moved since calibration ({correction_px:.1f} px, {limit_px:.1f} px is the "
             "limit); points are corrected for it, but depth may be wrong: calibrate again",
-            f"rhot calibrate cameras RECORDING --rig {rig.path} --board 9x6 --square-mm 25; "
-            f"rhot evaluate calibration --live 30 --rig {rig.path} says more",
+            f"rhot calibrate cameras RECORDING --rig {as_argument(rig.path)} --board 9x6 --square-mm 25; "
+            f"rhot evaluate calibration --live 30 --rig {as_argument(rig.path)} says more",
         )
     else:
         yield Finding("ok", f"{name}: the cameras stand as calibrated, to {correction_px:.1f} px")

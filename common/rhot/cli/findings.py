@@ -12,6 +12,7 @@ from typing import Final, Literal
 from rhot.errors import RhotError
 from rhot.keys.folder import AUTHORITY, ROLES_FILE, certificate_file, load_roles
 from rhot.rig import Rig
+from rhot.text import as_argument
 
 _WARN_DAYS: Final = 90
 """Before a certificate ends."""
@@ -39,7 +40,7 @@ def check_bus(rig: Rig) -> Iterator[Finding]:
         yield Finding(
             "warn",
             f"the router listens on {where} without certificates: whoever reaches it can read, stop and change the rig",
-            f"rhot keys make --address ADDRESS --rig {rig.path}, or listen on 127.0.0.1",
+            f"rhot keys make --address ADDRESS --rig {as_argument(rig.path)}, or listen on 127.0.0.1",
         )
     else:
         yield Finding("ok", "the bus is closed: its router lets only this machine in")
@@ -76,7 +77,7 @@ def _check_keys(rig: Rig) -> Iterator[Finding]:
     cameras = {holder.camera for holder in holders.values()}
     for camera in rig.config.cameras:
         if camera not in cameras:
-            remedy = f"rhot keys add camera-{camera} --role camera --camera {camera} --rig {rig.path}"
+            remedy = f"rhot keys add camera-{camera} --role camera --camera {camera} --rig {as_argument(rig.path)}"
             yield Finding("bad", f"camera {camera} has no certificate and cannot take part", remedy)
     soon = (dt.datetime.now(dt.UTC) + dt.timedelta(days=_WARN_DAYS)).date().isoformat()
     ending = [f"{name} on {holder.expires}" for name, holder in holders.items() if "" < holder.expires < soon]

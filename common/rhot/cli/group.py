@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import io
 import logging
 import os
 import sys
@@ -101,6 +102,7 @@ class MainGroup(LazyGroup):
         # Before anything imports numpy: its matrices are tiny here, and threads that wait in a spin take the cores from
         # the other services.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        _write_what_can_be_written()
         try:
             extra["standalone_mode"] = False
             result = super().main(args, *more, **extra)
@@ -124,6 +126,13 @@ class MainGroup(LazyGroup):
     @staticmethod
     def _exit(code: int) -> None:
         sys.exit(code)
+
+
+def _write_what_can_be_written() -> None:
+    """Let a terminal or file whose encoding lacks a character (Latin-1, ASCII) show a question mark in its place."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):
+            stream.reconfigure(errors="replace")
 
 
 def _show(error: click.ClickException) -> None:

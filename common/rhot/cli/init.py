@@ -13,6 +13,7 @@ from rhot.errors import ConfigError
 from rhot.plugins import load_plugin
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
+from rhot.text import as_argument
 
 CALIBRATING_HZ: Final = 30.0
 """Frames a second of a rig for trying the calibration: leaves room for a browser without a graphics card."""
@@ -52,18 +53,18 @@ def init(path: Path, simulated: bool, uncalibrated: bool, feet: bool) -> None:
     make_folder(path)
     if feet:
         load_plugin("rhot.simulated", "walker_folder", "--sim --feet", "sim")(path)
-        click.echo(f"{path}: a simulated person. Run it with: rhot sim --rig {path}")
+        click.echo(f"{path}: a simulated person. Run it with: rhot sim --rig {as_argument(path)}")
         return
     if simulated:
         write_simulated_rig = load_plugin("rhot.simulated", "rig_folder", "--sim", "sim")
         with Console(stderr=True).status("preparing the simulated rig: cameras, colours, hand"):
             write_simulated_rig(path, rate_hz=CALIBRATING_HZ if uncalibrated else 60.0, calibrated=not uncalibrated)
         what = "a simulated rig without calibration" if uncalibrated else "a simulated rig"
-        click.echo(f"{path}: {what}. Run it with: rhot sim --rig {path}")
+        click.echo(f"{path}: {what}. Run it with: rhot sim --rig {as_argument(path)}")
         return
-    write_text_atomic(path / RIG_FILE, rig_template(folder=str(path), name=path.resolve().name))
+    write_text_atomic(path / RIG_FILE, rig_template(folder=as_argument(path), name=path.resolve().name))
     click.echo(
         f"{path / RIG_FILE} written. Next: look through it, then\n"
-        f"  rhot calibrate colors PICTURE --pick thumb=U,V … --rig {path}\n"
-        f"  rhot doctor --rig {path}"
+        f"  rhot calibrate colors PICTURE --pick thumb=U,V … --rig {as_argument(path)}\n"
+        f"  rhot doctor --rig {as_argument(path)}"
     )

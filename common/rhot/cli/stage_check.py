@@ -15,6 +15,7 @@ from rhot.geometry.transforms import inverse
 from rhot.messages import HandPose, decode
 from rhot.rig import Rig, StageFile
 from rhot.rig.folder import STAGE_FILE, registration_path
+from rhot.text import as_argument
 
 _CAMERA_HEIGHTS_M: Final = (0.3, 4.0)
 """Where a camera can be over the floor: not under a low table, not above a high ceiling."""
@@ -29,7 +30,7 @@ _FLOOR_DIFFERS_M: Final = 0.05
 
 def check_stage(rig: Rig) -> Iterator[Finding]:
     """Look at a rig's `stage.json`: up, floor and cameras must fit each other."""
-    again = f"rhot calibrate stage --live --board 9x6 --square-mm 25 --desk-mm 740 --rig {rig.path}"
+    again = f"rhot calibrate stage --live --board 9x6 --square-mm 25 --desk-mm 740 --rig {as_argument(rig.path)}"
     stage = rig.stage
     if stage is None:
         yield Finding("note", f"{STAGE_FILE} is missing: programs that want a floor get none", again)

@@ -39,7 +39,7 @@ def status_table(alive: set[str], statuses: dict[str, ServiceStatus]) -> Rendera
     """
     table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for column in ("service", "state", "out /s", "late", "missed", "invalid", "p50 ms", "p99 ms", "± ms"):
-        table.add_column(column, justify="left" if column in ("service", "state") else "right", no_wrap=True)
+        table.add_column(column, justify="left" if column in ("service", "state") else "right", overflow="fold")
     trouble: list[RenderableType] = []
     names = sorted(alive | set(statuses))
     for name in names[:_MOST_ROWS]:

@@ -7,7 +7,10 @@ from rich.table import Table
 
 
 def figures_table(*columns: str, title: str | None = None) -> Table:
-    """Return an empty table for names in the first column and figures, to the right, in the others."""
+    """Return an empty table for names in the first column and figures, to the right, in the others.
+
+    In a narrow terminal a figure goes on in the next line: one that is cut off reads as another figure.
+    """
     table = Table(
         title=title,
         title_justify="left",
@@ -17,5 +20,5 @@ def figures_table(*columns: str, title: str | None = None) -> Table:
         padding=(0, 1, 0, 0),
     )
     for index, column in enumerate(columns):
-        table.add_column(column, justify="right" if index else "left")
+        table.add_column(column, justify="right" if index else "left", overflow="fold")
     return table

@@ -28,6 +28,7 @@ from rhot.rig.calibration import (
     StageFile,
 )
 from rhot.rig.config import CameraConfig, ObjectSource, RigConfig
+from rhot.text import as_argument
 
 logger = logging.getLogger(__name__)
 
@@ -154,12 +155,14 @@ def load_config(path: Path) -> RigConfig:
     """
     file = path / RIG_FILE
     if not path.is_dir():
-        raise ConfigError(f"{path}: no such rig folder; name yours with --rig, or make one: `rhot init {path}`")
+        raise ConfigError(
+            f"{path}: no such rig folder; name yours with --rig, or make one: `rhot init {as_argument(path)}`"
+        )
     try:
         # utf-8-sig: editors of Windows put a byte order mark in front, which TOML has not.
         data = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
-        raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {path}` makes one") from error
+        raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {as_argument(path)}` makes one") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:

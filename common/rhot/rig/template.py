@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import Final
 
 from rhot.messages import Side
+from rhot.text import printable
 
 _HEAD: Final = """\
 # RHOT rig. Lengths in metres, times in seconds, angles in degrees where the name says so.
 # Check it with: rhot doctor --rig {folder}
 version = 1
-name = "{name}"
+name = {name}
 # Installed as services (docs/deploy.md): track as soon as they run, also after a power cut, without `rhot start`.
 autostart = false
 
@@ -165,7 +167,13 @@ def rig_template(
         seed: of the simulated world; None for a real rig.
     """
     parts = [
-        _HEAD.format(folder=folder, name=name, connect=_quoted(connect), listen=_quoted(listen), length_m=length_m)
+        _HEAD.format(
+            folder=printable(folder),
+            name=_string(name),
+            connect=_quoted(connect),
+            listen=_quoted(listen),
+            length_m=length_m,
+        )
     ]
     parts += [
         _CAMERA.format(
@@ -195,6 +203,11 @@ def rig_template(
     if seed is not None:
         parts.append(_SIM.format(seed=seed))
     return "".join(parts)
+
+
+def _string(text: str) -> str:
+    """Return any text, such as a folder's name, as a string of TOML: JSON's escapes are TOML's."""
+    return json.dumps(printable(text), ensure_ascii=False)
 
 
 def _quoted(words: Sequence[str]) -> str:

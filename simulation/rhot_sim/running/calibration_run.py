@@ -14,6 +14,7 @@ from rhot.bus import Bus
 from rhot.operation.control import broadcast
 from rhot.rig import Rig
 from rhot.rig.folder import CAMERAS_FILE
+from rhot.text import as_argument
 from rhot_sim.running.processes import bus_of, service_commands, with_processes
 from rhot_sim.world.touching import WAIT_S
 
@@ -21,25 +22,25 @@ _START_DELAY_S: Final = 0.5
 _BOARD_TEXT: Final = (
     "The cameras see a chessboard of {columns}x{rows} inner corners, {square_mm:g} mm squares.\nrig folder: {path}\n"
     "Now, in another terminal:\n\n"
-    "  rhot calibrate cameras --live --rig {path} --board {columns}x{rows} --square-mm {square_mm:g} "
+    "  rhot calibrate cameras --live --rig {folder} --board {columns}x{rows} --square-mm {square_mm:g} "
     "--connect {endpoint}\n"
 )
 _DESK_TEXT: Final = (
     "A chessboard of {columns}x{rows} inner corners, {square_mm:g} mm squares, lies on the desk.\nrig folder: {path}\n"
     "Now, in another terminal:\n\n"
-    "  rhot calibrate stage --live --rig {path} --board {columns}x{rows} --square-mm {square_mm:g} "
+    "  rhot calibrate stage --live --rig {folder} --board {columns}x{rows} --square-mm {square_mm:g} "
     "--desk-mm {desk_mm:g} --connect {endpoint}\n"
 )
 _TOUCH_TEXT: Final = (
     "A finger touches the faces of {object}, a box whose tracker sits askew. It waits {wait_s:.0f} s after each start "
     "signal, then touches them in the order in which the command asks.\nrig folder: {path}\n"
     "Now, in another terminal:\n\n"
-    "  rhot start --connect {endpoint} && rhot calibrate objects --touch {object} --rig {path} --connect {endpoint}\n"
+    "  rhot start --connect {endpoint} && rhot calibrate objects --touch {object} --rig {folder} --connect {endpoint}\n"
 )
 _HEADSET_TEXT: Final = (
     "A marker lies on the floor, and somebody looks about over it. The camera sits askew on the headset.\n"
     "rig folder: {path}\nNow, in another terminal:\n\n"
-    "  rhot calibrate headset --live --rig {path} --connect {endpoint}\n"
+    "  rhot calibrate headset --live --rig {folder} --connect {endpoint}\n"
 )
 _PATH_TEXT: Final = (
     "This rig is not calibrated yet (no {missing}). In the page, the tab Calibrate leads through it; what stands "
@@ -96,13 +97,16 @@ async def _stay(
             square_mm=1e3 * sim.board_square_m,
             desk_mm=1e3 * sim.desk_height_m,
             path=rig.path,
+            folder=as_argument(rig.path),
             endpoint=endpoint,
         )
     elif sim.motion == "touch":
         touched = next(name for name, item in rig.config.objects.items() if item.source == "simulated")
-        text = _TOUCH_TEXT.format(object=touched, wait_s=WAIT_S, path=rig.path, endpoint=endpoint)
+        text = _TOUCH_TEXT.format(
+            object=touched, wait_s=WAIT_S, path=rig.path, folder=as_argument(rig.path), endpoint=endpoint
+        )
     elif sim.motion == "headset":
-        text = _HEADSET_TEXT.format(path=rig.path, endpoint=endpoint)
+        text = _HEADSET_TEXT.format(path=rig.path, folder=as_argument(rig.path), endpoint=endpoint)
     else:
         text = _PATH_TEXT.format(missing=missing_calibration(rig))
     ending = "Ctrl-C ends it." if duration_s is None else f"Ends after {duration_s:g} s."

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,12 +12,16 @@ from pathlib import Path
 import click
 import pytest
 from click.testing import CliRunner
+from rich.console import Console
 
 from rhot.cli import main
 from rhot.cli.operate.configure import parse_assignments
 from rhot.cli.operate.inspect import json_text, plain_value
 from rhot.cli.options import tool_bus
 from rhot.errors import ConfigError
+from rhot.report.tables import figures_table
+from rhot.rig.folder import load_config
+from rhot.text import printable
 
 NOBODY = "unixsock-stream//nonexistent/z.sock"
 
@@ -91,7 +97,40 @@ def test_init_makes_a_rig_that_doctor_understands(tmp_path: Path) -> None:
     done = rhot("doctor", "--rig", str(tmp_path / "desk"), "--connect", NOBODY)
     assert done.returncode == 1, "without colours nothing can be found, which is BAD"
     assert "colors.json is missing" in done.stdout
-    assert "calibrate the cameras" in done.stdout
+    assert "rhot calibrate cameras" in done.stdout
+
+
+@pytest.mark.parametrize("name", ['the "good" one', "a\\b", "two\nlines", "Übung", "\udcff"])
+def test_init_takes_any_name_that_a_folder_may_have(tmp_path: Path, name: str) -> None:
+    done = rhot("init", str(tmp_path / name))
+    assert done.returncode == 0, done.stderr
+    assert load_config(tmp_path / name).name == printable(name)
+
+
+def test_output_in_an_encoding_that_lacks_a_character_shows_a_question_mark() -> None:
+    code = (
+        "import click\nfrom rhot.cli.group import MainGroup\n"
+        "group = MainGroup(lazy={}, commands={'x': click.Command('x', callback=lambda: print('\\xb1 ms'))})\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}group.main(['x'])"],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split()[:2] == [b"?", b"ms"]
+
+
+def test_no_figure_is_cut_off_in_a_narrow_terminal() -> None:
+    table = figures_table("service", "out /s", "late", "p50 ms", "p99 ms")
+    table.add_row("capture/left", "119.9", "12345", "11.74", "123.31")
+    stream = io.StringIO()
+    Console(file=stream, width=24).print(table)
+    assert "…" not in stream.getvalue()
+    digits = [character for character in stream.getvalue() if character.isdigit()]
+    assert sorted(digits) == sorted("50991199123451174" + "12331")
 
 
 def test_a_service_whose_packages_are_missing_says_what_to_install() -> None:

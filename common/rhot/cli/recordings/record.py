@@ -64,7 +64,7 @@ def counts_table(tally: Tally, title: str, elapsed_s: float) -> Table:
     """Return what was recorded so far, one row a key."""
     table = Table(title=title, title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, show_edge=False)
     for column in ("key", "messages", "per s", "kB", "lost", "restarts"):
-        table.add_column(column, justify="left" if column == "key" else "right", no_wrap=True)
+        table.add_column(column, justify="left" if column == "key" else "right", overflow="fold")
     for key, count in sorted(tally.keys.items())[:_MOST_ROWS]:
         lost = f"[red]{count.lost}[/]" if count.lost else "0"
         rate = count.messages / elapsed_s
