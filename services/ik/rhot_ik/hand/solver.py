@@ -14,6 +14,7 @@ from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import BoolArray, FloatArray, IntArray
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.fabrik.finger_chains import FabrikFingers
+from rhot_ik.hand.blending import BlendSettings, blended, carried
 from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
@@ -24,7 +25,6 @@ from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.filter.smoother import smoothed_states
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
-from rhot_ik.hand.rejoin import RejoinSettings, carried, rejoined
 
 __all__ = ["HandObservation", "HandSolution", "HandSolver"]
 
@@ -63,7 +63,7 @@ class HandTrack:
         t_ns: of the sample, rig clock.
         state: of the estimate.
         shown: (5, 4) radians, angles as they were shown.
-        rejoins_s: (5,) for how long each finger is still led in.
+        blends_s: (5,) for how much longer each finger is blended in, seconds.
         corner_noise: of the patch, as learned.
         corners_measured: whether the corners of the patch measured the palm's rotation.
         base_seen_ns, measured_ns: when the base marker was there last, and when anything was measured.
@@ -80,7 +80,7 @@ class HandTrack:
     t_ns: int
     state: HandState
     shown: FloatArray
-    rejoins_s: FloatArray
+    blends_s: FloatArray
     corner_noise: CornerNoise
     corners_measured: bool
     base_seen_ns: int
@@ -131,7 +131,7 @@ class HandSolver:
         self._analytic = AnalyticFingers(self._geometry)
         self._fabrik = FabrikFingers(self._geometry)
         self.config = config
-        self._rejoin = RejoinSettings()
+        self._blend = BlendSettings()
         self._track: HandTrack | None = None
         self._solution: HandSolution | None = None
         self._person: tuple[FloatArray, FloatArray] | None = None
@@ -165,11 +165,11 @@ class HandSolver:
                 return None
             if not 0.0 <= dt_s < self._settings.gap_s or self._is_over(seen, before):
                 before = None
-        self._track = self._begun(seen) if before is None else self._continued(before, seen, shapes)
+        self._track = self._initialised(seen) if before is None else self._continued(before, seen, shapes)
         if self._track is None:
             self._solution = None
         else:
-            self._person = self._track.state.what_is_personal
+            self._person = self._track.state.personal_parameters
             self._solution = self._solution_of(self._track)
         return self._solution
 
@@ -180,7 +180,7 @@ class HandSolver:
         all_gone = not seen.measured_any and before.measured_ns < oldest_ns
         return base_gone or all_gone
 
-    def _begun(self, seen: HandObservation) -> HandTrack | None:
+    def _initialised(self, seen: HandObservation) -> HandTrack | None:
         found = self._initialiser.find(seen, self._person)
         if found is None or not seen.measured_any:
             return None
@@ -190,14 +190,14 @@ class HandSolver:
             t_ns=seen.t_ns,
             state=state,
             shown=self._angles(state, seen, state.angles.reshape(5, 4)),
-            rejoins_s=np.zeros(5),
+            blends_s=np.zeros(5),
             corner_noise=evidence.corner_noise,
             corners_measured=evidence.rotation is not None,
             laid=evidence.rotation is not None,
             base_seen_ns=seen.t_ns,
             measured_ns=seen.t_ns,
             measured=measured,
-            sure=measured & _known_to(seen, self._rejoin.sure_m),
+            sure=measured & _known_to(seen, self._blend.sure_m),
             known_since_ns=np.where(measured, seen.t_ns, _NEVER_NS),
             seen=seen,
         )
@@ -213,25 +213,25 @@ class HandSolver:
             state, lost_s = self._reinitialised_if_lost(before, updated, seen, int(np.count_nonzero(measured)), dt_s)
         else:
             # A palm that was taken up without the corners of its patch was guessed to point to its tips.
-            state, lost_s = self._found_anew(updated, seen), 0.0
+            state, lost_s = self._reinitialised(updated, seen), 0.0
         angles = self._angles(state, seen, before.shown)
-        sure = measured & _known_to(seen, self._rejoin.sure_m)
-        known = measured & _known_to(seen, self._rejoin.known_m)
+        sure = measured & _known_to(seen, self._blend.sure_m)
+        known = measured & _known_to(seen, self._blend.known_m)
         since_ns = np.where(known, np.minimum(before.known_since_ns, seen.t_ns), _NEVER_NS)
-        left_s = np.where(sure & before.sure, before.rejoins_s, self._rejoin.lasts_s)
+        left_s = np.where(sure & before.sure, before.blends_s, self._blend.lasts_s)
         # Fingers that go with another palm than before are led in from nowhere.
         shown, left_s = (before.shown, left_s) if state is updated else (angles, np.zeros(5))
         if left_s.any():
             moved = (state.angles - before.state.angles).reshape(5, 4)
-            led = (left_s > 0.0) & (seen.t_ns - since_ns > 1e9 * self._rejoin.settles_s)
-            shown = carried(self._kinematics, shown, moved, led, dt_s, self._rejoin)
+            led = (left_s > 0.0) & (seen.t_ns - since_ns > 1e9 * self._blend.settles_s)
+            shown = carried(self._kinematics, shown, moved, led, dt_s, self._blend)
             shown = self._filter.legal(shown.reshape(-1)).reshape(5, 4)
-        shown, left_s = rejoined(self._kinematics, angles, shown, left_s, dt_s, self._rejoin)
+        shown, left_s = blended(self._kinematics, angles, shown, left_s, dt_s, self._blend)
         return HandTrack(
             t_ns=seen.t_ns,
             state=state,
             shown=shown,
-            rejoins_s=left_s,
+            blends_s=left_s,
             corner_noise=evidence.corner_noise,
             corners_measured=evidence.rotation is not None,
             laid=laid,
@@ -260,9 +260,9 @@ class HandSolver:
         lost_s = before.lost_s + dt_s * min(haste, self._settings.lost_haste)
         if lost_s < self._settings.lost_s:
             return state, lost_s
-        return self._found_anew(state, seen), 0.0
+        return self._reinitialised(state, seen), 0.0
 
-    def _found_anew(self, state: HandState, seen: HandObservation) -> HandState:
+    def _reinitialised(self, state: HandState, seen: HandObservation) -> HandState:
         """Return the state, or one that explains the sample far better."""
         # What was learned of the person on a hand that was taken up wrongly is wrong as well.
         found = self._initialiser.find(seen)

@@ -13,12 +13,12 @@ from rhot.explain import Explanation
 from rhot.messages import FingerAngles, HandPose, ObjectPose, ObjectShape, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
 from rhot.stage import Output
+from rhot_ik.hand.block_smoothing import BlockSmoother
 from rhot_ik.hand.contact import Shape, shape_of
 from rhot_ik.hand.explain import solver_tables
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.fingers.geometry import base_marker
-from rhot_ik.hand.lookback import LookBack
-from rhot_ik.hand.repeated_guesses import RepeatedGuesses
+from rhot_ik.hand.repeated_predictions import RepeatedPredictions
 from rhot_ik.hand.solver import HandSolution, HandSolver
 
 _ANGLES = tuple(FingerAngles.model_fields)
@@ -44,7 +44,7 @@ class HandStage:
         self._volume_m = rig.config.fusion.volume_m
         self._problems: list[str] = []
         self._hold_s = rig.config.ik.hold_s
-        self._guesses = RepeatedGuesses()
+        self._predictions = RepeatedPredictions()
         # Messages do not say which object they are of; two of the very same shape count as one.
         self._objects: dict[ObjectShape, tuple[int, Shape]] = {}
         places = [np.array(camera.T_rig_camera)[:3, 3] for camera in rig.cameras.values()]
@@ -57,7 +57,7 @@ class HandStage:
                 continue
             self._bases[side] = base
             self._solvers[side] = HandSolver(model, self._markers, base, rig.config.ik, viewpoint)
-        self._lookback = LookBack(self._solvers)
+        self._block_smoother = BlockSmoother(self._solvers)
 
     def configure(self, config: IkConfig) -> None:
         """Switch to another configuration from the next sample on."""
@@ -95,11 +95,11 @@ class HandStage:
         still missing comes from `finish`.
         """
         tracks = {side: track for side in self._solve(points) if (track := self._solvers[side].track) is not None}
-        return [(settled, self._outputs(settled, found)) for settled, found in self._lookback.add(points, tracks)]
+        return [(settled, self._outputs(settled, found)) for settled, found in self._block_smoother.add(points, tracks)]
 
     def finish(self) -> list[tuple[PointSet, list[Output]]]:
         """Return what `look_back` still holds, at the end of a recording."""
-        return [(settled, self._outputs(settled, found)) for settled, found in self._lookback.finish()]
+        return [(settled, self._outputs(settled, found)) for settled, found in self._block_smoother.finish()]
 
     def _outputs(self, points: PointSet, found: Mapping[Side, HandSolution]) -> list[Output]:
         """Return the messages that carry solutions, with their keys."""
@@ -144,7 +144,7 @@ class HandStage:
                 self._counts["not_of_this_hand"] += 1
                 continue
             tips[place] = point.position
-            covariances[place] = self._guesses.covariance(solver.geometry.markers[finger], point)
+            covariances[place] = self._predictions.covariance(solver.geometry.markers[finger], point)
             # Fusion calls what cameras see badly predicted, too; how badly is stated.
             certain[place] = point.state != "predicted"
             measured[place] = certain[place] or point.views > 0
@@ -156,7 +156,9 @@ class HandStage:
             tips=np.array(tips),
             tips_measured=np.array(measured),
             tips_certain=np.array(certain),
-            base_covariance=None if base is None else np.array(self._guesses.covariance(base_name, base)).reshape(3, 3),
+            base_covariance=None
+            if base is None
+            else np.array(self._predictions.covariance(base_name, base)).reshape(3, 3),
             tip_covariances=np.array(covariances).reshape(-1, 3, 3),
         )
 

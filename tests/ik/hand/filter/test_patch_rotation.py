@@ -36,7 +36,7 @@ def test_the_covariance_says_how_far_the_rotation_scatters() -> None:
 @pytest.mark.parametrize(("width_m", "ways"), [(0.04, 2), (0.031, 4)])
 def test_a_rectangle_lies_two_ways_round_and_nearly_a_square_four(width_m: float, ways: int) -> None:
     outline = OUTLINE * (width_m / 0.04, 1.0, 1.0)
-    found = PatchRotation(outline).ways_round(outline @ R_TRUE.T + AT)
+    found = PatchRotation(outline).patch_orientations(outline @ R_TRUE.T + AT)
     facing = [R for R in found if R[:, 1] @ R_TRUE[:, 1] > 0.9]
     assert len(facing) == ways
     assert len(found) == 2 * ways

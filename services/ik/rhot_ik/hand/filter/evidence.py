@@ -179,11 +179,11 @@ class EvidenceModel:
         self._most_samples, self._corner_floor = settings.corner_samples[1], settings.corner_m**2 * _UNIT
         self._across = np.diag([1e3, settings.across_rad**2, settings.across_rad**2])
 
-    def ways_round(self, seen: HandObservation) -> list[FloatArray]:
+    def patch_orientations(self, seen: HandObservation) -> list[FloatArray]:
         """Return the rotations (3, 3), wrist to rig, that the corners of a sample allow; none where it has none."""
         if seen.corners is None or self._patch is None or not seen.base_measured:
             return []
-        return self._patch.ways_round(seen.corners)
+        return self._patch.patch_orientations(seen.corners)
 
     def assess(
         self, seen: HandObservation, expected: FloatArray | None, corner_noise: CornerNoise | None = None

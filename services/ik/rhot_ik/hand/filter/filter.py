@@ -129,13 +129,13 @@ class HandFilter(HandProcess):
             H, y = self._linearise(rows, at, modelled)
             innovation = y + H @ dx
             if step == 0:
-                P, PHt, S, given = self._given_room(prior, rows, H, innovation)
+                P, PHt, S, given = self._inflated(prior, rows, H, innovation)
                 noise = given
             else:
                 PHt = P @ H.T
                 S = H @ PHt
             if far or step > 0:
-                noise = self._doubted(rows, given, y, H[:15, :6] if step == 0 else None, P[:6, :6])
+                noise = self._downweighted(rows, given, y, H[:15, :6] if step == 0 else None, P[:6, :6])
             S.reshape(7, 3, 7, 3)[_BLOCKS, :, _BLOCKS] += noise
             gain = PHt @ inverse_covariance(S)
             posterior = P - gain @ PHt.T
@@ -244,10 +244,10 @@ class HandFilter(HandProcess):
             H[18:, ROTATION] = tilt.T
         return (H, y) if rows.all_seen else (H * rows.counts[:, None], y * rows.counts)
 
-    def _given_room(
+    def _inflated(
         self, prior: HandState, rows: Rows, H: FloatArray, innovation: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return P with more room for hands that move faster than usual, P·Hᵀ, H·P·Hᵀ and the noise (7, 3, 3).
+        """Return P inflated for hands that move faster than usual, P·Hᵀ, H·P·Hᵀ and the noise (7, 3, 3).
 
         The noise of outliers is raised.
         """
@@ -275,10 +275,10 @@ class HandFilter(HandProcess):
                 S = H @ PHt
         return P, PHt, S, noise
 
-    def _doubted(
+    def _downweighted(
         self, rows: Rows, noise: FloatArray, y: FloatArray, by_pose: FloatArray | None, P: FloatArray
     ) -> FloatArray:
-        """Return the noise (7, 3, 3) with that of tips raised that no legal pose meets.
+        """Return the noise (7, 3, 3), raised for tips that no pose within the joint limits explains.
 
         Where the derivatives by the wrist's pose `by_pose` (15, 6) are given, only the fingers were brought to the tips
         by now, and the pose may account for as much of what is missed as its covariance P (6, 6) says.

@@ -45,7 +45,7 @@ class HandInitialiser:
     ) -> tuple[HandState, Evidence] | None:
         """Return the best state and the evidence it was judged by; None without the base or a tip seen well.
 
-        `person` is what is known of the hand from before, see `HandState.what_is_personal`.
+        `person` is what is known of the hand from before, see `HandState.personal_parameters`.
         """
         # What is only bridged may have been anything; a measured tip tells one end of the patch from the other.
         visible = seen.tips_seen & seen.tips_measured
@@ -85,7 +85,7 @@ class HandInitialiser:
         From the tips alone a palm is looked for in their direction, and a lone curled finger points anywhere.
         """
         found = []
-        for R in self._facing(self._evidence.ways_round(seen), base):
+        for R in self._facing(self._evidence.patch_orientations(seen), base):
             evidence = self._evidence.assess(seen, R)
             if evidence.rotation is None:
                 continue

@@ -41,7 +41,7 @@ class PatchRotation:
         self._arms = J.swapaxes(1, 2).swapaxes(0, 1).reshape(3, 12)
         self._size = float((outline * outline).sum())
 
-    def ways_round(self, corners: FloatArray) -> list[FloatArray]:
+    def patch_orientations(self, corners: FloatArray) -> list[FloatArray]:
         """Return the rotations (3, 3), wrist to rig, of the ways to lay the patch on its corners (4, 3), metres.
 
         Those of a rectangle's eight that fit within `MAX_ERROR_M`: two, or four where it is nearly a square, and as

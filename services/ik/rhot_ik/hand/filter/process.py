@@ -81,8 +81,8 @@ class HandState:
         return self.person[6:]
 
     @property
-    def what_is_personal(self) -> tuple[FloatArray, FloatArray]:
-        """What was learned of the person, (11,), and its covariance (11, 11); it outlives a lost hand."""
+    def personal_parameters(self) -> tuple[FloatArray, FloatArray]:
+        """Return the person-specific parameters (11,) and their covariance (11, 11); they outlive a lost hand."""
         return self.person, self.P[PERSON, PERSON]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rhot.messages import Point, PointState
-from rhot_ik.hand.repeated_guesses import RepeatedGuesses
+from rhot_ik.hand.repeated_predictions import RepeatedPredictions
 
 RAY = np.array([0.6, 0.0, 0.8])
 ALONG_M, ACROSS_M = 0.08, 0.002
@@ -18,21 +18,21 @@ def point(state: PointState) -> Point:
     return Point(position=(0.0, 0.0, 0.7), sigma=ALONG_M, views=1, state=state, covariance=covariance)
 
 
-def sigmas(guesses: RepeatedGuesses, told: Point) -> tuple[float, float]:
+def sigmas(guesses: RepeatedPredictions, told: Point) -> tuple[float, float]:
     C = np.array(guesses.covariance("ring", told)).reshape(3, 3)
     side = np.array([0.0, 1.0, 0.0])
     return float(np.sqrt(RAY @ C @ RAY)), float(np.sqrt(side @ C @ side))
 
 
 def test_measured_points_count_in_full() -> None:
-    guesses = RepeatedGuesses()
+    guesses = RepeatedPredictions()
     for _ in range(3):
         assert sigmas(guesses, point("measured")) == pytest.approx((ALONG_M, ACROSS_M))
 
 
 @pytest.mark.parametrize("guess", ["one_view", "predicted"])
 def test_guesses_count_less_each_time_in_all_directions_until_both_cameras_see_the_marker(guess: PointState) -> None:
-    guesses = RepeatedGuesses()
+    guesses = RepeatedPredictions()
     for _ in range(3):
         for k in range(1, 5):
             assert sigmas(guesses, point(guess)) == pytest.approx((ALONG_M * k**0.5, ACROSS_M * k**0.5))
@@ -40,11 +40,11 @@ def test_guesses_count_less_each_time_in_all_directions_until_both_cameras_see_t
 
 
 def test_what_two_cameras_see_badly_is_no_guess() -> None:
-    guesses, told = RepeatedGuesses(), point("predicted").model_copy(update={"views": 2})
+    guesses, told = RepeatedPredictions(), point("predicted").model_copy(update={"views": 2})
     for _ in range(3):
         assert sigmas(guesses, told) == pytest.approx((ALONG_M, ACROSS_M))
 
 
 def test_a_point_without_covariance_is_alike_in_all_directions() -> None:
     told = Point(position=(0.0, 0.0, 0.7), sigma=0.003, views=2, state="measured")
-    assert np.allclose(RepeatedGuesses().covariance("ring", told), (0.003**2 / 3.0 * np.eye(3)).reshape(9))
+    assert np.allclose(RepeatedPredictions().covariance("ring", told), (0.003**2 / 3.0 * np.eye(3)).reshape(9))

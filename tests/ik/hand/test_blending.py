@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from rhot.anatomy.hand import HandModel
+from rhot_ik.hand.blending import BlendSettings, blended, carried
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-from rhot_ik.hand.rejoin import RejoinSettings, carried, rejoined
 
-SETTINGS = RejoinSettings()
+SETTINGS = BlendSettings()
 
 
 def test_a_finger_that_is_led_in_arrives_by_bounded_steps(right_hand: HandModel) -> None:
@@ -20,7 +20,7 @@ def test_a_finger_that_is_led_in_arrives_by_bounded_steps(right_hand: HandModel)
     steps = []
     for _ in range(40):
         before = geometry.marker_points(shown)[3]
-        shown, left_s = rejoined(HandKinematics(geometry), known, shown, left_s, 1 / 60, SETTINGS)
+        shown, left_s = blended(HandKinematics(geometry), known, shown, left_s, 1 / 60, SETTINGS)
         steps.append(np.linalg.norm(geometry.marker_points(shown)[3] - before))
         assert np.array_equal(shown[[0, 1, 2, 4]], known[[0, 1, 2, 4]])
     assert max(steps) < 1.1 * (SETTINGS.step_m + SETTINGS.speed_m_s / 60)
@@ -36,7 +36,7 @@ def test_a_finger_is_led_in_for_as_long_at_fewer_samples_a_second(right_hand: Ha
         known = np.radians(np.tile([50.0, 0.0, 50.0, 33.0], (5, 1)))
         samples = 0
         while left_s.any():
-            shown, left_s = rejoined(kinematics, known, shown, left_s, 1 / rate_hz, SETTINGS)
+            shown, left_s = blended(kinematics, known, shown, left_s, 1 / rate_hz, SETTINGS)
             samples += 1
         took_s.append(samples / rate_hz)
     assert took_s[1] < took_s[0] + 2 / 15
@@ -49,7 +49,7 @@ def test_a_finger_that_goes_as_fast_as_hands_do_is_not_held_back(right_hand: Han
     for k in range(30):
         known = np.zeros((5, 4))
         known[:, 0] = 0.2 / 0.09 * k / 60
-        shown, left_s = rejoined(HandKinematics(geometry), known, shown, left_s, 1 / 60, SETTINGS)
+        shown, left_s = blended(HandKinematics(geometry), known, shown, left_s, 1 / 60, SETTINGS)
         assert np.allclose(shown, known)
 
 
@@ -58,7 +58,7 @@ def test_a_tip_that_goes_faster_than_fingers_do_is_led_in_as_if_it_came_back(rig
     geometry = FingerGeometry.of(right_hand, {})
     shown, known = np.zeros((5, 4)), np.zeros((5, 4))
     known[2, 0] = np.radians(60.0)
-    angles, _ = rejoined(HandKinematics(geometry), known, shown, np.zeros(5), 1 / 60, SETTINGS)
+    angles, _ = blended(HandKinematics(geometry), known, shown, np.zeros(5), 1 / 60, SETTINGS)
     step = np.linalg.norm(geometry.marker_points(angles)[2] - geometry.marker_points(shown)[2])
     assert 0.001 < step < 1.1 * (SETTINGS.step_m + SETTINGS.speed_m_s / 60)
 

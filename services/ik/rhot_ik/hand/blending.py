@@ -18,8 +18,8 @@ from rhot_ik.hand.filter.kinematics import HandKinematics
 
 
 @dataclass(frozen=True, slots=True)
-class RejoinSettings:
-    """How fast a guess gives way to what is seen.
+class BlendSettings:
+    """Parameters of the blend from a prediction to a measured finger.
 
     Attributes:
         usual_s: the usual time from one sample to the next, for which the three that follow hold: two cameras at 30
@@ -58,7 +58,7 @@ def carried(
     moved: FloatArray,
     led: BoolArray,
     dt_s: float,
-    settings: RejoinSettings,
+    settings: BlendSettings,
 ) -> FloatArray:
     """Return the angles (5, 4) that were shown, those of fingers that are led in moved on as they have moved since.
 
@@ -74,13 +74,13 @@ def carried(
     return np.where(own[:, None], shown + moved, shown)
 
 
-def rejoined(
+def blended(
     kinematics: HandKinematics,
     estimated: FloatArray,
     shown: FloatArray,
     left_s: FloatArray,
     dt_s: float,
-    settings: RejoinSettings,
+    settings: BlendSettings,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the angles (5, 4) to show, and for how long each finger is led in from now on (5,), seconds.
 

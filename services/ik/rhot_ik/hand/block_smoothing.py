@@ -16,7 +16,7 @@ PIECE_NS: Final = 5_000_000_000
 """So much is smoothed at once; with what is ahead of it, 10 s of tracks are kept, some 40 MB at 120 points a second."""
 
 
-class LookBack:
+class BlockSmoother:
     """Keeps the newest samples of all hands, and gives them back with what later ones said of them.
 
     Args:

@@ -15,7 +15,7 @@ from rhot.geometry.covariances import stated_covariance
 from rhot.messages import Point
 
 
-class RepeatedGuesses:
+class RepeatedPredictions:
     """Counts, for each marker, the consecutive samples that are the same kind of prediction."""
 
     def __init__(self) -> None:

@@ -12,7 +12,7 @@ from rhot.arrays import FloatArray
 from rhot.messages import HandPose, PointSet
 from rhot.rig import Rig
 from rhot.stage import Output
-from rhot_ik.hand.lookback import LookBack
+from rhot_ik.hand.block_smoothing import BlockSmoother
 from rhot_ik.hand.stage import HandStage
 
 RATE_HZ = 40.0
@@ -62,7 +62,7 @@ def test_a_hidden_finger_goes_to_where_it_comes_out(right_rig: Rig, clip: tuple[
 def test_pieces_come_in_order_and_all_of_them(right_rig: Rig, clip: tuple[list[PointSet], FloatArray]) -> None:
     sets, _ = clip
     whole, pieces = HandStage(right_rig), HandStage(right_rig)
-    pieces._lookback = LookBack(pieces._solvers, ahead_ns=1_000_000_000, piece_ns=300_000_000)
+    pieces._lookback = BlockSmoother(pieces._solvers, ahead_ns=1_000_000_000, piece_ns=300_000_000)
     for points in sets:
         whole.look_back(points)
     settled = [pieces.look_back(points) for points in sets]
