@@ -62,7 +62,7 @@ def test_a_hidden_finger_goes_to_where_it_comes_out(right_rig: Rig, clip: tuple[
 def test_pieces_come_in_order_and_all_of_them(right_rig: Rig, clip: tuple[list[PointSet], FloatArray]) -> None:
     sets, _ = clip
     whole, pieces = HandStage(right_rig), HandStage(right_rig)
-    pieces._lookback = BlockSmoother(pieces._solvers, ahead_ns=1_000_000_000, piece_ns=300_000_000)
+    pieces._block_smoother = BlockSmoother(pieces._solvers, ahead_ns=1_000_000_000, piece_ns=300_000_000)
     for points in sets:
         whole.look_back(points)
     settled = [pieces.look_back(points) for points in sets]
