@@ -10,6 +10,7 @@ import cv2
 from rich.console import Console
 from rich.progress import Progress
 
+from rhot.cli.options import FiniteRange
 from rhot.rig import Rig
 from rhot_bench.measures.rows import Section, check_output
 from rhot_bench.output import json_option, show
@@ -42,7 +43,7 @@ NAMED_PARTS: Final = ("page", "soak")
 )
 @click.option(
     "--hours",
-    type=click.FloatRange(min=0.0, min_open=True, max=1000.0),
+    type=FiniteRange(min=0.0, min_open=True, max=1000.0),
     default=2.0,
     show_default=True,
     help="How long the soak runs. Ctrl-C ends it sooner, with the figures so far.",

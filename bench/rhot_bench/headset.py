@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from rich.console import Console
 
+from rhot.cli.options import FiniteRange
 from rhot.recording.camera_picture import jpeg_of
 from rhot_bench.feet.heads import START_NS, Heads
 from rhot_bench.measures.rows import Row, Section, check_output
@@ -45,7 +46,7 @@ class _Found:
 
 @click.command()
 @click.option("--seeds", type=click.IntRange(1, 100), default=8, show_default=True, help="Simulated persons.")
-@click.option("--seconds", type=click.FloatRange(10, 30), default=29.0, show_default=True, help="How long each looks.")
+@click.option("--seconds", type=FiniteRange(10, 30), default=29.0, show_default=True, help="How long each looks.")
 @json_option
 def headset(seeds: int, seconds: float, json_path: Path | None) -> None:
     """Calibrate from simulated persons who look at a marker on the floor, and compare with the true camera pose.

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from rhot.bus import Bus, Publisher
+from rhot.cli.options import FiniteRange
 from rhot.errors import RhotError
 from rhot.messages import Control, Message, ObjectPose, ServiceStatus, Truth, encode
 from rhot.offline import track
@@ -98,7 +99,7 @@ class Traffic:
 @click.option(
     "--duration",
     "duration_s",
-    type=click.FloatRange(2, 36000),
+    type=FiniteRange(2, 36000),
     default=600.0,
     show_default=True,
     help="Seconds to record.",
@@ -106,7 +107,7 @@ class Traffic:
 @click.option(
     "--rate",
     "rate_hz",
-    type=click.FloatRange(5, 200),
+    type=FiniteRange(5, 200),
     default=60.0,
     show_default=True,
     help="Frames per second of each camera.",

@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, get_args
 import click
 from rich.console import Console
 
-from rhot.cli.options import DEFAULT_RIG, endpoints
+from rhot.cli.options import DEFAULT_RIG, FiniteRange, endpoints
 from rhot.cli.page import Pages, free_pages, page_options
 from rhot.errors import ConfigError
 from rhot.messages import Side
@@ -41,7 +41,7 @@ _TO_CALIBRATE: Final = ("board", "desk_board", "touch", "headset")
 @click.option(
     "--duration",
     "duration_s",
-    type=click.FloatRange(1, 86400),
+    type=FiniteRange(1, 86400),
     default=30.0,
     show_default=True,
     help="Seconds to run. With a board or an uncalibrated rig, until Ctrl-C unless you give it.",
@@ -56,7 +56,7 @@ _TO_CALIBRATE: Final = ("board", "desk_board", "touch", "headset")
 @click.option(
     "--rate",
     "rate_hz",
-    type=click.FloatRange(5, 200),
+    type=FiniteRange(5, 200),
     default=60.0,
     show_default=True,
     help="Frames per second of each camera.",
@@ -93,7 +93,7 @@ _TO_CALIBRATE: Final = ("board", "desk_board", "touch", "headset")
 @click.option(
     "--height",
     "height_m",
-    type=click.FloatRange(1.2, 2.2),
+    type=FiniteRange(1.2, 2.2),
     default=1.75,
     show_default=True,
     help="With --feet: height of the person, metres.",

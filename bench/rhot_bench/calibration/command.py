@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rhot.bus import Bus
-from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame
@@ -42,7 +42,7 @@ def _board(ctx: click.Context, param: click.Parameter, text: str | None) -> Boar
 @click.option(
     "--live",
     "live_s",
-    type=click.FloatRange(2.0, 3600.0),
+    type=FiniteRange(2.0, 3600.0),
     metavar="SECONDS",
     help="Listen to the running rig this long instead of reading a recording.",
 )

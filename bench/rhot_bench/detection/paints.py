@@ -8,6 +8,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from rhot.cli.options import FiniteRange
 from rhot_calibration.colors.model.paint_sets import SATURATION, as_seen, best_set
 from rhot_calibration.colors.model.paints import PAINTS
 
@@ -19,7 +20,7 @@ _MOST: Final = 12
 @click.command()
 @click.option(
     "--saturation",
-    type=click.FloatRange(0.05, 1.0),
+    type=FiniteRange(0.05, 1.0),
     default=SATURATION,
     show_default=True,
     help="How colourful pictures are beside the paint from the tube. The 2018 rig's: 0.29, a telephone's: 0.44.",

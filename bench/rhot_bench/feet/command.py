@@ -11,6 +11,7 @@ from typing import Final
 import click
 from rich.console import Console
 
+from rhot.cli.options import FiniteRange
 from rhot.errors import ConfigError
 from rhot.messages import Side
 from rhot.report.svg import line_plot
@@ -57,7 +58,7 @@ _WITHOUT: Final[dict[str, tuple[Side, ...]]] = {"left": ("left",), "right": ("ri
 @click.option(
     "--duration",
     "duration_s",
-    type=click.FloatRange(5, 600),
+    type=FiniteRange(5, 600),
     default=8.0,
     show_default=True,
     help="Seconds of each run; drawing and tracking take about twice as long.",

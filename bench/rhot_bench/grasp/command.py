@@ -15,7 +15,7 @@ import cv2
 from rich.console import Console
 
 from rhot.anatomy.skeleton import FINGERS
-from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.export.source import RecordedMessages
 from rhot.messages import BoxShape, CylinderShape, Message, SphereShape
@@ -58,9 +58,7 @@ class _ShapeType(click.ParamType[ObjectShape]):
 
 @click.command()
 @click.argument("data_path", metavar="[DATA]", required=False, type=click.Path(path_type=Path, exists=True))
-@click.option(
-    "--live", "live_s", type=click.FloatRange(2.0, 3600.0), metavar="SECONDS", help="Listen to the running rig."
-)
+@click.option("--live", "live_s", type=FiniteRange(2.0, 3600.0), metavar="SECONDS", help="Listen to the running rig.")
 @click.option("--grasps", type=click.IntRange(1, 100), default=3, show_default=True, help="Simulated only: how many.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Simulated only: of the world.")
 @click.option("--hand", type=click.Choice(["left", "right"]), help="Which hand, if there are both.")

@@ -11,6 +11,7 @@ from typing import Final, Literal
 import click
 from rich.console import Console
 
+from rhot.cli.options import FiniteRange
 from rhot_bench.measures.rows import check_output
 from rhot_bench.motion.figures import stratum_sections
 from rhot_bench.motion.recordings import list_recordings
@@ -35,7 +36,7 @@ _NAMES: Final = {"60": STRATA[0], "30": STRATA[1], "15": STRATA[2], "family": ST
 @click.option("--rigs", type=click.IntRange(min=1), default=6, show_default=True, help="Rigs to draw; 30 for a report.")
 @click.option(
     "--seconds",
-    type=click.FloatRange(min=1.0),
+    type=FiniteRange(min=1.0),
     default=2.5,
     show_default=True,
     help="Of each clip; 6 for a report.",

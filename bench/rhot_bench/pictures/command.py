@@ -13,6 +13,7 @@ from typing import Final
 import click
 from rich.console import Console
 
+from rhot.cli.options import FiniteRange
 from rhot.messages import MarkerFrame, Side
 from rhot.offline import track, track_smoothly
 from rhot.recording import load_recording
@@ -80,7 +81,7 @@ _OFFSET: Final = "after one constant offset per marker, along its bone and along
 )
 @click.option(
     "--width-mm",
-    type=click.FloatRange(40.0, 130.0),
+    type=FiniteRange(40.0, 130.0),
     help="Width of the hand across the knuckles, by a ruler; pictures state its length alone.  [default: 74 for a hand "
     "of 172, and in proportion]",
 )

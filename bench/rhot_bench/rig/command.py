@@ -14,7 +14,7 @@ import click
 from rich.console import Console
 
 from rhot.arrays import ImageArray
-from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError, RhotError
 from rhot.export.source import RecordedMessages
 from rhot.offline import marker_frames, rig_timing, track
@@ -58,7 +58,7 @@ _SAY: Final = {
 )
 @click.option(
     "--seconds",
-    type=click.FloatRange(3.0, 3600.0),
+    type=FiniteRange(3.0, 3600.0),
     default=60.0,
     show_default=True,
     help="Live: how long each part listens.",
@@ -67,7 +67,7 @@ _SAY: Final = {
 @click.option("--distances", default=_DISTANCES_CM, show_default=True, help="Depth: where it is held, cm.")
 @click.option(
     "--ruler-mm",
-    type=click.FloatRange(0.0, 100.0),
+    type=FiniteRange(0.0, 100.0),
     default=8.0,
     show_default=True,
     help="Depth: what a measured distance may be off; a painted tip has a radius of about 8 mm.",

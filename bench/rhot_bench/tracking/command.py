@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from rich.console import Console
 
+from rhot.cli.options import FiniteRange
 from rhot.report.svg import histogram, line_plot
 from rhot.rig import Rig
 from rhot.rig.folder import write_text_atomic
@@ -38,14 +39,12 @@ _LEAST_S: Final = 0.6
 @click.option(
     "--duration",
     "duration_s",
-    type=click.FloatRange(1, 3600),
+    type=FiniteRange(1, 3600),
     default=40.0,
     show_default=True,
     help="Seconds of gestures and grasps; rendering takes about three times as long.",
 )
-@click.option(
-    "--speed", type=click.FloatRange(1, 10), default=3.0, show_default=True, help="How much faster `fast` moves."
-)
+@click.option("--speed", type=FiniteRange(1, 10), default=3.0, show_default=True, help="How much faster `fast` moves.")
 @click.option(
     "--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Seed of the simulated world."
 )

@@ -16,6 +16,7 @@ from rich.console import Console
 
 from rhot.anatomy.hand import HandModel
 from rhot.arrays import FloatArray
+from rhot.cli.options import FiniteRange
 from rhot.messages import HandPose, MarkerFrame, PointSet, Side
 from rhot.offline import core, track_smoothly, track_with
 from rhot.rig import Rig
@@ -39,7 +40,7 @@ _WRONG_PX: Final = 14.0
 @click.option(
     "--duration",
     "duration_s",
-    type=click.FloatRange(1, 3600),
+    type=FiniteRange(1, 3600),
     default=20.0,
     show_default=True,
     help="Seconds of pictures. Each takes about three of computing: one to draw it and find markers, two to track it. "
@@ -48,7 +49,7 @@ _WRONG_PX: Final = 14.0
 @click.option(
     "--names-for",
     "names_s",
-    type=click.FloatRange(0, 36000),
+    type=FiniteRange(0, 36000),
     default=300.0,
     show_default=True,
     help="Seconds of blobs without pictures, for which hand they are said to be; 0 leaves this out.",

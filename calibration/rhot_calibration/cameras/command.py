@@ -12,7 +12,7 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.rig import CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import CAMERAS_FILE, nominal_camera
@@ -36,9 +36,7 @@ _UNITS_M: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 @click.option("--square-mm", type=float, help="Side of a square, measured on the print.")
 @click.option("--marker-mm", type=float, help="Side of the markers of a ChArUco board.")
 @click.option("--dictionary", default=DEFAULT_DICTIONARY, show_default=True, help="Markers of a ChArUco board.")
-@click.option(
-    "--baseline-mm", type=click.FloatRange(min=1.0), help="Measured distance of the first two lenses; checked."
-)
+@click.option("--baseline-mm", type=FiniteRange(min=1.0), help="Measured distance of the first two lenses; checked.")
 @click.option("--live", is_flag=True, help="Take the pictures now, from the running capture services.")
 @click.option("--pictures", "out", type=click.Path(path_type=Path), help="With --live: folder to keep the pictures in.")
 @click.option("--enough", type=click.IntRange(min=5), help="With --live: stop after this many pictures.")

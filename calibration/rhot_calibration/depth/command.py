@@ -12,6 +12,7 @@ from rich.table import Table
 
 from rhot.arrays import FloatArray
 from rhot.atomic_file import why_unread
+from rhot.cli.options import FiniteRange
 from rhot.errors import CalibrationError
 from rhot.report.tables import figures_table
 from rhot_calibration.depth.fit import PhysicalLaw, PowerLaw, fit_physical_law, fit_power_law, relative_rms
@@ -53,7 +54,7 @@ def _number(file: Path, line: int, name: str, text: str | None) -> float:
 
 @click.command()
 @click.argument("table", metavar="TABLE.csv", type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--focal-px", type=click.FloatRange(min=1.0), help="Focal length, to say what the physical law means.")
+@click.option("--focal-px", type=FiniteRange(min=1.0), help="Focal length, to say what the physical law means.")
 def depth(table: Path, focal_px: float | None) -> None:
     """Fit the disparity-to-depth law to measured distances.
 

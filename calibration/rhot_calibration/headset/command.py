@@ -9,7 +9,7 @@ from typing import Final
 import click
 from rich.console import Console
 
-from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
 from rhot.rig import BusConfig, load_rig
 from rhot.rig.folder import HEADSET_FILE
@@ -27,7 +27,7 @@ _SAY_EVERY: Final = 25
 @click.option("--live", is_flag=True, help="Use the running rig.")
 @click.option("--marker", "marker_id", type=click.IntRange(0), help="Number of the marker.  [default: the left foot's]")
 @click.option(
-    "--size-mm", type=click.FloatRange(5, 500), help="Side of its black square.  [default: marker_size_m of [feet]]"
+    "--size-mm", type=FiniteRange(5, 500), help="Side of its black square.  [default: marker_size_m of [feet]]"
 )
 @click.option(
     "--views", "wanted", type=click.IntRange(40, 1000), default=WANTED, show_default=True, help="Views to take, live."

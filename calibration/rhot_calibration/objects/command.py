@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from rhot.arrays import FloatArray
-from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.rig import BusConfig, RegistrationFile, Rig, load_rig
 from rhot.rig.config import ObjectSource
@@ -85,7 +85,7 @@ class _Earlier:
 )
 @click.option(
     "--lever-sd-mm",
-    type=click.FloatRange(min=0.01, max=100),
+    type=FiniteRange(min=0.01, max=100),
     default=2.0,
     show_default=True,
     help="How well --lever is known, mm (standard deviation).",
@@ -93,14 +93,14 @@ class _Earlier:
 @click.option("--realign", is_flag=True, help="Correct the existing registration, with a few places or even one.")
 @click.option(
     "--drift-mm",
-    type=click.FloatRange(min=0.01, max=1000),
+    type=FiniteRange(min=0.01, max=1000),
     default=5.0,
     show_default=True,
     help="With --realign: by how much it has probably moved since.",
 )
 @click.option(
     "--drift-deg",
-    type=click.FloatRange(min=0.001, max=90),
+    type=FiniteRange(min=0.001, max=90),
     default=0.2,
     show_default=True,
     help="With --realign: by how much it has probably turned since.",

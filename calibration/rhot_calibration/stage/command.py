@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from rhot.bus import Bus
-from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.rig import Rig, StageFile, load_rig
@@ -36,12 +36,12 @@ from rhot_calibration.writing import write_found
 @click.option("--dictionary", default=DEFAULT_DICTIONARY, show_default=True, help="Markers of a ChArUco board.")
 @click.option(
     "--desk-mm",
-    type=click.FloatRange(1e3 * LOWEST_DESK_M, 1e3 * HIGHEST_DESK_M),
+    type=FiniteRange(1e3 * LOWEST_DESK_M, 1e3 * HIGHEST_DESK_M),
     help="Height of the desk over the floor, by a ruler.",
 )
 @click.option(
     "--thickness-mm",
-    type=click.FloatRange(0, 100),
+    type=FiniteRange(0, 100),
     default=0.0,
     show_default=True,
     help="Of the board: how far its printed face lies above the desk.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +22,17 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _WITH_PORT: Final = ("tcp", "udp", "tls", "quic", "ws")
 """Zenoh's links that reach a machine by address and port."""
+
+
+class FiniteRange(click.FloatRange):
+    """A number between two bounds. Of click's own, `nan` is between any two: no comparison refuses it."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number."""
+        number: float = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{number:g} is no number to compute with", param, ctx)
+        return number
 
 
 def rig_option(command: F) -> F:

@@ -9,7 +9,7 @@ from typing import Any
 import click
 from pydantic import ValidationError
 
-from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.messages import first_problem
 from rhot.rig import BridgeConfig
@@ -26,7 +26,7 @@ from rhot_bridge.targets import TARGETS, TARGETS_OF
     "--host", help="Where the other program runs; for a WebSocket, the address to listen on.  [default: 127.0.0.1]"
 )
 @click.option("--port", type=click.IntRange(1, 65535), help="Its port; that program's usual one when left out.")
-@click.option("--rate-hz", type=click.FloatRange(1.0, 200.0), help="Most frames per second.  [default: 90]")
+@click.option("--rate-hz", type=FiniteRange(1.0, 200.0), help="Most frames per second.  [default: 90]")
 @click.option(
     "--predicted",
     type=click.Choice(["send", "absent"]),
@@ -51,7 +51,7 @@ from rhot_bridge.targets import TARGETS, TARGETS_OF
     help="vmc only: fingers alone, or arms, hips and feet, too.  [default: fingers]",
 )
 @click.option(
-    "--height-m", type=click.FloatRange(0.5, 2.5), help="vmc with arms: height of the person, metres.  [default: 1.7]"
+    "--height-m", type=FiniteRange(0.5, 2.5), help="vmc with arms: height of the person, metres.  [default: 1.7]"
 )
 @click.option(
     "--allow-origin",

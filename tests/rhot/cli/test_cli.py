@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -131,6 +132,26 @@ def test_no_figure_is_cut_off_in_a_narrow_terminal() -> None:
     assert "…" not in stream.getvalue()
     digits = [character for character in stream.getvalue() if character.isdigit()]
     assert sorted(digits) == sorted("50991199123451174" + "12331")
+
+
+def every_command(group: click.Group, name: str = "rhot") -> Iterator[tuple[str, click.Command]]:
+    context = click.Context(group)
+    for part in group.list_commands(context):
+        command = group.get_command(context, part)
+        assert command is not None
+        yield f"{name} {part}", command
+        if isinstance(command, click.Group):
+            yield from every_command(command, f"{name} {part}")
+
+
+def test_no_option_takes_what_is_not_a_number_for_one() -> None:
+    for name, command in every_command(main):
+        for option in command.params:
+            if isinstance(option.type, click.FloatRange):
+                for text in ("nan", "inf", "-inf"):
+                    with pytest.raises(click.BadParameter):
+                        option.type(text, option, None)
+                        pytest.fail(f"{name} {option.opts[0]} {text} is taken")
 
 
 def test_a_service_whose_packages_are_missing_says_what_to_install() -> None:

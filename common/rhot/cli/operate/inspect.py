@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from rhot.bus import Bus, Reply
-from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError, WireError
 from rhot.messages import unpack
 from rhot.rig import BusConfig
@@ -70,7 +70,7 @@ async def _get(bus_config: BusConfig, selector: str, timeout_s: float) -> list[R
 @click.option(
     "--timeout",
     "timeout_s",
-    type=click.FloatRange(0.05, 60),
+    type=FiniteRange(0.05, 60),
     default=2.0,
     show_default=True,
     help="Seconds to wait for answers.",
@@ -131,7 +131,7 @@ async def _watch(bus_config: BusConfig, key_expr: str, count: int | None, durati
 @click.command()
 @click.argument("key_expr", metavar="KEYEXPR")
 @click.option("--count", type=click.IntRange(min=1), help="Stop after this many messages.")
-@click.option("--duration", "duration_s", type=click.FloatRange(min=0.01), help="Stop after this many seconds.")
+@click.option("--duration", "duration_s", type=FiniteRange(min=0.01), help="Stop after this many seconds.")
 @click.option("--rate", is_flag=True, help="Show the rate of each key once a second instead of the messages.")
 @rig_option
 @bus_options

@@ -9,7 +9,7 @@ from typing import Literal
 import click
 
 from rhot.bus import Bus
-from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError
 from rhot.operation.control import broadcast, followers, new_session, newest_control, rig_now_ns
 from rhot.rig import BusConfig
@@ -63,7 +63,7 @@ async def _start_by_itself(config: BusConfig, delay_s: float, wait_s: float) -> 
 @click.option(
     "--delay",
     "delay_s",
-    type=click.FloatRange(0, 30),
+    type=FiniteRange(0, 30),
     default=0.5,
     show_default=True,
     help="Start this many seconds from now, so that all cameras start together.",
@@ -71,7 +71,7 @@ async def _start_by_itself(config: BusConfig, delay_s: float, wait_s: float) -> 
 @click.option(
     "--wait",
     "wait_s",
-    type=click.FloatRange(0, 3600),
+    type=FiniteRange(0, 3600),
     default=2.0,
     show_default=True,
     help="Wait this many seconds for the rig to come up.",

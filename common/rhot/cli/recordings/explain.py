@@ -11,7 +11,7 @@ from typing import Final
 import click
 from rich.console import Console
 
-from rhot.cli.options import rig_option
+from rhot.cli.options import FiniteRange, rig_option
 from rhot.explain import Explaining, Explanation, PictureExplanation
 from rhot.explain.findings import in_short, published_then
 from rhot.explain.moment import Moment, moment_of_folder, moment_of_mcap
@@ -61,7 +61,7 @@ def _time(_: click.Context, __: click.Parameter, text: str) -> float:
 @click.option(
     "--lead",
     "lead_s",
-    type=click.FloatRange(0.1, 3600),
+    type=FiniteRange(0.1, 3600),
     default=10.0,
     show_default=True,
     help="Seconds before the moment to track, so that the filters know what they knew then.",

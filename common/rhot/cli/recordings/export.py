@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
+from rhot.cli.options import FiniteRange
 from rhot.cli.recordings.motion_files import MotionTargets, write_motion_files
 from rhot.errors import ConfigError
 from rhot.export.columns import tables
@@ -95,7 +96,7 @@ def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
 @click.option(
     "--fps",
     "rate_hz",
-    type=click.FloatRange(1, 1000),
+    type=FiniteRange(1, 1000),
     help="Frames per second of BVH, TRC, MOT and C3D, interpolated.  [default: the recorded rate]",
 )
 @click.option("--measured", is_flag=True, help="Leave out poses that are only predicted; not with tables and viewers.")

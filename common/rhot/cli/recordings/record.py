@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from rhot.bus import Bus
-from rhot.cli.options import DEFAULT_RIG, bus_options, rig_option, tool_bus
+from rhot.cli.options import DEFAULT_RIG, FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.recording.feet.tables import HEAD_FILE, FeetTables
 from rhot.recording.mcap.gaps import Tally
@@ -210,10 +210,10 @@ def remarks(tally: Tally, overwritten: int) -> list[str]:
     show_default=True,
     help="File to write (its name ends in .mcap), or a folder that gets a file named after date and time.",
 )
-@click.option("--duration", "duration_s", type=click.FloatRange(min=0.1), help="Stop after this many seconds.")
+@click.option("--duration", "duration_s", type=FiniteRange(min=0.1), help="Stop after this many seconds.")
 @click.option(
     "--max-mb",
-    type=click.FloatRange(min=0.1),
+    type=FiniteRange(min=0.1),
     help="Start a new file whenever one has this many megabytes; their names end in -001, -002, ...",
 )
 @click.option(

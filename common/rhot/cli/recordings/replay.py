@@ -16,7 +16,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
 
-from rhot.cli.options import bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
 from rhot.operation.live_rig import rig_clock, started
 from rhot.recording.mcap.reader import McapRecording, RecordedSample, open_mcap
@@ -212,7 +212,7 @@ def _held(recordings: Sequence[McapRecording]) -> str:
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--rate",
-    type=click.FloatRange(0.001, 1000.0),
+    type=FiniteRange(0.001, 1000.0),
     default=1.0,
     show_default=True,
     help="Speed: 2 is twice as fast as recorded, 0.5 half as fast.",
@@ -240,9 +240,9 @@ def _held(recordings: Sequence[McapRecording]) -> str:
 @click.option("--step", is_flag=True, help="Publish one moment each time you press Enter.")
 @click.option("--loop", is_flag=True, help="Start again at the end, until Ctrl-C.")
 @click.option(
-    "--from", "from_s", type=click.FloatRange(min=0), default=0.0, help="Start this many seconds into the recording."
+    "--from", "from_s", type=FiniteRange(min=0), default=0.0, help="Start this many seconds into the recording."
 )
-@click.option("--to", "to_s", type=click.FloatRange(min=0), help="Stop this many seconds into the recording.")
+@click.option("--to", "to_s", type=FiniteRange(min=0), help="Stop this many seconds into the recording.")
 @click.option("--force", is_flag=True, help="Replay even where a running service publishes the same keys.")
 @rig_option
 @bus_options
