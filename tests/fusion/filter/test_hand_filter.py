@@ -10,12 +10,12 @@ import pytest
 from hands.pinholes import CAMERAS, FOCAL_PX
 
 from rhot.arrays import FloatArray
-from rhot_fusion.filter.birth import View, from_views, on_ray
+from rhot_fusion.filter.initialisation import View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter
-from rhot_fusion.filter.lookback.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.motion import motion_of
 from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.settings import DEFAULT
+from rhot_fusion.filter.smoothing.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
 
@@ -157,14 +157,14 @@ def test_two_views_begin_a_marker_where_it_is() -> None:
     for one, t_s in zip(CAMERAS, (0.0, 0.011), strict=True):
         x, y, z = one.to_camera((point + t_s * velocity)[None])[0]
         views.append(View(one, t_s, np.array([x / z, y / z]), (0.1 / FOCAL_PX) ** 2))
-    birth = from_views(views, 0.011, np.zeros(3), 0.5)
-    assert birth is not None
-    error = birth.mean[:3] - point - 0.011 * velocity
-    assert float(error @ np.linalg.solve(birth.covariance[:3, :3], error)) < 8.0
+    initial = from_views(views, 0.011, np.zeros(3), 0.5)
+    assert initial is not None
+    error = initial.mean[:3] - point - 0.011 * velocity
+    assert float(error @ np.linalg.solve(initial.covariance[:3, :3], error)) < 8.0
     views[1].xy[1] += 5.0 / FOCAL_PX
     off = from_views(views, 0.011, np.zeros(3), 0.01)
     assert off is not None
-    assert off.misfit > DEFAULT.track.birth_gate
+    assert off.misfit > DEFAULT.track.initialisation_gate
 
 
 @pytest.mark.parametrize("variance", [1e9, 1e10, 1e11])
@@ -173,8 +173,8 @@ def test_a_view_that_tells_nothing_begins_no_marker_with_another(variance: float
         View(one, 0.002 * k, np.array([0.1 - 0.17 * k, 0.1 + 0.001 * k]), [1e-7, variance][k])
         for k, one in enumerate(CAMERAS)
     ]
-    birth = from_views(views, 0.0, np.zeros(3), 0.5)
-    assert birth is None or birth.covariance.diagonal().min() > 0.0
+    initial = from_views(views, 0.0, np.zeros(3), 0.5)
+    assert initial is None or initial.covariance.diagonal().min() > 0.0
 
 
 def test_noise_and_transition_of_a_motion_compose() -> None:

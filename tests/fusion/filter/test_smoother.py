@@ -10,9 +10,9 @@ import pytest
 from hands.pinholes import CAMERAS, FOCAL_PX
 
 from rhot.arrays import FloatArray
-from rhot_fusion.filter.birth import Birth
-from rhot_fusion.filter.lookback.smoother import Correct, Event, Frame, Node, smooth
+from rhot_fusion.filter.initialisation import InitialState
 from rhot_fusion.filter.settings import DEFAULT
+from rhot_fusion.filter.smoothing.smoother import Correct, Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, State, Views
 
 PERIOD_S, NOISE_PX, ROW_S = 1.0 / 60.0, 0.1, 0.002
@@ -52,12 +52,12 @@ def watched(
             views = views.chosen(np.zeros(1, dtype=bool))
         events = []
         if number == BEGUN:
-            birth = Birth(np.concatenate([PLACE, np.zeros(3)]), np.diag([1e-6] * 3 + [1e-2] * 3), 0.0)
-            events = [Event(number * PERIOD_S, 0, birth, frames[-1])]
+            initial = InitialState(np.concatenate([PLACE, np.zeros(3)]), np.diag([1e-6] * 3 + [1e-2] * 3), 0.0)
+            events = [Event(number * PERIOD_S, 0, initial, frames[-1])]
         if number == 20 and moved_m:
             where = PLACE + np.array([0.0, 0.0, moved_m])
-            birth = Birth(np.concatenate([where, np.zeros(3)]), np.diag([1e-6] * 3 + [1e-2] * 3), 0.0)
-            events = [Event(number * PERIOD_S, 0, birth, frames[-1], goes_on=True)]
+            initial = InitialState(np.concatenate([where, np.zeros(3)]), np.diag([1e-6] * 3 + [1e-2] * 3), 0.0)
+            events = [Event(number * PERIOD_S, 0, initial, frames[-1], goes_on=True)]
         taken = np.full(len(views.index), number >= BEGUN - 1 and number not in off_px)
         area_px = np.zeros(len(views.index))
         frames.append(Frame(number * PERIOD_S, camera, views, taken, events, views.xy, area_px))

@@ -14,11 +14,11 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig import FusionConfig, Rig
-from rhot_fusion.filter.birth import Birth, View, on_ray
 from rhot_fusion.filter.candidates import Candidates
+from rhot_fusion.filter.initialisation import InitialState, View, on_ray
 from rhot_fusion.filter.joint import JointFilter
-from rhot_fusion.filter.lookback.record import HandRecord
 from rhot_fusion.filter.settings import FilterSettings, TrackSettings
+from rhot_fusion.filter.smoothing.record import HandRecord
 from rhot_fusion.filter.tracks import Track, TrackStatus
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
@@ -123,18 +123,18 @@ class Acquisition:
             return False
         # A camera that has just come back sees farther than a linear filter can follow.
         near = self._candidates.near(marker, t_s)
-        birth = self._together(marker, near, t_s, hand.filter.velocity[k])
-        if birth is not None and self._is_expected(hand, k, birth, t_s):
-            self._begin(marker, birth, t_s, near, goes_on=True)
+        initial = self._together(marker, near, t_s, hand.filter.velocity[k])
+        if initial is not None and self._is_expected(hand, k, initial, t_s):
+            self._begin(marker, initial, t_s, near, goes_on=True)
             return True
         return not self._is_recent(track.seen_s, t_s)
 
-    def _is_expected(self, hand: Hand, k: int, birth: Birth, t_s: float) -> bool:
+    def _is_expected(self, hand: Hand, k: int, initial: InitialState, t_s: float) -> bool:
         """Tell whether a marker may have moved to where two views agree on: one far blob is not there."""
         state = hand.filter.predicted(max(t_s, hand.filter.state.t_s))
         rows = slice(3 * k, 3 * k + 3)
-        away = birth.mean[:3] - state.mean[0, rows]
-        S = state.covariance[rows, rows] + birth.covariance[:3, :3]
+        away = initial.mean[:3] - state.mean[0, rows]
+        S = state.covariance[rows, rows] + initial.covariance[:3, :3]
         return float(away @ np.linalg.solve(S, away)) <= self._settings.gate
 
     def seek(self, marker: int, camera: int, t_s: float) -> None:
@@ -146,11 +146,11 @@ class Acquisition:
         velocity = hand.filter.velocity[alive].mean(axis=0) if len(positions) else np.zeros(3)
         moment_s = max(t_s, hand.filter.state.t_s) if len(positions) else t_s
         near = self._candidates.near(marker, t_s)
-        birth = self._together(marker, near, moment_s, velocity)
-        if birth is not None and track.status is not TrackStatus.TENTATIVE:
+        initial = self._together(marker, near, moment_s, velocity)
+        if initial is not None and track.status is not TrackStatus.TENTATIVE:
             if track.look_elsewhere(settings):
-                self._begin(marker, birth, moment_s, near)
-        elif birth is None and len(near) == 1 and len(positions) >= settings.fewest:
+                self._begin(marker, initial, moment_s, near)
+        elif initial is None and len(near) == 1 and len(positions) >= settings.fewest:
             gap_s = settings.lost_periods * self._schedule.longest_period_s
             if track.see_alone(t_s, gap_s, settings):
                 middle = positions.mean(axis=0)
@@ -184,20 +184,22 @@ class Acquisition:
                 if lost or not inside or t_s - seen_s > hold_s:
                     self.end(marker)
 
-    def _begin(self, marker: int, birth: Birth, t_s: float, views: dict[int, View], *, goes_on: bool = False) -> None:
+    def _begin(
+        self, marker: int, initial: InitialState, t_s: float, views: dict[int, View], *, goes_on: bool = False
+    ) -> None:
         """Put a marker in; `goes_on` where it may well have moved there."""
         hand, k = self.hand_of[marker]
         state = hand.filter.state
         if t_s > state.t_s and state.alive.any():
             hand.filter.state = hand.filter.predicted(t_s)
-        hand.filter.begin(k, birth.mean, birth.covariance, t_s)
+        hand.filter.begin(k, initial.mean, initial.covariance, t_s)
         if hand.record is not None:
-            hand.record.began(t_s, k, birth, views, goes_on=goes_on)
+            hand.record.began(t_s, k, initial, views, goes_on=goes_on)
         newest_s = self._schedule.newest_s
         self.tracks[marker].begin(t_s, {camera: newest_s[camera] for camera in views}, self._settings)
         self.begun += 1
 
-    def _together(self, marker: int, near: dict[int, View], t_s: float, velocity: FloatArray) -> Birth | None:
+    def _together(self, marker: int, near: dict[int, View], t_s: float, velocity: FloatArray) -> InitialState | None:
         volume_m = self.config.volume_m
         return self._candidates.together(marker, list(near.values()), t_s, velocity, *self._places(), volume_m)
 

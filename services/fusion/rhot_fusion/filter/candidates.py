@@ -10,7 +10,7 @@ import numpy as np
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Position
-from rhot_fusion.filter.birth import Birth, View, from_views
+from rhot_fusion.filter.initialisation import InitialState, View, from_views
 from rhot_fusion.filter.settings import TrackSettings
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
@@ -65,7 +65,7 @@ class Candidates:
         known: FloatArray,
         alive: BoolArray,
         volume_m: tuple[Position, Position],
-    ) -> Birth | None:
+    ) -> InitialState | None:
         """Return what views of different cameras say of a marker, if they agree and it can be there.
 
         Args:
@@ -80,19 +80,19 @@ class Candidates:
         if len(views) < 2:
             return None
         settings = self._settings
-        birth = from_views(views, t_s, velocity, settings.speed_sigma)
-        if birth is None:
+        initial = from_views(views, t_s, velocity, settings.speed_sigma)
+        if initial is None:
             self._counts["behind_cameras"] += 1
             return None
         low, high = volume_m
-        position = birth.mean[:3]
+        position = initial.mean[:3]
         others = alive.copy()
         others[marker] = False
         believable = (
-            birth.misfit <= settings.birth_gate + 2.0 * (len(views) - 2)
+            initial.misfit <= settings.initialisation_gate + 2.0 * (len(views) - 2)
             and bool(((position >= low) & (position <= high)).all())
             and bool(self._coherence.near(np.array([marker]), position[None], known, others)[0])
             and not (np.linalg.norm(known[others] - position, axis=1) < settings.occupied_m).any()
         )
         self._counts["gated"] += not believable
-        return birth if believable else None
+        return initial if believable else None

@@ -94,7 +94,7 @@ class TrackSettings:
             than `loose_m` runs away, too; with that limit smoothed pictures, three other rendered worlds among them,
             have a 95th percentile of 4.4 instead of 4.6 mm.
         back: the same of a view of a marker that the camera had lost; 5 % by chance.
-        birth_gate: the same of the two views of a marker that is not known (1 degree of freedom): 4 sigma.
+        initialisation_gate: the same of the two views of a marker that is not known (1 degree of freedom): 4 sigma.
         pair_s, pair_periods: two views further apart in time, or in frame periods, begin no marker; cameras out of step
             are half a period apart, and a frame may be lost.
         speed_sigma: of a marker that was just found, about its hand's or 0, m/s: 95 % of daily actions are below 1.
@@ -131,7 +131,7 @@ class TrackSettings:
     gate: float = 25.0
     far: float = 9.0
     back: float = 6.0
-    birth_gate: float = 16.0
+    initialisation_gate: float = 16.0
     pair_s: float = 0.15
     pair_periods: float = 1.6
     speed_sigma: float = 0.5

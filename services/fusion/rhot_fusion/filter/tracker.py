@@ -17,11 +17,11 @@ from rhot.rig import FusionConfig, Rig
 from rhot.rig.quality import pair_epipolar_p95_px
 from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of
 from rhot_fusion.filter.agreement import CameraAgreement
-from rhot_fusion.filter.lookback.record import outcomes
-from rhot_fusion.filter.lookback.repaint import Repaint
 from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
+from rhot_fusion.filter.smoothing.record import outcomes
+from rhot_fusion.filter.smoothing.repaint import Repaint
 from rhot_fusion.filter.state import ROUND, Innovation, State, Views, pace_squares
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import Track, TrackStatus, outcome_of, within_hand

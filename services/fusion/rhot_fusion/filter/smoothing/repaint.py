@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rhot.geometry.camera import CameraModel
-from rhot_fusion.filter.lookback.smoother import Frame
 from rhot_fusion.filter.paint import Paint
+from rhot_fusion.filter.smoothing.smoother import Frame
 from rhot_fusion.filter.state import ROUND, State, Views, pace_squares
 
 if TYPE_CHECKING:

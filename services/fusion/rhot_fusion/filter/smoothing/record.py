@@ -9,9 +9,9 @@ import numpy as np
 
 from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
-from rhot_fusion.filter.birth import Birth
-from rhot_fusion.filter.lookback.smoother import Correct, Event, Frame, Node, smooth
+from rhot_fusion.filter.initialisation import InitialState
 from rhot_fusion.filter.settings import FilterSettings, TrackSettings
+from rhot_fusion.filter.smoothing.smoother import Correct, Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import outcome_of
@@ -77,7 +77,7 @@ class HandRecord:
         if self._frames:
             self._frames[-1].events.append(Event(t_s, marker, None))
 
-    def began(self, t_s: float, marker: int, birth: Birth, cameras: Iterable[int], *, goes_on: bool) -> None:
+    def began(self, t_s: float, marker: int, initial: InitialState, cameras: Iterable[int], *, goes_on: bool) -> None:
         """Note that one of the hand's markers began at the newest frame, by the newest views of some cameras."""
         first = self._frames[-1]
         sought = set(cameras)
@@ -89,7 +89,7 @@ class HandRecord:
                 first = frame
             if not sought:
                 break
-        self._frames[-1].events.append(Event(t_s, marker, birth, first, goes_on))
+        self._frames[-1].events.append(Event(t_s, marker, initial, first, goes_on))
 
     def smoothed(self, variance_of: Callable[[int], float], settings: FilterSettings, correct: Correct) -> list[Node]:
         """Return the smoothed nodes at all frames, in order of time, with the noise of each camera's views."""

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray, IndexArray
-from rhot_fusion.filter.birth import Birth
+from rhot_fusion.filter.initialisation import InitialState
 from rhot_fusion.filter.joint import JointFilter, squared_distance
 from rhot_fusion.filter.settings import FilterSettings
 from rhot_fusion.filter.state import ROUND, SHARED, State, Step, Views
@@ -38,14 +38,14 @@ class Event:
     Attributes:
         t_s: when.
         marker: of the hand.
-        birth: its first state; none when it ends.
-        first: frame of the first view behind the birth; none = the one that it followed.
+        initial: its first state; none when it ends.
+        first: frame of the first view behind it; none = the one that it followed.
         goes_on: whether it was known before and may well have moved to where it begins.
     """
 
     t_s: float
     marker: int
-    birth: Birth | None
+    initial: InitialState | None
     first: Frame | None = None
     goes_on: bool = False
 
@@ -161,7 +161,7 @@ def _forward(
             views = views.chosen(alive)
         innovation, step = hand.step(frame.t_s, views, scale)
         for event in frame.events:
-            if event.birth is None:
+            if event.initial is None:
                 hand.end(event.marker)
         steps.append((Step(step.dt_s, step.transition, step.before, hand.state), new))
         evidence.append(innovation.evidence)
@@ -175,7 +175,7 @@ def _begins(frames: Sequence[Frame]) -> dict[int, list[Event]]:
     ended: dict[int, int] = {}
     for number, frame in enumerate(frames):
         for event in frame.events:
-            if event.birth is None:
+            if event.initial is None:
                 ended[event.marker] = number
             else:
                 seen = number if event.first is None else min(places[id(event.first)], number)
@@ -186,9 +186,9 @@ def _begins(frames: Sequence[Frame]) -> dict[int, list[Event]]:
 
 def _begin(hand: JointFilter, event: Event, t_s: float, settings: FilterSettings) -> None:
     """Put a marker in before the views that began it, somewhere about where these say."""
-    assert event.birth is not None
+    assert event.initial is not None
     then_s = hand.state.t_s if hand.state.alive.any() else t_s
-    mean, covariance = event.birth.mean.copy(), event.birth.covariance.copy()
+    mean, covariance = event.initial.mean.copy(), event.initial.covariance.copy()
     mean[:3] += (then_s - event.t_s) * mean[3:]
     covariance[:3, :3] += settings.track.ray_sigma_m**2 * np.eye(3)
     covariance[3:, 3:] += settings.track.speed_sigma**2 * np.eye(3)

@@ -43,7 +43,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True)
-class Birth:
+class InitialState:
     """A marker's first state.
 
     Attributes:
@@ -58,7 +58,7 @@ class Birth:
     misfit: float
 
 
-def from_views(views: Sequence[View], t_s: float, velocity: FloatArray, speed_sigma: float) -> Birth | None:
+def from_views(views: Sequence[View], t_s: float, velocity: FloatArray, speed_sigma: float) -> InitialState | None:
     """Return the state at a moment behind two views or more; None where they give no position before the cameras.
 
     Args:
@@ -98,10 +98,10 @@ def from_views(views: Sequence[View], t_s: float, velocity: FloatArray, speed_si
     # Of views that tell next to nothing, rounding makes variances below zero.
     if not (np.isfinite(mean).all() and covariance.diagonal().min() > 0.0):
         return None
-    return Birth(mean, 0.5 * (covariance + covariance.T), misfit)
+    return InitialState(mean, 0.5 * (covariance + covariance.T), misfit)
 
 
-def on_ray(view: View, at: FloatArray, velocity: FloatArray, along_m: float, speed_sigma: float) -> Birth:
+def on_ray(view: View, at: FloatArray, velocity: FloatArray, along_m: float, speed_sigma: float) -> InitialState:
     """Return the state of a marker seen once, on its ray as far away as a point (3,), and open in depth."""
     R, camera = view.camera.R_camera_rig, view.camera
     depth = max(float((R @ at + camera.t_camera_rig)[2]), _NEAREST_M)
@@ -110,7 +110,7 @@ def on_ray(view: View, at: FloatArray, velocity: FloatArray, along_m: float, spe
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = along_m**2 * np.outer(ray, ray) + view.variance * depth**2 * np.eye(3)
     covariance[3:, 3:] = speed_sigma**2 * np.eye(3)
-    return Birth(mean, covariance, 0.0)
+    return InitialState(mean, covariance, 0.0)
 
 
 def _linear(views: Sequence[View], t_s: float, velocity: FloatArray) -> FloatArray | None:
