@@ -1,4 +1,4 @@
-"""Looking back: which views show a marker where it is, and how far back from where it began."""
+"""Smoothing: which views show a marker where it is, and how far back from where it began."""
 
 from __future__ import annotations
 

@@ -90,8 +90,8 @@ class TrackSettings:
             scale of accelerations is that of the whole hand, and one finger may curl while the others rest. Of the
             rendered pictures as they are, mirrored, smaller, larger and at half the rate the mean 95th percentile is
             5.3 mm at 9, 5.4 at 14 and 5.6 without; smoothed 4.8, 4.8 and 5.0, and 5.6 at 6. Where one blob in twenty is
-            wrong, as in a rig that was never calibrated, paths run away. Looking back, a marker that is known no better
-            than `loose_m` runs away, too; with that limit smoothed pictures, three other rendered worlds among them,
+            wrong, as in a rig that was never calibrated, paths run away. When smoothing, so does a marker less
+            certain than `loose_m`; with that limit smoothed pictures, three other rendered worlds among them,
             have a 95th percentile of 4.4 instead of 4.6 mm.
         back: the same of a view of a marker that the camera had lost; 5 % by chance.
         initialisation_gate: the same of the two views of a marker that is not known (1 degree of freedom): 4 sigma.
