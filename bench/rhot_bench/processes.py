@@ -21,7 +21,14 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], processes: int) 
         tasks: what it is called with.
         processes: so many at once, with one thread each.
     """
-    with get_context("spawn").Pool(min(processes, len(tasks)), _begin) as pool:
+    # Held back while they start: Python would show a traceback of each that is not yet where `_begin` is called.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        # Forked processes would inherit OpenCV's threads in an unknown state.
+        pool = get_context("spawn").Pool(min(processes, len(tasks)), _begin)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with pool:
         # Leaving early, by an error or Ctrl-C, ends the processes.
         yield from pool.imap(work, tasks)
 

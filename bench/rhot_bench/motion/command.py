@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Final, Literal
 
@@ -18,6 +16,7 @@ from rhot_bench.motion.recordings import list_recordings
 from rhot_bench.motion.run import Job, RigResult, Stratum, run_job
 from rhot_bench.motion.tracks import MarkerKind
 from rhot_bench.output import counted, json_option, show
+from rhot_bench.processes import each
 
 Half = Literal["develop", "held-back"]
 
@@ -117,6 +116,4 @@ def _run(work: Sequence[Job], jobs: int) -> Iterator[list[RigResult]]:
     if jobs == 1:
         yield from map(run_job, work)
         return
-    # Forked processes would inherit OpenCV's threads in an unknown state.
-    with ProcessPoolExecutor(min(jobs, len(work)), mp_context=get_context("spawn")) as pool:
-        yield from pool.map(run_job, work)
+    yield from each(run_job, work, jobs)

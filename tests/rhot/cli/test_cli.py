@@ -168,6 +168,18 @@ def test_a_reader_that_goes_away_is_no_error_worth_a_traceback() -> None:
     assert done.stderr == ""
 
 
+def test_an_interrupt_while_modules_load_shows_no_traceback() -> None:
+    code = (
+        "import sys\nfrom rhot.__main__ import run\n"
+        "class Interrupted:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'click':\n            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupted())\nrun()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 def test_assignments_are_json_or_text() -> None:
     assert parse_assignments(("a=1", "b.c=true", "b.d=slow")) == {"a": 1, "b": {"c": True, "d": "slow"}}
     with pytest.raises(ConfigError, match="FIELD=VALUE"):
