@@ -249,6 +249,22 @@ install_units() {
     # Not waiting: a service is ready when it has reached the router, which may be switched off right now.
     run systemctl start --no-block rhot.target
     run systemctl restart --no-block "${enable[@]}"
+    if [[ $role == capture ]]; then
+        report_other_cameras
+    fi
+}
+
+# A camera under a new name leaves the service of its old name behind, which then waits for a camera that nobody has. It
+# may as well be a second camera that was installed earlier, so it is only reported.
+report_other_cameras() {
+    local link unit
+    for link in "$UNITS"/rhot.target.wants/rhot-capture@*.service; do
+        unit="${link##*/}"
+        if [[ -L $link && " ${cameras[*]/#/rhot-capture@} " != *" ${unit%.service} "* ]]; then
+            printf '%s: %s was installed earlier and still runs; if it is not needed: sudo systemctl disable --now %s\n' \
+                "$PROGRAM" "$unit" "$unit" >&2
+        fi
+    done
 }
 
 # The services come after time-sync.target, which is reached at once unless a unit waits for the clock in front of it.

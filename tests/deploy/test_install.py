@@ -237,6 +237,18 @@ def test_back_off_is_installed_where_systemd_knows_it(machine: Machine, version:
     assert ("etc/systemd/system/rhot-.service.d/backoff.conf" in machine.files()) is expected
 
 
+def test_a_camera_installed_earlier_under_another_name_is_reported(machine: Machine) -> None:
+    wants = machine.root / "etc/systemd/system/rhot.target.wants"
+    wants.mkdir(parents=True)
+    for name in ("left", "leftmost"):
+        (wants / f"rhot-capture@{name}.service").symlink_to("../rhot-capture@.service")
+    result = machine.install(*CAPTURE)
+    assert result.returncode == 0, result.stderr
+    assert "sudo systemctl disable --now rhot-capture@leftmost.service\n" in result.stderr
+    assert "rhot-capture@left.service" not in result.stderr
+    assert "earlier" not in machine.install("pc").stderr
+
+
 def test_uninstalling_keeps_the_rig_and_can_be_repeated(machine: Machine) -> None:
     machine.install(*CAPTURE)
     machine.user(exists=True)

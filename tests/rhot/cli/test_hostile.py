@@ -68,3 +68,11 @@ async def test_no_command_ends_by_a_strangers_words_or_shows_them_raw(
     assert ended == code, output
     assert not set(output) & {"\x1b", "\x07", "\x9b"}, output
     assert not any(line.startswith("root:") for line in output.splitlines())
+
+
+@pytest.mark.parametrize("key", ["", "/rhot", "rhot//x"])
+async def test_a_key_that_cannot_be_is_quoted_as_it_was_typed(router: BusConfig, key: str) -> None:
+    ended, output = await rhot("get", key, "--connect", router.connect[0])
+    assert ended == 1
+    assert output.startswith(f"rhot: error: {key}: ")
+    assert "format=json" not in output
