@@ -350,7 +350,7 @@ function watch() {
   if (!link.connected || !hello) {
     $("state").className = "bad";
     $("state").textContent = link.connections
-      ? "The rig does not answer; this page comes back by itself when it does."
+      ? "The rig does not answer; this page reconnects automatically."
       : "connecting …";
     rig.forget();
     timing.clear();

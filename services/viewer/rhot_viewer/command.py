@@ -29,7 +29,7 @@ from rhot_viewer.page_token import kept_token, new_token
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=8080, show_default=True, help="Port of the page; 0 takes any."
 )
-@click.option("--view-only", is_flag=True, help="Let nobody change anything; not even on this machine.")
+@click.option("--view-only", is_flag=True, help="Refuse all changes from the page, even on this machine.")
 @click.option(
     "--token-file",
     envvar="RHOT_PAGE_TOKEN_FILE",

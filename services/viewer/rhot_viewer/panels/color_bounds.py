@@ -11,9 +11,10 @@ from rhot_viewer.browser.page import Page
 from rhot_viewer.rig.color_bounds import HUE_HIGH_DEG, HUE_LOW_DEG, BoundsSliders, bounds_html, change_to, sliders_of
 
 _ABOUT: Final = (
-    "<div style='padding:0.1em 0.8em;font-size:0.85em;opacity:0.75'>Where the colour of a marker stands. Move an end, "
-    "and these bounds decide in place of the learned colour; the tab Pictures shows what they take in. Untick "
-    "<i>in force</i> to go back. <i>save bounds</i> writes colors.json for all cameras that share the rig folder.</div>"
+    "<div style='padding:0.1em 0.8em;font-size:0.85em;opacity:0.75'>Colour bounds of a marker. Move an end, and "
+    "these bounds replace the learned colour; the tab Pictures shows the selected pixels. Untick "
+    "<i>in force</i> to return to the learned colour. <i>save bounds</i> writes colors.json for all cameras that "
+    "share the rig folder.</div>"
 )
 
 

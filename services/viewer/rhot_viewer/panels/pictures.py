@@ -25,8 +25,8 @@ _REACH_PX: Final = 14.0
 """A marker is also meant by a click this far outside it: fingers on a tablet are not sharp."""
 _HELP: Final = (
     "<div style='padding:0.2em 0.8em;font-size:0.85em;opacity:0.75'>Look through a camera, then click a marker in its "
-    "picture: its mask is shown, everything that its colour does not take in goes dark. A click beside all markers "
-    "brings the markers back.</div>"
+    "picture: its mask is shown, all pixels outside its colour go dark. A click outside all markers "
+    "shows the markers again.</div>"
 )
 _FEET_HELP: Final = (
     "<div style='padding:0.2em 0.8em;font-size:0.85em;opacity:0.75'>The feet: markers that are believed have the "
