@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 import pytest
@@ -31,6 +31,18 @@ def simulated_rig(tmp_path_factory: pytest.TempPathFactory, request: pytest.Fixt
         assert text.count("[sim]\n") == 1
         rig_file.write_text(text.replace("[sim]\n", '[sim]\nmotion = "still"\n'))
     return path, endpoint
+
+
+@pytest.fixture(autouse=True)
+def _shared_rig_unchanged(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Later tests get the same rig: who needs another takes a copy."""
+    if "simulated_rig" not in request.fixturenames:
+        yield
+        return
+    rig_file = request.getfixturevalue("simulated_rig")[0] / RIG_FILE
+    before = rig_file.read_text()
+    yield
+    assert rig_file.read_text() == before, f"{request.node.name} changed the rig that tests share"
 
 
 @pytest.fixture
