@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from rhot.report.tables import figures_table
 from rhot_calibration.objects.fit import Estimate, Places, RegistrationFit
 from rhot_calibration.objects.record import change
 
 
 def places_table(places: Places, fit: RegistrationFit) -> Table:
     """Return each place with what it is off."""
-    table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("place")
-    for column in ("x mm", "y mm", "z mm", "off mm"):
-        table.add_column(column, justify="right")
+    table = figures_table("place", "x mm", "y mm", "z mm", "off mm")
     table.add_column("")
     for name, x, off, kept in zip(places.names, places.x_rig, fit.residual_m, fit.kept, strict=True):
         cells = [f"{1e3 * value:.1f}" for value in (*x, off)]

@@ -200,7 +200,7 @@ class Bus:
         One reply with an error stands for all who are there but do not answer in time.
 
         Raises:
-            BusError: the selector is not valid, or the session is closed.
+            BusError: the key is not valid (it alone is named: parameters are often our own), or the session is closed.
         """
         return await asyncio.to_thread(self._get, selector, payload, timeout_s)
 
@@ -215,7 +215,7 @@ class Bus:
             )
             return received(replies, timeout_s)
         except zenoh.ZError as error:
-            raise BusError(f"{selector}: {plain_reason(error)}") from error
+            raise BusError(f"{selector.partition('?')[0]}: {plain_reason(error)}") from error
 
     async def ask(self, key: str, clock_ns: Callable[[], int], timeout_s: float) -> list[TimedAnswer]:
         """Query everybody who answers one key, and time each answer; before everything else on the link.

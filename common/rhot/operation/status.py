@@ -5,14 +5,13 @@ from __future__ import annotations
 import asyncio
 from typing import Final
 
-from rich import box
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from rhot.bus import Bus
 from rhot.errors import WireError
 from rhot.messages import ServiceStatus, decode
+from rhot.report.tables import figures_table
 
 _MOST_ROWS: Final = 100
 """Services that are shown; a rig has about ten."""
@@ -37,9 +36,8 @@ def status_table(alive: set[str], statuses: dict[str, ServiceStatus]) -> Rendera
 
     Names are set as text, not as markup: anybody on the bus may choose one.
     """
-    table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    for column in ("service", "state", "out /s", "late", "missed", "invalid", "p50 ms", "p99 ms", "± ms"):
-        table.add_column(column, justify="left" if column in ("service", "state") else "right", overflow="fold")
+    columns = ("service", "state", "out /s", "late", "missed", "invalid", "p50 ms", "p99 ms", "± ms")
+    table = figures_table(*columns, names=2)
     trouble: list[RenderableType] = []
     names = sorted(alive | set(statuses))
     for name in names[:_MOST_ROWS]:

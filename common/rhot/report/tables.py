@@ -6,8 +6,8 @@ from rich import box
 from rich.table import Table
 
 
-def figures_table(*columns: str, title: str | None = None) -> Table:
-    """Return an empty table for names in the first column and figures, to the right, in the others.
+def figures_table(*columns: str, title: str | None = None, names: int = 1) -> Table:
+    """Return an empty table: so many columns of `names` on the left, then figures, aligned to the right.
 
     In a narrow terminal a figure goes on in the next line: one that is cut off reads as another figure.
     """
@@ -20,5 +20,5 @@ def figures_table(*columns: str, title: str | None = None) -> Table:
         padding=(0, 1, 0, 0),
     )
     for index, column in enumerate(columns):
-        table.add_column(column, justify="right" if index else "left", overflow="fold")
+        table.add_column(column, justify="left" if index < names else "right", overflow="fold")
     return table

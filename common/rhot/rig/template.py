@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import Final
+
+import tomlkit
 
 from rhot.messages import Side
 from rhot.text import printable
@@ -206,9 +207,9 @@ def rig_template(
 
 
 def _string(text: str) -> str:
-    """Return any text, such as a folder's name, as a string of TOML: JSON's escapes are TOML's."""
-    return json.dumps(printable(text), ensure_ascii=False)
+    """Return any text, such as a folder's name, as a string of TOML."""
+    return tomlkit.string(printable(text)).as_string()
 
 
 def _quoted(words: Sequence[str]) -> str:
-    return ", ".join(f'"{word}"' for word in words)
+    return ", ".join(map(_string, words))

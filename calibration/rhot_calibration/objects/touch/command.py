@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_between
+from rhot.report.tables import figures_table
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import registration_name, registration_path
 from rhot_calibration.objects.touch.checks import Judged, flesh_note, judged
@@ -119,10 +119,7 @@ def _collect_live(rig: Rig, task: TouchTask, bus: BusConfig, collector: TouchCol
 
 
 def _touch_table(touches: list[Touch], found: Judged) -> Table:
-    table = Table(header_style="bold", box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    for column in ("touch", "face"):
-        table.add_column(column)
-    table.add_column("off mm", justify="right")
+    table = figures_table("touch", "face", "off mm", names=2)
     table.add_column("")
     for row in touch_rows(touches, found):
         table.add_row(*row)

@@ -10,7 +10,6 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 import click
-from rich import box
 from rich.console import Console
 from rich.live import Live
 from rich.markup import escape
@@ -32,6 +31,7 @@ from rhot.recording.mcap.session import (
 from rhot.recording.mcap.writer import McapWriter, rig_files
 from rhot.recording.model import MOST_CAMERAS
 from rhot.recording.picture_folder import PictureFolder
+from rhot.report.tables import figures_table
 from rhot.rig import BusConfig
 from rhot.service.stop import Stop, install_stop
 from rhot.text import printable
@@ -62,9 +62,7 @@ def _target(out: Path) -> Path:
 
 def counts_table(tally: Tally, title: str, elapsed_s: float) -> Table:
     """Return what was recorded so far, one row a key."""
-    table = Table(title=title, title_justify="left", header_style="bold", box=box.SIMPLE_HEAD, show_edge=False)
-    for column in ("key", "messages", "per s", "kB", "lost", "restarts"):
-        table.add_column(column, justify="left" if column == "key" else "right", overflow="fold")
+    table = figures_table("key", "messages", "per s", "kB", "lost", "restarts", title=title)
     for key, count in sorted(tally.keys.items())[:_MOST_ROWS]:
         lost = f"[red]{count.lost}[/]" if count.lost else "0"
         rate = count.messages / elapsed_s

@@ -75,7 +75,7 @@ class CaptureSettings:
             replies = await bus.get(f"rhot/keep/capture/{camera}?do=save_bounds", timeout_s=_KEEP_S)
         except BusError as error:
             return str(error)
-        return replies[0].error if replies else f"no answer; is `rhot capture --camera {camera}` running?"
+        return replies[0].error if replies else _silent(camera)
 
     async def _answer(self, bus: Bus, camera: str, change: Mapping[str, Any]) -> CameraState:
         before = self.cameras[camera]
@@ -85,8 +85,7 @@ class CaptureSettings:
         except BusError as error:
             return CameraState(before.settings, str(error), before.version + 1)
         if not replies:
-            silent = f"no answer; is `rhot capture --camera {camera}` running?"
-            return CameraState(before.settings, silent, before.version + 1)
+            return CameraState(before.settings, _silent(camera), before.version + 1)
         if replies[0].error:
             return CameraState(before.settings, replies[0].error, before.version + 1)
         try:
@@ -97,3 +96,7 @@ class CaptureSettings:
             return CameraState(before.settings, "the answer is not a map of settings", before.version + 1)
         # A mere reading does not take away the reason why the last change was refused.
         return CameraState(settings, before.refusal if not change else "", before.version + 1)
+
+
+def _silent(camera: str) -> str:
+    return f"no answer; is `rhot capture --camera {camera}` running?"
