@@ -20,25 +20,26 @@ from rhot_fusion.views.sightings import Sightings
 from rhot_fusion.views.tracks import DEPTH, LONGEST_GAP, ROWS_SHARE, Tracks
 
 _LEAST_VIEWS = 200.0
-"""Pairs of views that a verdict needs: five seconds of a hand, looked at eight times a second; see `epipolar`."""
+"""Pairs of views required for a verdict: five seconds of a hand at eight checks per second; see `epipolar`."""
 _CLEAR = 1.5
-"""A systematic residual is a bump when it is this many times what remains without it."""
+"""A systematic residual counts as a bump if it is this many times the remaining residual."""
 _RELEASED = 0.5
-"""Share of the limit below which a bump is over."""
+"""Share of the limit below which a reported bump is cleared."""
 _EVERY_S = 0.125
-"""Time from look to look: what the cameras do changes slowly."""
+"""Time between two checks: the camera poses change slowly."""
 _EAGER_LOOKS = 300
-"""Until then each moment of a rig that was never calibrated is looked at: its views are corrected from the start."""
+"""Number of initial checks that an uncalibrated rig makes at every frame, because its views are corrected from the
+start."""
 _MOST_RATE = 4.0
-"""No marker moves faster through a picture, normalised units per second."""
+"""Upper bound of a marker's image speed, normalised units per second."""
 
 
 class CameraAgreement:
-    """Watches the views of C cameras and M markers.
+    """Checks the views of C cameras and M markers against the calibration.
 
     Attributes:
-        epipolar: what was learnt.
-        bumped_px: the systematic residual of cameras that have moved since they were calibrated; 0 = they have not.
+        epipolar: the estimated residuals.
+        bumped_px: systematic residual if cameras have moved since their calibration, otherwise 0.
     """
 
     def __init__(
@@ -60,19 +61,19 @@ class CameraAgreement:
         self._looked_s = -math.inf
 
     def clear(self) -> None:
-        """Forget the views; what was learnt of the cameras stays."""
+        """Discard the views; the estimated residuals are kept."""
         for frames in self._newest:
             frames.clear()
         self._looked_s = -math.inf
 
     def correct(self, camera: int, xy: FloatArray) -> FloatArray:
-        """Return views (N, 2) of a camera, normalised units, as they would be if it had not moved."""
+        """Return a camera's views (N, 2), normalised units, corrected for its movement since the calibration."""
         if self._calibrated and not self.bumped_px:
             return xy
         return self.epipolar.correct_one(camera, xy)
 
     def watch(self, sightings: Sightings, schedule: Schedule) -> None:
-        """Take a frame's views, uncorrected, after the schedule did."""
+        """Process a frame's uncorrected views; the schedule must already have been updated with it."""
         self._newest[sightings.camera].append(sightings)
         moment_s, period_s = schedule.common_moment(), schedule.longest_period_s
         eager = not self._calibrated and self._looks < _EAGER_LOOKS
@@ -88,7 +89,7 @@ class CameraAgreement:
             self._judge()
 
     def _recent(self) -> Tracks:
-        """Return the tracks of all markers through the newest frames: of most frames nobody asks for them."""
+        """Return the tracks of all markers through the newest frames; built on demand, as most frames do not need them."""
         tracks = Tracks(len(self._newest), self._markers)
         for camera, frames in enumerate(self._newest):
             for seen in frames:

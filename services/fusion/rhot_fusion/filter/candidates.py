@@ -28,26 +28,26 @@ class Candidates:
         settings: TrackSettings,
         counts: Counter[str],
     ) -> None:
-        """Begin without views; of counts it takes `behind_cameras` and `gated`."""
+        """Start without views; increments `behind_cameras` and `gated` of counts."""
         self._cameras = list(cameras)
         self._coherence, self._schedule, self._settings, self._counts = coherence, schedule, settings, counts
-        # By camera: time, normalised coordinates and their variance.
+        # Per camera: time, normalised coordinates and their variance.
         self._newest: list[dict[int, tuple[float, FloatArray, float]]] = [{} for _ in range(markers)]
 
     def clear(self) -> None:
-        """Forget all views."""
+        """Discard all views."""
         for newest in self._newest:
             newest.clear()
 
     def add(
         self, camera: int, markers: Sequence[int], times_s: Sequence[float], xy: FloatArray, variances: Sequence[float]
     ) -> None:
-        """Take a camera's newest views (N, 2) of markers (N,), of these times and variances (N,)."""
+        """Store a camera's newest views (N, 2) of markers (N,), with times and variances (N,)."""
         for marker, t_s, view, variance in zip(markers, times_s, xy, variances, strict=True):
             self._newest[marker][camera] = t_s, view, variance
 
     def near(self, marker: int, t_s: float) -> dict[int, View]:
-        """Return, by camera, the newest views of a marker that were taken about a moment."""
+        """Return, by camera, the newest views of a marker close to a time."""
         settings = self._settings
         reach_s = min(settings.pair_s, settings.pair_periods * self._schedule.longest_period_s)
         return {
@@ -66,16 +66,16 @@ class Candidates:
         alive: BoolArray,
         volume_m: tuple[Position, Position],
     ) -> InitialState | None:
-        """Return what views of different cameras say of a marker, if they agree and it can be there.
+        """Return a marker's initial state from views of different cameras, if they agree on a plausible position.
 
         Args:
             marker: index of the marker.
-            views: one a camera.
-            t_s: the moment of the answer.
+            views: one per camera.
+            t_s: time of the initial state.
             velocity: (3,) expected, metres per second.
-            known: (M, 3) where markers are, metres.
-            alive: (M,) which of them are known.
-            volume_m: the corners between which markers are believed, metres.
+            known: (M, 3) current marker positions, metres.
+            alive: (M,) which of them are tracked.
+            volume_m: corners of the volume in which markers are accepted, metres.
         """
         if len(views) < 2:
             return None

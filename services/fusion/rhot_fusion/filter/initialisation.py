@@ -1,9 +1,9 @@
 """Initialising a marker: from two views of different cameras and times, or from one view on a ray.
 
-The state (p, v) behind views (x_k, y_k) at times t_k, with a prior of the velocity, by Gauss–Newton on the reprojection
-error; its covariance is the inverse of the information (Hartley and Zisserman, "Multiple View Geometry", 2nd ed.,
-section 5.2.3). Two views have four numbers for the three of a position: what is left over tells whether they belong
-together.
+The state (p, v) is estimated from views (x_k, y_k) at times t_k, with a prior on the velocity, by Gauss–Newton on the
+reprojection error. Its covariance is the inverse of the information matrix (Hartley and Zisserman, "Multiple View
+Geometry", 2nd ed., section 5.2.3). Two views have four coordinates for the three of a position; the remaining residual
+tests whether they show the same marker.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 
 _STEPS = 3
-"""Gauss–Newton steps: the third one leaves at most 0.04 mm (500 random pairs of views, cameras 75 mm apart)."""
+"""Gauss–Newton steps: the error after the third is at most 0.04 mm (500 random view pairs, cameras 75 mm apart)."""
 _NEAREST_M = 0.05
-"""Depth below which a point counts as behind the camera: no camera of a rig is in focus there."""
+"""Depth below which a point counts as behind the camera: no rig camera is in focus there."""
 _PARALLEL = 1e-9
-"""Determinant of the normal equations below which rays are parallel; two cameras 1 mm apart and 1 m away have
+"""Determinant of the normal equations below which rays count as parallel; cameras 1 mm apart and 1 m away give
 2e-6."""
 
 
@@ -49,8 +49,8 @@ class InitialState:
     Attributes:
         mean: (6,) position, metres, and velocity.
         covariance: (6, 6).
-        misfit: squared residuals in variances, the prior's included; chi-square of as many degrees as there are numbers
-            in the views beyond three.
+        misfit: sum of squared normalised residuals, the prior's included; chi-square distributed with 2 K − 3 degrees
+            of freedom for K views.
     """
 
     mean: FloatArray
@@ -59,11 +59,11 @@ class InitialState:
 
 
 def from_views(views: Sequence[View], t_s: float, velocity: FloatArray, speed_sigma: float) -> InitialState | None:
-    """Return the state at a moment behind two views or more; None where they give no position before the cameras.
+    """Return the state estimated from two or more views; None if it is not in front of the cameras.
 
     Args:
-        views: of two cameras or more.
-        t_s: the moment.
+        views: of two or more cameras.
+        t_s: time of the state.
         velocity: (3,) expected, metres per second.
         speed_sigma: standard deviation of each of its components.
     """
@@ -95,14 +95,14 @@ def from_views(views: Sequence[View], t_s: float, velocity: FloatArray, speed_si
         except np.linalg.LinAlgError:
             return None
     covariance = np.linalg.inv(information)
-    # Of views that tell next to nothing, rounding makes variances below zero.
+    # Nearly singular information: rounding can make variances negative.
     if not (np.isfinite(mean).all() and covariance.diagonal().min() > 0.0):
         return None
     return InitialState(mean, 0.5 * (covariance + covariance.T), misfit)
 
 
 def on_ray(view: View, at: FloatArray, velocity: FloatArray, along_m: float, speed_sigma: float) -> InitialState:
-    """Return the state of a marker seen once, on its ray as far away as a point (3,), and open in depth."""
+    """Return the state of a marker seen by one camera: on its viewing ray, at the depth of a point (3,) ± `along_m`."""
     R, camera = view.camera.R_camera_rig, view.camera
     depth = max(float((R @ at + camera.t_camera_rig)[2]), _NEAREST_M)
     ray = np.append(view.xy, 1.0) @ R
@@ -114,7 +114,7 @@ def on_ray(view: View, at: FloatArray, velocity: FloatArray, along_m: float, spe
 
 
 def _linear(views: Sequence[View], t_s: float, velocity: FloatArray) -> FloatArray | None:
-    """Return the point (3,) of least squares of (r₁ − x r₃)·X = x t₃ − t₁ and its twins in y."""
+    """Return the least-squares point (3,) of (r₁ − x r₃)·X = x t₃ − t₁ and the same equations in y."""
     rows, right = [], []
     for view in views:
         R, t = view.camera.R_camera_rig, view.camera.t_camera_rig

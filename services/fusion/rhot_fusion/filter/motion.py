@@ -1,19 +1,20 @@
 """How the markers of one hand move together.
 
-A hand's linear and angular acceleration (a, α) persist for a while (R. A. Singer, "Estimating optimal tracking filter
-performance for manned maneuvering targets", IEEE Trans. AES-6, 1970): with white noise w of power s²,
+The linear and angular acceleration (a, α) of a hand are correlated in time (R. A. Singer, "Estimating optimal tracking
+filter performance for manned maneuvering targets", IEEE Trans. AES-6, 1970). With white noise w of power s²,
 
     d(a, α)/dt = −(a, α) / τ + (common, turning) w / τ,
 
-which is white acceleration of power s² below the frequency 1 / (2π τ) and less above it. Each marker at r about the
-middle of its hand's also has white acceleration of its own (Bar-Shalom, Li and Kirubarajan, "Estimation with
+which is white acceleration of power s² below the frequency 1 / (2π τ) and weaker above it. Each marker, at r from the
+centroid of its hand's markers, also has white acceleration of its own (Bar-Shalom, Li and Kirubarajan, "Estimation with
 Applications to Tracking and Navigation", 2001, section 6.2.2):
 
     d²p/dt² = a + α × r + s own w',
 
-and a share of the common noise acts at once. So what one marker does tells of the others, seen or hidden. The scale s
-is not known and changes: a still hand is averaged over many frames, a fast one is followed at once. It is one of a few
-values, weighed by how well each foretells the observations, and forgotten within `switch_s`.
+and a share of the common noise acts without correlation. Each marker's motion therefore updates all others, visible or
+hidden. The scale s is unknown and changes over time: a hand at rest is averaged over many frames, a fast one is
+followed at once. It takes one of a few values, which are weighted by the likelihood of the observations; the weights
+return to their prior within `switch_s`.
 """
 
 from __future__ import annotations
@@ -31,20 +32,20 @@ from rhot_fusion.filter.state import SHARED
 
 _EYE: FloatArray = np.eye(3)
 _SERIES = 0.05
-"""Below this share of τ, the leading terms of the noise are exact to 2 %, and closed forms lose their digits."""
+"""Below this share of τ the leading terms of the noise are exact to 2 %, and the closed forms lose precision."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The motion of markers at given places, as matrices of a state (n = 6 M + 6) for any time.
+    """Transition and process noise of a state (n = 6 M + 6) over any time step, for given marker positions.
 
     Attributes:
-        position: (M, 3) metres, of the markers.
-        alive: (M,) which of them there are.
-        index: of those; all as a slice, which takes no time.
+        position: (M, 3) marker positions, metres.
+        alive: (M,) which of them are tracked.
+        index: of those; a slice where it is all of them, which costs no time.
         settings: shares and time constants.
-        transitions: (6, n²) what the coefficients of `transition` multiply.
-        noises: (9, n²) what those of `noise` multiply.
+        transitions: (6, n²) matrices multiplied by the coefficients of `transition`.
+        noises: (9, n²) matrices multiplied by those of `noise`.
     """
 
     position: FloatArray
@@ -55,14 +56,14 @@ class Motion:
     noises: FloatArray
 
     def transition(self, dt: float) -> FloatArray:
-        """Return F (n, n) over a time, seconds."""
+        """Return F (n, n) for a time step, seconds."""
         tau = self.settings.persists_s
         share, fade = -math.expm1(-dt / self.settings.joining_s), math.exp(-dt / tau)
         gained = -tau * math.expm1(-dt / tau)
         return _combined((1.0, dt, share, fade, tau * (dt - gained), gained), self.transitions)
 
     def noise(self, dt: float) -> FloatArray:
-        """Return Q (n, n) over a time, seconds, for the scale 1."""
+        """Return Q (n, n) for a time step, seconds, at the scale 1."""
         pp, pv, vv = dt**3 / 3.0, dt**2 / 2.0, dt
         s_pp, s_pv, s_pz, s_vv, s_vz, s_zz = _singer(dt, self.settings.persists_s)
         white = self.settings.abrupt**2
@@ -71,7 +72,7 @@ class Motion:
 
 
 def motion_of(position: FloatArray, alive: BoolArray, settings: MotionSettings) -> Motion:
-    """Return the motion of those markers at places (M, 3) that are alive (M,)."""
+    """Return the motion of the markers at positions (M, 3), metres, of which some are alive (M,)."""
     half = 3 * len(position)
     p, v, z = slice(half), slice(half, 2 * half), slice(2 * half, None)
     F, Q = (constant.copy() for constant in _wherever(tuple(alive.tolist()), settings))
@@ -88,7 +89,7 @@ def motion_of(position: FloatArray, alive: BoolArray, settings: MotionSettings) 
 
 @lru_cache
 def _wherever(alive: tuple[bool, ...], settings: MotionSettings) -> tuple[FloatArray, FloatArray]:
-    """Return transitions (6, n, n) and noises (9, n, n) without what depends on where the markers are."""
+    """Return the position-independent parts of the transitions (6, n, n) and noises (9, n, n)."""
     there, number = np.repeat(alive, 3), sum(alive)
     half = len(there)
     n = 2 * half + SHARED
@@ -107,12 +108,12 @@ def _wherever(alive: tuple[bool, ...], settings: MotionSettings) -> tuple[FloatA
 
 
 def _power(settings: MotionSettings) -> FloatArray:
-    """Return that (6,) of what the hand shares."""
+    """Return the noise power (6,) of the shared accelerations."""
     return np.repeat(np.square([settings.common, settings.turning]), 3)
 
 
 def lever(position: FloatArray, settings: MotionSettings) -> FloatArray:
-    """Return B (3 M, 6): the acceleration of markers at places (M, 3) by that of their hand, a + α × r."""
+    """Return B (3 M, 6), which maps the hand's acceleration to that of markers at positions (M, 3): a + α × r."""
     arm = position - position.mean(axis=0) if len(position) else position
     length = np.sqrt((arm * arm).sum(axis=1))
     arm *= np.minimum(1.0, settings.longest_arm_m / np.maximum(length, 1e-9))[:, None]
@@ -126,7 +127,7 @@ def lever(position: FloatArray, settings: MotionSettings) -> FloatArray:
 
 
 def _singer(dt: float, tau: float) -> tuple[float, ...]:
-    """Return the covariances pp, pv, pa, vv, va, aa of an acceleration that persists, of power 1 at low frequencies."""
+    """Return the covariances pp, pv, pa, vv, va, aa of Singer's acceleration with power 1 at low frequencies."""
     b = dt / tau
     q = 1.0 / tau**2
     if b < _SERIES:

@@ -1,8 +1,9 @@
 """Pixel noise of each camera: the stated calibration error, and an estimate from its innovations.
 
-With S the covariance of an innovation y, r² of it the pixels' own, the log-likelihood −½ (log |S| + yᵀ S⁻¹ y) has the
-derivative ½ (yᵀ S⁻² y − tr S⁻¹) by r² and the expected curvature ½ tr S⁻². Each innovation so asks for
-r² + derivative / curvature, with the curvature for its weight: where motion explains the innovations, little is learnt.
+Let S be the covariance of an innovation y, and r² the pixel noise in it. The log-likelihood −½ (log |S| + yᵀ S⁻¹ y) has
+the derivative ½ (yᵀ S⁻² y − tr S⁻¹) with respect to r² and the expected curvature ½ tr S⁻². Each innovation therefore
+contributes r² + derivative / curvature, weighted by the curvature (a scoring step): innovations that are dominated by
+motion contribute little.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ from rhot_fusion.filter.settings import NoiseSettings
 from rhot_fusion.filter.state import Innovation
 
 _CLEAR = 9.0
-"""Innovations beyond this squared Mahalanobis distance teach as if they were at it: outliers are not noise."""
+"""Squared Mahalanobis distance at which innovations are clipped, because outliers are not noise."""
 
 _SHORTEST_M = 1e-3
-"""Cameras nearer to each other than this show no depth, or are one camera that was entered twice."""
+"""Shorter baselines give no depth, or are one camera that was entered twice."""
 
 
 class CameraNoise:
-    """The noise of C cameras.
+    """Pixel noise of C cameras.
 
     Attributes:
-        calibration_px: (C,) systematic errors between the cameras, as their calibration states them.
+        calibration_px: (C,) systematic errors between the cameras, as stated by their calibration.
     """
 
     def __init__(
@@ -44,13 +45,13 @@ class CameraNoise:
         first = settings.first_px if calibrated else settings.uncalibrated_px
         least = settings.least_px if calibrated else settings.uncalibrated_least_px
         self._bounds_px2 = least**2, settings.most_px**2 if calibrated else math.inf
-        # By camera: sums of weights and of weights times r², in px.
+        # Per camera: sums of weights and of weights times r², in pixels.
         self._weight = [0.5 * settings.first_weight / first**4] * len(cameras)
         self._asked = [weight * first**2 for weight in self._weight]
 
     @property
     def sigma_px(self) -> FloatArray:
-        """(C,) standard deviation of a coordinate, pixels, as learnt."""
+        """(C,) estimated standard deviation of a coordinate, pixels."""
         return np.sqrt([self._variance_px2(camera) for camera in range(len(self._focal_px))])
 
     def variance(self, camera: int) -> float:
@@ -60,17 +61,17 @@ class CameraNoise:
 
     @property
     def pair_variance(self) -> float:
-        """Variance of the depth of what two views show, 1/m²: times the fourth power of how far away it is."""
+        """Variance of the depth from two views divided by the fourth power of the distance, 1/m²."""
         count = len(self._focal_px)
         return 2.0 * sum(self.variance(camera) for camera in range(count)) / count / self._baseline_m**2
 
     def _variance_px2(self, camera: int) -> float:
-        """Return the variance of a coordinate, square pixels, as learnt."""
+        """Return the estimated variance of a coordinate, square pixels."""
         low, high = self._bounds_px2
         return min(max(self._asked[camera] / self._weight[camera], low), high)
 
     def learn(self, camera: int, innovation: Innovation) -> None:
-        """Take a frame's innovations; those that were refused teach nothing."""
+        """Update the estimate with a frame's accepted innovations."""
         pixels2 = self._focal_px[camera] ** 2
         count, derivative, curvature = 0, 0.0, 0.0
         columns = (innovation.accepted, innovation.y, innovation.S, innovation.nis)
@@ -78,7 +79,7 @@ class CameraNoise:
             if not taken:
                 continue
             count += 1
-            # The inverse of S, and what it makes of y.
+            # S⁻¹ and S⁻¹ y.
             det = (a * c - b * b) * pixels2
             d, e, f = c / det, -b / det, a / det
             u0, u1 = d * y0 + e * y1, e * y0 + f * y1
@@ -94,9 +95,9 @@ class CameraNoise:
 
 
 def stated_px(names: Sequence[str], quality: Any, settings: NoiseSettings) -> FloatArray:
-    """Return the systematic error (C,) of each camera against the others, pixels, as `cameras.json` states it.
+    """Return the systematic error (C,) of each camera relative to the others, pixels, as stated by `cameras.json`.
 
-    It is the RMS epipolar error at the calibration, of the worst pair of a camera, half of it in either view.
+    It is the RMS epipolar error of a camera's worst pair at the calibration, with half of its variance in either view.
     """
     worst = dict.fromkeys(names, 0.0)
     for first, second in combinations(names, 2):

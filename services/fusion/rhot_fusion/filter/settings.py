@@ -1,7 +1,7 @@
 """Parameters of the filter: assumptions about hands, cameras and paint, each with unit and provenance.
 
-*Develop rigs* are those of `rhot evaluate motion --half develop`, the *rendered pictures* those of `rhot evaluate
-pictures`, *simulated hands* those of `rhot evaluate tracking`.
+The values were chosen on the *develop rigs* of `rhot evaluate motion --half develop`, the *rendered pictures* of `rhot
+evaluate pictures` and the *simulated hands* of `rhot evaluate tracking`.
 """
 
 from __future__ import annotations
@@ -12,29 +12,32 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True)
 class MotionSettings:
-    """How the markers of one hand move; see `motion`.
+    """Motion model of the markers of one hand; see `motion`.
 
-    The shares were chosen by the errors on 36 recordings of daily actions (FPHA, three people) through 20 random rigs
-    at 15, 30 and 60 fps, and are flat there: half or twice of each changes the median by less than 5 %.
+    `common`, `turning` and `own` were chosen on 36 recordings of daily actions (FPHA, three people) seen by 20 random
+    rigs at 15, 30 and 60 fps. Halving or doubling any of them changes the median error by less than 5 %.
 
     Attributes:
-        common: share of the acceleration that all markers of a hand have in common, root of a power.
-        turning: the same of acceleration by turning, per metre from the middle of the markers.
-        own: the same of each marker's own.
-        longest_arm_m: no marker turns about the middle of its hand on a longer arm, metres; half a hand.
-        scales: what the shares are multiplied by: roots of the power spectral density of an acceleration, m/s^1.5, from
-            a hand at rest to 40 m/s² within one frame; the filter weighs them by what it sees.
-        shares: how often each scale occurs, before anything is seen.
-        joining_s: time constant within which a marker's velocity becomes that of its hand, seconds; a finger bends and
+        common: relative strength of the linear acceleration that all markers of a hand share.
+        turning: relative strength of the angular acceleration, per metre from the centroid of the markers.
+        own: relative strength of each marker's individual acceleration.
+        longest_arm_m: upper bound of the lever arm about the hand's centroid, metres; half a hand.
+        scales: noise intensities that multiply the three strengths above: square roots of the acceleration's power
+            spectral density, m/s^1.5, from a hand at rest to 40 m/s² within one frame. The filter weights them by the
+            likelihood of the observations.
+        shares: prior probability of each scale.
+        joining_s: time constant with which a marker's velocity returns to that of its hand, seconds; a finger bends and
             comes to rest in 0.2 to 0.4 s.
-        persists_s: time constant of the hand's common acceleration, seconds: a corner at 2 Hz, as reaches take 0.4 to
-            0.8 s (Flash and Hogan, J. Neurosci. 5(7), 1985); a swing at 1.2 Hz errs alike between 0.06 and 0.12.
-        abrupt: of the common acceleration this share is white as well: a hand that meets a table stops at once, and
-            hidden markers with it.
-        first_m_s2, first_rad_s2: standard deviations of that acceleration when a hand is first seen, each component.
-        switch_s: time constant within which a scale gives way to those shares, seconds. Longer is calmer at rest and
-            less honest in motion: on eight develop rigs at 60 fps 0.03 and 0.1 hold 93 and 91 % of errors
-            within two sigma, with a 95th percentile of 7.6 and 8.2 mm.
+        persists_s: correlation time of the shared acceleration, seconds: a corner frequency of 2 Hz, because reaches
+            last 0.4 to 0.8 s (Flash and Hogan, J. Neurosci. 5(7), 1985). For a swing at 1.2 Hz, errors are the same
+            between 0.06 and 0.12.
+        abrupt: share of the shared acceleration that is white instead: a hand that hits a table stops at once, and
+            so do its hidden markers.
+        first_m_s2, first_rad_s2: standard deviation of each component of the shared acceleration when a hand is first
+            seen.
+        switch_s: time constant with which the weights of the scales return to `shares`, seconds. Longer values reduce
+            jitter at rest but make covariances too small in motion: on eight develop rigs at 60 fps, 93 % of errors are
+            within two sigma at 0.03 and 91 % at 0.1, with a 95th percentile of 7.6 and 8.2 mm.
     """
 
     common: float = 1.0
@@ -53,19 +56,20 @@ class MotionSettings:
 
 @dataclass(frozen=True, slots=True)
 class NoiseSettings:
-    """How far pixels are trusted; see `noise`.
+    """Measurement noise of a camera; see `noise`.
 
     Attributes:
-        first_px: standard deviation of a coordinate before anything is learnt, pixels; centroids of painted tips in
-            photo-real pictures err by 0.2 to 0.3 px.
-        least_px, most_px: bounds of what is learnt, pixels.
-        first_weight: observations that the first value counts for.
-        memory: observations after which what was learnt has faded to 37 %; about 20 s of a hand before one camera.
-        calibration_px: systematic error between cameras where `cameras.json` states none, pixels.
-        uncalibrated_px: the noise of a rig without `cameras.json`, pixels, beside what its time stamps err by.
-        uncalibrated_least_px: bound of what is learnt of such a rig, pixels: it tells whole pixels, or knows its lenses
-            no better.
-        uncalibrated_s: standard deviation of the time stamps of such a rig, seconds: it stamps arrivals.
+        first_px: initial standard deviation of a pixel coordinate; centroids of painted tips in photo-real pictures
+            have errors of 0.2 to 0.3 px.
+        least_px, most_px: bounds of the estimated standard deviation, pixels.
+        first_weight: number of observations that the initial value counts as.
+        memory: number of observations after which the weight of an old observation has decayed to 37 %; about 20 s of a
+            hand in front of one camera.
+        calibration_px: systematic error between cameras if `cameras.json` states none, pixels.
+        uncalibrated_px: pixel noise of a rig without `cameras.json`, not counting errors of its time stamps.
+        uncalibrated_least_px: lower bound of the estimate for such a rig, pixels: its coordinates are whole pixels, or
+            its lens distortion is unknown.
+        uncalibrated_s: standard deviation of the time stamps of such a rig, seconds: frames are stamped on arrival.
     """
 
     first_px: float = 0.3
@@ -81,51 +85,55 @@ class NoiseSettings:
 
 @dataclass(frozen=True, slots=True)
 class TrackSettings:
-    """When a marker is believed; see `tracks`.
+    """Track management: gates, initialisation and the states that are published; see `tracks`.
 
     Attributes:
-        gate: squared Mahalanobis distance of an observation (2 degrees of freedom) beyond which it is refused; chance
-            passes it once in 270,000.
-        far: the same beyond which a marker of a calibrated rig is less certain than was stated, 1 % by chance: the
-            scale of accelerations is that of the whole hand, and one finger may curl while the others rest. Of the
-            rendered pictures as they are, mirrored, smaller, larger and at half the rate the mean 95th percentile is
-            5.3 mm at 9, 5.4 at 14 and 5.6 without; smoothed 4.8, 4.8 and 5.0, and 5.6 at 6. Where one blob in twenty is
-            wrong, as in a rig that was never calibrated, paths run away. When smoothing, so does a marker less
-            certain than `loose_m`; with that limit smoothed pictures, three other rendered worlds among them,
-            have a 95th percentile of 4.4 instead of 4.6 mm.
-        back: the same of a view of a marker that the camera had lost; 5 % by chance.
-        initialisation_gate: the same of the two views of a marker that is not known (1 degree of freedom): 4 sigma.
-        pair_s, pair_periods: two views further apart in time, or in frame periods, begin no marker; cameras out of step
-            are half a period apart, and a frame may be lost.
-        speed_sigma: of a marker that was just found, about its hand's or 0, m/s: 95 % of daily actions are below 1.
-        confirmations: views that must agree with the two that began a marker, before it is published.
-        uncalibrated_confirmations: the same before cameras that are not calibrated, where two views seldom contradict.
-        relocations: pairs of views in a row that agree on another place before a marker is moved there.
-        occupied_m: no marker begins nearer to another one, metres.
-        fresh_periods, fresh_s: a camera counts among a marker's views as long as its last one is no older than the
-            longer of these.
-        ray_sigma_m: how far a marker that only one camera has seen may be from its hand in depth, metres.
-        moving_px_s: a marker that moves faster through the picture is never twice at the same place to the last digit.
-        ray_views: views in a row of one camera that put a marker on its ray.
-        fewest: markers of a hand that tell how far away it is; in a grasp the patch is often the only one.
-        ray_reach_m: no marker begins on its ray further from the middle of its hand's, metres; a hand's length.
-        loose_m: a marker whose place is less certain (standard deviation) is found again by two views, metres: beyond
-            it a depth is no longer linear in the pixels.
-        extent_m: standard deviation in depth of a marker about the middle of its hand's, metres: fingertips that one
-            camera sees are 0.026 behind it, plus or minus 0.027 (15 develop rigs).
-        lost_periods: one that nothing has shown for so many frame periods is not moved by a single view.
-        measured_m: a point is called measured up to this standard deviation (root of the covariance's trace, hidden
-            paint included, the calibration's error not) beyond what any two views leave open, metres: the breadth of a
-            little finger's tip; what is known no better may be the finger beside it. No other sign tells more of a
-            point's error: not how much paint comes, goes or differs between cameras, nor all of them together (15
-            develop rigs at 15, 30 and 60 fps). At 0.0125 coverage of 30 develop rigs is 97.2 instead of 96.7 % at 60
-            fps and 92.4 instead of 91.3 % at 30, the 95th percentile of errors 7.83 instead of 7.74 mm and 9.70 instead
-            of 9.34 mm; of the others 9.25 instead of 8.65 mm at 60 fps.
-        uncalibrated_measured_m: the same before cameras that are not calibrated: four pixels, of 2 cm of depth there.
-        lost_m: a marker is not published beyond this one, and forgotten when nothing shows it any more, metres: that it
-            is somewhere on its hand tells as much. What slow cameras out of step begin with is known less well at 15
-            frames per second, and was forgotten at once.
-        replay_s: frames that come later than this after a newer one are used for nothing, seconds.
+        gate: squared Mahalanobis distance (2 degrees of freedom) beyond which an observation is rejected; exceeded by
+            chance once in 270,000.
+        far: squared Mahalanobis distance beyond which the covariance of a marker of a calibrated rig is inflated; 1 %
+            by chance. The acceleration scale belongs to the whole hand, and one finger may curl while the others rest.
+            Over the rendered pictures, mirrored, scaled down, scaled up and at half the rate, the mean 95th percentile
+            is 5.3 mm at 9, 5.4 at 14 and 5.6 without inflation; smoothed 4.8, 4.8 and 5.0, and 5.6 at 6. Not used for
+            uncalibrated rigs: where one blob in twenty is wrong, tracks diverge. In smoothing not used either for
+            markers beyond `loose_m`; this limit lowers the smoothed 95th percentile from 4.6 to 4.4 mm on these
+            pictures and three more rendered worlds.
+        back: the same for the first observations of a marker that its camera had lost; 5 % by chance.
+        initialisation_gate: squared Mahalanobis distance (1 degree of freedom) up to which two views initialise a
+            marker: 4 sigma.
+        pair_s, pair_periods: longest time between these two views, in seconds and in frame periods; unsynchronised
+            cameras are half a period apart, and one frame may be lost.
+        speed_sigma: standard deviation of a new marker's velocity about that of its hand, or about 0, m/s; in daily
+            actions 95 % of speeds are below 1 m/s.
+        confirmations: further views that must agree before a new marker is published.
+        uncalibrated_confirmations: the same in uncalibrated rigs, where two views rarely contradict each other.
+        relocations: consecutive pairs of views that must agree on a different position before a marker is moved there.
+        occupied_m: no marker is initialised closer to another one than this, metres.
+        fresh_periods, fresh_s: a camera counts as seeing a marker while its last observation is no older than the
+            longer of these, frame periods and seconds.
+        ray_sigma_m: standard deviation in depth, about its hand, of a marker initialised from one camera, metres.
+        moving_px_s: above this image speed, exactly repeated coordinates are treated as stale data.
+        ray_views: consecutive views of one camera that initialise a marker on its viewing ray.
+        fewest: markers of a hand required to estimate its depth; in a grasp the patch is often the only one.
+        ray_reach_m: greatest distance from the centroid of its hand at which a marker is initialised from one camera,
+            metres; a hand's length.
+        loose_m: a marker whose standard deviation is larger is initialised anew by two views, metres: at that size,
+            depth is no longer linear in pixel coordinates.
+        extent_m: standard deviation of a marker's depth about the centroid of its hand, metres: fingertips seen by one
+            camera are 0.026 behind it, plus or minus 0.027 (15 develop rigs).
+        lost_periods: a marker not observed for this many frame periods is not moved by a single view.
+        measured_m: upper bound of the standard deviation of a point in state `measured`, metres (root of the
+            covariance's trace, including hidden paint but not the calibration error), beyond the uncertainty of any
+            pair of views; the width of a little finger's tip, because a less certain point may be the neighbouring
+            finger. No other indicator predicted the error better: neither the visible area, its changes, its difference
+            between cameras, nor all of them combined (15 develop rigs at 15, 30 and 60 fps). At 0.0125 instead, 30
+            develop rigs have a coverage of 97.2 instead of 96.7 % at 60 fps and 92.4 instead of 91.3 % at 30 fps, and a
+            95th percentile of 7.83 instead of 7.74 mm and 9.70 instead of 9.34 mm; on the held-back rigs 9.25 instead
+            of 8.65 mm at 60 fps.
+        uncalibrated_measured_m: the same in uncalibrated rigs: four pixels, at 2 cm of depth per pixel.
+        lost_m: a marker with a larger standard deviation is not published, and is deleted once no camera sees it,
+            metres. The limit is generous because slow unsynchronised cameras (15 fps) initialise markers with a large
+            depth uncertainty, and a smaller limit deleted them at once.
+        replay_s: frames that arrive later than this after a newer one are discarded, seconds.
     """
 
     gate: float = 25.0
@@ -157,50 +165,53 @@ class TrackSettings:
 
 @dataclass(frozen=True, slots=True)
 class PaintSettings:
-    """What is seen of a painted marker; see `paint`.
+    """Model of the visible paint; see `paint`.
 
     Attributes:
-        compare_s: areas further apart in time are not compared, seconds.
-        settle_s: time constant of the widths that are compared, while they differ by less than `uneven` of late,
-            seconds. A larger change is followed at once: a lag of 0.03 made 20 mm of depth within 0.1 s of a thumb that
-            one camera loses first. On 15 develop rigs, three simulated hands and the rendered pictures 0.03
-            and 0.1 are alike, longer is calmer at rest.
-        uneven: views of a whole marker differ by this share of its area, by the cameras' places.
-        rim_px: and by this much of its rim, pixels: a quarter of a pixel of its radius.
-        doubtful: where two views of a marker differ by this many times as much as those of a whole one, half of that is
-            taken for hidden: less of smaller differences, nearly all of larger ones. 1 and 1.5 beside a dead zone as
-            wide as that: 79 and 86 swapped points of 102 on 15 develop rigs, 29 and 22 false ones of 31 in six
-            simulated scenes; medians are alike at 1.5, and 0.1 mm worse at 1.
-        cut: standard deviation of how far the middle of a marker lies beside what the picture's border leaves of it, as
-            a share of that: markers are no squares that stand upright.
-        shift: of the middle, as a share of the width that is hidden: a strip moves it by half of itself.
-        doubt: standard deviation of that, in the same unit.
-        lasts_s: how long that error stays the same, seconds: a finger passes behind another, 15 mm at 0.15 m/s; without
-            it a strip of paint that is left becomes depth and speed, however little one believes each frame. Between
-            0.1 and 0.3 alike on eight develop rigs; smoothed pictures are worse by 1.5 mm at 0.3.
+        compare_s: areas observed further apart in time are not compared, seconds.
+        settle_s: time constant of the low-pass filter of the compared widths while they change by less than `uneven`,
+            seconds. Larger changes are followed without delay: a lag of 0.03 caused 20 mm of depth error within 0.1 s
+            for a thumb that one camera lost first. On 15 develop rigs, three simulated hands and the rendered pictures,
+            0.03 and 0.1 give the same errors; longer values reduce jitter at rest.
+        uneven: relative difference of area between views of an unoccluded marker, caused by the camera positions.
+        rim_px: and its absolute difference at the rim, pixels: a quarter of a pixel of its radius.
+        doubtful: a difference of this many times that of an unoccluded marker is attributed to occlusion by half;
+            smaller ones by less, larger ones almost entirely. Compared with a dead zone of the same width, 1 and 1.5
+            give 79 and 86 swapped points instead of 102 on 15 develop rigs, and 29 and 22 false points instead of 31 in
+            six simulated scenes. Medians are equal at 1.5 and 0.1 mm larger at 1.
+        cut: standard deviation of the centroid of a marker cut off by the image border, as a share of the missing
+            width: markers are not upright squares.
+        shift: displacement of the centroid, as a share of the occluded width: a strip displaces it by half of itself.
+        doubt: standard deviation of this displacement, in the same unit.
+        lasts_s: correlation time of its error, seconds: a finger passes behind another one, 15 mm at 0.15 m/s. If the
+            error were white, the remaining strip of paint would become depth and velocity, however large the noise of
+            each frame. Between 0.1 and 0.3 there is no difference on eight develop rigs; smoothed pictures are 1.5 mm
+            worse at 0.3.
         side: (π/4) ρ of `paint`.
-        shaft: λ of `paint`: tips are painted over 15 to 20 mm and 6 to 7 mm thick.
-        first_bend: c of a finger at ease, bent away from the camera by a quarter of a right angle or a little more.
-        most_bend: c beyond which a small area tells that paint is hidden rather than how a finger bends: 45 degrees;
-            between 0.7 and 0.8 alike within 0.1 mm on rendered pictures and two simulated hands.
-        appears_s: time constant of the width that what is visible is compared with, seconds: two frames at 60 fps.
-        appearing: standard deviation of where the middle of a marker is that comes out from behind something, as a
-            share of its width: half of what one can see is hidden at the median; 0.1 to 0.25 alike.
-        seen_first: how far the largest area of a marker is taken from its first one rather than from how long paint
-            should be: between 0 and 0.5 alike on rendered and simulated hands, 1 is worse by 0.4 mm on the latter.
-        curled, straight: shares of a finger's reach from beside the patch, between which what is told of its end's
-            direction grows from nothing to all. On 15 develop rigs (60 fps, the side that is seen beside
-            the truth) the best factor of that shift is −0.2, 0.3, 0.6, 1.1 and 0.9 at 0.51, 0.63, 0.78, 0.86 and 0.97
-            of the reach; a twentieth less is alike. It errs on the side of nothing: little paint is oftener hidden.
-        most_turned: share of its area that a patch shows at least when it is turned away: that of 60 degrees, beyond
-            which the back of a hand is seen edge-on. What is missing beyond that is hidden.
-        found: share of a tip's area that is found as its colour; the rim is mixed with what is behind.
-        hidden: standard deviation of a tip's middle for paint that no camera shows, each axis, as a share of the width
-            that is missing beyond `most_bend`. On the ruler's 15 even rigs at 60 fps, of points whose fullest view
-            shows 0.15 to 0.2, 0.2 to 0.3, 0.3 to 0.4 and 0.4 to 0.6 of the largest area, 66, 30, 25 and 14 % of
-            normalised errors were beyond 95 % of chi-square without it; 5, 9, 11 and 10 % are with it.
-        slack_px, slack: what a gate allows for beyond the filter's covariance, pixels and a share of the width: a tip
-            that half hides within one frame.
+        shaft: λ of `paint`: tips are painted over 15 to 20 mm and are 6 to 7 mm thick.
+        first_bend: c of a relaxed finger, bent away from the camera by a quarter of a right angle or a little more.
+        most_bend: below this c (45 degrees) a small area indicates occlusion rather than a bent finger; between −0.7
+            and −0.8 the same within 0.1 mm on rendered pictures and two simulated hands.
+        appears_s: time constant of the width with which the visible width is compared, seconds: two frames at 60 fps.
+        appearing: standard deviation of the centroid of a marker that becomes visible from behind an occluder, as a
+            share of its width: at the median half of it is still hidden. Between 0.1 and 0.25 there is no difference.
+        seen_first: weight of the first observed area, against the area of the nominal paint length, in the initial
+            estimate of a marker's largest area. Between 0 and 0.5 there is no difference on rendered and simulated
+            hands; 1 is 0.4 mm worse on the latter.
+        curled, straight: the direction of a finger's end is used in proportion to how far the finger extends, from
+            nothing at `curled` to fully at `straight`, as shares of the distance from knuckle to straight tip. On 15
+            develop rigs (60 fps, side correction compared with the truth) the best factors are −0.2, 0.3, 0.6, 1.1
+            and 0.9 at 0.51, 0.63, 0.78, 0.86 and 0.97 of that distance; 0.05 less makes no difference. The
+            correction is conservative, because a small area is more often caused by occlusion.
+        most_turned: smallest share of its area that a patch shows because it is turned: that of 60 degrees, beyond
+            which the back of the hand is seen edge-on. Anything less is occlusion.
+        found: share of a tip's area that is detected as its colour; pixels at the rim are mixed with the background.
+        hidden: standard deviation of a tip's centre, each axis, for paint hidden from all cameras, as a share of the
+            width that is missing beyond `most_bend`. On 15 develop rigs at 60 fps, 66, 30, 25
+            and 14 % of normalised errors exceeded the 95 % quantile of chi-square where the fullest view showed 0.15 to
+            0.2, 0.2 to 0.3, 0.3 to 0.4 and 0.4 to 0.6 of the largest area; with this term 5, 9, 11 and 10 %.
+        slack_px, slack: extra width of a gate beyond the filter's covariance, pixels and a share of the marker's width:
+            half of a tip may become hidden within one frame.
     """
 
     compare_s: float = 0.1
@@ -230,15 +241,16 @@ class PaintSettings:
 
 @dataclass(frozen=True, slots=True)
 class SystematicSettings:
-    """What is added to covariances for errors that no frame tells of; see `systematic`.
+    """Terms added to covariances for systematic errors, which cannot be estimated from frames; see `systematic`.
 
     Attributes:
-        doubt: what the stated error of a calibration is multiplied by: it is stated for the middle of the picture, and
-            three times as much near the rim (simulated calibrations of 30 rigs, `rhot evaluate motion`).
-        across: share of the calibration's squared error along each axis across the view; the rest is depth. A baseline
-            of an eighth of the distance makes depth eight times worse than sideways; more is left for the lens.
-        shape: what the middle of a fingertip may be off for its paint and the side that is seen, each axis, as a share
-            of its radius: 2 mm of 6.5.
+        doubt: factor applied to the stated calibration error: it is stated for the image centre and is three times as
+            large near the border (simulated calibrations of 30 rigs, `rhot evaluate motion`).
+        across: share of the squared calibration error along each axis perpendicular to the viewing ray; the rest is
+            depth. With a baseline of an eighth of the distance, depth is eight times less accurate than the lateral
+            position; this share is larger, to allow for lens distortion.
+        shape: standard deviation of a fingertip's centre due to its paint and the visible side, each axis, as a share
+            of its radius: 2 of 6.5 mm.
     """
 
     doubt: float = 1.6
@@ -248,7 +260,7 @@ class SystematicSettings:
 
 @dataclass(frozen=True, slots=True)
 class FilterSettings:
-    """All of them."""
+    """All parameters of the filter."""
 
     motion: MotionSettings = MotionSettings()
     noise: NoiseSettings = NoiseSettings()

@@ -10,24 +10,24 @@ from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 
 SHARED = 6
-"""Numbers of a state beside the markers': linear and angular acceleration of the hand."""
+"""Number of shared components of a state: linear and angular acceleration of the hand."""
 ROUND: FloatArray = np.array([1.0, 0.0, 1.0])
-"""xx, xy and yy of a covariance of 1 in every direction of a picture."""
+"""xx, xy and yy of an isotropic unit covariance in the image."""
 
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """What one frame says of N markers.
+    """One frame's observations of N markers.
 
     Attributes:
-        camera: that took it.
+        camera: the camera.
         index: (N,) markers, ascending.
         delta_s: (N,) time of each after the frame's.
         xy: (N, 2) normalised image coordinates.
         variance: (N, 3) xx, xy and yy of their covariances.
-        slack: (N,) standard deviation beyond that which the gate allows for, normalised units.
-        certain: (N,) squared Mahalanobis distance beyond which not the view is doubted, but the marker is less certain
-            than was stated; never when not given.
+        slack: (N,) additional standard deviation used by the gate only, normalised units.
+        certain: (N,) squared Mahalanobis distance beyond which the marker's covariance is inflated instead of the
+            observation's; None = never.
     """
 
     camera: CameraModel
@@ -53,15 +53,15 @@ class Views:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The M markers of a hand at one moment. Its arrays are never changed in place.
+    """State estimate of a hand's M markers. Its arrays are never changed in place.
 
     Attributes:
-        t_s: the moment.
-        x: (6 M + 6,) positions, metres, marker by marker; their velocities, m/s; the linear acceleration of the hand,
-            m/s², and its angular one, rad/s².
+        t_s: time, seconds.
+        x: (6 M + 6,) positions, metres, marker by marker; velocities, m/s; linear acceleration of the hand, m/s²;
+            angular acceleration, rad/s².
         P: (6 M + 6, 6 M + 6) covariance.
-        weight: (K,) of the scales.
-        alive: (M,) markers that are in it; the others' rows are zero.
+        weight: (K,) of the acceleration scales.
+        alive: (M,) whether a marker is tracked; rows of the others are zero.
     """
 
     t_s: float
@@ -91,14 +91,14 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """How the N views of a frame differed from what was expected.
+    """Innovations of a frame's N views.
 
     Attributes:
         y: (N, 2) innovation, normalised units.
         S: (N, 3) xx, xy and yy of its covariance.
         nis: (N,) its squared Mahalanobis distance.
         accepted: (N,) whether it passed the gate.
-        evidence: (K,) logarithm of the likelihood of each scale, but for a constant.
+        evidence: (K,) log-likelihood of each scale, up to a constant.
     """
 
     y: FloatArray
@@ -110,13 +110,13 @@ class Innovation:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What a frame did, for smoothing.
+    """One filter step, as needed for smoothing.
 
     Attributes:
-        dt_s: time since the step before.
-        transition: (6 M + 6, 6 M + 6) of the state over that time.
-        before: the state before its observations, with the noise of the way there.
-        after: the state after them.
+        dt_s: time since the previous step.
+        transition: (6 M + 6, 6 M + 6) state transition over that time.
+        before: predicted state, process noise included.
+        after: updated state.
     """
 
     dt_s: float
@@ -126,12 +126,12 @@ class Step:
 
 
 def pace_squares(camera: CameraModel, velocity: FloatArray, depths: FloatArray) -> FloatArray:
-    """Return xx, xy and yy (N, 3) of the pace of markers in a camera's picture, normalised units² per second².
+    """Return xx, xy and yy (N, 3) of the squared image velocities of markers, normalised units² per second².
 
-    Times the variance of time stamps, it is what errors of these do to views.
+    Multiplied by the variance of the time stamps, this is the covariance of the views caused by time-stamp errors.
 
     Args:
-        camera: that sees them.
+        camera: the camera.
         velocity: (N, 3) metres per second, rig frame.
         depths: (N,) metres.
     """

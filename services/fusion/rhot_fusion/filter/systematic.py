@@ -1,7 +1,7 @@
 """Systematic errors that averaging does not reduce: those of the calibration and of the paint model.
 
-`cameras.json` states how far points are off at some distances, which is depth above all. It and the paint's share are
-added to what the filter knows, so that the covariance on the wire holds all of a point's error.
+`cameras.json` states the calibration's error of points at some distances, which is mostly depth. This and the error of
+the paint model are added to the filter's covariance, so that the published covariance covers the total error.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rhot_fusion.views.vectors import Vector, interpolated, vector
 
 
 class Systematic:
-    """The systematic errors of markers before cameras."""
+    """Systematic error of marker positions."""
 
     def __init__(
         self,
@@ -30,14 +30,14 @@ class Systematic:
         radius_m: FloatArray,
         settings: SystematicSettings,
     ) -> None:
-        """Build from what `cameras.json` says of its quality.
+        """Build from the quality figures of `cameras.json`.
 
         Args:
             cameras: of the rig.
-            quality: of `cameras.json`; where it states no errors in space, they follow from those in pixels.
+            quality: of `cameras.json`; if it states no errors in millimetres, they are derived from those in pixels.
             calibration_px: systematic error of a view.
             radius_m: (M,) of painted fingertips; 0 for other markers.
-            settings: the shares.
+            settings: factors of both errors.
         """
         centers = np.stack([camera.center for camera in cameras])
         self._middle = vector(centers.mean(axis=0))
@@ -49,17 +49,17 @@ class Systematic:
             distances = np.linspace(0.2, 2.0, 10)
             known = [(z, 2.0**0.5 * calibration_px * z * z / (baseline * focal_px)) for z in distances.tolist()]
         self._distance_m, self._error_m = (list(column) for column in zip(*known, strict=True))
-        # Of which a share acts along the ray beyond what acts in every direction.
+        # One share of the squared error is isotropic; the rest acts along the viewing ray.
         self._along = settings.doubt**2 * (1.0 - 3.0 * settings.across)
         self._around = settings.doubt**2 * settings.across
         self._shape2: list[float] = np.square(settings.shape * radius_m).tolist()
 
     def distance_m(self, position: Vector) -> float:
-        """Return how far a position is from the middle of the cameras, metres."""
+        """Return the distance of a position from the centroid of the cameras, metres."""
         return math.dist(position, self._middle)
 
     def covariance(self, marker: int, position: Vector) -> Upper:
-        """Return xx, xy, xz, yy, yz and zz of the error of a marker at a position, metres."""
+        """Return the error covariance (xx, xy, xz, yy, yz, zz), m², of a marker at a position, metres."""
         (x, y, z), (middle_x, middle_y, middle_z) = position, self._middle
         x, y, z = x - middle_x, y - middle_y, z - middle_z
         distance2 = max(x * x + y * y + z * z, 1e-12)
@@ -76,7 +76,7 @@ class Systematic:
 
 
 def _stated(stated: dict[str, Any]) -> list[tuple[float, float]]:
-    """Return distances and errors, metres, of a record such as `{"75 cm": {"calibration": 1.1}}`."""
+    """Return distances and errors, metres, from a record such as `{"75 cm": {"calibration": 1.1}}`."""
     known = []
     for distance, figures in stated.items():
         number, _, unit = str(distance).partition(" ")
