@@ -89,7 +89,7 @@ class CameraAgreement:
             self._judge()
 
     def _recent(self) -> Tracks:
-        """Return the tracks of all markers through the newest frames; built on demand, as most frames do not need them."""
+        """Return the tracks of all markers through the newest frames, built on demand because few frames need them."""
         tracks = Tracks(len(self._newest), self._markers)
         for camera, frames in enumerate(self._newest):
             for seen in frames:
