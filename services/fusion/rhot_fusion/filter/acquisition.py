@@ -31,15 +31,16 @@ class Hand:
     """The markers of one hand.
 
     Attributes:
-        index: (H,) of them among all markers.
-        markers: the same as plain numbers.
-        place_of: where each of those markers of the rig is among those H.
-        base: which of those H is the patch on its back; −1 = none.
-        across: which of those H are the tips of the little and of the index finger; none without either.
-        beside_m: (H,) how far the knuckle of each fingertip is beside the patch, towards the index finger, metres.
-        reach_m: (H,) how far the tip of a straight finger is from there, metres; 0 = of the thumb and what is none.
-        filter: theirs.
-        record: of their frames; none when nobody will look back.
+        index: (H,) indices among all markers.
+        markers: the same as a list.
+        place_of: index among the H markers, by index among all.
+        base: index, among the H, of the patch on the back of the hand; −1 = none.
+        across: indices, among the H, of the tips of little and index finger; None without either.
+        beside_m: (H,) lateral distance of each finger's knuckle from the patch, towards the index finger, metres.
+        reach_m: (H,) distance of the straight finger's tip from the point beside the patch where the finger begins
+            (`roots`), metres; 0 for the thumb and for markers that are no fingertips.
+        filter: of these markers.
+        record: stored frames for smoothing; None without smoothing.
     """
 
     index: IndexArray
@@ -53,15 +54,14 @@ class Hand:
     record: HandRecord | None
 
     def of(self, sightings: Sightings, *, alone: bool) -> Sightings:
-        """Return what a frame shows of this hand: all of it where it is the only one."""
+        """Return a frame's views of this hand; `alone` = it is the only hand of the rig."""
         return sightings if alone else sightings.chosen(np.isin(sightings.index, self.index))
 
     def roots(self, places: Sequence[Vector], alive: Sequence[bool]) -> Sequence[Vector]:
-        """Return where the fingers of its markers at places (H,) begin (H,), across the hand; needs the patch.
+        """Return the points (H,) beside the patch where its fingers begin, from marker positions (H,).
 
-        Of the markers only those that are alive (H,) are known.
-
-        Fingers run side by side from their knuckles, so from there they point the same way however far they bend.
+        Fingers bend in parallel planes, so the lateral direction from there to the tip does not depend on the bend. Only
+        positions of markers that are alive (H,) are used; the patch must be.
         """
         x, y, z = base = places[self.base]
         if self.across is None or not (alive[self.across[0]] and alive[self.across[1]]):
@@ -74,13 +74,13 @@ class Hand:
 
 
 class Acquisition:
-    """Puts M markers into the filters of their hands and takes them out.
+    """Adds M markers to the filters of their hands and removes them.
 
     Attributes:
-        config: volume, and how long a marker is held that nothing shows; it may be replaced.
+        config: volume, and how long unseen markers are kept; may be replaced.
         tracks: (M,) of all markers.
-        hand_of: of each marker its hand and its index among that hand's markers.
-        begun: how many times a marker began; states from before are not comparable.
+        hand_of: per marker, its hand and its index among that hand's markers.
+        begun: number of initialisations so far; filter states before and after one are not comparable.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Acquisition:
         settings: TrackSettings,
         counts: Counter[str],
     ) -> None:
-        """Begin without markers; of counts it takes `behind_cameras` and `gated`."""
+        """Start without markers; increments `behind_cameras` and `gated` of counts."""
         self.config = config
         self.hand_of = {int(m): (hand, k) for hand in hands for k, m in enumerate(hand.index)}
         self.tracks = [Track(len(cameras)) for _ in self.hand_of]
@@ -102,7 +102,7 @@ class Acquisition:
         self._candidates = Candidates(cameras, len(self.tracks), coherence, schedule, settings, counts)
 
     def clear(self) -> None:
-        """Forget all markers."""
+        """Discard all markers."""
         for track in self.tracks:
             track.end(len(self._cameras))
         self._candidates.clear()
@@ -110,18 +110,18 @@ class Acquisition:
     def add(
         self, camera: int, markers: Sequence[int], times_s: Sequence[float], xy: FloatArray, variances: Sequence[float]
     ) -> None:
-        """Take a camera's newest views; see `Candidates`."""
+        """Store a camera's newest views; see `Candidates`."""
         self._candidates.add(camera, markers, times_s, xy, variances)
 
     def is_free(self, marker: int, camera: int, t_s: float) -> bool:
-        """Tell whether a filter cannot take a camera's view of a marker: it is not known, or was put in place by it."""
+        """Return whether a camera's view must not update the filter: the marker is unknown, or was just initialised."""
         hand, k = self.hand_of[marker]
         track = self.tracks[marker]
         if not hand.filter.state.alive[k]:
             return True
         if hand.filter.spread_m2[k] <= self._settings.loose_m**2 or self._is_recent(track.accepted_s[camera], t_s):
             return False
-        # A camera that has just come back sees farther than a linear filter can follow.
+        # For a camera that sees the marker again, the prediction may be too far off for a linear update.
         near = self._candidates.near(marker, t_s)
         initial = self._together(marker, near, t_s, hand.filter.velocity[k])
         if initial is not None and self._is_expected(hand, k, initial, t_s):
@@ -130,7 +130,7 @@ class Acquisition:
         return not self._is_recent(track.seen_s, t_s)
 
     def _is_expected(self, hand: Hand, k: int, initial: InitialState, t_s: float) -> bool:
-        """Tell whether a marker may have moved to where two views agree on: one far blob is not there."""
+        """Return whether a marker can have moved to an initial state; rules out single false blobs."""
         state = hand.filter.predicted(max(t_s, hand.filter.state.t_s))
         rows = slice(3 * k, 3 * k + 3)
         away = initial.mean[:3] - state.mean[0, rows]
@@ -138,7 +138,7 @@ class Acquisition:
         return float(away @ np.linalg.solve(S, away)) <= self._settings.gate
 
     def seek(self, marker: int, camera: int, t_s: float) -> None:
-        """Look whether a view that moved no marker and another camera's newest one agree on a position."""
+        """Try to initialise a marker from a view that updated no filter and the newest views of other cameras."""
         settings, track = self._settings, self.tracks[marker]
         hand, _ = self.hand_of[marker]
         alive = hand.filter.state.alive
@@ -159,7 +159,7 @@ class Acquisition:
                     self._begin(marker, ray, moment_s, near)
 
     def end(self, marker: int) -> None:
-        """Take a marker out."""
+        """Remove a marker."""
         hand, k = self.hand_of[marker]
         if hand.filter.state.alive[k]:
             hand.filter.end(k)
@@ -168,7 +168,7 @@ class Acquisition:
         self.tracks[marker].end(len(self._cameras))
 
     def forget(self, t_s: float) -> None:
-        """End markers that nothing shows any more and that may be anywhere by now, or that left the volume."""
+        """Remove markers that are unseen and too uncertain, unseen for too long, or outside the volume."""
         (x0, y0, z0), (x1, y1, z1) = self.config.volume_m
         hold_s, lost_m2 = self.config.hold_s, self._settings.lost_m**2
         for hand in self._hands:
@@ -179,7 +179,7 @@ class Acquisition:
                 if not alive:
                     continue
                 seen_s = self.tracks[marker].seen_s
-                # What a camera shows is worth keeping: slow cameras out of step begin a marker that is hardly known.
+                # Visible markers are kept: slow unsynchronised cameras initialise them with a large covariance.
                 lost = spread_m2 > lost_m2 and not self._is_recent(seen_s, t_s)
                 if lost or not inside or t_s - seen_s > hold_s:
                     self.end(marker)
@@ -187,7 +187,7 @@ class Acquisition:
     def _begin(
         self, marker: int, initial: InitialState, t_s: float, views: dict[int, View], *, goes_on: bool = False
     ) -> None:
-        """Put a marker in; `goes_on` where it may well have moved there."""
+        """Add a marker; `goes_on` if the tracked marker can have moved there."""
         hand, k = self.hand_of[marker]
         state = hand.filter.state
         if t_s > state.t_s and state.alive.any():
@@ -207,7 +207,7 @@ class Acquisition:
         return t_s - then_s <= self._settings.lost_periods * self._schedule.longest_period_s
 
     def _places(self) -> tuple[FloatArray, BoolArray]:
-        """Return where all markers (M, 3) are, and which (M,) are known."""
+        """Return the positions of all markers (M, 3), metres, and which (M,) are tracked."""
         count = len(self.tracks)
         known, alive = np.zeros((count, 3)), np.zeros(count, dtype=bool)
         for hand in self._hands:

@@ -1,6 +1,6 @@
-"""One extended Kalman filter over all markers of a hand; `motion` says how they move.
+"""One extended Kalman filter over all markers of a hand, with the motion model of `motion`.
 
-A frame is one update, at one moment. A marker at p with velocity v, whose row was exposed δ later, is observed as
+Each frame is one update at one time. A marker at p with velocity v, whose image row was exposed δ later, is observed as
 project(R_camera_rig (p + δ v) + t_camera_rig).
 """
 
@@ -22,27 +22,27 @@ from rhot_fusion.views.sightings import Upper
 from rhot_fusion.views.vectors import Vector
 
 _HUBER = 9.0
-"""Squared Mahalanobis distance beyond which the variance of a view, or of its innovation, grows in proportion to it."""
+"""Squared Mahalanobis distance beyond which the variance of a view or its innovation is inflated in proportion."""
 _FREEDOM = 60.0
-"""Degrees of freedom of Student's t, by which far views tell of the scale where nothing is refused. Between 25 and 150
-the ruler's rigs at 15 to 60 fps are alike within 4 %. Fewer lose fast grasps of rendered pictures at 30 fps. At 150 the
-path of one of twelve rigs that were never calibrated, one blob in twenty of which is wrong, runs away for metres."""
+"""Degrees of freedom of the Student t likelihood of the scales when outliers are not rejected. Between 25 and 150 the
+errors of `rhot evaluate motion` at 15 to 60 fps differ by less than 4 %. With fewer, fast grasps of the rendered
+pictures at 30 fps are lost. At 150, one of twelve uncalibrated rigs with 5 % wrong blobs diverges by metres."""
 _ADJOINT: FloatArray = np.array([1.0, -2.0, 1.0])
 _NEAREST_M = 0.05
-"""A marker on or behind the image plane has no useful derivative; its innovation refuses it."""
+"""Lower bound of depths, metres: behind the image plane there is no useful derivative; the gate rejects such views."""
 _REACH = 0.02
-"""Levers are recomputed when a marker has moved this far about its hand, metres."""
+"""The motion matrices are recomputed when a marker has moved this far relative to its hand, metres."""
 
 
 class JointFilter:
-    """The filter of M markers of one hand.
+    """Filter of the M markers of one hand.
 
     Attributes:
-        state: of now.
+        state: current state.
     """
 
     def __init__(self, count: int, settings: MotionSettings, gate: float, *, refuses: bool = True) -> None:
-        """Begin without markers; without `refuses` what lies beyond the gate is doubted the more instead."""
+        """Start without markers; if not `refuses`, views beyond the gate are down-weighted instead of rejected."""
         self._count = count
         self._settings = settings
         self._gate = gate
@@ -54,7 +54,7 @@ class JointFilter:
         self._identity: FloatArray = np.eye(size)
         self._nothing: FloatArray = np.zeros((size, size))
         self._marker: FloatArray = np.eye(count)
-        # Where a covariance holds xx, xy, xz, yy, yz and zz of the markers' positions, (M, 6).
+        # Flat indices (M, 6) of xx, xy, xz, yy, yz and zz of the markers' positions in a covariance.
         row, column = (3 * np.arange(count)[:, None] + one for one in np.triu_indices(3))
         self._own: IndexArray = row * size + column
         self._uppers: tuple[State | None, list[Upper], list[float]] = None, [], []
@@ -62,7 +62,7 @@ class JointFilter:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all markers."""
+        """Discard all markers."""
         size = 6 * self._count + SHARED
         nothing = np.zeros(self._count, dtype=bool)
         self.state = State(-np.inf, np.zeros(size), np.zeros((size, size)), self._shares, nothing)
@@ -89,7 +89,7 @@ class JointFilter:
         return self._own_of(state)[0]
 
     def _own_of(self, state: State) -> tuple[list[Upper], list[float]]:
-        """Return the covariances (M,) of the markers' positions in a state, and their traces; kept for it."""
+        """Return the covariances (M,) of the markers' positions in a state, and their traces; cached."""
         known, own, spread_m2 = self._uppers
         if known is not state:
             own = state.P.take(self._own).tolist()
@@ -98,7 +98,7 @@ class JointFilter:
         return own, spread_m2
 
     def seen_from(self, camera: CameraModel) -> list[Vector]:
-        """Return where the markers (M,) are in a camera's frame, metres; read once of the same state."""
+        """Return the markers' positions (M,) in a camera's frame, metres; cached for the current state."""
         state, viewer, seen = self._seen_from
         if state is not self.state or viewer is not camera:
             seen = camera.to_camera(self.position).tolist()
@@ -106,7 +106,7 @@ class JointFilter:
         return seen
 
     def begin(self, marker: int, mean: FloatArray, covariance: FloatArray, t_s: float) -> None:
-        """Put a marker in with a state (6,) of covariance (6, 6) at a moment, the filter's own or its first."""
+        """Add a marker with mean (6,) and covariance (6, 6) at the filter's time; the first marker sets that time."""
         old = self.state
         x, P, alive = old.x.copy(), self._without(old.P, marker), old.alive.copy()
         if not alive.any():
@@ -122,24 +122,24 @@ class JointFilter:
         self.state = State(old.t_s, x, P, old.weight, alive)
 
     def end(self, marker: int) -> None:
-        """Take a marker out."""
+        """Remove a marker."""
         old = self.state
         alive = old.alive.copy()
         alive[marker] = False
         self.state = State(old.t_s, old.x, self._without(old.P, marker), old.weight, alive)
 
     def predicted(self, t_s: float) -> State:
-        """Return the state at a moment that is not before the filter's; nothing changes."""
+        """Return the predicted state at a time not before the filter's; the filter is unchanged."""
         state, dt, _, Q = self._moved(t_s)
         return state if dt == 0.0 else replace(state, P=state.P + self._scale2(state.weight) * Q)
 
     def step(self, t_s: float, views: Views, scale2: float | None = None) -> tuple[Innovation, Step]:
-        """Move on to a moment that is not before the filter's and take a frame's views of markers that are alive.
+        """Predict to a time not before the filter's and update with a frame's views of markers that are alive.
 
         Args:
-            t_s: the moment.
-            views: that are taken if they pass the gate.
-            scale2: square of the scale of accelerations; weighed by the views when not given.
+            t_s: the time.
+            views: used as far as they pass the gate.
+            scale2: squared acceleration scale; estimated from the views if None.
         """
         state, dt, F, Q = self._moved(t_s)
         if not len(views.index):
@@ -165,8 +165,8 @@ class JointFilter:
             S = HP @ H.T
             innovation = self._gated(views, y, _blocks(S) + variance, evidence)
         if innovation.nis.max() > _HUBER:
-            # What lies far off counts less: Huber's loss. A gate keeps out what fits nowhere, and the view alone is
-            # doubted; where it does not, a view may move a marker that little is known of, and the whole innovation is.
+            # Huber's loss. With a gate, only the variance of the view is inflated. Without one, that of the whole
+            # innovation is, because an outlier could otherwise move a marker with a large covariance.
             doubted = views.variance if math.isfinite(self._limit) else innovation.S
             variance = variance + np.maximum(innovation.nis / _HUBER - 1.0, 0.0)[:, None] * doubted
         _add_blocks(S, variance)
@@ -177,7 +177,7 @@ class JointFilter:
         return float(weight @ self._scales2)
 
     def _loosened(self, state: State, index: IndexArray, nis: FloatArray) -> State:
-        """Return a state that is less sure of markers whose views lie far off: it is not the views that are wrong."""
+        """Return a state with inflated covariances of the markers whose views lie far from the prediction."""
         P = state.P.copy()
         for marker, distance2 in zip(index.tolist(), nis.tolist(), strict=True):
             rows = self._rows(marker)
@@ -186,7 +186,7 @@ class JointFilter:
         return replace(state, P=P)
 
     def _moved(self, t_s: float) -> tuple[State, float, FloatArray, FloatArray]:
-        """Return the state at a moment without the noise of the way, how long that is, its transition and its noise."""
+        """Return the state predicted without process noise, the time step, its transition and its process noise."""
         old = self.state
         dt = max(t_s - old.t_s, 0.0) if math.isfinite(old.t_s) else 0.0
         if dt == 0.0:
@@ -220,10 +220,11 @@ class JointFilter:
         return P
 
     def _observation(self, state: State, views: Views) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives H (2 N, n) of N views by the state, and their innovations (N, 2).
+        """Return the Jacobian H (2 N, n) of N views with respect to the state, and their innovations (N, 2).
 
-        What acts on a marker between the frame's moment and its row's is left out: it is a third of a millimetre after
-        5 ms, half a read-out, at the scale 1.6 of fast hands, and no figure of `rhot evaluate motion` tells it.
+        Process noise between the frame's time and the row's exposure is neglected: it is a third of a millimetre after
+        5 ms, half a read-out, at the scale 1.6 of fast hands, and has no effect on the figures of `rhot evaluate
+        motion`.
         """
         half, number, index = 3 * self._count, len(views.index), views.index
         position, velocity = state.x[:-SHARED].reshape(2, self._count, 3).take(index, axis=1)
@@ -232,7 +233,7 @@ class JointFilter:
         inverse = 1.0 / np.maximum(local[:, 2:], _NEAREST_M)
         xy = local[:, :2] * inverse
         J = (R[:2] - xy[:, :, None] * R[2]) * inverse[:, :, None]
-        # Nothing but its own marker's columns of a view.
+        # Each view depends only on its own marker's columns.
         by_place = (self._marker.take(index, axis=0)[:, None, :, None] * J[:, :, None, :]).reshape(number, 2, half)
         H = np.zeros((number, 2, len(state.x)))
         H[:, :, :half] = by_place
@@ -240,17 +241,17 @@ class JointFilter:
         return H.reshape(2 * number, -1), views.xy - xy
 
     def _evidence(self, own: FloatArray, more: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the log-likelihood (K,) of each scale s, each marker by itself, its covariance being own + s² more."""
+        """Return the log-likelihood (K,) of each scale s, with the covariance own + s² more of each marker."""
         S = own + self._scales2[:, None, None] * more
         nis = squared_distance(S, y)
-        # What no gate would pass tells of an outlier, not of a scale.
+        # Beyond the gate, an innovation is an outlier and not evidence for a scale.
         refuses = math.isfinite(self._limit)
         nis = np.minimum(nis, self._gate) if refuses else (_FREEDOM + 2.0) * np.log1p(nis / _FREEDOM)
         evidence: FloatArray = -0.5 * (nis + np.log(determinant(S))).sum(axis=1)
         return evidence
 
     def _gated(self, views: Views, y: FloatArray, S: FloatArray, evidence: FloatArray) -> Innovation:
-        """Judge each of a frame's views, of covariance S (N, 3), by itself."""
+        """Apply the gate to each of a frame's views, with innovation covariances S (N, 3)."""
         nis = squared_distance(S, y)
         if nis.max() <= self._limit:
             accepted = nis <= self._limit
@@ -261,7 +262,7 @@ class JointFilter:
 
 @lru_cache
 def _entries(number: int) -> tuple[IndexArray, IndexArray]:
-    """Return where a matrix (2 N, 2 N) holds the blocks along its diagonal: xx, xy, yy (N, 3), and with yx (N, 4)."""
+    """Return flat indices of the diagonal blocks of a matrix (2 N, 2 N): xx, xy, yy (N, 3), and with yx (N, 4)."""
     first = (2 * number + 1) * 2 * np.arange(number)[:, None]
     return first + np.array((0, 1, 2 * number + 1)), first + np.array((0, 1, 2 * number, 2 * number + 1))
 
@@ -272,7 +273,7 @@ def _blocks(S: FloatArray) -> FloatArray:
 
 
 def _products(y: FloatArray) -> FloatArray:
-    """Return xx, xy and yy (N, 3) of the products of (N, 2)."""
+    """Return xx, xy and yy (N, 3) of the outer products y yᵀ of y (N, 2)."""
     products: FloatArray = y.take((0, 0, 1), axis=1) * y.take((0, 1, 1), axis=1)
     return products
 
@@ -307,11 +308,11 @@ def _updated(state: State, HP: FloatArray, S: FloatArray, y: FloatArray, chosen:
         HP, S, y = HP[rows], S[np.ix_(rows, rows)], y[rows]
     # OpenCV's inverse by Cholesky takes a third of the time of numpy's, most of which is overhead at this size.
     regular, inverse = cv2.invert(S, flags=cv2.DECOMP_CHOLESKY)
-    # Of a single view it looks whether the determinant is 0, of more whether all pivots are positive.
+    # For a single view OpenCV only checks whether the determinant is 0, for more whether all pivots are positive.
     if not (regular and S[0, 0] > 0.0 and S[1, 1] > 0.0 and inverse[0, 0] > 0.0):
-        # Rounding has eaten what was known, as behind a camera or after a divergence: these views cannot be weighed.
+        # S is singular by rounding, e.g. behind a camera or after a divergence: skip these views.
         return state
     gain = inverse @ HP
     P = state.P - HP.T @ gain
-    # What rounding leaves unsymmetric would grow with every update.
+    # Symmetrise, because asymmetric rounding errors would grow with every update.
     return State(state.t_s, state.x + y @ gain, 0.5 * (P + P.T), state.weight, state.alive)

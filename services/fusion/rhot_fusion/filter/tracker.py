@@ -1,4 +1,4 @@
-"""Fusion by filtering: each camera frame updates all markers of a hand, each at its own row's time."""
+"""Fusion by filtering: each camera frame updates all markers of a hand, each at its image row's exposure time."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ class FilterTracker:
     """The `filter` method; see `Tracker`.
 
     Attributes:
-        agreement: whether the cameras still stand as they were calibrated.
-        noise: of the cameras.
-        gates: what became of each camera's newest views, by camera: markers, innovations and the gate's slack.
+        agreement: online check of the calibration.
+        noise: estimated pixel noise of the cameras.
+        gates: gate results of each camera's newest frame, by camera: markers, innovations and the gate's slack.
     """
 
     def __init__(
@@ -53,9 +53,9 @@ class FilterTracker:
         record: bool = False,
         settings: FilterSettings = DEFAULT,
     ) -> None:
-        """Build for a rig; `record` keeps what `smoothed` needs.
+        """Build for a rig; `record` keeps the data that `smoothed` needs.
 
-        Of counts it takes `measured`, `refused`, `late_frames`, `too_late`, `gated` and `behind_cameras`.
+        Increments `measured`, `refused`, `late_frames`, `too_late`, `gated` and `behind_cameras` of counts.
         """
         if not rig.calibrated:
             track = replace(
@@ -90,7 +90,7 @@ class FilterTracker:
 
     @property
     def epipolar(self) -> EpipolarModel:
-        """What was learnt of the cameras since they were calibrated."""
+        """Residuals estimated since the cameras were calibrated."""
         return self.agreement.epipolar
 
     @epipolar.setter
@@ -99,11 +99,11 @@ class FilterTracker:
 
     @property
     def tracks(self) -> list[Track]:
-        """Those of all markers, to look at."""
+        """Tracks of all markers, read-only."""
         return self._acquisition.tracks
 
     def focal_px(self, camera: int) -> float:
-        """Return the pixels of a normalised unit in a camera."""
+        """Return a camera's focal length, pixels."""
         return float(self._cameras[camera].K[0, 0])
 
     def configure(self, config: FusionConfig) -> None:
@@ -112,13 +112,13 @@ class FilterTracker:
         self.epipolar.set_limit(config.epipolar_limit_px)
 
     def clear(self) -> None:
-        """Forget all markers; what was learnt of the cameras stays."""
+        """Discard all markers; estimated camera residuals and noise are kept."""
         for hand in self._hands:
             hand.filter.clear()
             if hand.record is not None:
                 hand.record.clear()
         self._acquisition.clear()
-        # Of each camera, by marker, where its newest frame showed it.
+        # Per camera and marker, the coordinates in its newest frame.
         self._last_xy: list[dict[int, list[float]]] = [{} for _ in self._cameras]
         self._hand_depth: dict[tuple[int, int], float] = {}
         self._history.clear()
@@ -128,7 +128,7 @@ class FilterTracker:
         self.gates.clear()
 
     def advance(self, sightings: Sightings) -> Outcome | None:
-        """Take one frame; return the markers at its moment, or None when another frame of the same moment is due."""
+        """Process one frame; return the markers then, or None while another camera's simultaneous frame is due."""
         self._schedule.arrived(sightings.camera, sightings.t_s)
         self.agreement.watch(sightings, self._schedule)
         sightings = self._without_held(sightings)
@@ -138,10 +138,10 @@ class FilterTracker:
         return None if moment_s is None else self.outcome(moment_s)
 
     def outcome(self, t_s: float) -> Outcome:
-        """Return the markers at a moment that is not before the filter's, or as much later as they are predicted."""
+        """Return the markers at a time not before the filter's, plus the configured prediction interval."""
         self._acquisition.forget(t_s)
         then_s = t_s + self._config.predict_s
-        # A camera shows what its newest frame does, as long as that is fresh.
+        # A camera counts as seeing the markers in its newest frame while that frame is fresh.
         newest_s, nobody = zip(self._schedule.newest_s, self._fresh_s(), strict=True), [False] * len(self._cameras)
         since_s = [seen_s if t_s - seen_s <= lasts else math.inf for seen_s, lasts in newest_s]
         position, covariance, shown = [NOWHERE] * self._count, [NOTHING] * self._count, [nobody] * self._count
@@ -166,7 +166,7 @@ class FilterTracker:
         return outcome
 
     def smoothed(self) -> list[Outcome]:
-        """Return the markers at all frames since the last `clear` or call, as these together show them."""
+        """Return the markers at all frames since the last `clear` or call, smoothed over all of them."""
         periods_s = [self._schedule.period_s(camera) for camera in range(len(self._cameras))]
         loose_m, every = self._settings.track.loose_m, []
         for hand in self._hands:
@@ -178,7 +178,7 @@ class FilterTracker:
         return outcomes(every, self._count, periods_s, *rest) if every else []
 
     def _fresh_s(self) -> list[float]:
-        """Return how long a camera's newest frame (C,) counts, seconds."""
+        """Return for how long each camera's newest frame (C,) is fresh, seconds."""
         settings = self._settings.track
         return [
             max(settings.fresh_periods * self._schedule.period_s(camera), settings.fresh_s)
@@ -186,9 +186,9 @@ class FilterTracker:
         ]
 
     def _without_held(self, sightings: Sightings) -> Sightings:
-        """Return a frame without views at the very position of the frame before of markers that move.
+        """Return a frame without views that exactly repeat the previous position of a moving marker.
 
-        Some capture programs repeat the last position of a marker that they lost.
+        Some capture programs repeat the last position of a lost marker.
         """
         camera, last = self._cameras[sightings.camera], self._last_xy[sightings.camera]
         now = dict(zip(sightings.index.tolist(), sightings.xy.tolist(), strict=True))
@@ -199,7 +199,7 @@ class FilterTracker:
         for row in np.flatnonzero(held).tolist():
             hand, k = self._acquisition.hand_of[int(sightings.index[row])]
             alive = hand.filter.state.alive
-            # What is not known moves as its hand does.
+            # An unknown marker is assumed to move with its hand.
             one = np.arange(len(alive)) == k if alive[k] else alive
             if not one.any():
                 held[row] = False
@@ -211,7 +211,7 @@ class FilterTracker:
         return sightings.chosen(~held)
 
     def _in_order(self, sightings: Sightings) -> None:
-        """Take a frame; where newer ones were taken, go back and take them again."""
+        """Process a frame; if newer ones were processed already, roll back and process them again."""
         newer: list[Sightings] = []
         if self._history and self._history[-1][0].t_s - sightings.t_s > self._settings.track.replay_s:
             self._counts["too_late"] += 1
@@ -220,7 +220,7 @@ class FilterTracker:
             later, states = self._history.pop()
             newer.append(later)
             for hand, state in zip(self._hands, states, strict=True):
-                # Markers that began or ended since then stay as they are.
+                # Markers initialised or deleted since then keep their state.
                 if (hand.filter.state.alive == state.alive).all():
                     hand.filter.state = state
         self._counts["late_frames"] += bool(newer)
@@ -229,7 +229,7 @@ class FilterTracker:
             self._take(later, again=True)
 
     def _take(self, sightings: Sightings, *, again: bool = False) -> None:
-        """Let a frame move the markers; `again` where it has done so before and only the states are to be had."""
+        """Update the markers with a frame; `again` = it was processed before, only states are recomputed."""
         self._history.append((sightings, [hand.filter.state for hand in self._hands]))
         begun, camera, t_s = self._acquisition.begun, sightings.camera, sightings.t_s
         variance, period_s = self.noise.variance(camera), self._schedule.period_s(camera)
@@ -238,7 +238,7 @@ class FilterTracker:
             mine = hand.of(sightings, alone=len(self._hands) == 1)
             markers = mine.index.tolist()
             depths = self._depths(hand, camera, markers)
-            # Views that begin a marker need it, too: what comes out from behind a hand is hidden unevenly.
+            # Views that initialise a marker are corrected, too: the cameras see unequal parts of a reappearing marker.
             alive, spread_m2 = hand.filter.state.alive.tolist(), hand.filter.spread_m2
             places = [hand.place_of[marker] for marker in markers]
             known, sure = [alive[k] for k in places], [alive[k] and spread_m2[k] <= loose_m2 for k in places]
@@ -264,7 +264,7 @@ class FilterTracker:
             self._history.clear()
 
     def _depths(self, hand: Hand, camera: int, markers: Sequence[int]) -> list[float]:
-        """Return how far markers (N,) are from a camera; those that are not known are where their hand is, or was."""
+        """Return the depths (N,) of markers in a camera; unknown ones get the current or last depth of their hand."""
         alive = hand.filter.state.alive.tolist()
         depths = [max(depth, 0.1) for _, _, depth in hand.filter.seen_from(self._cameras[camera])]
         if not all(alive):
@@ -278,7 +278,7 @@ class FilterTracker:
     def _update(
         self, hand: Hand, sightings: Sightings, variance: FloatArray, taken: list[bool], *, again: bool = False
     ) -> None:
-        """Let some (N,) of a hand's views, corrected for hidden paint, move its filter; `again`: once more."""
+        """Update a hand's filter with those (N,) of its occlusion-corrected views that are `taken`; see `_take`."""
         if not any(taken):
             return
         if not all(taken):
@@ -290,7 +290,7 @@ class FilterTracker:
         if hand.base >= 0 and hand.filter.state.alive[hand.base]:
             tips = hand.filter.seen_from(camera)
             roots = hand.roots(tips, hand.filter.state.alive.tolist())
-            # Without areas it is not paint that is seen, or nobody knows how a finger bends.
+            # `along` skips views without an area: they are not paint, or the bend of the finger is unknown.
             columns = [tips[k] for k in places], [roots[k] for k in places], [hand.reach_m[k] for k in places]
             xy = xy + self._paint.along(sightings.camera, markers, areas_px, *columns)
         variances = variance[:, None] * ROUND

@@ -1,7 +1,7 @@
 """Status of each marker's track, and the one place where it changes.
 
-A marker is `absent` until two cameras' views agree on a place, or one camera keeps seeing it while its hand is known;
-then it is `tentative` until further views agree, and `confirmed` until nothing has shown it for a while.
+A marker is `absent` until views of two cameras agree on a position, or until one camera keeps seeing it while its hand
+is tracked. It is then `tentative` until further views agree, and `confirmed` until it has not been seen for a while.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rhot_fusion.views.vectors import Vector, unit
 
 
 class TrackStatus(IntEnum):
-    """Whether a track is published: only confirmed ones are."""
+    """Life cycle of a track; only confirmed ones are published."""
 
     ABSENT = 0
     TENTATIVE = 1
@@ -31,17 +31,17 @@ class TrackStatus(IntEnum):
 
 @dataclass(slots=True)
 class Track:
-    """One marker.
+    """Track of one marker.
 
     Attributes:
-        cameras: how many there are.
+        cameras: number of cameras.
         status: absent, tentative or confirmed.
-        agreed: views that agreed since it began.
-        elsewhere: how many pairs of views in a row agreed on another place.
-        alone: views in a row of a marker that is absent, by one camera.
-        alone_s: time of the newest of them.
+        agreed: number of accepted views since its initialisation.
+        elsewhere: number of consecutive view pairs that agreed on a different position.
+        alone: number of consecutive views of the absent marker by a single camera.
+        alone_s: time of the newest of those, seconds.
         accepted_s: per camera, time of the last frame whose view was accepted, seconds; −∞ = none.
-        seen_s: of the newest of them.
+        seen_s: maximum of `accepted_s`.
     """
 
     cameras: int
@@ -54,25 +54,25 @@ class Track:
     seen_s: float = -np.inf
 
     def begin(self, t_s: float, frames_s: dict[int, float], settings: TrackSettings) -> None:
-        """Begin it by views of cameras in frames of these times."""
+        """Initialise from views; `frames_s` holds the frame time by camera."""
         self.status = TrackStatus.CONFIRMED if settings.confirmations == 0 else TrackStatus.TENTATIVE
         self.agreed = self.elsewhere = self.alone = 0
         self.accepted_s = [frames_s.get(camera, -np.inf) for camera in range(self.cameras)]
         self.seen_s = t_s
 
     def look_elsewhere(self, settings: TrackSettings) -> bool:
-        """Take two views that agree on a place where it is not known to be; tell whether it is to begin there."""
+        """Count a view pair that agrees on a new position; return whether to initialise the track there."""
         self.elsewhere += 1
         return self.status is TrackStatus.ABSENT or self.elsewhere >= settings.relocations
 
     def see_alone(self, t_s: float, longest_gap_s: float, settings: TrackSettings) -> bool:
-        """Take a view of one camera that nothing agrees with; tell whether it is to begin on its ray."""
+        """Count a view that only one camera has; return whether to initialise the track on its viewing ray."""
         self.alone = self.alone + 1 if t_s - self.alone_s <= longest_gap_s else 1
         self.alone_s = t_s
         return self.status is TrackStatus.ABSENT and self.alone >= settings.ray_views
 
     def accept(self, camera: int, t_s: float, settings: TrackSettings) -> None:
-        """Take a view that agrees."""
+        """Count an accepted view."""
         self.agreed += 1
         self.elsewhere = 0
         self.accepted_s[camera] = t_s
@@ -81,14 +81,14 @@ class Track:
             self.status = TrackStatus.CONFIRMED
 
     def end(self, cameras: int) -> None:
-        """Forget it, before so many cameras."""
+        """Reset the track to absent, for this number of cameras."""
         self.status = TrackStatus.ABSENT
         self.agreed = self.elsewhere = self.alone = 0
         self.accepted_s = [-np.inf] * cameras
         self.seen_s = -np.inf
 
     def views(self, since_s: Sequence[float]) -> list[bool]:
-        """Tell which cameras (C,) have shown it since these times."""
+        """Return which cameras (C,) have seen it since the given times."""
         return [last >= since for last, since in zip(self.accepted_s, since_s, strict=True)]
 
 
@@ -100,18 +100,18 @@ def within_hand(
     eye: Vector,
     extent_m: float,
 ) -> None:
-    """Let markers of one hand that a single camera shows be about as far away as those that two show.
+    """Constrain the depth of markers seen by one camera with the hand's markers seen by two.
 
-    That is for what is published. In the filter it would count as new evidence with every frame. Markers that nothing
-    shows are left to inverse kinematics, which knows more of the hand.
+    Applied to the published points only: in the filter, the same prior would count as new evidence in every frame.
+    Markers that no camera sees are left to inverse kinematics, which has a model of the hand.
 
     Args:
         position: (M,) of all markers, metres; changed in place.
-        covariance: (M,) of them; changed in place.
-        markers: of the hand, as far as they are known.
-        shown: (M,) which cameras show each.
-        eye: the middle of the cameras, metres.
-        extent_m: standard deviation of a marker in depth about the middle of its hand's.
+        covariance: (M,) of all markers; changed in place.
+        markers: confirmed markers of the hand.
+        shown: (M,) which cameras see each.
+        eye: centroid of the cameras, metres.
+        extent_m: standard deviation of a marker's depth about the hand's centroid.
     """
     fixed = [position[marker] for marker in markers if sum(shown[marker]) >= 2]
     if not fixed or len(fixed) == len(markers):
@@ -133,7 +133,7 @@ def within_hand(
 
 
 def state_of(views: int, certain: bool) -> PointState:
-    """Return a point's state by how many cameras show it, and whether they have made its place certain."""
+    """Return a point's state from the number of cameras that see it and whether its position is certain."""
     if views >= 2:
         return "measured" if certain else "predicted"
     return "one_view" if views == 1 else "predicted"
@@ -149,12 +149,21 @@ def outcome_of(
     pair_variance: float,
     hidden_m2: Sequence[float],
 ) -> Outcome:
-    """Return markers at positions (M,), NaN = absent, with covariances (M,), seen by cameras (C, M).
+    """Return the published outcome of markers.
 
-    Two cameras that see a marker measure it if its place has become certain by that: to `measured_m` beyond what any
-    two views leave open, whose depth has the `pair_variance` of `CameraNoise`. What is hidden from all of them adds
-    variances (M,) to each axis, square metres, which no frame makes smaller. The systematic error is stated, too, but
-    tells nothing of one frame rather than another.
+    A marker seen by two cameras is `measured` if its standard deviation is at most `measured_m` beyond the uncertainty
+    of any single pair of views. The systematic error is part of the published covariance but not of this test, because
+    it is the same in every frame.
+
+    Args:
+        t_s: time of the outcome.
+        position: (M,) metres; NaN = absent.
+        covariance: (M,) of the filter.
+        seen: (C, M) which camera sees which marker.
+        systematic: systematic errors.
+        settings: of the tracks.
+        pair_variance: as in `CameraNoise`.
+        hidden_m2: (M,) variance of each axis for paint hidden from all cameras, square metres.
     """
     sigmas, views, measured = [], [], []
     whole: list[Upper] = []

@@ -1,4 +1,4 @@
-"""The frames of a recording, kept for smoothing."""
+"""Frames of a recording, stored for smoothing."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from rhot_fusion.filter.tracks import outcome_of
 from rhot_fusion.views.sightings import NOTHING, NOWHERE, Outcome, Sightings
 
 _BRIDGED = 1.6
-"""When smoothing, a camera sees a marker if it did so within this many frame periods before and after: one lost
-frame."""
+"""When smoothing, a camera counts as seeing a marker if it saw it within this many frame periods both before and after:
+one frame may be lost."""
 _UPPER = np.triu_indices(3)
 _NEAR = 0.75
-"""Or within this many of them before or after."""
+"""Or within this many frame periods before or after."""
 
 
 class HandRecord:
-    """Frames of one hand's markers, in order of arrival.
+    """Frames with one hand's markers, in order of arrival.
 
     Attributes:
-        index: (H,) the hand's markers among all.
+        index: (H,) indices of the hand's markers among all.
     """
 
     def __init__(self, index: IndexArray, cameras: Sequence[CameraModel]) -> None:
@@ -38,17 +38,17 @@ class HandRecord:
         self._frames: list[Frame] = []
 
     def clear(self) -> None:
-        """Forget all frames."""
+        """Discard all frames."""
         self._frames.clear()
 
     def add(self, sightings: Sightings, shift: FloatArray, slack: FloatArray, variance: FloatArray) -> None:
-        """Take a frame's views of this hand.
+        """Add a frame's views of this hand.
 
         Args:
-            sightings: N of them.
-            shift: (N, 2) from what is seen of each to its middle, normalised units.
-            slack: (N,) how far what hides them may put them off.
-            variance: (N,) of the shift; what is the camera's own is left out, see `smoothed`.
+            sightings: the N views.
+            shift: (N, 2) correction from the visible centroid to the marker's centre, normalised units.
+            slack: (N,) additional gate width for occlusion, normalised units.
+            variance: (N,) of the shift, without the camera's pixel noise; see `smoothed`.
         """
         count = len(sightings.index)
         views = Views(
@@ -64,21 +64,21 @@ class HandRecord:
         self._frames.append(Frame(sightings.t_s, sightings.camera, views, nothing, [], *of_paint))
 
     def took(self, views: Views, innovation: Innovation, camera_variance: float) -> None:
-        """Note what became of the newest frame's views, of whose variance the camera's own is `camera_variance`."""
+        """Store the gate's results of the newest frame; `camera_variance` is the pixel noise included in `views`."""
         frame = self._frames[-1]
         rows = np.searchsorted(frame.views.index, views.index)
         frame.taken[rows] = innovation.accepted
         frame.views.xy[rows] = views.xy
-        # What the camera's own proves to be is known in the end; paint that is hidden and stamps that err stay.
+        # The pixel noise is replaced by its final estimate later; the variances of paint and time stamps stay.
         frame.views.variance[rows] = views.variance - camera_variance * ROUND
 
     def ended(self, t_s: float, marker: int) -> None:
-        """Note that one of the hand's markers ended after the newest frame."""
+        """Record that a marker was removed after the newest frame."""
         if self._frames:
             self._frames[-1].events.append(Event(t_s, marker, None))
 
     def began(self, t_s: float, marker: int, initial: InitialState, cameras: Iterable[int], *, goes_on: bool) -> None:
-        """Note that one of the hand's markers began at the newest frame, by the newest views of some cameras."""
+        """Record that a marker was initialised at the newest frame, from the newest views of some cameras."""
         first = self._frames[-1]
         sought = set(cameras)
         for frame in reversed(self._frames):
@@ -92,7 +92,7 @@ class HandRecord:
         self._frames[-1].events.append(Event(t_s, marker, initial, first, goes_on))
 
     def smoothed(self, variance_of: Callable[[int], float], settings: FilterSettings, correct: Correct) -> list[Node]:
-        """Return the smoothed nodes at all frames, in order of time, with the noise of each camera's views."""
+        """Return the smoothed nodes of all frames in order of time; `variance_of` gives the pixel noise by camera."""
         frames = sorted(self._frames, key=lambda frame: frame.t_s)
         for frame in frames:
             own = frame.views.variance + variance_of(frame.camera) * ROUND
@@ -109,15 +109,15 @@ def outcomes(
     settings: TrackSettings,
     pair_variance: float,
 ) -> list[Outcome]:
-    """Return the markers at all frames' moments.
+    """Return the markers at the times of all frames.
 
     Args:
-        every: of each hand the markers (H,) and its nodes, of all frames alike.
-        markers: how many there are.
+        every: per hand, the indices (H,) of its markers and its nodes; the same frames for all hands.
+        markers: number of markers.
         periods_s: frame period of each camera.
-        systematic: errors that no frame tells of.
-        settings: how certain what is measured is.
-        pair_variance: beyond what two views leave open, as `CameraNoise` has it.
+        systematic: systematic errors.
+        settings: of the tracks.
+        pair_variance: as in `CameraNoise`.
     """
     first = every[0][1]
     around = [_around(camera, first, period_s) for camera, period_s in enumerate(periods_s)]
@@ -138,7 +138,7 @@ def outcomes(
 
 
 def _shown(nodes: list[Node], k: int, sides: tuple[list[int], list[int]], near_s: float) -> FloatArray:
-    """Tell which markers (H,) a camera shows at a node, by its frames before and after it."""
+    """Return which markers (H,) a camera sees at a node, from its frames before and after."""
     t_s = nodes[k].t_s
     shown = np.zeros(len(nodes[k].shown), dtype=bool)
     before, after = ([nodes[near].shown for near in side] for side in sides)
@@ -151,7 +151,7 @@ def _shown(nodes: list[Node], k: int, sides: tuple[list[int], list[int]], near_s
 
 
 def _around(camera: int, nodes: list[Node], period_s: float) -> list[tuple[list[int], list[int]]]:
-    """Return for each node those of a camera just before and just after it."""
+    """Return for each node the camera's nodes just before and just after it."""
     own = np.array([k for k, node in enumerate(nodes) if node.camera == camera], dtype=np.intp)
     times = np.array([nodes[k].t_s for k in own])
     reach_s = _BRIDGED * period_s

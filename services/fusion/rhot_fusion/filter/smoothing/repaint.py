@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from rhot_fusion.filter.acquisition import Hand
 
 _NEAREST_M = 0.1
-"""No marker is nearer to a camera."""
+"""Lower bound of a marker's depth."""
 
 
 @dataclass(frozen=True, slots=True)
 class Repaint:
-    """Corrects the views of one hand.
+    """Recomputes the corrected views of one hand.
 
     Attributes:
-        hand: whose markers they are.
+        hand: the hand.
         cameras: of the rig.
-        paint: of its own; what it has seen is forgotten at each call.
-        variance_of: returns the noise of a camera's views.
+        paint: a model of its own, which is cleared at each call.
+        variance_of: returns the pixel noise of a camera, normalised units².
         periods_s: frame period of each camera.
-        loose_m: how large a marker is, is learnt while its position is more certain than this, metres.
+        loose_m: a marker's size is learnt only while its standard deviation is below this, metres.
         time_variance: of the time stamps, square seconds.
     """
 
@@ -46,9 +46,9 @@ class Repaint:
     time_variance: float
 
     def __call__(self, frames: Sequence[Frame], states: Sequence[State]) -> list[Views]:
-        """Return the views of frames in order of time, the markers having been as the states tell.
+        """Return the corrected views of frames in order of time, given the smoothed states.
 
-        What no camera shows of the markers is noted in the frames.
+        The variance for paint hidden from all cameras is stored in the frames.
         """
         self.paint.clear()
         hand_depths_m = [math.inf for _ in self.cameras]
@@ -59,7 +59,7 @@ class Repaint:
         return views
 
     def _views(self, frame: Frame, state: State, hand_depths_m: list[float]) -> Views:
-        """Return a frame's views, and put how far the hand is from its camera; where unknown, it is where it was."""
+        """Return a frame's corrected views; updates the hand's depth in its camera, which is kept while unknown."""
         views, local = frame.views, frame.views.index.tolist()
         if not local:
             return views

@@ -25,22 +25,22 @@ from rhot_fusion.filter.settings import FilterSettings
 from rhot_fusion.filter.state import ROUND, SHARED, State, Step, Views
 
 _JITTER: float = 1e-13
-"""Keeps covariances of markers that were just found invertible, m² and m²/s²."""
+"""Regularisation that keeps covariances of new markers invertible, m² and m²/s²."""
 _DOUBT = 4.0
-"""Squared Mahalanobis distance of a view from the smoothed path beyond which its variance grows in proportion."""
+"""Squared Mahalanobis distance from the smoothed path beyond which a view's variance is inflated in proportion."""
 _PASSES = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A marker that begins or ends.
+    """Initialisation or removal of a marker.
 
     Attributes:
-        t_s: when.
-        marker: of the hand.
-        initial: its first state; none when it ends.
-        first: frame of the first view behind it; none = the one that it followed.
-        goes_on: whether it was known before and may well have moved to where it begins.
+        t_s: time, seconds.
+        marker: index among the hand's markers.
+        initial: initial state; None = removal.
+        first: frame of the first view that it is based on; None = the frame that the event follows.
+        goes_on: whether the marker was tracked and can have moved to the new position.
     """
 
     t_s: float
@@ -55,16 +55,16 @@ class Frame:
     """One frame's views of a hand's markers.
 
     Attributes:
-        t_s: its moment.
+        t_s: time, seconds.
         camera: index of the camera.
-        views: of markers, whether alive or not, corrected for what is seen of their paint.
-        taken: (N,) which of them moved or began their markers live.
+        views: of all markers, alive or not, with paint corrections.
+        taken: (N,) which of them updated or initialised their markers live.
         events: that followed it.
-        seen_xy: (N, 2) where the camera saw them, normalised units.
-        area_px: (N,) of each, square pixels; 0 = not told.
-        border: (N, 3) of the picture, as `Sightings` has it.
-        hidden_m2: (M,) variance of the hand's markers for paint that no camera shows, each axis, square metres; none
-            before it is known.
+        seen_xy: (N, 2) uncorrected coordinates, normalised units.
+        area_px: (N,) visible areas, square pixels; 0 = unknown.
+        border: (N, 3) distance to the image border as in `Sightings`.
+        hidden_m2: (M,) variance, each axis, of the hand's markers for paint hidden from all cameras, square metres;
+            None until it is computed.
     """
 
     t_s: float
@@ -80,16 +80,16 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """The smoothed markers (M) of a hand at one frame.
+    """Smoothed markers (M) of a hand at one frame.
 
     Attributes:
-        t_s: its moment.
-        position: (M, 3) metres; NaN = not known.
+        t_s: time, seconds.
+        position: (M, 3) metres; NaN = unknown.
         velocity: (M, 3) metres per second.
-        covariance: (M, 6, 6).
-        hidden_m2: (M,) variance of each for paint that no camera shows, each axis, square metres.
-        shown: (M,) whether the frame showed each where it is.
-        camera: index of the camera that took it.
+        covariance: (M, 6, 6) of position and velocity.
+        hidden_m2: (M,) variance, each axis, for paint hidden from all cameras, square metres.
+        shown: (M,) whether the frame has a view of it that agrees with the smoothed position.
+        camera: index of the frame's camera.
     """
 
     t_s: float
@@ -102,7 +102,7 @@ class Node:
 
 
 Correct = Callable[[Sequence[Frame], Sequence[State]], list[Views]]
-"""Returns the views of frames as what they saw is to be understood when the markers were as the states tell."""
+"""Returns the corrected views of frames, given the smoothed states."""
 
 
 def smooth(
@@ -111,13 +111,13 @@ def smooth(
     settings: FilterSettings,
     correct: Correct,
 ) -> list[Node]:
-    """Return the nodes of a hand of `count` markers at each of the frames, in order of time.
+    """Return the smoothed nodes of a hand at each of the frames.
 
     Args:
         frames: in order of time; their views are replaced.
-        count: of the hand's markers.
+        count: number of the hand's markers.
         settings: of the filter.
-        correct: what is done to the views once the markers' path is known.
+        correct: recomputes the paint corrections once the markers' path is known.
     """
     variance = [frame.views.variance for frame in frames]
     steps, evidence = _forward(frames, count, settings, variance, [None] * len(frames))
@@ -143,7 +143,7 @@ def _forward(
     variance: list[FloatArray],
     scale2: list[float | None],
 ) -> tuple[list[tuple[Step, BoolArray]], list[FloatArray]]:
-    # What the live filter refused stays out; among the rest there is no gate, but doubt.
+    # Views that the live filter rejected stay out; outliers among the rest are down-weighted instead of gated.
     hand = JointFilter(count, settings.motion, settings.track.gate, refuses=False)
     steps, evidence, loose_m2 = [], [], settings.track.loose_m**2
     begins = _begins(frames)
@@ -154,7 +154,7 @@ def _forward(
                 _begin(hand, event, frame.t_s, settings)
                 new[event.marker] = True
         alive = hand.state.alive[frame.views.index] & frame.taken
-        # Of what is hardly known, a far view tells nothing: the path would run away with it.
+        # Markers with a large covariance are not inflated further: an outlier would make the path diverge.
         certain = np.where(hand.state.spread_m2[frame.views.index] <= loose_m2, settings.track.far, np.inf)
         views = replace(frame.views, variance=own, certain=certain)
         if not alive.all():
@@ -169,7 +169,7 @@ def _forward(
 
 
 def _begins(frames: Sequence[Frame]) -> dict[int, list[Event]]:
-    """Return by frame the events of markers that begin with its views."""
+    """Return, by frame number, the initialisations that are based on its views."""
     places = {id(frame): number for number, frame in enumerate(frames)}
     begins: dict[int, list[Event]] = {}
     ended: dict[int, int] = {}
@@ -185,7 +185,7 @@ def _begins(frames: Sequence[Frame]) -> dict[int, list[Event]]:
 
 
 def _begin(hand: JointFilter, event: Event, t_s: float, settings: FilterSettings) -> None:
-    """Put a marker in before the views that began it, somewhere about where these say."""
+    """Add a marker before the views that initialised it, with a wide covariance about their position."""
     assert event.initial is not None
     then_s = hand.state.t_s if hand.state.alive.any() else t_s
     mean, covariance = event.initial.mean.copy(), event.initial.covariance.copy()
@@ -196,7 +196,7 @@ def _begin(hand: JointFilter, event: Event, t_s: float, settings: FilterSettings
 
 
 def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSettings) -> list[float | None]:
-    """Return the squared scale of each step by all frames together."""
+    """Return the squared acceleration scale of each step, estimated from all frames."""
     shares, scales2 = np.array(settings.motion.shares), np.square(settings.motion.scales)
     likelihood = [np.exp(one - one.max()) for one in evidence]
     stay = np.exp(-np.array(dt_s) / settings.motion.switch_s)
@@ -216,7 +216,7 @@ def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSetti
 
 
 def _backward(steps: list[tuple[Step, BoolArray]]) -> list[State]:
-    """Return the smoothed states of the steps; a marker (M,) that is new in one is another one than before."""
+    """Return the smoothed states of the steps; smoothing does not pass through the (re)initialisation of a marker."""
     states = [step.after for step, _ in steps]
     for number in range(len(steps) - 2, -1, -1):
         own, (following, new) = steps[number][0].after, steps[number + 1]
@@ -237,18 +237,18 @@ def _backward(steps: list[tuple[Step, BoolArray]]) -> list[State]:
 
 
 def _rows(alive: BoolArray) -> IndexArray:
-    """Return the rows of markers (M,) that are alive, and of what they share, in a state."""
+    """Return the state rows of the markers that are alive (M,) and of the shared accelerations."""
     return np.flatnonzero(np.concatenate([np.tile(np.repeat(alive, 3), 2), np.ones(SHARED, dtype=bool)]))
 
 
 def _off_path2(views: Views, state: State) -> FloatArray:
-    """Return the squared Mahalanobis distance (N,) of views from a smoothed path; 0 where there is none."""
+    """Return the squared Mahalanobis distances (N,) of views from a smoothed path; 0 where the marker is not alive."""
     xy, _ = _seen(views, *state.mean.reshape(2, len(state.alive), 3))
     return np.where(state.alive[views.index], squared_distance(views.variance, views.xy - xy), 0.0)
 
 
 def _seen(views: Views, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where views (N, 2) would see places and velocities (M, 3), and the derivatives (N, 2, 3) by places."""
+    """Return the predicted views (N, 2) of positions and velocities (M, 3), and their Jacobians (N, 2, 3)."""
     R = views.camera.R_camera_rig
     there = position[views.index] + views.delta_s[:, None] * velocity[views.index]
     local = there @ R.T + views.camera.t_camera_rig
@@ -258,16 +258,16 @@ def _seen(views: Views, position: FloatArray, velocity: FloatArray) -> tuple[Flo
 
 
 def _on_path(frame: Frame, position: FloatArray, velocity: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the squared Mahalanobis distance (N,) of a frame's views that tells which show a marker where it is.
+    """Return the squared Mahalanobis distances (N,) of a frame's views from the smoothed path.
 
-    As the gate of the live filter does, it allows for what hides some of a marker and for the error (M, 3, 3) of the
+    As in the gate of the live filter, the variance includes the slack for occlusion and the covariance (M, 3, 3) of the
     path itself.
     """
     views = frame.views
     xy, J = _seen(views, position, velocity)
     S = J @ covariance[views.index] @ np.swapaxes(J, 1, 2)
     variance = views.variance + (views.slack * views.slack)[:, None] * ROUND + S.reshape(-1, 4)[:, (0, 1, 3)]
-    # What is added for hidden paint may be too much: a view shows its marker where it is seen, too.
+    # The paint correction may be too large, so the uncorrected coordinates are accepted as well.
     return np.minimum(squared_distance(variance, views.xy - xy), squared_distance(variance, frame.seen_xy - xy))
 
 
@@ -284,7 +284,7 @@ def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
 
 
 def _extend(frames: Sequence[Frame], nodes: list[Node], settings: FilterSettings) -> None:
-    """Carry markers back from where they began to views before that fit."""
+    """Extrapolate markers backwards from their initialisation to earlier views that agree."""
     for number, events in _begins(frames).items():
         for marker in {event.marker for event in events if not event.goes_on}:
             first = nodes[number]
