@@ -60,8 +60,8 @@ class Hand:
     def roots(self, places: Sequence[Vector], alive: Sequence[bool]) -> Sequence[Vector]:
         """Return the points (H,) beside the patch where its fingers begin, from marker positions (H,).
 
-        Fingers bend in parallel planes, so the lateral direction from there to the tip does not depend on the bend. Only
-        positions of markers that are alive (H,) are used; the patch must be.
+        Fingers bend in parallel planes, so the lateral direction from there to the tip does not depend on the bend.
+        Only positions of markers that are alive (H,) are used; the patch must be.
         """
         x, y, z = base = places[self.base]
         if self.across is None or not (alive[self.across[0]] and alive[self.across[1]]):
