@@ -125,7 +125,7 @@ def track_smoothly(
     for frame in frames:
         yield f"rhot/markers/{frame.camera}", frame
         fusion.feed(frame)
-    for known, points, hands in _looked_back(ik, _objects(rig), fusion.smoothed()):
+    for known, points, hands in _smoothed_hands(ik, _objects(rig), fusion.smoothed()):
         yield from known
         yield from _walked(feet, ik, points.t_ns)
         yield "rhot/points", points
@@ -135,14 +135,14 @@ def track_smoothly(
     yield from _walked(feet, ik)
 
 
-def _looked_back(
+def _smoothed_hands(
     ik: Any, objects: Any, every: Iterable[PointSet]
 ) -> Iterator[tuple[list[Output], PointSet, list[Output]]]:
-    """Yield what was known of objects by each set of points, the points, and the hands that all of them show."""
+    """Yield for each set of points the objects' messages up to its time, the points, and their smoothed hands."""
     waiting: deque[list[Output]] = deque()
     for newest in every:
         waiting.append(list(_played(objects, ik, newest.t_ns)))
-        for points, hands in ik.look_back(newest):
+        for points, hands in ik.feed_smoothed(newest):
             yield waiting.popleft(), points, hands
     for points, hands in ik.finish():
         yield waiting.popleft(), points, hands

@@ -45,7 +45,7 @@ class IkStage:
     def feed(self, message: PointSet | ObjectPose | HeadPose | FootPose | HandPose) -> list[Output]:
         """Return the hands or the body that follow from a message, with their keys.
 
-        A hand is passed on to the body; only those of `look_back` have to be fed.
+        Hands of `feed` also update the body; those of `feed_smoothed` have to be fed in.
         """
         if isinstance(message, PointSet):
             hands = self._hands.feed(message)
@@ -58,12 +58,12 @@ class IkStage:
             return []
         return self._body.feed(message)
 
-    def look_back(self, points: PointSet) -> list[tuple[PointSet, list[Output]]]:
-        """Take points, and return earlier ones with their hands as later ones show them; see `HandStage.look_back`."""
-        return self._hands.look_back(points)
+    def feed_smoothed(self, points: PointSet) -> list[tuple[PointSet, list[Output]]]:
+        """Process points, and return earlier ones with their smoothed hands; see `HandStage.feed_smoothed`."""
+        return self._hands.feed_smoothed(points)
 
     def finish(self) -> list[tuple[PointSet, list[Output]]]:
-        """Return what `look_back` still holds, at the end of a recording."""
+        """Return the points that `feed_smoothed` has not returned yet, with their hands; call it at the end."""
         return self._hands.finish()
 
     def feed_object(self, pose: ObjectPose) -> None:

@@ -47,7 +47,7 @@ def run(
     seconds: float = 3.0,
     seed: int = 0,
     path: Callable[[float], FloatArray] = truth,
-    far: float = DEFAULT.track.far,
+    far: float = DEFAULT.track.inflation_gate,
 ) -> Run:
     """Two cameras 0.4 of a period out of step, rows 3 ms apart, through a filter that begins at the truth."""
     rng = np.random.default_rng(seed)
@@ -216,7 +216,7 @@ def _curled(t_s: float) -> FloatArray:
 def test_a_finger_that_curls_while_the_others_rest_is_followed() -> None:
     """The hand's scale stays that of rest; a marker that surprises is known to be less certain."""
     errors = []
-    for far in (DEFAULT.track.far, np.inf):
+    for far in (DEFAULT.track.inflation_gate, np.inf):
         runs = [run(0.1, 30.0, 1.3, seed, _curled, far) for seed in range(4)]
         during = (runs[0].t_s > 1.0) & (runs[0].t_s < 1.24)
         every = np.stack([np.linalg.norm(one.error[during], axis=2) for one in runs])
@@ -228,8 +228,8 @@ def test_a_finger_that_curls_while_the_others_rest_is_followed() -> None:
 
 def test_looking_back_follows_a_finger_that_curls_while_the_others_rest() -> None:
     errors = []
-    for far in (DEFAULT.track.far, np.inf):
-        settings = replace(DEFAULT, track=replace(DEFAULT.track, far=far))
+    for far in (DEFAULT.track.inflation_gate, np.inf):
+        settings = replace(DEFAULT, track=replace(DEFAULT.track, inflation_gate=far))
         off = []
         for seed in range(4):
             frames = run(0.1, 30.0, 1.6, seed, _curled).frames

@@ -57,7 +57,7 @@ def watched(
         if number == 20 and moved_m:
             where = PLACE + np.array([0.0, 0.0, moved_m])
             initial = InitialState(np.concatenate([where, np.zeros(3)]), np.diag([1e-6] * 3 + [1e-2] * 3), 0.0)
-            events = [Event(number * PERIOD_S, 0, initial, frames[-1], goes_on=True)]
+            events = [Event(number * PERIOD_S, 0, initial, frames[-1], continues=True)]
         taken = np.full(len(views.index), number >= BEGUN - 1 and number not in off_px)
         area_px = np.zeros(len(views.index))
         frames.append(Frame(number * PERIOD_S, camera, views, taken, events, views.xy, area_px))

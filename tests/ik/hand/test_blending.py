@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rhot.anatomy.hand import HandModel
-from rhot_ik.hand.blending import BlendSettings, blended, carried
+from rhot_ik.hand.blending import BlendSettings, blended, with_own_motion
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 
@@ -68,5 +68,5 @@ def test_a_finger_that_is_led_in_goes_its_own_way_as_well_unless_it_jumps(right_
     moved = np.zeros((5, 4))
     moved[:, 0] = np.radians([3.0, 3.0, 3.0, 3.0, 60.0])
     led = np.array([True, False, True, False, True])
-    carried_on = carried(kinematics, np.zeros((5, 4)), moved, led, 1 / 60, SETTINGS)
-    assert np.degrees(carried_on[:, 0]).tolist() == pytest.approx([3.0, 0.0, 3.0, 0.0, 0.0])
+    moved_on = with_own_motion(kinematics, np.zeros((5, 4)), moved, led, 1 / 60, SETTINGS)
+    assert np.degrees(moved_on[:, 0]).tolist() == pytest.approx([3.0, 0.0, 3.0, 0.0, 0.0])

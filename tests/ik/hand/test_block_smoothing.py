@@ -47,7 +47,7 @@ def test_a_hidden_finger_goes_to_where_it_comes_out(right_rig: Rig, clip: tuple[
     sets, truth = clip
     live = tips_of([(points, stage.feed(points)) for stage in [HandStage(right_rig)] for points in sets])
     stage = HandStage(right_rig)
-    assert all(stage.look_back(points) == [] for points in sets)
+    assert all(stage.feed_smoothed(points) == [] for points in sets)
     smooth = tips_of(stage.finish())
     hidden = slice(24, 52)
     before, after = (np.linalg.norm(found - truth, axis=1)[hidden] for found in (live, smooth))
@@ -64,8 +64,8 @@ def test_pieces_come_in_order_and_all_of_them(right_rig: Rig, clip: tuple[list[P
     whole, pieces = HandStage(right_rig), HandStage(right_rig)
     pieces._block_smoother = BlockSmoother(pieces._solvers, ahead_ns=1_000_000_000, piece_ns=300_000_000)
     for points in sets:
-        whole.look_back(points)
-    settled = [pieces.look_back(points) for points in sets]
+        whole.feed_smoothed(points)
+    settled = [pieces.feed_smoothed(points) for points in sets]
     assert max(map(len, settled)) < 20
     assert sum(map(len, settled)) > 30
     found = [hand for piece in settled for hand in piece] + pieces.finish()

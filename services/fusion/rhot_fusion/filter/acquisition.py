@@ -123,9 +123,9 @@ class Acquisition:
             return False
         # For a camera that sees the marker again, the prediction may be too far off for a linear update.
         near = self._candidates.near(marker, t_s)
-        initial = self._together(marker, near, t_s, hand.filter.velocity[k])
+        initial = self._initial_state(marker, near, t_s, hand.filter.velocity[k])
         if initial is not None and self._is_expected(hand, k, initial, t_s):
-            self._begin(marker, initial, t_s, near, goes_on=True)
+            self._begin(marker, initial, t_s, near, continues=True)
             return True
         return not self._is_recent(track.seen_s, t_s)
 
@@ -137,7 +137,7 @@ class Acquisition:
         S = state.covariance[rows, rows] + initial.covariance[:3, :3]
         return float(away @ np.linalg.solve(S, away)) <= self._settings.gate
 
-    def seek(self, marker: int, camera: int, t_s: float) -> None:
+    def try_start(self, marker: int, camera: int, t_s: float) -> None:
         """Try to initialise a marker from a view that updated no filter and the newest views of other cameras."""
         settings, track = self._settings, self.tracks[marker]
         hand, _ = self.hand_of[marker]
@@ -146,11 +146,11 @@ class Acquisition:
         velocity = hand.filter.velocity[alive].mean(axis=0) if len(positions) else np.zeros(3)
         moment_s = max(t_s, hand.filter.state.t_s) if len(positions) else t_s
         near = self._candidates.near(marker, t_s)
-        initial = self._together(marker, near, moment_s, velocity)
+        initial = self._initial_state(marker, near, moment_s, velocity)
         if initial is not None and track.status is not TrackStatus.TENTATIVE:
             if track.look_elsewhere(settings):
                 self._begin(marker, initial, moment_s, near)
-        elif initial is None and len(near) == 1 and len(positions) >= settings.fewest:
+        elif initial is None and len(near) == 1 and len(positions) >= settings.depth_markers:
             gap_s = settings.lost_periods * self._schedule.longest_period_s
             if track.see_alone(t_s, gap_s, settings):
                 middle = positions.mean(axis=0)
@@ -164,7 +164,7 @@ class Acquisition:
         if hand.filter.state.alive[k]:
             hand.filter.end(k)
             if hand.record is not None:
-                hand.record.ended(hand.filter.state.t_s, k)
+                hand.record.add_removal(hand.filter.state.t_s, k)
         self.tracks[marker].end(len(self._cameras))
 
     def forget(self, t_s: float) -> None:
@@ -185,28 +185,30 @@ class Acquisition:
                     self.end(marker)
 
     def _begin(
-        self, marker: int, initial: InitialState, t_s: float, views: dict[int, View], *, goes_on: bool = False
+        self, marker: int, initial: InitialState, t_s: float, views: dict[int, View], *, continues: bool = False
     ) -> None:
-        """Add a marker; `goes_on` if the tracked marker can have moved there."""
+        """Add a marker; `continues` if the tracked marker can have moved there."""
         hand, k = self.hand_of[marker]
         state = hand.filter.state
         if t_s > state.t_s and state.alive.any():
             hand.filter.state = hand.filter.predicted(t_s)
         hand.filter.begin(k, initial.mean, initial.covariance, t_s)
         if hand.record is not None:
-            hand.record.began(t_s, k, initial, views, goes_on=goes_on)
+            hand.record.add_start(t_s, k, initial, views, continues=continues)
         newest_s = self._schedule.newest_s
         self.tracks[marker].begin(t_s, {camera: newest_s[camera] for camera in views}, self._settings)
         self.begun += 1
 
-    def _together(self, marker: int, near: dict[int, View], t_s: float, velocity: FloatArray) -> InitialState | None:
+    def _initial_state(
+        self, marker: int, near: dict[int, View], t_s: float, velocity: FloatArray
+    ) -> InitialState | None:
         volume_m = self.config.volume_m
-        return self._candidates.together(marker, list(near.values()), t_s, velocity, *self._places(), volume_m)
+        return self._candidates.initial_state(marker, list(near.values()), t_s, velocity, *self._positions(), volume_m)
 
     def _is_recent(self, then_s: float, t_s: float) -> bool:
         return t_s - then_s <= self._settings.lost_periods * self._schedule.longest_period_s
 
-    def _places(self) -> tuple[FloatArray, BoolArray]:
+    def _positions(self) -> tuple[FloatArray, BoolArray]:
         """Return the positions of all markers (M, 3), metres, and which (M,) are tracked."""
         count = len(self.tracks)
         known, alive = np.zeros((count, 3)), np.zeros(count, dtype=bool)

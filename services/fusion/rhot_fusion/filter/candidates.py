@@ -56,7 +56,7 @@ class Candidates:
             if abs(t_s - seen_s) <= reach_s
         }
 
-    def together(
+    def initial_state(
         self,
         marker: int,
         views: list[View],

@@ -189,11 +189,11 @@ class Paint:
             (N, 2) corrections to add to the views and (N,) their standard deviations, normalised units.
         """
         sizes, doubts = [], []
-        for marker, area, depth, sure in zip(markers, areas_px, depths_m, known, strict=True):
+        for marker, area, depth, well_known in zip(markers, areas_px, depths_m, known, strict=True):
             if math.isinf(depth):
                 size, doubt = 0.0, 0.0
             else:
-                size, doubt = self._hidden(camera, marker, t_s, area, depth, sure)
+                size, doubt = self._hidden(camera, marker, t_s, area, depth, well_known)
             sizes.append(size)
             doubts.append(doubt)
         # The error is correlated over `lasts_s`: all views within it carry the information of one.
@@ -215,8 +215,8 @@ class Paint:
 
         The centre of such a marker is half its width away from its inner edge.
         """
-        for row, (marker, depth, (far, x, y)) in enumerate(zip(markers, depths_m, border, strict=True)):
-            missing = 0.5 * self._largest_m[marker] / depth - far
+        for row, (marker, depth, (edge, x, y)) in enumerate(zip(markers, depths_m, border, strict=True)):
+            missing = 0.5 * self._largest_m[marker] / depth - edge
             if missing > 0.0:
                 shifts[row] = missing * x, missing * y
                 doubts[row] = max(doubts[row], self._settings.cut * missing)

@@ -90,14 +90,14 @@ class TrackSettings:
     Attributes:
         gate: squared Mahalanobis distance (2 degrees of freedom) beyond which an observation is rejected; exceeded by
             chance once in 270,000.
-        far: squared Mahalanobis distance beyond which the covariance of a marker of a calibrated rig is inflated; 1 %
-            by chance. The acceleration scale belongs to the whole hand, and one finger may curl while the others rest.
+        inflation_gate: squared Mahalanobis distance beyond which the covariance of a marker of a calibrated rig is
+            inflated; 1 % by chance. The acceleration scale belongs to the whole hand; one finger may curl alone.
             Over the rendered pictures, mirrored, scaled down, scaled up and at half the rate, the mean 95th percentile
             is 5.3 mm at 9, 5.4 at 14 and 5.6 without inflation; smoothed 4.8, 4.8 and 5.0, and 5.6 at 6. Not used for
             uncalibrated rigs: where one blob in twenty is wrong, tracks diverge. In smoothing not used either for
             markers beyond `loose_m`; this limit lowers the smoothed 95th percentile from 4.6 to 4.4 mm on these
             pictures and three more rendered worlds.
-        back: the same for the first observations of a marker that its camera had lost; 5 % by chance.
+        reacquisition_gate: the same for the first observations of a marker that its camera had lost; 5 % by chance.
         initialisation_gate: squared Mahalanobis distance (1 degree of freedom) up to which two views initialise a
             marker: 4 sigma.
         pair_s, pair_periods: longest time between these two views, in seconds and in frame periods; unsynchronised
@@ -113,7 +113,7 @@ class TrackSettings:
         ray_sigma_m: standard deviation in depth, about its hand, of a marker initialised from one camera, metres.
         moving_px_s: above this image speed, exactly repeated coordinates are treated as stale data.
         ray_views: consecutive views of one camera that initialise a marker on its viewing ray.
-        fewest: markers of a hand required to estimate its depth; in a grasp the patch is often the only one.
+        depth_markers: markers of a hand required to estimate its depth; in a grasp the patch is often the only one.
         ray_reach_m: greatest distance from the centroid of its hand at which a marker is initialised from one camera,
             metres; a hand's length.
         loose_m: a marker whose standard deviation is larger is initialised anew by two views, metres: at that size,
@@ -137,8 +137,8 @@ class TrackSettings:
     """
 
     gate: float = 25.0
-    far: float = 9.0
-    back: float = 6.0
+    inflation_gate: float = 9.0
+    reacquisition_gate: float = 6.0
     initialisation_gate: float = 16.0
     pair_s: float = 0.15
     pair_periods: float = 1.6
@@ -152,7 +152,7 @@ class TrackSettings:
     ray_sigma_m: float = 0.08
     moving_px_s: float = 60.0
     ray_views: int = 3
-    fewest: int = 1
+    depth_markers: int = 1
     ray_reach_m: float = 0.2
     loose_m: float = 0.03
     extent_m: float = 0.037

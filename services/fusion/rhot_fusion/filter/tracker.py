@@ -20,8 +20,8 @@ from rhot_fusion.filter.agreement import CameraAgreement
 from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.paint import Paint
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
+from rhot_fusion.filter.smoothing.paint_correction import PaintCorrection
 from rhot_fusion.filter.smoothing.record import outcomes
-from rhot_fusion.filter.smoothing.repaint import Repaint
 from rhot_fusion.filter.state import ROUND, Innovation, State, Views, pace_squares
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import Track, TrackStatus, outcome_of, within_hand
@@ -62,13 +62,12 @@ class FilterTracker:
                 settings.track,
                 confirmations=settings.track.uncalibrated_confirmations,
                 measured_m=settings.track.uncalibrated_measured_m,
-                far=math.inf,
-                back=math.inf,
+                inflation_gate=math.inf,
+                reacquisition_gate=math.inf,
             )
             settings = replace(settings, track=track)
         self._cameras, self._config, self._counts, self._settings = list(cameras), config, counts, settings
-        names, markers = list(rig.cameras), rig.config.markers
-        self._count = len(markers)
+        names, markers, self._count = list(rig.cameras), rig.config.markers, len(rig.config.markers)
         self._hands = hands_of(rig, self._cameras, settings, record=record)
         self._schedule = Schedule([1.0 / camera.rate_hz for camera in rig.config.cameras.values()])
         coherence = HandCoherence(markers, rig.hand.length_m)
@@ -171,9 +170,10 @@ class FilterTracker:
         loose_m, every = self._settings.track.loose_m, []
         for hand in self._hands:
             if hand.record is not None:
-                paint = Paint(self._cameras, self._radii, self._settings.paint)
-                columns = hand, self._cameras, paint, self.noise.variance, periods_s, loose_m, self._time_variance
-                every.append((hand.index, hand.record.smoothed(self.noise.variance, self._settings, Repaint(*columns))))
+                paint, variance_of = Paint(self._cameras, self._radii, self._settings.paint), self.noise.variance
+                columns = hand, self._cameras, paint, variance_of, periods_s, loose_m, self._time_variance
+                correct = PaintCorrection(*columns)
+                every.append((hand.index, hand.record.smoothed(variance_of, self._settings, correct)))
         rest = self._systematic, self._settings.track, self.noise.pair_variance
         return outcomes(every, self._count, periods_s, *rest) if every else []
 
@@ -241,9 +241,10 @@ class FilterTracker:
             # Views that initialise a marker are corrected, too: the cameras see unequal parts of a reappearing marker.
             alive, spread_m2 = hand.filter.state.alive.tolist(), hand.filter.spread_m2
             places = [hand.place_of[marker] for marker in markers]
-            known, sure = [alive[k] for k in places], [alive[k] and spread_m2[k] <= loose_m2 for k in places]
+            known, well_known = [alive[k] for k in places], [alive[k] and spread_m2[k] <= loose_m2 for k in places]
             areas_px = mine.area_px.tolist()
-            shift, doubt = self._paint.correct(camera, markers, t_s, areas_px, depths, period_s, sure, mine.border)
+            of_paint = areas_px, depths, period_s, well_known, mine.border
+            shift, doubt = self._paint.correct(camera, markers, t_s, *of_paint)
             if hand.record is not None and not again:
                 hand.record.add(mine, shift, self._paint.slack(camera, areas_px), doubt * doubt)
             mine, own = mine.at(mine.xy + shift), doubt * doubt + variance
@@ -259,7 +260,7 @@ class FilterTracker:
             self._update(hand, mine, own, taken)
             for marker in markers:
                 if self.tracks[marker].accepted_s[camera] != t_s:
-                    self._acquisition.seek(marker, camera, t_s)
+                    self._acquisition.try_start(marker, camera, t_s)
         if self._acquisition.begun > begun:
             self._history.clear()
 
@@ -301,13 +302,13 @@ class FilterTracker:
         settings = self._settings.track
         since_s = sightings.t_s - settings.lost_periods * self._schedule.longest_period_s
         lost = [not again and self.tracks[marker].accepted_s[sightings.camera] < since_s for marker in markers]
-        certain = np.where(lost, settings.back, settings.far)
+        certain = np.where(lost, settings.reacquisition_gate, settings.inflation_gate)
         views = Views(camera, local, sightings.times_s - t_s, xy, variances, slack, certain)
         innovation, _ = hand.filter.step(t_s, views)
         if again:
             return
         if hand.record is not None:
-            hand.record.took(views, innovation, self.noise.variance(sightings.camera))
+            hand.record.add_innovation(views, innovation, self.noise.variance(sightings.camera))
         self.noise.learn(sightings.camera, innovation)
         self.gates[sightings.camera] = sightings.index, innovation, slack
         for marker, accepted in zip(markers, innovation.accepted.tolist(), strict=True):

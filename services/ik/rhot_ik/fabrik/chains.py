@@ -55,8 +55,8 @@ class Chains:
 
     def clamp(self, angles: FloatArray) -> FloatArray:
         """Return angles (B, n, 3) brought inside the limits; what is not a number becomes the nearest to 0."""
-        legal = np.nan_to_num(angles, nan=0.0)
-        return np.clip(legal, self.lowest, self.highest)
+        finite = np.nan_to_num(angles, nan=0.0)
+        return np.clip(finite, self.lowest, self.highest)
 
     def forward(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return points (B, n + 1, 3), metres, and axes (B, n, 3, 3) of the bones, both in the base frame."""

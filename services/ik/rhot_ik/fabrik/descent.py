@@ -25,14 +25,14 @@ _PATIENCE: Final = 4
 def descend(
     chains: Chains, goal: FloatArray, start: FloatArray, tolerance_m: float, max_iterations: int
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Return the nearest legal angles (B, n, 3) found from `start`, their error (B,) and the iterations used.
+    """Return the angles (B, n, 3) within the limits nearest to the goal, their error (B,) and the iterations used.
 
     Args:
         chains: the build.
         goal: (B, 3) metres, base frame, finite.
-        start: (B, n, 3) radians, legal.
+        start: (B, n, 3) radians, within the limits.
         tolerance_m: stop when all chains are this near.
-        max_iterations: stop then in any case; also when no chain gains any more.
+        max_iterations: stop after this number; also when no chain improves any more.
     """
     count, joints = start.shape[:2]
     low = chains.lowest.reshape(count, -1)

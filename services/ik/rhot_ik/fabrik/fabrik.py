@@ -2,7 +2,7 @@
 
 Each iteration runs backward from the target on points alone and forward from the base on angles: the forward pass turns
 every joint towards its point, clamps the angles, and places the next point by forward kinematics. What comes out is
-therefore always a legal pose with exact bone lengths, whatever the target.
+therefore always a pose within the limits with exact bone lengths, whatever the target.
 
 Joint limits can stall these passes short of a target that is in reach, and coupled hinges slow them down. Chains that
 no longer gain are therefore finished by damped least squares on the angles that are not held at a limit
@@ -135,7 +135,7 @@ def _backward(chains: Chains, goal: FloatArray, points: FloatArray, axes: FloatA
 
 
 def _forward(chains: Chains, goal: FloatArray, wanted: FloatArray, previous: FloatArray) -> FloatArray:
-    """Return legal angles (B, n, 3) that turn each joint from the base on towards its wanted point."""
+    """Return angles within the limits (B, n, 3) that turn each joint from the base on towards its wanted point."""
     angles = previous.copy()
     origin = np.zeros((len(goal), 3))
     parent = np.broadcast_to(np.eye(3), (len(goal), 3, 3))
@@ -159,8 +159,8 @@ def _forward(chains: Chains, goal: FloatArray, wanted: FloatArray, previous: Flo
             beyond = _in_frame(frame @ joint_rotations(swing), wanted[:, joint + 2] - wanted[:, joint + 1])
             off_axis = np.hypot(beyond[:, 0], beyond[:, 1])
             twist = np.arctan2(beyond[:, 0], -beyond[:, 1])
-            legal = _nearest_in_range(twist, low[:, TWIST], high[:, TWIST])
-            turn[:, TWIST] = np.where(off_axis > 1e-3 * chains.lengths[:, joint + 1], legal, turn[:, TWIST])
+            within = _nearest_in_range(twist, low[:, TWIST], high[:, TWIST])
+            turn[:, TWIST] = np.where(off_axis > 1e-3 * chains.lengths[:, joint + 1], within, turn[:, TWIST])
         if joint > 0:
             factor = chains.coupling[:, joint]
             tied = np.isfinite(factor)
@@ -191,7 +191,7 @@ def _abduction(towards: FloatArray, offset: FloatArray, low: FloatArray, high: F
 
 
 def _nearest_in_range(angle: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return the legal angle (B,) nearest to `angle` on the circle."""
+    """Return the angle within the limits (B,) nearest to `angle` on the circle."""
     middle = 0.5 * (low + high)
     turned = middle + (angle - middle + np.pi) % (2.0 * np.pi) - np.pi
     return np.clip(turned, low, high)

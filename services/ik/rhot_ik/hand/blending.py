@@ -22,22 +22,23 @@ class BlendSettings:
     """Parameters of the blend from a prediction to a measured finger.
 
     Attributes:
-        usual_s: the usual time from one sample to the next, for which the three that follow hold: two cameras at 30
-            frames a second. Where samples are further apart, they grow as that does: a finger is not led in for longer.
-        step_m: a tip's marker goes no further than this on the palm from one sample to the next; joints beside it go
-            up to a third further; a step beyond the true motion was to stay below 10 mm (`rhot evaluate motion`).
-        first_m, share: nor further than this much and this share of what is left of its way, so that it sets out and
-            arrives gently.
-        speed_m_s: and by the way of a finger that moves at this speed on top: closing hands take about half a second
-            for 0.05 m of a tip on the palm.
-        lasts_s: for at least this long, until fusion has settled on a marker that is new to it.
-        settles_s, known_m: a finger that has been seen for this long, its marker known to this the worst way, goes its
-            own way as well; before, what the estimate does is to settle, which is no motion. Half of the points
-            that are known worse are over 45 mm off (fast hands of `rhot evaluate motion`, 30 fps, develop seeds
-            0 to 29).
-        fastest_m_s: a tip that goes faster on the palm was found again rather than moved: 20 rad/s of a finger 80 mm
-            long.
-        sure_m: a marker known no better than this, the worst way, has not come back yet: one camera sees it.
+        usual_s: sample interval for which the next three values hold: two cameras at 30 frames per second. They are
+            scaled up in proportion to longer intervals, so that the duration of a blend stays the same.
+        step_m: largest step of a tip's marker, relative to the palm, between two samples; other joints move up to a
+            third further. A step beyond the true motion was to stay below 10 mm (`rhot evaluate motion`).
+        first_m, share: the step is also limited to `first_m` plus this share of the remaining distance, so that the
+            blend starts and ends smoothly.
+        speed_m_s: added to the limit, per second: a closing hand moves a tip by 0.05 m on the palm in about half a
+            second.
+        lasts_s: shortest duration of a blend: until fusion has converged on a marker that has reappeared.
+        settles_s, known_m: the motion of a finger is added to the blend once the finger has been seen for this long
+            with the standard deviation of its marker below `known_m` (root of the trace of its covariance); before,
+            changes of the estimate are convergence, not motion. Half of the points that are known worse are over 45 mm
+            off (fast hands of `rhot evaluate motion`, 30 fps, develop seeds 0 to 29).
+        fastest_m_s: a faster motion of a tip relative to the palm is a correction, not motion: 20 rad/s of a finger
+            80 mm long.
+        well_measured_m: a marker with a larger standard deviation (as for `known_m`) counts as not yet reappeared:
+            only one camera sees it.
     """
 
     usual_s: float = 1.0 / 60.0
@@ -49,10 +50,10 @@ class BlendSettings:
     settles_s: float = 0.025
     known_m: float = 0.04
     fastest_m_s: float = 1.6
-    sure_m: float = 0.01
+    well_measured_m: float = 0.01
 
 
-def carried(
+def with_own_motion(
     kinematics: HandKinematics,
     shown: FloatArray,
     moved: FloatArray,
@@ -60,15 +61,15 @@ def carried(
     dt_s: float,
     settings: BlendSettings,
 ) -> FloatArray:
-    """Return the angles (5, 4) that were shown, those of fingers that are led in moved on as they have moved since.
+    """Return the last published angles (5, 4), radians, plus the motion of the fingers that are being blended.
 
     Args:
         kinematics: of the hand.
-        shown: (5, 4) radians: what was shown last.
-        moved: (5, 4) radians: by how much the estimate has changed.
-        led: (5,) fingers that are led in and go their own way as well.
-        dt_s: since then.
-        settings: how fast fingers are.
+        shown: (5, 4) radians, last published angles.
+        moved: (5, 4) radians, change of the estimate since then.
+        led: (5,) fingers that are being blended and whose motion is added.
+        dt_s: time since then, seconds.
+        settings: greatest speed of a finger.
     """
     own = led & (np.abs(moved).sum(axis=1) * kinematics.reaches <= settings.fastest_m_s * dt_s)
     return np.where(own[:, None], shown + moved, shown)
@@ -82,18 +83,18 @@ def blended(
     dt_s: float,
     settings: BlendSettings,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the angles (5, 4) to show, and for how long each finger is led in from now on (5,), seconds.
+    """Return the angles (5, 4) to publish, radians, and the remaining duration of each finger's blend (5,), seconds.
 
     Args:
         kinematics: of the hand.
-        estimated: (5, 4) radians: what is known now.
-        shown: (5, 4) radians: what was shown last.
-        left_s: (5,) for how long each finger is still led in; 0 = it is not.
-        dt_s: since then.
-        settings: how fast.
+        estimated: (5, 4) radians, current estimate.
+        shown: (5, 4) radians, last published angles.
+        left_s: (5,) remaining duration of each finger's blend, seconds; 0 = none.
+        dt_s: time since then, seconds.
+        settings: of the blend.
     """
     change = estimated - shown
-    # No tip goes further than its finger turns; most samples end here, without the tips themselves.
+    # Upper bound of the tips' motion; most samples end here, without forward kinematics.
     least_m = settings.step_m + settings.fastest_m_s * dt_s
     if not left_s.any() and (np.abs(change).sum(axis=1) * kinematics.reaches).max() <= least_m:
         return estimated, left_s
@@ -106,14 +107,14 @@ def blended(
     steps = max(1.0, dt_s / settings.usual_s)
     most_m = steps * np.minimum(settings.step_m, settings.first_m + settings.share * gap_m) + settings.speed_m_s * dt_s
     for _ in range(2):
-        # A share of the angles is not the same share of the way: what is too far still is shortened once more.
+        # The path is nonlinear in the angles: steps that are still too long are shortened once more.
         shorter = np.minimum(1.0, most_m / np.maximum(np.sqrt((way * way).sum(-1)), _NONE_M))
         if not (led & (shorter < 1.0)).any():
             break
         share *= shorter
         way = kinematics.marker_points((shown + share[:, None] * change).reshape(-1)) - begin
     angles = np.where(led[:, None], shown + share[:, None] * change, estimated)
-    # Who has not arrived is led on, however long it takes.
+    # A blend continues until the finger arrives, even after `lasts_s`.
     left = np.where(share < 1.0, np.maximum(left_s - dt_s, _NONE_S), left_s - dt_s)
     return angles, np.where(led, np.maximum(left, 0.0), 0.0)
 

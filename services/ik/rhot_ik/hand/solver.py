@@ -14,7 +14,7 @@ from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import BoolArray, FloatArray, IntArray
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.fabrik.finger_chains import FabrikFingers
-from rhot_ik.hand.blending import BlendSettings, blended, carried
+from rhot_ik.hand.blending import BlendSettings, blended, with_own_motion
 from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
@@ -57,24 +57,24 @@ class HandSolution:
 
 @dataclass(frozen=True, slots=True)
 class HandTrack:
-    """What is known of one hand after a sample.
+    """The state of one hand after a sample.
 
     Attributes:
-        t_ns: of the sample, rig clock.
-        state: of the estimate.
-        shown: (5, 4) radians, angles as they were shown.
-        blends_s: (5,) for how much longer each finger is blended in, seconds.
-        corner_noise: of the patch, as learned.
+        t_ns: time of the sample, rig clock.
+        state: the estimate.
+        shown: (5, 4) radians, published angles.
+        blends_s: (5,) remaining duration of each finger's blend, seconds.
+        corner_noise: learned noise of the patch's corners.
         corners_measured: whether the corners of the patch measured the palm's rotation.
-        base_seen_ns, measured_ns: when the base marker was there last, and when anything was measured.
-        measured: (5,) whether each finger was.
-        sure: (5,) and whether well in all directions.
-        known_since_ns: (5,) since when each has been known at all, without a break.
+        base_seen_ns, measured_ns: when the base marker was last seen, and when any marker was last measured.
+        measured: (5,) whether each finger was measured.
+        well_measured: (5,) whether each was also well known in all directions.
+        known_since_ns: (5,) since when each has been known without interruption.
         seen: the sample.
-        expected: the state as it was expected before the sample; none where the hand was taken up with it.
-        lost_s: for how long the seen tips have missed the model.
-        most_tips: how many tips, well known in all directions, met it at once so far; at least 1.
-        laid: whether the hand was looked for by corners that fit its patch.
+        expected: the predicted state; None if the sample initialised the hand.
+        lost_s: for how long the seen tips have disagreed with the model, seconds.
+        most_tips: largest number of well-measured tips that agreed with the model at once; at least 1.
+        from_patch: whether the hand was initialised or confirmed by the corners of its patch.
     """
 
     t_ns: int
@@ -86,25 +86,25 @@ class HandTrack:
     base_seen_ns: int
     measured_ns: int
     measured: BoolArray
-    sure: BoolArray
+    well_measured: BoolArray
     known_since_ns: IntArray
     seen: HandObservation
     expected: HandState | None = None
     lost_s: float = 0.0
     most_tips: int = 1
-    laid: bool = True
+    from_patch: bool = True
 
 
 class HandSolver:
-    """Solves one hand sample by sample; everything it knows of time comes with the samples.
+    """Solves one hand sample by sample; reads no clock.
 
     Args:
         model: the hand.
         markers: all markers of the rig; those of other hands are ignored.
         base: name of the marker on the back of this hand.
-        config: which finger solver, and how long a hand is held.
-        viewpoint: (3,) metres, rig frame: where the cameras are, all in all; the rig's origin when not given.
-        settings: numbers of the estimate.
+        config: finger solver, and how long a hand is held.
+        viewpoint: (3,) metres, rig frame: mean position of the cameras; by default the rig's origin.
+        settings: parameters of the estimate.
     """
 
     def __init__(
@@ -138,25 +138,25 @@ class HandSolver:
 
     @property
     def geometry(self) -> FingerGeometry:
-        """The hand and where its markers are painted."""
+        """The hand and the positions of its markers on it."""
         return self._geometry
 
     @property
     def track(self) -> HandTrack | None:
-        """What is known after the last sample; none when that is nothing."""
+        """The state after the last sample; None while there is no hand."""
         return self._track
 
     @property
     def solution(self) -> HandSolution | None:
-        """What the last sample led to."""
+        """The solution of the last sample; None while there is no hand."""
         return self._solution
 
     def solve(self, seen: HandObservation, shapes: Sequence[Shape] = ()) -> HandSolution | None:
-        """Return the hand after one more sample, or None when too little is known to show one.
+        """Return the hand after one more sample, or None when too few markers are known.
 
         Args:
             seen: the sample.
-            shapes: things that fingers may close round, rig frame.
+            shapes: objects that the fingers may grasp, rig frame.
         """
         before = self._track
         if before is not None:
@@ -174,7 +174,7 @@ class HandSolver:
         return self._solution
 
     def _is_over(self, seen: HandObservation, before: HandTrack) -> bool:
-        """Tell whether the palm, or everything, has been gone for longer than a hand is held."""
+        """Return whether the palm, or every marker, has been unseen for longer than a hand is held."""
         oldest_ns = seen.t_ns - round(self.config.hold_s * 1e9)
         base_gone = seen.base is None and before.base_seen_ns < oldest_ns
         all_gone = not seen.measured_any and before.measured_ns < oldest_ns
@@ -193,11 +193,11 @@ class HandSolver:
             blends_s=np.zeros(5),
             corner_noise=evidence.corner_noise,
             corners_measured=evidence.rotation is not None,
-            laid=evidence.rotation is not None,
+            from_patch=evidence.rotation is not None,
             base_seen_ns=seen.t_ns,
             measured_ns=seen.t_ns,
             measured=measured,
-            sure=measured & _known_to(seen, self._blend.sure_m),
+            well_measured=measured & _known_within(seen, self._blend.well_measured_m),
             known_since_ns=np.where(measured, seen.t_ns, _NEVER_NS),
             seen=seen,
         )
@@ -208,24 +208,24 @@ class HandSolver:
         expected = self._filter.predict(before.state, dt_s, ~measured, holds=len(shapes) > 0)
         evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), before.corner_noise)
         updated = self._filter.update(expected, evidence, shapes=shapes)
-        laid = before.laid or (evidence.rotation is not None and bool(measured.any()))
-        if before.laid or not laid:
+        from_patch = before.from_patch or (evidence.rotation is not None and bool(measured.any()))
+        if before.from_patch or not from_patch:
             state, lost_s = self._reinitialised_if_lost(before, updated, seen, int(np.count_nonzero(measured)), dt_s)
         else:
-            # A palm that was taken up without the corners of its patch was guessed to point to its tips.
+            # Without the corners of its patch, the initial palm only pointed towards the tips.
             state, lost_s = self._reinitialised(updated, seen), 0.0
         angles = self._angles(state, seen, before.shown)
-        sure = measured & _known_to(seen, self._blend.sure_m)
-        known = measured & _known_to(seen, self._blend.known_m)
+        well_measured = measured & _known_within(seen, self._blend.well_measured_m)
+        known = measured & _known_within(seen, self._blend.known_m)
         since_ns = np.where(known, np.minimum(before.known_since_ns, seen.t_ns), _NEVER_NS)
-        left_s = np.where(sure & before.sure, before.blends_s, self._blend.lasts_s)
-        # Fingers that go with another palm than before are led in from nowhere.
+        left_s = np.where(well_measured & before.well_measured, before.blends_s, self._blend.lasts_s)
+        # After a reinitialisation, the previous angles belong to another palm: no blend.
         shown, left_s = (before.shown, left_s) if state is updated else (angles, np.zeros(5))
         if left_s.any():
             moved = (state.angles - before.state.angles).reshape(5, 4)
             led = (left_s > 0.0) & (seen.t_ns - since_ns > 1e9 * self._blend.settles_s)
-            shown = carried(self._kinematics, shown, moved, led, dt_s, self._blend)
-            shown = self._filter.legal(shown.reshape(-1)).reshape(5, 4)
+            shown = with_own_motion(self._kinematics, shown, moved, led, dt_s, self._blend)
+            shown = self._filter.clamp(shown.reshape(-1)).reshape(5, 4)
         shown, left_s = blended(self._kinematics, angles, shown, left_s, dt_s, self._blend)
         return HandTrack(
             t_ns=seen.t_ns,
@@ -234,28 +234,28 @@ class HandSolver:
             blends_s=left_s,
             corner_noise=evidence.corner_noise,
             corners_measured=evidence.rotation is not None,
-            laid=laid,
+            from_patch=from_patch,
             base_seen_ns=before.base_seen_ns if seen.base is None else seen.t_ns,
             measured_ns=seen.t_ns if seen.measured_any else before.measured_ns,
             measured=measured,
-            sure=sure,
+            well_measured=well_measured,
             known_since_ns=since_ns,
             seen=seen,
             expected=expected if state is updated else None,
             lost_s=lost_s,
-            most_tips=max(before.most_tips, int(np.count_nonzero(sure)) if lost_s == 0.0 else 1),
+            most_tips=max(before.most_tips, int(np.count_nonzero(well_measured)) if lost_s == 0.0 else 1),
         )
 
     def _reinitialised_if_lost(
         self, before: HandTrack, state: HandState, seen: HandObservation, measured: int, dt_s: float
     ) -> tuple[HandState, float]:
-        """Return the state, or a better one when the tips have missed the model for too long, and for how long."""
-        # What so many tips have met at once is not overturned by fewer: a few leave a patch two ways round.
+        """Return the state, reinitialised if the tips have disagreed with the model for too long, and that duration."""
+        # Fewer tips than have agreed with the state do not reinitialise it: a few tips leave a patch ambiguous.
         if measured < before.most_tips:
             return state, before.lost_s
         if state.mean_residual_m < self._settings.lost_m:
             return state, 0.0
-        # The further they are off, the less there is to wait for: 150 mm are a palm taken up the wrong way round.
+        # A larger residual shortens the wait: 150 mm mean a palm that was initialised the wrong way round.
         haste = (state.mean_residual_m / self._settings.lost_m) ** 2
         lost_s = before.lost_s + dt_s * min(haste, self._settings.lost_haste)
         if lost_s < self._settings.lost_s:
@@ -263,15 +263,15 @@ class HandSolver:
         return self._reinitialised(state, seen), 0.0
 
     def _reinitialised(self, state: HandState, seen: HandObservation) -> HandState:
-        """Return the state, or one that explains the sample far better."""
-        # What was learned of the person on a hand that was taken up wrongly is wrong as well.
+        """Return a newly initialised state if it explains the sample far better, else the state."""
+        # Person parameters learned with a wrong palm are wrong as well, so they are not passed on.
         found = self._initialiser.find(seen)
         if found is None or self._initialiser.cost(*found) > 0.5 * self._initialiser.cost(state, found[1]):
             return state
         return found[0]
 
     def smoothed(self, tracks: Sequence[HandTrack]) -> list[HandSolution]:
-        """Return the hand at each of a row of samples, in order of time, as all of them together show it."""
+        """Return the hand at each of these samples, in order of time, smoothed over all of them."""
         states = smoothed_states(self._filter, tracks)
         solutions = []
         for track, state in zip(tracks, states, strict=True):
@@ -294,7 +294,7 @@ class HandSolver:
         return HandSolution(T, track.shown, positions, orientations, residual, track.measured, palm_measured)
 
     def _angles(self, state: HandState, seen: HandObservation, shown: FloatArray) -> FloatArray:
-        """Return the angles (5, 4) of the fingers; of those not measured as the whole hand's estimate has them."""
+        """Return the angles (5, 4) of the fingers, radians; those not measured are the filter's."""
         estimated = state.angles.reshape(5, 4)
         if self.config.solver == "filter":
             return estimated
@@ -302,7 +302,7 @@ class HandSolver:
         if not measured.any():
             return estimated
         resting = self._geometry.marker_points(estimated)
-        local = self._filter.in_model((seen.tips - state.p) @ state.R, state.longer)
+        local = self._filter.scaled_to_model((seen.tips - state.p) @ state.R, state.longer)
         local = np.where(measured[:, None], local, resting)
         if self.config.solver == "fabrik":
             solved, _ = self._fabrik.solve(local, shown, self.config.tolerance_m, self.config.max_iterations)
@@ -311,8 +311,8 @@ class HandSolver:
         return np.where(measured[:, None], solved, estimated)
 
 
-def _known_to(seen: HandObservation, sigma_m: float) -> BoolArray:
-    """Tell which tips (5,) are known to so much in all directions together."""
+def _known_within(seen: HandObservation, sigma_m: float) -> BoolArray:
+    """Return which tips (5,) have a covariance whose trace is below `sigma_m` squared."""
     if seen.tip_covariances is None:
         return np.ones(5, dtype=np.bool_)
     known: BoolArray = np.trace(seen.tip_covariances, axis1=1, axis2=2) < sigma_m**2

@@ -88,17 +88,17 @@ class HandStage:
         """Return the `HandPose` of each hand that the points show, with its key."""
         return self._outputs(points, self._solve(points))
 
-    def look_back(self, points: PointSet) -> list[tuple[PointSet, list[Output]]]:
-        """Take points like `feed`, and return the hands of earlier ones that later ones do not change any more.
+    def feed_smoothed(self, points: PointSet) -> list[tuple[PointSet, list[Output]]]:
+        """Process points like `feed`, and return the earlier points whose smoothed hands are final, with these hands.
 
-        Points come back in their order, each with its hands as the points before and after it show them; what is
-        still missing comes from `finish`.
+        Points are returned in order, each with its hands smoothed over the points before and after it; `finish`
+        returns the rest.
         """
         tracks = {side: track for side in self._solve(points) if (track := self._solvers[side].track) is not None}
         return [(settled, self._outputs(settled, found)) for settled, found in self._block_smoother.add(points, tracks)]
 
     def finish(self) -> list[tuple[PointSet, list[Output]]]:
-        """Return what `look_back` still holds, at the end of a recording."""
+        """Return the points that `feed_smoothed` has not returned yet, with their hands; call it at the end."""
         return [(settled, self._outputs(settled, found)) for settled, found in self._block_smoother.finish()]
 
     def _outputs(self, points: PointSet, found: Mapping[Side, HandSolution]) -> list[Output]:

@@ -50,7 +50,7 @@ class FootTrackSettings:
         regain_s, catch_up_m, catch_up_m_s: trust in a foot that is found again comes back over so long, and no faster
             than the foot moves there.
         jump_rad, jump_rad_s: rotation from one sample to the next, plus so much per second, that is no jump.
-        sure, trusted: trust from which a foot is learned from, and counts as measured.
+        learning_trust, measured_trust: least trust at which a foot updates the lengths, and counts as measured.
         guessed_ns: a foot that was only guessed for so long is not known: its knee is 170 mm off from then on.
         levelling_s: time in which an unseen foot becomes level.
         rate_s: over which a foot's angular rate is averaged.
@@ -70,8 +70,8 @@ class FootTrackSettings:
     catch_up_m_s: float = 6.0
     jump_rad: float = 0.35
     jump_rad_s: float = 15.0
-    sure: float = 0.9
-    trusted: float = 0.5
+    learning_trust: float = 0.9
+    measured_trust: float = 0.5
     guessed_ns: int = 200_000_000
     levelling_s: float = 0.3
     rate_s: float = 0.04
@@ -184,7 +184,7 @@ class FootTrack:
             self._sample is not None
             and self._sample.stands
             and self._last is not None
-            and self._last.trust > SETTINGS.sure
+            and self._last.trust > SETTINGS.learning_trust
         )
 
     def at(self, t_ns: int, hip_motion: HipMotion | None, higher_m: float = 0.0) -> Ankle | None:
@@ -215,7 +215,7 @@ class FootTrack:
             velocity = velocity + trust * (sample.velocity - velocity)
             self._update_usual(ankle, hip_motion, elapsed_s)
         self._last, self._velocity, self._t_ns = ankle, velocity, t_ns
-        if ankle.trust >= SETTINGS.trusted:
+        if ankle.trust >= SETTINGS.measured_trust:
             self._trusted_ns = t_ns
         return ankle
 
@@ -239,7 +239,7 @@ class FootTrack:
         return rotation_from_vector(share * rotation_between(R, R_rig_hips)) @ R
 
     def _update_usual(self, ankle: Ankle, hip_motion: HipMotion, elapsed_s: float) -> None:
-        if ankle.trust < SETTINGS.sure:
+        if ankle.trust < SETTINGS.learning_trust:
             return
         hips = hip_motion.T_rig_hips
         position = hips[:3, :3].T @ (ankle.T_rig_ankle[:3, 3] - hips[:3, 3])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from rhot.geometry.rotations import rotation_from_vector, shortest_rotation
-from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation, mean_residual_m, rows_of
+from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation, mean_residual_m, measurement_rows
 from rhot_ik.hand.filter.settings import HandSettings
 
 
@@ -55,7 +55,7 @@ def test_how_far_a_ray_reaches_is_no_residual() -> None:
     seen = HandObservation(
         10**18, np.zeros(3), True, None, tips, np.ones(5, dtype=np.bool_), np.eye(3) * 1e-6, covariances
     )
-    rows = rows_of(EvidenceModel(None, HandSettings()).assess(seen, None))
+    rows = measurement_rows(EvidenceModel(None, HandSettings()).assess(seen, None))
     assert rows is not None
     missed = np.zeros((5, 3))
     missed[0] = 0.06 * ray

@@ -63,7 +63,7 @@ class HandRecord:
         of_paint = seen, sightings.area_px, sightings.border
         self._frames.append(Frame(sightings.t_s, sightings.camera, views, nothing, [], *of_paint))
 
-    def took(self, views: Views, innovation: Innovation, camera_variance: float) -> None:
+    def add_innovation(self, views: Views, innovation: Innovation, camera_variance: float) -> None:
         """Store the gate's results of the newest frame; `camera_variance` is the pixel noise included in `views`."""
         frame = self._frames[-1]
         rows = np.searchsorted(frame.views.index, views.index)
@@ -72,12 +72,14 @@ class HandRecord:
         # The pixel noise is replaced by its final estimate later; the variances of paint and time stamps stay.
         frame.views.variance[rows] = views.variance - camera_variance * ROUND
 
-    def ended(self, t_s: float, marker: int) -> None:
+    def add_removal(self, t_s: float, marker: int) -> None:
         """Record that a marker was removed after the newest frame."""
         if self._frames:
             self._frames[-1].events.append(Event(t_s, marker, None))
 
-    def began(self, t_s: float, marker: int, initial: InitialState, cameras: Iterable[int], *, goes_on: bool) -> None:
+    def add_start(
+        self, t_s: float, marker: int, initial: InitialState, cameras: Iterable[int], *, continues: bool
+    ) -> None:
         """Record that a marker was initialised at the newest frame, from the newest views of some cameras."""
         first = self._frames[-1]
         sought = set(cameras)
@@ -89,7 +91,7 @@ class HandRecord:
                 first = frame
             if not sought:
                 break
-        self._frames[-1].events.append(Event(t_s, marker, initial, first, goes_on))
+        self._frames[-1].events.append(Event(t_s, marker, initial, first, continues))
 
     def smoothed(self, variance_of: Callable[[int], float], settings: FilterSettings, correct: Correct) -> list[Node]:
         """Return the smoothed nodes of all frames in order of time; `variance_of` gives the pixel noise by camera."""

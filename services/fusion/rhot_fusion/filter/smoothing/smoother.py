@@ -40,14 +40,14 @@ class Event:
         marker: index among the hand's markers.
         initial: initial state; None = removal.
         first: frame of the first view that it is based on; None = the frame that the event follows.
-        goes_on: whether the marker was tracked and can have moved to the new position.
+        continues: whether the marker was tracked and can have moved to the new position.
     """
 
     t_s: float
     marker: int
     initial: InitialState | None
     first: Frame | None = None
-    goes_on: bool = False
+    continues: bool = False
 
 
 @dataclass(slots=True)
@@ -150,12 +150,12 @@ def _forward(
     for number, (frame, own, scale) in enumerate(zip(frames, variance, scale2, strict=True)):
         new = np.zeros(count, dtype=bool)
         for event in begins.get(number, ()):
-            if not (event.goes_on and hand.state.alive[event.marker]):
+            if not (event.continues and hand.state.alive[event.marker]):
                 _begin(hand, event, frame.t_s, settings)
                 new[event.marker] = True
         alive = hand.state.alive[frame.views.index] & frame.taken
         # Markers with a large covariance are not inflated further: an outlier would make the path diverge.
-        certain = np.where(hand.state.spread_m2[frame.views.index] <= loose_m2, settings.track.far, np.inf)
+        certain = np.where(hand.state.spread_m2[frame.views.index] <= loose_m2, settings.track.inflation_gate, np.inf)
         views = replace(frame.views, variance=own, certain=certain)
         if not alive.all():
             views = views.chosen(alive)
@@ -286,7 +286,7 @@ def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
 def _extend(frames: Sequence[Frame], nodes: list[Node], settings: FilterSettings) -> None:
     """Extrapolate markers backwards from their initialisation to earlier views that agree."""
     for number, events in _begins(frames).items():
-        for marker in {event.marker for event in events if not event.goes_on}:
+        for marker in {event.marker for event in events if not event.continues}:
             first = nodes[number]
             for before in range(number - 1, -1, -1):
                 node, earlier = nodes[before], frames[before]

@@ -125,8 +125,8 @@ class Rows:
     noise: FloatArray
 
 
-def rows_of(evidence: Evidence) -> Rows | None:
-    """Return evidence as rows of measurement; none when there is nothing."""
+def measurement_rows(evidence: Evidence) -> Rows | None:
+    """Return evidence as rows of measurement; None when nothing was seen."""
     points = np.concatenate([evidence.tips, evidence.base[None]])
     seen = np.empty(7, dtype=np.bool_)
     seen[:6], seen[6] = np.isfinite(points).all(axis=1), evidence.rotation is not None

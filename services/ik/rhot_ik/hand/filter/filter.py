@@ -26,7 +26,7 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.covariances import inverse_covariance, squared_distance, squared_distances
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
 from rhot_ik.hand.contact import Shape
-from rhot_ik.hand.filter.evidence import Evidence, Rows, mean_residual_m, rows_of
+from rhot_ik.hand.filter.evidence import Evidence, Rows, mean_residual_m, measurement_rows
 from rhot_ik.hand.filter.hidden_tips import ContactOfHiddenTips
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.filter.limits import within_limits
@@ -109,7 +109,7 @@ class HandFilter(HandProcess):
             steps: the most.
             shapes: things that hidden fingers may have met, rig frame.
         """
-        rows = rows_of(evidence)
+        rows = measurement_rows(evidence)
         if rows is None:
             return dataclasses.replace(prior, prior_covariance=prior.P)
         P, given, dx = prior.P, rows.noise, np.zeros(SIZE)
@@ -157,7 +157,7 @@ class HandFilter(HandProcess):
         posterior[PERSON, PERSON] = kept * prior.P[PERSON, PERSON] + (1.0 - kept) * posterior[PERSON, PERSON]
         return dataclasses.replace(
             at,
-            angles=self.legal(at.angles),
+            angles=self.clamp(at.angles),
             P=0.5 * (posterior + posterior.T),
             prior_covariance=P,
             mean_residual_m=mean_residual_m(rows, (innovation - H @ dx)[:15].reshape(5, 3), self.settings.miss_m),
@@ -196,8 +196,8 @@ class HandFilter(HandProcess):
             prior.stationary_share,
         )
 
-    def legal(self, angles: FloatArray) -> FloatArray:
-        """Return angles (20,) brought inside the limits."""
+    def clamp(self, angles: FloatArray) -> FloatArray:
+        """Return angles (20,), radians, clamped to the limits."""
         inside: FloatArray = np.minimum(np.maximum(angles, self._low), self._high)
         return inside
 
@@ -206,8 +206,8 @@ class HandFilter(HandProcess):
         off = (rows.points[:5] - prior.p) @ prior.R - expected
         return bool((np.abs(off) * rows.seen[:5, None]).max() > self.settings.far_m)
 
-    def in_model(self, local: FloatArray, longer: FloatArray) -> FloatArray:
-        """Return points (5, 3) of the wrist frame as fingers of the model's lengths would meet them."""
+    def scaled_to_model(self, local: FloatArray, longer: FloatArray) -> FloatArray:
+        """Return points (5, 3), wrist frame, metres, scaled about the knuckles to fingers of the model's lengths."""
         knuckles = self._model.knuckles
         scaled: FloatArray = knuckles + (local - knuckles) / (1.0 + longer)[:, None]
         return scaled
@@ -215,7 +215,7 @@ class HandFilter(HandProcess):
     def _closed_form(self, prior: HandState, rows: Rows) -> FloatArray:
         """Return the angles (20,) to linearise about: where the seen tips put their fingers under the expected palm."""
         seen = rows.seen[:5, None]
-        local = np.where(seen, self.in_model((rows.points[:5] - prior.p) @ prior.R, prior.longer), self._resting)
+        local = np.where(seen, self.scaled_to_model((rows.points[:5] - prior.p) @ prior.R, prior.longer), self._resting)
         angles: FloatArray = np.where(seen, self._fingers.solve(local).angles, prior.angles.reshape(5, 4))
         return angles.reshape(COUNT)
 

@@ -55,9 +55,9 @@ class HandInitialiser:
         direction = seen.tips[visible].mean(axis=0) - seen.base
         if direction @ direction < 1e-6:
             return None
-        laid = self._on_patch(seen, seen.base, visible, person)
-        if laid:
-            _, best, evidence = min(laid, key=lambda item: item[0])
+        by_patch = self._on_patch(seen, seen.base, visible, person)
+        if by_patch:
+            _, best, evidence = min(by_patch, key=lambda item: item[0])
             return best, evidence
         points = self._evidence.assess(seen, None)
         tried = []

@@ -27,7 +27,7 @@ its variance: exactly 1 + c² − c·φ(c)/Q(c), which is 0.475, 0.254 and 0.150
 def within_limits(
     dx: FloatArray, P: FloatArray, angles: FloatArray, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the errors of a state (43,) with all angles legal, the others moved by what the limits say, and their P.
+    """Return the errors (43,) of a state constrained to the joint limits, and their covariance (43, 43).
 
     Args:
         dx: (43,) errors of a state, see `rhot_ik.hand.filter.process`.

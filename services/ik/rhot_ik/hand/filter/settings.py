@@ -54,7 +54,7 @@ class HandSettings:
         turn_outlier: a patch's rotation that many standard deviations off loses weight, with the fourth power of it. Of
             those 30 to 45° off what was expected half were wrong by over 15°, beyond that 61 % by over 30° (fast hands
             of `rhot evaluate motion`, 30 fps, develop seeds 0 to 29): cameras out of step, another order of corners.
-        miss_m: and one that no legal pose meets within this.
+        miss_m: and one that no pose within the limits meets within this.
         gap_s: after a silence this long nothing of the past is used.
         late_s: a sample that is older than the last one by less than this came out of order and is left out.
         lost_m, lost_s: when the seen tips miss the model by more than this on average for this long, the hand is

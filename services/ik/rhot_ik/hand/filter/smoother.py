@@ -68,7 +68,7 @@ def smoothed_states(hand_filter: HandFilter, steps: Sequence[Filtered]) -> list[
             F = hand_filter.derivative(state, dt_s)[MOTION, MOTION]
             error[MOTION] = _given_person(state.P) @ (F.T @ gain)
         moved = hand_filter.moved(state, error)
-        smoothed[k] = dataclasses.replace(moved, angles=hand_filter.legal(moved.angles))
+        smoothed[k] = dataclasses.replace(moved, angles=hand_filter.clamp(moved.angles))
     return smoothed
 
 

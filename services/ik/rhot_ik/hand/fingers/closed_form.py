@@ -84,13 +84,13 @@ class AnalyticFingers:
         flexion = np.arctan2(-y, -along) - np.arctan2(-curled_y, -curled_z)
         middle = 0.5 * (self._low[:, 0] + self._high[:, 0])
         flexion = middle + (flexion - middle + np.pi) % (2.0 * np.pi) - np.pi
-        legal = np.minimum(np.maximum(flexion, self._low[:, 0]), self._high[:, 0])
-        at_limit = legal != flexion
+        clamped = np.minimum(np.maximum(flexion, self._low[:, 0]), self._high[:, 0])
+        at_limit = clamped != flexion
         if at_limit.any():
-            legal, curl = self._at_limits(at_limit, legal, curl, y, along)
+            clamped, curl = self._at_limits(at_limit, clamped, curl, y, along)
             curled_y, curled_z = self._curled(curl)
-        cos, sin = np.cos(legal), np.sin(legal)
-        angles = np.stack([legal, abduction, curl, self._last_hinge(curl)], axis=-1)
+        cos, sin = np.cos(clamped), np.sin(clamped)
+        angles = np.stack([clamped, abduction, curl, self._last_hinge(curl)], axis=-1)
         miss = np.stack([-off, cos * curled_y + sin * curled_z - y, -sin * curled_y + cos * curled_z - along], axis=-1)
         return FingerPose(angles, miss)
 

@@ -24,7 +24,7 @@ _NEAREST_M = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Repaint:
+class PaintCorrection:
     """Recomputes the corrected views of one hand.
 
     Attributes:
@@ -69,10 +69,10 @@ class Repaint:
         if any(alive):
             hand_depths_m[frame.camera] = fmean(compress(away, alive))
         depths = [away[k] if alive[k] else hand_depths_m[frame.camera] for k in local]
-        sure = (state.alive & (state.spread_m2 <= self.loose_m**2))[views.index].tolist()
+        well_known = (state.alive & (state.spread_m2 <= self.loose_m**2))[views.index].tolist()
         markers, areas_px = [self.hand.markers[k] for k in local], frame.area_px.tolist()
         period_s = self.periods_s[frame.camera]
-        of_paint = areas_px, depths, period_s, sure, frame.border
+        of_paint = areas_px, depths, period_s, well_known, frame.border
         shift, doubt = self.paint.correct(frame.camera, markers, frame.t_s, *of_paint)
         if self.hand.base >= 0 and alive[self.hand.base]:
             roots = self.hand.roots(tips, alive)
