@@ -16,7 +16,7 @@ from rhot.report.tables import figures_table
 from rhot.rig import CamerasFile
 from rhot.text import as_argument
 from rhot_fusion.views.calibration_check import Tracks
-from rhot_fusion.views.calibration_verdict import AXES, CalibrationReport, PairReport, Turn
+from rhot_fusion.views.calibration_verdict import AXES, CalibrationReport, CameraRotation, PairReport
 
 _COLORS: Final = {"good": "green", "drifting": "yellow", "bumped": "red"}
 _DEPTH_NOTE: Final = (
@@ -67,8 +67,8 @@ def print_report(report: CalibrationReport, file: CamerasFile, seen: Seen, rig_p
             console.print(line)
     for name, number in report.skipped.items():
         console.print(f"{name}: only {number} common observations, not judged")
-    if report.moved and report.moved_turn is not None:
-        console.print(f"camera {report.moved} has moved: {_turn_text(report.moved_turn)}", style="bold")
+    if report.moved and report.moved_rotation is not None:
+        console.print(f"camera {report.moved} has moved: {_rotation_text(report.moved_rotation)}", style="bold")
     elif report.verdict != "good":
         console.print("Which camera moved cannot be told from these views.")
     console.print(_DEPTH_NOTE)
@@ -105,7 +105,7 @@ def _pairs_table(report: CalibrationReport) -> Table:
 def _pair_lines(pair: PairReport, seen: Seen) -> Iterator[str]:
     a, b, c = pair.line
     sd_a, sd_b, sd_c = pair.line_sd
-    yield f"{pair.first}-{pair.second}: {pair.second} against {pair.first} turned by {_turn_text(pair.turn)}"
+    yield f"{pair.first}-{pair.second}: {pair.second} against {pair.first} turned by {_rotation_text(pair.rotation)}"
     yield (
         f"  residual = {a:+.2f} ± {sd_a:.2f} px  {1e3 * b:+.2f} ± {1e3 * sd_b:.2f} px per 1000 px to the right  "
         f"{1e3 * c:+.2f} ± {1e3 * sd_c:.2f} px per 1000 px down; {pair.noise_px:.2f} px of noise"
@@ -117,26 +117,27 @@ def _pair_lines(pair: PairReport, seen: Seen) -> Iterator[str]:
         yield f"  {how} at {seen.moment(pair.change.t_s)}: {pair.change.step_px:.2f} px between before and after"
 
 
-def _turn_text(turn: Turn) -> str:
+def _rotation_text(rotation: CameraRotation) -> str:
     parts = []
-    for name, value, sd, observed in zip(AXES, turn.degrees, turn.sd_degrees, turn.observed, strict=True):
+    for name, value, sd, observed in zip(AXES, rotation.degrees, rotation.sd_degrees, rotation.observed, strict=True):
         parts.append(f"{name} {value:+.2f}° ± {sd:.2f}°" if observed else f"{name} not observable")
     return ", ".join(parts)
 
 
 def report_json(report: CalibrationReport, file: CamerasFile, seen: Seen) -> dict[str, Any]:
     """Return the report as plain values."""
+    moved = report.moved_rotation
     return {
         "verdict": report.verdict,
         "calibrated": file.date,
-        "moved": None if report.moved_turn is None else {"camera": report.moved, **_turn_json(report.moved_turn)},
+        "moved": None if moved is None else {"camera": report.moved, **_rotation_json(moved)},
         "pairs": {f"{pair.first}-{pair.second}": _pair_json(pair, seen) for pair in report.pairs},
         "skipped": dict(report.skipped),
     }
 
 
-def _turn_json(turn: Turn) -> dict[str, Any]:
-    rows = zip(AXES, turn.degrees.tolist(), turn.sd_degrees.tolist(), turn.observed, strict=True)
+def _rotation_json(rotation: CameraRotation) -> dict[str, Any]:
+    rows = zip(AXES, rotation.degrees.tolist(), rotation.sd_degrees.tolist(), rotation.observed, strict=True)
     return {"turn_deg": {name: {"value": value, "sd": sd, "observable": seen} for name, value, sd, seen in rows}}
 
 
@@ -156,7 +157,7 @@ def _pair_json(pair: PairReport, seen: Seen) -> dict[str, Any]:
             "values": dict(zip(("a_px", "b", "c"), pair.line.tolist(), strict=True)),
             "sd": dict(zip(("a_px", "b", "c"), pair.line_sd.tolist(), strict=True)),
         },
-        **_turn_json(pair.turn),
+        **_rotation_json(pair.rotation),
         "first_third_px": pair.thirds_px[0],
         "last_third_px": pair.thirds_px[1],
         "change": None

@@ -19,10 +19,10 @@ from rhot_fusion.views.calibration_check import Track, fit_linear, interpolate
 from rhot_fusion.views.calibration_verdict import CalibrationReport, judge_calibration
 from rhot_sim.rig.calibration import simulated_rig_calibration
 
-Turn = tuple[float, float, float]
+Angles = tuple[float, float, float]
 
 
-def turned(camera: CameraCalibration, degrees: Turn) -> CameraCalibration:
+def turned(camera: CameraCalibration, degrees: Angles) -> CameraCalibration:
     """Return a camera that was turned by pitch, yaw and roll about its own axes."""
     T = np.array(camera.T_rig_camera)
     T[:3, :3] = T[:3, :3] @ rotation_from_vector(np.radians(np.array(degrees)))
@@ -46,7 +46,7 @@ def judged(
     return judge_calibration(gatherer.tracks(), models, gatherer.periods_s(), quality)
 
 
-def check(count: int, who: str, degrees: Turn, seed: int = 1, duration_s: float = 3.0) -> CalibrationReport:
+def check(count: int, who: str, degrees: Angles, seed: int = 1, duration_s: float = 3.0) -> CalibrationReport:
     """Judge a simulated rig with a calibration's own errors after one camera was turned."""
     with tempfile.TemporaryDirectory() as folder:
         rig = make_rig(Path(folder), places={f"c{index}": 0.075 * index for index in range(count)})
@@ -77,25 +77,25 @@ def test_cameras_that_stood_still_are_good(seed: int) -> None:
         ((0.0, 0.5, 0.0), "good"),
     ],
 )
-def test_a_turn_of_one_of_two_cameras_is_measured(degrees: Turn, verdict: str) -> None:
+def test_a_rotation_of_one_of_two_cameras_is_measured(degrees: Angles, verdict: str) -> None:
     (pair,) = (report := check(2, "c1", degrees)).pairs
     assert (report.verdict, report.moved) == (verdict, "")
-    assert pair.turn.observed == (True, False, True)
+    assert pair.rotation.observed == (True, False, True)
     for axis in (0, 2):
-        assert pair.turn.degrees[axis] == pytest.approx(degrees[axis], abs=2.5 * pair.turn.sd_degrees[axis])
-    assert pair.turn.sd_degrees[0] < 0.05
-    assert pair.turn.sd_degrees[2] < 0.2
+        assert pair.rotation.degrees[axis] == pytest.approx(degrees[axis], abs=2.5 * pair.rotation.sd_degrees[axis])
+    assert pair.rotation.sd_degrees[0] < 0.05
+    assert pair.rotation.sd_degrees[2] < 0.2
 
 
 @pytest.mark.parametrize(
     ("who", "degrees"), [("c0", (0.2, 0.0, 0.0)), ("c1", (0.0, 0.2, 0.0)), ("c3", (0.0, 0.0, 0.6))]
 )
-def test_of_four_cameras_the_one_that_moved_is_named(who: str, degrees: Turn) -> None:
+def test_of_four_cameras_the_one_that_moved_is_named(who: str, degrees: Angles) -> None:
     report = check(4, who, degrees, duration_s=2.5)
     assert report.verdict == "bumped"
     assert report.moved == who
-    assert report.moved_turn is not None
-    np.testing.assert_allclose(report.moved_turn.degrees, degrees, atol=0.15)
+    assert report.moved_rotation is not None
+    np.testing.assert_allclose(report.moved_rotation.degrees, degrees, atol=0.15)
 
 
 def test_two_moved_cameras_of_four_are_not_one() -> None:

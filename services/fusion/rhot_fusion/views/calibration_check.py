@@ -1,14 +1,14 @@
 """Detect cameras that have moved since calibration, from pairs of views of the same markers.
 
-Camera j sees a marker at the direction y_j = (x, y, 1), camera i the same marker, interpolated to the same moment, at
-y_i. With the essential matrix E of the calibration the signed epipolar residual in camera j is the distance of y_j from
-the line n = E · y_i, and by symmetry it changes with small rotations of both cameras:
+Camera j observes a marker in direction y_j = (x, y, 1), camera i the same marker, interpolated to the same time, in
+direction y_i. With the essential matrix E of the calibration, the signed epipolar residual in camera j is the distance
+of y_j from the line n = E · y_i. It changes with small rotations of both cameras:
 
     r = n · y_j / |n_xy| ,     r ≈ −(y_j × n / |n_xy|) · ω_j − (y_i × Eᵀ y_j / |n_xy|) · ω_i
 
-where ω_k (rad) is how camera k has been turned, in its own axes: x pitch, y yaw, z roll. The most probable ω under a
-prior of a few degrees says what has moved; what the prior alone settles is not observable. Yaw of a camera beside
-another moves points along their epipolar lines: it changes depth and leaves no trace here.
+where ω_k (rad) is the rotation of camera k since the calibration, in its own axes: x pitch, y yaw, z roll. ω is
+estimated as the maximum a posteriori under a prior of a few degrees; a component that only the prior determines is not
+observable. Yaw of a camera beside the other moves points along their epipolar lines: it changes depth, but not r.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel, essential_matrix
 
 PRIOR_SD_RAD = np.radians(2.0)
-"""Cameras that are bumped turn by degrees at most."""
+"""Prior of the rotation: a bump turns a camera by a few degrees at most."""
 LEAST_OBSERVATIONS = 50
-"""Two seconds of one marker at 30 Hz, nearly; fewer say nothing about three angles. Chosen."""
+"""Minimum number of observations to estimate three angles: nearly two seconds of one marker at 30 Hz. Chosen."""
 _LONGEST_GAP = 2.0
-"""Observations further apart than this many periods are not interpolated between."""
+"""No interpolation between observations further apart than this many frame periods."""
 _LARGEST_BEND_PX = 0.3
-"""Where the track bends so much that a straight line between two frames errs by more, it is not used."""
+"""No linear interpolation where the track's curvature makes its error larger than this."""
 _BLOCK_S = 1.0
-"""Residuals within a block are taken as one for uncertainties: a marker's bias stays for many frames."""
+"""Residuals within a block count as one sample for standard deviations: a marker's bias persists for many frames."""
 _CHANGE_BLOCK_S = 0.25
-"""Resolution of the moment of a change."""
+"""Time resolution of a change."""
 _CHANGE_MARGIN = 8
-"""Blocks at either end within which no change is looked for."""
+"""Blocks at either end in which no change is sought."""
 _ROBUST_STEPS = 20
-"""Half of them with Huber's weights, half with Tukey's; the fit has settled long before."""
+"""Iterations, half with Huber's weights, half with Tukey's; the fit converges in far fewer."""
 _HUBER, _TUKEY = 1.345, 4.7
-"""Standard deviations at which the weights fall off: 95 % efficiency on normal noise (Holland and Welsch 1977)."""
+"""Tuning constants in standard deviations: 95 % efficiency on normal noise (Holland and Welsch 1977)."""
 _LEAST_SPREAD_PX = 0.1
-"""Noise of a marker's centre at best; a smaller spread would make outliers of good observations."""
+"""Lower bound of the noise of a marker's centre; with a smaller one, good observations would become outliers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One marker as one camera saw it.
+    """Observations of one marker by one camera.
 
     Attributes:
         t_s: (N,) increasing, seconds.
@@ -63,14 +63,14 @@ Tracks = Mapping[str, Mapping[str, Track]]
 
 @dataclass(frozen=True, slots=True)
 class PairResiduals:
-    """What two cameras say about each other.
+    """Epipolar residuals of a pair of cameras.
 
     Attributes:
-        first, second: names; the residual is measured in the second camera's picture.
-        t_s: (N,) moments, increasing.
+        first, second: names; the residual is measured in the second camera's image.
+        t_s: (N,) times, increasing.
         residual_px: (N,) signed distance from the epipolar line, pixels of the second camera.
-        xy: (N, 2) where in the second camera's picture, normalised.
-        J_first, J_second: (N, 3) derivative of the residual by how either camera was turned, px/rad.
+        xy: (N, 2) observations in the second camera, normalised image coordinates.
+        J_first, J_second: (N, 3) derivative of the residual with respect to either camera's rotation, px/rad.
         focal_px: of the second camera.
     """
 
@@ -89,7 +89,7 @@ class PairResiduals:
         return f"{self.first}-{self.second}"
 
     def derivative(self, camera: str) -> FloatArray | None:
-        """Return the derivative (N, 3) by how a camera was turned, None for a camera that is not of this pair."""
+        """Return the derivative (N, 3) with respect to a camera's rotation, None if the camera is not in this pair."""
         return {self.first: self.J_first, self.second: self.J_second}.get(camera)
 
 
@@ -100,9 +100,9 @@ class LinearFit:
     Attributes:
         values: (K,) parameters.
         sd: (K,) their standard deviations, from the scatter between blocks of time.
-        effect: (K,) pixels RMS that a parameter of 1 adds to the residuals and no other parameter can.
-        systematic_px: root mean square of what the model explains.
-        remaining_px: robust standard deviation of what it does not.
+        effect: (K,) RMS, pixels, of the part of the residuals that only this parameter can explain, per unit of it.
+        systematic_px: root mean square of the fitted model.
+        remaining_px: robust standard deviation of the remaining residuals.
         weight: (N,) 0 to 1; 0 = an outlier.
     """
 
@@ -117,7 +117,7 @@ class LinearFit:
 def pair_residuals(
     first: str, second: str, tracks: Tracks, cameras: Mapping[str, CameraModel], periods_s: Mapping[str, float]
 ) -> PairResiduals:
-    """Return the residuals of all markers that two cameras saw at about the same time.
+    """Return the residuals of all markers that two cameras observed at about the same time.
 
     Args:
         first, second: camera names.
@@ -156,13 +156,13 @@ def pair_residuals(
 
 
 def interpolate(track: Track, t_s: FloatArray, gap_s: float, bend: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return a track (N, 2) at moments (N,), on straight lines between its observations, and where that can be done.
+    """Return a track (N, 2) at times (N,) by linear interpolation, and which of them (N,) are valid.
 
     Args:
-        track: two observations or more.
-        t_s: moments.
-        gap_s: observations further apart are not joined.
-        bend: largest error of the straight line that the track's bend may tell of, normalised units.
+        track: none is valid with fewer than two observations.
+        t_s: times.
+        gap_s: no interpolation between observations further apart.
+        bend: largest permitted error of linear interpolation, estimated from second differences, normalised units.
     """
     if len(track.t_s) < 2:
         return np.full((len(t_s), 2), np.nan), np.zeros(len(t_s), dtype=bool)
@@ -172,7 +172,7 @@ def interpolate(track: Track, t_s: FloatArray, gap_s: float, bend: float) -> tup
     share = (t_s - track.t_s[left]) / interval
     xy = track.xy[left] + share[:, None] * (track.xy[right] - track.xy[left])
     inside = (share >= 0.0) & (share <= 1.0)
-    # On an observation nothing is interpolated, whatever lies beside it.
+    # At the time of an observation its neighbours do not matter.
     exact = inside & (np.minimum(share, 1.0 - share) * interval < 1e-6)
     second = np.zeros(len(track.t_s))
     second[1:-1] = np.hypot(*(track.xy[2:] - 2.0 * track.xy[1:-1] + track.xy[:-2]).T) / 8.0
@@ -204,18 +204,18 @@ def fit_linear(J: FloatArray, residual_px: FloatArray, t_s: FloatArray, prior_sd
         else:
             weight = np.square(np.maximum(1.0 - np.square(size / _TUKEY), 0.0))
     remaining = residual_px - J @ values
-    # A small change of the fit moves the biweight's sum by its derivative, not by the weight itself.
+    # The information of the biweight is the derivative of its influence function, not its weight.
     inside = np.square(np.minimum(np.abs(remaining) / (_TUKEY * spread), 1.0))
     slope = max(float(np.mean((1.0 - inside) * (1.0 - 5.0 * inside))), 0.1) / float(weight.mean())
     information = slope * (J * weight[:, None]).T @ J / spread**2 + prior
     covariance = np.linalg.inv(information)
-    # Sandwich: the gradient's scatter from block to block instead of from residual to residual.
+    # Sandwich estimator: scatter of the gradient between blocks, because residuals within a block are correlated.
     blocks = np.floor((t_s - t_s[0]) / _BLOCK_S).astype(np.intp)
     score = np.zeros((int(blocks[-1]) + 1, J.shape[1]))
     np.add.at(score, blocks, J * (weight * remaining)[:, None] / spread**2)
     scatter = covariance @ (score.T @ score) @ covariance
     variance = np.diag(scatter) + np.diag(covariance @ prior @ covariance)
-    # Of few blocks the scatter says little: never less than if all residuals were on their own.
+    # The scatter of few blocks is unreliable: the variance is never below that of independent residuals.
     sd = np.sqrt(np.maximum(variance, np.diag(covariance)))
     alone = np.diag(np.linalg.pinv((J * weight[:, None]).T @ J / weight.sum(), hermitian=True))
     return LinearFit(
@@ -230,12 +230,12 @@ def fit_linear(J: FloatArray, residual_px: FloatArray, t_s: FloatArray, prior_sd
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """How the residuals changed within the data.
+    """The largest change of the residuals within the data.
 
     Attributes:
-        t_s: the moment that parts before and after best.
-        step_px: root mean square of the difference between before and after, over all of the picture's observations.
-        sudden: whether a step explains the data better than a steady drift of the same residuals.
+        t_s: time of the best split.
+        step_px: root mean square, over all observations, of the difference between the fits before and after.
+        sudden: whether a step fits the residuals better than a linear drift.
     """
 
     t_s: float
@@ -244,17 +244,17 @@ class Change:
 
 
 def find_change(J: FloatArray, residual_px: FloatArray, t_s: FloatArray, fit: LinearFit) -> Change | None:
-    """Return the moment at which a constant fit is best split in two; None for less than six seconds.
+    """Return the best split of the data into two constant fits; None for less than six seconds.
 
     Args:
         J, residual_px, t_s: as for `fit_linear`.
-        fit: the fit over all of it, for scale and weights.
+        fit: of all the data; gives the noise.
     """
     blocks = np.floor((t_s - t_s[0]) / _CHANGE_BLOCK_S).astype(np.intp)
     count = int(blocks[-1]) + 1
     if count < 3 * _CHANGE_MARGIN:
         return None
-    # A step doubles the tails of a common fit: only what is far off from both halves is an outlier.
+    # With a step, good residuals are far from the common fit; outliers are therefore sought within each block.
     weight = _weights_about_blocks(residual_px, blocks, count, fit.remaining_px)
     columns = J.shape[1]
     normal, moment, square = np.zeros((count, columns, columns)), np.zeros((count, columns)), np.zeros(count)
@@ -288,7 +288,7 @@ def find_change(J: FloatArray, residual_px: FloatArray, t_s: FloatArray, fit: Li
 
 
 def _weights_about_blocks(residual_px: FloatArray, blocks: NDArray[np.intp], count: int, spread: float) -> FloatArray:
-    """Return weights (N,), 0 or 1: which residuals lie near the median of their own block of time."""
+    """Return weights (N,): 1 for residuals near the median of their block of time, otherwise 0."""
     weight = np.zeros(len(residual_px))
     for block in range(count):
         chosen = blocks == block

@@ -1,4 +1,4 @@
-"""From the residuals of all pairs of cameras to a verdict: does the calibration still hold?"""
+"""Judge from the residuals of all pairs of cameras whether the calibration is still valid."""
 
 from __future__ import annotations
 
@@ -30,29 +30,31 @@ Verdict = Literal["good", "drifting", "bumped"]
 AXES = ("pitch", "yaw", "roll")
 _LENS_ERROR_PX = 0.1
 _LENS_SHARE = 1.0 / 3.0
-"""What a good calibration leaves in the residuals as a turn might, added to the uncertainty of every turn: so many
-pixels, or this share of the 95th percentile at the calibration."""
+"""Systematic residuals of a good calibration that resemble a rotation: this many pixels, or this share of the 95th
+percentile at the calibration. Added to the standard deviation of every rotation."""
 _OBSERVED_SD_RAD = np.radians(0.5)
-"""A turn counts as observed where its standard deviation is below."""
+"""A rotation is observable if its standard deviation is below this."""
 _SIGNIFICANT = 4.0
-"""Standard deviations from which what a fit explains is no chance: 1 in 16,000 of normal noise."""
+"""Standard deviations beyond which a fitted parameter is significant: 1 in 16,000 of normal noise."""
 _BUMPED_RAD, _DRIFTING_RAD = np.radians(0.3), np.radians(0.1)
-"""A turn by more, three standard deviations or more, counts as well, however few pixels it makes where the hand was."""
-_TURN_SIGMAS = 3.0
+"""Larger rotations count even if they cause few pixels where the hand was."""
+_ROTATION_SIGMAS = 3.0
+"""Standard deviations that such a rotation must exceed."""
 _NAMED_SHARE = 0.25
-"""One camera is named when its turn alone leaves less than this share of what the next best leaves, noise apart."""
+"""A camera is reported as moved if its rotation alone leaves less than this share of the residuals (squared, less
+noise) that the next best camera leaves."""
 _LINE_PRIOR = np.array([100.0, 0.2, 0.2])
-"""Standard deviations of offset (px) and slopes of the residuals' line: wide, they only keep the fit solvable."""
+"""Prior standard deviations of offset (px) and slopes of the line; wide, only to keep the fit solvable."""
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
-    """How a camera has turned since the calibration, in its own axes (x right, y down, z forward).
+class CameraRotation:
+    """Rotation of a camera since the calibration, in its own axes (x right, y down, z forward).
 
     Attributes:
         degrees: (3,) pitch, yaw, roll.
         sd_degrees: (3,) standard deviations.
-        observed: which of them the data tell, rather than the assumption that turns are small.
+        observed: which of them the data determine; the others are determined by the prior only.
     """
 
     degrees: FloatArray
@@ -62,21 +64,21 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class PairReport:
-    """What one pair of cameras says.
+    """Result of one pair of cameras.
 
     Attributes:
         first, second: names.
-        observations: how many residuals.
-        median_px, rms_px, p95_px: of the signed residual, its square, its size.
-        line: a (px), b, c of r = a + b·x + c·y, with x and y in pixels from the second camera's middle.
+        observations: number of residuals.
+        median_px, rms_px, p95_px: median of the signed residual, RMS, 95th percentile of the absolute residual.
+        line: a (px), b, c of r = a + b·x + c·y, with x and y in pixels from the second camera's principal point.
         line_sd: their standard deviations.
-        turn: of the second camera if the first stood still.
-        systematic_px: root mean square of what the turn or the line explains of the residuals; 0 = nothing for sure.
-        noise_px: robust standard deviation of what the turn does not explain.
-        calibrated_p95_px: epipolar error at the calibration, where recorded.
-        limit_px: for `systematic_px`.
+        rotation: of the second camera, assuming that the first did not move.
+        systematic_px: RMS of the part of the residuals that the rotation or the line explains; 0 if not significant.
+        noise_px: robust standard deviation of the residuals after fitting the rotation.
+        calibrated_p95_px: epipolar error at the calibration; None if not recorded.
+        limit_px: of `systematic_px`.
         thirds_px: median residual of the first and the last third of the time.
-        change: the moment of the largest change; None for less than six seconds.
+        change: the largest change; None for less than six seconds.
         verdict: of this pair.
     """
 
@@ -88,7 +90,7 @@ class PairReport:
     p95_px: float
     line: FloatArray
     line_sd: FloatArray
-    turn: Turn
+    rotation: CameraRotation
     systematic_px: float
     noise_px: float
     calibrated_p95_px: float | None
@@ -100,36 +102,36 @@ class PairReport:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationReport:
-    """The whole answer.
+    """Result of all pairs of cameras.
 
     Attributes:
-        pairs: those with enough in common.
-        skipped: names of pairs without, and how many observations they had.
+        pairs: those with enough common observations.
+        skipped: number of common observations of the other pairs, by name.
         verdict: the worst of all pairs.
-        moved: the camera that moved, where three or more cameras tell which; else empty.
-        moved_turn: its turn.
+        moved: the camera that moved, if it can be identified (three cameras or more); otherwise empty.
+        moved_rotation: its rotation.
     """
 
     pairs: tuple[PairReport, ...]
     skipped: Mapping[str, int]
     verdict: Verdict
     moved: str = ""
-    moved_turn: Turn | None = None
+    moved_rotation: CameraRotation | None = None
 
 
 def judge_calibration(
     tracks: Tracks, cameras: Mapping[str, CameraModel], periods_s: Mapping[str, float], quality: Any
 ) -> CalibrationReport:
-    """Judge a calibration by what its cameras see.
+    """Judge a calibration from its cameras' marker tracks.
 
     Args:
         tracks: marker tracks of each camera.
         cameras: the calibration.
-        periods_s: time between two frames of each camera.
-        quality: of `cameras.json`, for the epipolar errors at the calibration.
+        periods_s: frame period of each camera, seconds.
+        quality: `quality` of `cameras.json`, with the epipolar errors at the calibration.
 
     Raises:
-        CalibrationError: no two cameras saw enough of the same markers at the same time.
+        CalibrationError: no two cameras observed the same markers at the same time often enough.
     """
     residuals: list[PairResiduals] = []
     skipped: dict[str, int] = {}
@@ -143,14 +145,14 @@ def judge_calibration(
         most = max(skipped.values(), default=0)
         raise CalibrationError(
             f"no two cameras saw the same markers at the same time often enough ({most} times, {LEAST_OBSERVATIONS} "
-            "are the least); move the hand where at least two cameras see it, slowly, for ten seconds or more"
+            "needed); move the hand slowly for ten seconds or more where at least two cameras see it"
         )
     fits = [fit_linear(pair.J_second, pair.residual_px, pair.t_s, np.full(3, PRIOR_SD_RAD)) for pair in residuals]
     reports = tuple(_report(pair, fit, quality) for pair, fit in zip(residuals, fits, strict=True))
     verdict: Verdict = max((report.verdict for report in reports), key=("good", "drifting", "bumped").index)
     moved = "" if verdict == "good" else _moved(residuals, fits)
-    turn = _turn_of(moved, residuals, fits) if moved else None
-    return CalibrationReport(reports, skipped, verdict, moved, turn)
+    rotation = _rotation_of(moved, residuals, fits) if moved else None
+    return CalibrationReport(reports, skipped, verdict, moved, rotation)
 
 
 def _report(pair: PairResiduals, fit: LinearFit, quality: Any) -> PairReport:
@@ -163,12 +165,12 @@ def _report(pair: PairResiduals, fit: LinearFit, quality: Any) -> PairReport:
     early, late = pair.t_s <= pair.t_s[0] + third, pair.t_s >= pair.t_s[-1] - third
     systematic_px = max(one.systematic_px if _is_certain(one) else 0.0 for one in (fit, line))
     size_px = max(systematic_px, change.step_px if change is not None else 0.0)
-    turn = _turn(fit, calibrated)
-    turned_rad = np.radians(_certain_degrees(turn))
+    rotation = _rotation(fit, calibrated)
+    rotated_rad = np.radians(_certain_degrees(rotation))
     verdict: Verdict = "good"
-    if size_px > limit_px or turned_rad > _BUMPED_RAD:
+    if size_px > limit_px or rotated_rad > _BUMPED_RAD:
         verdict = "bumped"
-    elif size_px > 0.5 * limit_px or turned_rad > _DRIFTING_RAD:
+    elif size_px > 0.5 * limit_px or rotated_rad > _DRIFTING_RAD:
         verdict = "drifting"
     sizes = np.abs(pair.residual_px)
     return PairReport(
@@ -180,7 +182,7 @@ def _report(pair: PairResiduals, fit: LinearFit, quality: Any) -> PairReport:
         p95_px=float(np.percentile(sizes, 95)),
         line=line.values,
         line_sd=line.sd,
-        turn=turn,
+        rotation=rotation,
         systematic_px=systematic_px,
         noise_px=fit.remaining_px,
         calibrated_p95_px=calibrated,
@@ -195,22 +197,22 @@ def _is_certain(fit: LinearFit) -> bool:
     return bool((np.abs(fit.values) > _SIGNIFICANT * fit.sd).any())
 
 
-def _turn(fit: LinearFit, calibrated_p95_px: float | None) -> Turn:
+def _rotation(fit: LinearFit, calibrated_p95_px: float | None) -> CameraRotation:
     lens_px = max(_LENS_ERROR_PX, _LENS_SHARE * (calibrated_p95_px or 0.0))
     sd = np.hypot(fit.sd, lens_px / fit.effect)
     pitch, yaw, roll = (sd < _OBSERVED_SD_RAD).tolist()
-    return Turn(np.degrees(fit.values), np.degrees(sd), (pitch, yaw, roll))
+    return CameraRotation(np.degrees(fit.values), np.degrees(sd), (pitch, yaw, roll))
 
 
-def _certain_degrees(turn: Turn) -> float:
-    """Return the largest observed turn that its uncertainty cannot explain, degrees; 0 = none."""
-    sizes = np.abs(turn.degrees)
-    certain = np.array(turn.observed) & (sizes > _TURN_SIGMAS * turn.sd_degrees)
+def _certain_degrees(rotation: CameraRotation) -> float:
+    """Return the largest significant rotation about an observable axis, degrees; 0 = none."""
+    sizes = np.abs(rotation.degrees)
+    certain = np.array(rotation.observed) & (sizes > _ROTATION_SIGMAS * rotation.sd_degrees)
     return float(sizes[certain].max(initial=0.0))
 
 
 def _moved(residuals: Sequence[PairResiduals], fits: Sequence[LinearFit]) -> str:
-    """Return the camera whose turn alone explains the residuals of all pairs, empty when that cannot be told."""
+    """Return the camera whose rotation alone explains the residuals of all pairs; empty if it is ambiguous."""
     names = list(dict.fromkeys(name for pair in residuals for name in (pair.first, pair.second)))
     if len(names) < 3:
         return ""
@@ -218,8 +220,8 @@ def _moved(residuals: Sequence[PairResiduals], fits: Sequence[LinearFit]) -> str
     for name in names:
         information, moment, square = np.eye(3) / PRIOR_SD_RAD**2, np.zeros(3), 0.0
         for pair, fit in zip(residuals, fits, strict=True):
-            # Weights of the pair's own fit: a pair with a moved camera must not pass for a heap of outliers. What that
-            # fit leaves is noise, whoever moved.
+            # Weights of the pair's own fit, so that all views of a moved camera are not rejected as outliers. The
+            # residuals of that fit are noise, whichever camera moved.
             noise = pair.residual_px - pair.J_second @ fit.values
             square += float(fit.weight @ (np.square(pair.residual_px) - np.square(noise)))
             J = pair.derivative(name)
@@ -231,8 +233,8 @@ def _moved(residuals: Sequence[PairResiduals], fits: Sequence[LinearFit]) -> str
     return best if excess[best] < _NAMED_SHARE * excess[second] else ""
 
 
-def _turn_of(camera: str, residuals: Sequence[PairResiduals], fits: Sequence[LinearFit]) -> Turn:
-    """Return how a camera has turned by all pairs that it is in."""
+def _rotation_of(camera: str, residuals: Sequence[PairResiduals], fits: Sequence[LinearFit]) -> CameraRotation:
+    """Return a camera's rotation, from all its pairs."""
     J, r, t = [], [], []
     for pair, fit in zip(residuals, fits, strict=True):
         derivative = pair.derivative(camera)
@@ -243,4 +245,5 @@ def _turn_of(camera: str, residuals: Sequence[PairResiduals], fits: Sequence[Lin
             t.append(pair.t_s[used])
     order = np.argsort(np.concatenate(t), kind="stable")
     t_s = np.concatenate(t)[order]
-    return _turn(fit_linear(np.concatenate(J)[order], np.concatenate(r)[order], t_s, np.full(3, PRIOR_SD_RAD)), None)
+    fit = fit_linear(np.concatenate(J)[order], np.concatenate(r)[order], t_s, np.full(3, PRIOR_SD_RAD))
+    return _rotation(fit, None)

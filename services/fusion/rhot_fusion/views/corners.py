@@ -1,11 +1,10 @@
 """The four corners of a rectangular patch in space.
 
-Each camera lists them in cyclic order from a corner of its own choosing, so the pairing between two cameras is one of
-four shifts: the right one is the one whose corners agree in the reprojection error and whose sides have the patch's
-size. With any other one the rays miss each other by the size of the patch; the shift that fitted last is tried first.
+Each camera lists them in cyclic order from an arbitrary corner, so their correspondence between two cameras is one of
+four cyclic shifts. The right shift has a small reprojection error and sides of the patch's size; with any other, the
+rays miss each other by the size of the patch. The last valid shift is tried first.
 
-Plain numbers: numpy's form of `solve` took 71 µs of processor time where this takes 11, and fusion spends some 400 on a
-whole frame.
+Uses plain floats: `solve` took 71 µs of CPU time with numpy and takes 11 without; a frame of fusion takes some 400.
 """
 
 from __future__ import annotations
@@ -22,23 +21,23 @@ from rhot.rig import MarkerConfig
 from rhot_fusion.views.vectors import Vector, dot, vector
 
 _NEWEST_S = 0.05
-"""Corners that are older or younger than this belong to another pose of the hand."""
+"""Largest difference between the times of corners and of the point, seconds: beyond it the hand may have moved."""
 _SIDE_TOLERANCE = 0.35
-"""Sides may differ from the patch's by this share: paint has soft edges and depth is noisy."""
+"""Largest relative error of a side: paint has soft edges and depth is noisy."""
 _RESIDUAL_PX = 3.0
-"""Largest distance of a corner from its rays; wrongly paired ones are off by the size of the patch, 20 px or more."""
+"""Largest distance of a corner from its rays; wrong correspondences are off by the size of the patch, 20 px or more."""
 
 Corners = tuple[Position, Position, Position, Position]
 
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """A camera.
+    """Pose of a camera in the rig frame.
 
     Attributes:
-        center: metres, rig frame.
-        axis: direction in which it looks.
-        right, down: the x and y axes of its picture.
+        center: metres.
+        axis: its optical axis.
+        right, down: the x and y axes of its image.
     """
 
     center: Vector
@@ -48,12 +47,12 @@ class _View:
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _Observation:
     """Corners in one frame of one camera.
 
     Attributes:
-        t_s: time of the patch's own row.
-        rays: to each corner less the ray to the marker's centre, rig frame, at depth 1.
+        t_s: time at which the patch's image row was exposed.
+        rays: per corner, its ray at depth 1 minus the ray of the marker's centre, rig frame.
     """
 
     t_s: float
@@ -61,10 +60,10 @@ class _Seen:
 
 
 class PatchCorners:
-    """Keeps each camera's newest corners of each patch and triangulates them around the patch's point.
+    """Stores each camera's newest corners of each patch and triangulates them around the patch's point.
 
     Attributes:
-        names: the markers that are rectangles of known size.
+        names: markers that are rectangles of known size.
     """
 
     def __init__(self, markers: Mapping[str, MarkerConfig], cameras: Sequence[CameraModel]) -> None:
@@ -79,11 +78,11 @@ class PatchCorners:
             for camera in cameras
         ]
         self._focal_px = float(np.mean([camera.K[0, 0] for camera in cameras]))
-        self._seen: dict[tuple[str, int], _Seen] = {}
+        self._observed: dict[tuple[str, int], _Observation] = {}
         self._shift: dict[tuple[str, int, int], int] = {}
 
     def listed(self, camera: int, frame: MarkerFrame) -> dict[str, tuple[PixelPoint, ...]]:
-        """Return centre and corners, pixels, of the patches of a frame that lie inside the picture as a whole."""
+        """Return centre and corners, pixels, of the patches of a frame that are completely inside the image."""
         model = self._cameras[camera]
         listed: dict[str, tuple[PixelPoint, ...]] = {}
         for name in self.names:
@@ -95,25 +94,26 @@ class PatchCorners:
         return listed
 
     def observe(self, camera: int, name: str, t_s: float, xy: Sequence[Sequence[float]]) -> None:
-        """Keep a patch's centre and corners (5, 2), normalised coordinates, seen at t_s."""
+        """Store a patch's centre and corners (5, 2), normalised coordinates, observed at t_s."""
         (a, b, c), (d, e, f) = self._views[camera].right, self._views[camera].down
         (x0, y0), *corners = xy
         offsets = [(x - x0, y - y0) for x, y in corners]
-        self._seen[name, camera] = _Seen(t_s, [(x * a + y * d, x * b + y * e, x * c + y * f) for x, y in offsets])
+        rays = [(x * a + y * d, x * b + y * e, x * c + y * f) for x, y in offsets]
+        self._observed[name, camera] = _Observation(t_s, rays)
 
     def solve(self, name: str, cameras: Sequence[int], position: Vector, t_s: float) -> Corners | None:
-        """Return a patch's corners, metres, rig frame, in cyclic order, or None where the views do not agree on them.
+        """Return a patch's corners, metres, rig frame, in cyclic order, or None where no shift fits.
 
         Args:
             name: of the marker, one of `names`.
             cameras: which cameras see the patch at t_s.
-            position: the published point; the corners are placed around it.
-            t_s: the moment.
+            position: the published point, metres; the corners are centred on it.
+            t_s: its time.
         """
         views = [
             (camera, seen)
             for camera in cameras
-            if (seen := self._seen.get((name, camera))) is not None and abs(t_s - seen.t_s) <= _NEWEST_S
+            if (seen := self._observed.get((name, camera))) is not None and abs(t_s - seen.t_s) <= _NEWEST_S
         ]
         if len(views) < 2:
             return None
@@ -122,20 +122,20 @@ class PatchCorners:
         d, e = _rays(a, position, first_seen.rays), _rays(b, position, second_seen.rays)
         last = self._shift.get((name, first, second), 0)
         for shift in (last, (last + 1) % 4, (last + 2) % 4, (last + 3) % 4):
-            quad, gap = _meet(a.center, d, b.center, e[shift:] + e[:shift])
+            quad, gap = _intersect(a.center, d, b.center, e[shift:] + e[:shift])
             depth = max(abs(dot(quad[0], a.axis)), 1e-3)
             if 0.5 * gap / depth * self._focal_px <= _RESIDUAL_PX and self._fits(name, quad):
                 self._shift[name, first, second] = shift
-                return _around(quad, position)
+                return _centered(quad, position)
         return None
 
     def clear(self) -> None:
-        """Forget everything."""
-        self._seen.clear()
+        """Discard all observations."""
+        self._observed.clear()
         self._shift.clear()
 
     def _fits(self, name: str, quad: Sequence[Vector]) -> bool:
-        """Tell whether the sides of a quad have the patch's size, in either order."""
+        """Return whether the sides of a quad have the patch's size, in either order."""
         p, q, r, s = (math.dist(quad[corner - 1], quad[corner]) for corner in (1, 2, 3, 0))
         width, length = self._sizes[name]
         for u, v in ((width, length), (length, width)):
@@ -145,42 +145,42 @@ class PatchCorners:
 
 
 def _rays(view: _View, position: Vector, offsets: Sequence[Vector]) -> list[Vector]:
-    """Return the rays from a camera, at depth 1, that lie beside the one to a position by offsets."""
+    """Return a camera's ray to a position, at depth 1, plus each of the offsets."""
     x, y, z = position[0] - view.center[0], position[1] - view.center[1], position[2] - view.center[2]
     depth = max(dot((x, y, z), view.axis), 1e-3)
     x, y, z = x / depth, y / depth, z / depth
     return [(x + i, y + j, z + k) for i, j, k in offsets]
 
 
-def _meet(a: Vector, first: Sequence[Vector], b: Vector, second: Sequence[Vector]) -> tuple[list[Vector], float]:
-    """Return where rays from a and from b come nearest to each other, metres, and the largest distance there.
+def _intersect(a: Vector, first: Sequence[Vector], b: Vector, second: Sequence[Vector]) -> tuple[list[Vector], float]:
+    """Return the points nearest to pairs of rays from a and b, metres, and the largest distance between two rays.
 
-    The middle of the shortest line between two rays (Hartley and Sturm, "Triangulation", 1997, section 3.1) is as good
-    as a least-squares point for the shape of a patch, at a fraction of the cost.
+    Midpoint method (Hartley and Sturm, "Triangulation", 1997, section 3.1): for the shape of a patch as good as least
+    squares, at a fraction of the cost.
     """
     (ax, ay, az), (bx, by, bz) = a, b
     wx, wy, wz = bx - ax, by - ay, bz - az
-    met: list[Vector] = []
+    points: list[Vector] = []
     largest2 = 0.0
     for (dx, dy, dz), (ex, ey, ez) in zip(first, second, strict=True):
         dd, ee, de = dx * dx + dy * dy + dz * dz, ex * ex + ey * ey + ez * ez, dx * ex + dy * ey + dz * ez
         dw, ew = dx * wx + dy * wy + dz * wz, ex * wx + ey * wy + ez * wz
-        # Parallel rays meet nowhere; the point is thrown far away and no side fits.
+        # For parallel rays the bound puts the point far away, where no side fits.
         det = max(dd * ee - de * de, 1e-12)
         s, t = (dw * ee - ew * de) / det, (dw * de - ew * dd) / det
         px, py, pz = ax + s * dx, ay + s * dy, az + s * dz
         qx, qy, qz = bx + t * ex, by + t * ey, bz + t * ez
         largest2 = max(largest2, (px - qx) ** 2 + (py - qy) ** 2 + (pz - qz) ** 2)
-        met.append((0.5 * (px + qx), 0.5 * (py + qy), 0.5 * (pz + qz)))
-    return met, math.sqrt(largest2)
+        points.append((0.5 * (px + qx), 0.5 * (py + qy), 0.5 * (pz + qz)))
+    return points, math.sqrt(largest2)
 
 
-def _around(quad: Sequence[Vector], position: Vector) -> Corners:
-    """Return a quad moved so that its middle lies at a position."""
+def _centered(quad: Sequence[Vector], position: Vector) -> Corners:
+    """Return a quad translated so that its centroid is at a position."""
     a, b, c, d = quad
     x, y, z = (middle - 0.25 * (p + q + r + s) for middle, p, q, r, s in zip(position, a, b, c, d, strict=True))
-    return _moved(a, x, y, z), _moved(b, x, y, z), _moved(c, x, y, z), _moved(d, x, y, z)
+    return _translated(a, x, y, z), _translated(b, x, y, z), _translated(c, x, y, z), _translated(d, x, y, z)
 
 
-def _moved(corner: Vector, x: float, y: float, z: float) -> Vector:
+def _translated(corner: Vector, x: float, y: float, z: float) -> Vector:
     return corner[0] + x, corner[1] + y, corner[2] + z

@@ -1,14 +1,14 @@
-"""Online estimate of the epipolar error that a rig has accumulated since it was calibrated.
+"""Online estimate of a rig's systematic epipolar residuals since its calibration.
 
-Mounts give and cameras turn: the two views of one point then miss each other by some pixels that vary slowly over the
-picture. For each camera but the first, the signed distance of its observation from the epipolar line of the first
-camera's is modelled as
+When cameras rotate in their mounts, the epipolar residual of two views of a point becomes some pixels that vary slowly
+over the image. For each camera but the first, the signed distance of its observation from the epipolar line of the
+first camera's observation is modelled as
 
     r(x, y) = a + b·x + c·y        normalised coordinates,
 
-(an offset, and to first order a roll and a change of scale), by recursive least squares with slow forgetting, a prior
-of no error, Huber weights and a bound. Observations are corrected by it across the epipolar lines only; what is wrong
-along them cannot be told from depth.
+(an offset, and to first order a roll and a change of scale). The parameters are estimated by recursive least squares
+with slow exponential forgetting, a zero-mean prior, Huber weights and a bound. Observations are corrected across the
+epipolar lines only: an error along them cannot be distinguished from depth.
 """
 
 from __future__ import annotations
@@ -22,24 +22,25 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.camera import CameraModel, essential_matrix
 
 _MEMORY_S = 20.0
-"""Time constant of forgetting: mounts creep over minutes."""
+"""Time constant of the forgetting: mounts creep over minutes."""
 _PRIOR_OFFSET_PX = 8.0
-"""Standard deviation of a before anything is learnt. Chosen on the 2018 streams, whose rig had moved."""
+"""Prior standard deviation of a. Chosen on the 2018 streams, whose cameras had moved since the calibration."""
 _PRIOR_SLOPE = 0.03
-"""Standard deviation of b and c: about 1.7° of roll."""
+"""Prior standard deviation of b and c: about 1.7° of roll."""
 _FIRST_SPREAD_PX = 5.0
-"""Noise that is assumed before any was measured. Chosen on the 2018 streams."""
+"""Initial noise. Chosen on the 2018 streams."""
 _SMALLEST_SPREAD_PX = 0.1
-"""Noise of a marker's centre at best."""
+"""Lower bound of the noise of a marker's centre."""
 _WINDOW = 256
-"""Latest residuals kept for the figures."""
+"""Number of recent residuals kept for the statistics."""
 
 
 class EpipolarModel:
-    """Residual models of C cameras against the first, and the figures of what remains.
+    """Residual models of C cameras relative to the first, and statistics of the corrected residuals.
 
     Attributes:
-        spread_px: robust standard deviation of the corrected residual, pixels.
+        coefficients: (C, 3) a, b, c of each camera; 0 for the first.
+        spread_px: robust standard deviation of the corrected residuals, pixels.
     """
 
     def __init__(self, cameras: Sequence[CameraModel], limit_px: float) -> None:
@@ -47,10 +48,10 @@ class EpipolarModel:
         self._focal_px = float(np.mean([camera.K[0, 0] for camera in cameras]))
         self._limit = limit_px / self._focal_px
         self._t: FloatArray = np.stack([camera.to_camera(reference.center[None])[0] for camera in cameras])
-        # The line of (x, y, 1) in the first camera is E · (x, y, 1).
+        # The epipolar line of (x, y, 1) of the first camera is E · (x, y, 1).
         self._essential: FloatArray = np.stack([essential_matrix(reference, camera) for camera in cameras])
         prior = np.array([(_PRIOR_OFFSET_PX / self._focal_px) ** -2, _PRIOR_SLOPE**-2, _PRIOR_SLOPE**-2])
-        # In units of an observation's information, which is that of one pixel.
+        # In units of the information of an observation with a standard deviation of one pixel.
         self._prior: FloatArray = np.diag(prior) / self._focal_px**2
         self._information: FloatArray = np.zeros((len(cameras), 3, 3))
         self._moment: FloatArray = np.zeros((len(cameras), 3))
@@ -64,11 +65,11 @@ class EpipolarModel:
         self._limit = limit_px / self._focal_px
 
     def correct(self, xy: FloatArray) -> FloatArray:
-        """Return observations (C, M, 2) moved across their epipolar lines by the modelled error; NaN passes."""
+        """Return observations (C, M, 2) corrected across their epipolar lines by the model; NaN stays NaN."""
         return np.stack([self.correct_one(camera, views) for camera, views in enumerate(xy)])
 
     def correct_one(self, camera: int, xy: FloatArray) -> FloatArray:
-        """Return the observations (N, 2) of one camera moved across their epipolar lines; NaN passes."""
+        """Return the observations (N, 2) of one camera corrected across their epipolar lines; NaN stays NaN."""
         if camera == 0:
             return xy
         a, b, c = self.coefficients[camera]
@@ -82,7 +83,10 @@ class EpipolarModel:
         return corrected
 
     def residual(self, xy: FloatArray) -> FloatArray:
-        """Return the signed distance (C, M) of each observation from the first camera's epipolar line; row 0 is NaN."""
+        """Return the signed distances (C, M) of observations (C, M, 2) from their epipolar lines, normalised units.
+
+        The lines are those of the first camera's observations; row 0 is NaN.
+        """
         count = xy.shape[1]
         residual = np.full((len(xy), count), np.nan)
         first = np.ones((count, 3))
@@ -94,7 +98,10 @@ class EpipolarModel:
         return residual
 
     def learn(self, xy: FloatArray, accepted: BoolArray, interval_s: float) -> None:
-        """Take the uncorrected observations (C, M, 2) that were accepted (C, M) at one moment."""
+        """Update the models with the uncorrected observations (C, M, 2) that were accepted (C, M) at one time.
+
+        `interval_s` is the time since the last update.
+        """
         usable = accepted & accepted[0]
         if not usable[1:].any():
             return
@@ -123,26 +130,26 @@ class EpipolarModel:
     def _measure(self, error_px: FloatArray) -> None:
         self._recent[(self._place + np.arange(len(error_px))) % _WINDOW] = error_px
         self._place += len(error_px)
-        # The median of a handful of values is robust against one bad pair; 1.4826 makes it a standard deviation.
+        # The median is robust against single bad pairs; 1.4826 scales it to the standard deviation of normal noise.
         spread = 1.4826 * median(np.abs(error_px).tolist())
         gain = 0.2 if self._place < 60 else 0.02
         self.spread_px = max(_SMALLEST_SPREAD_PX, self.spread_px + gain * (spread - self.spread_px))
 
     @property
     def correction_px(self) -> float:
-        """Root mean square of what was learnt over recent observations, pixels, of the camera with most of it.
+        """RMS of the modelled residuals over recent observations, pixels, of the camera with the largest.
 
-        It is what the cameras have moved since their calibration, as far as epipolar lines can tell.
+        It measures how far the cameras have moved since their calibration, as far as epipolar lines can show it.
         """
         largest = 0.0
         for information, coefficients in zip(self._information, self.coefficients, strict=True):
             if information[0, 0] > 0.0:
-                # Its entries are weighted sums of the products of 1, x and y.
+                # The information matrix holds weighted sums of the products of 1, x and y.
                 largest = max(largest, float(coefficients @ information @ coefficients) / float(information[0, 0]))
         return float(np.sqrt(largest)) * self._focal_px
 
     @property
     def figures_px(self) -> tuple[float, float]:
-        """Mean and 95th percentile of the size of recent corrected residuals, pixels; 0 before any."""
+        """Mean and 95th percentile of the absolute recent corrected residuals, pixels; 0 if there are none."""
         sizes = np.abs(self._recent[np.isfinite(self._recent)])
         return (float(sizes.mean()), float(np.percentile(sizes, 95))) if len(sizes) else (0.0, 0.0)

@@ -1,4 +1,4 @@
-"""The marker views of one camera frame, as arrays."""
+"""Data types of the trackers: marker observations of one frame, and markers in space."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ Upper = tuple[float, float, float, float, float, float]
 """xx, xy, xz, yy, yz and zz of a covariance."""
 NOWHERE: Vector = (math.nan, math.nan, math.nan)
 NOTHING: Upper = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""The position of a marker that is absent, and its covariance."""
+"""Position and covariance of an absent marker."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """The markers in one frame.
+    """Marker observations in one frame.
 
     Attributes:
         camera: index of the camera.
         t_s: time of the frame: the median of its markers' times, seconds since the stream's start.
         index: (N,) markers, ascending.
-        times_s: (N,) when each was seen.
+        times_s: (N,) exposure time of each marker's image row, seconds since the stream's start.
         xy: (N, 2) normalised image coordinates, finite.
         area_px: (N,) visible painted area, square pixels.
-        border: (N, 3) of the nearest border of the picture: how far it is, and the way out (2,), normalised; none where
-            no marker is near to it.
+        border: (N, 3) distance of the nearest image border, normalised units, and its outward normal (2,); None if no
+            marker is near the border.
     """
 
     camera: int
@@ -48,34 +48,34 @@ class Sightings:
     border: FloatArray | None = None
 
     def at(self, xy: FloatArray) -> Sightings:
-        """Return the same markers at other normalised coordinates (N, 2)."""
+        """Return the observations with other normalised image coordinates (N, 2)."""
         return Sightings(self.camera, self.t_s, self.index, self.times_s, xy, self.area_px, self.border)
 
     def chosen(self, rows: BoolArray | IndexArray) -> Sightings:
-        """Return some of the markers: by (N,) booleans or by their rows."""
+        """Return some of the observations, selected by a mask (N,) or by rows."""
         border = None if self.border is None else self.border[rows]
         parts = self.index[rows], self.times_s[rows], self.xy[rows], self.area_px[rows]
         return Sightings(self.camera, self.t_s, *parts, border)
 
 
 def nearest_border(u: float, v: float, width: int, height: int) -> tuple[float, float, float]:
-    """Return how far the nearest border of a picture is from a pixel, pixels, and the way out over it (2,)."""
+    """Return the distance of the nearest image border from a pixel, pixels, and its outward normal (2,)."""
     return min((u + 0.5, -1.0, 0.0), (width - 0.5 - u, 1.0, 0.0), (v + 0.5, 0.0, -1.0), (height - 0.5 - v, 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The markers at one moment, in plain numbers.
+    """The markers in space at one time, as plain Python numbers.
 
     Attributes:
-        t_s: the moment, seconds since the stream's start.
+        t_s: the time, seconds since the stream's start.
         position: (M,) metres, rig frame; NaN = absent.
-        sigma_m: (M,) standard deviation of the position.
-        views: (M,) cameras behind it.
-        measured: (M,) backed by views of this moment that agree.
-        seen: (C, M) which cameras see the marker at this moment.
-        covariance: (M,) of the position, square metres; none where the method tells none.
-        state: (M,) of each marker; none where `measured` tells all.
+        sigma_m: (M,) standard deviation of the position, metres.
+        views: (M,) number of cameras that contribute.
+        measured: (M,) whether consistent views of this time support the position.
+        seen: (C, M) which cameras see the marker at this time.
+        covariance: (M,) of the position, square metres; None if the method has none.
+        state: (M,) of each marker; None if the method has no states besides `measured`.
     """
 
     t_s: float
@@ -89,22 +89,22 @@ class Outcome:
 
 
 class Tracker(Protocol):
-    """From sightings to points: the part of fusion in which its methods differ.
+    """Computes points from observations; each method of fusion is a tracker.
 
     Attributes:
-        epipolar: what was learnt of the cameras since they were calibrated.
+        epipolar: estimated epipolar residuals of the cameras.
     """
 
     epipolar: EpipolarModel
 
     def configure(self, config: FusionConfig) -> None:
-        """Change the settings, within the same method."""
+        """Change the settings; the method must be the same."""
         ...
 
     def advance(self, sightings: Sightings) -> Outcome | None:
-        """Take one frame in order of arrival; return the markers at the moment that it made possible, if any."""
+        """Process a frame, in order of arrival; return the markers at the next output time if it was reached."""
         ...
 
     def clear(self) -> None:
-        """Forget all markers; what was learnt of the cameras stays."""
+        """Discard all markers; the estimated epipolar residuals are kept."""
         ...

@@ -1,8 +1,8 @@
-"""Short histories of what each camera saw of each marker, and reading them at one common moment.
+"""Short histories of the observations per camera and marker, evaluated at a common time.
 
-Cameras are not in step and rows are not exposed together, so every observation has its own time. Between two
-observations a track is interpolated; after the newest one it is carried on for a bounded time along a line bent by its
-last three.
+Cameras are not synchronised and the rows of an image are not exposed together, so every observation has its own time.
+A track is interpolated linearly between two observations and extrapolated for a bounded time after the newest one, from
+its last three.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from rhot.arrays import BoolArray, FloatArray, IndexArray
 DEPTH = 4
 """Observations kept per camera and marker."""
 ROWS_SHARE = 0.5
-"""Markers in other rows than the frame's middle are carried on this much further, as a share of a period."""
+"""Additional extrapolation, as a share of a frame period: the rows of an image are exposed at different times."""
 LONGEST_GAP = 3.5
-"""Observations further apart than this many periods are not joined."""
+"""No interpolation between observations further apart than this many frame periods."""
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """All tracks at one moment.
+    """All tracks at one time.
 
     Attributes:
-        xy: (C, M, 2) normalised image coordinates; NaN where there is none.
-        valid: (C, M) where there is one.
+        xy: (C, M, 2) normalised image coordinates; NaN where not valid.
+        valid: (C, M) which tracks have a value.
     """
 
     xy: FloatArray
@@ -38,7 +38,7 @@ class Tracks:
     """Histories of C cameras and M markers; normalised image coordinates and seconds."""
 
     def __init__(self, cameras: int, markers: int) -> None:
-        # (C, DEPTH, M), the newest last: what is done for all markers at once lies together.
+        # (C, DEPTH, M), the newest last: operations over all markers then access contiguous memory.
         self._t: FloatArray = np.full((cameras, DEPTH, markers), -np.inf)
         self._xy: FloatArray = np.full((cameras, DEPTH, markers, 2), np.nan)
         self._linked: BoolArray = np.zeros((cameras, DEPTH, markers), dtype=bool)
@@ -58,8 +58,8 @@ class Tracks:
             markers: (K,) indices, ascending.
             t_s: (K,) times, later than the newest of their tracks.
             xy: (K, 2) normalised coordinates.
-            max_rate: fastest believable motion, normalised units per second; a faster step cuts the track, so that
-                no speed is taken and nothing interpolated across it.
+            max_rate: highest plausible image speed, normalised units per second. A faster step splits the track: it is
+                neither interpolated nor used for a velocity.
         """
         rows = slice(None) if len(markers) == len(self._marker) else markers
         past_t, past_xy, past_linked = self._t[camera], self._xy[camera], self._linked[camera]
@@ -73,28 +73,28 @@ class Tracks:
         past_linked[-1, rows] = step[:, 0] + step[:, 1] <= way * way
 
     def at(self, t_s: float, max_extrapolation_s: float, max_gap_s: float) -> Snapshot:
-        """Read all tracks at a moment.
+        """Return all tracks at a time.
 
         Args:
-            t_s: the moment.
+            t_s: the time.
             max_extrapolation_s: a track whose newest observation is older than this has no value.
-            max_gap_s: two observations further apart are neither interpolated between nor used for a speed.
+            max_gap_s: observations further apart are neither interpolated nor used for a velocity.
         """
         ahead = t_s - self._t[:, -1]
         with np.errstate(invalid="ignore", divide="ignore"):
-            carried = (ahead >= 0.0) & (ahead <= max_extrapolation_s)
-            xy = self._advanced(ahead, max_gap_s)
-            valid = carried
+            extrapolated = (ahead >= 0.0) & (ahead <= max_extrapolation_s)
+            xy = self._extrapolated(ahead, max_gap_s)
+            valid = extrapolated
             if (ahead < 0.0).any():
-                between_xy, between = self._between(t_s, max_gap_s)
+                between_xy, between = self._interpolated(t_s, max_gap_s)
                 xy = np.where(between[:, :, None], between_xy, xy)
-                valid = carried | between
+                valid = extrapolated | between
         if not valid.all():
             xy[~valid] = np.nan
         return Snapshot(xy, valid)
 
-    def _between(self, t_s: float, max_gap_s: float) -> tuple[FloatArray, BoolArray]:
-        """Return where tracks (C, M, 2) were between the two observations about a moment, and which (C, M) were."""
+    def _interpolated(self, t_s: float, max_gap_s: float) -> tuple[FloatArray, BoolArray]:
+        """Return tracks (C, M, 2) interpolated between the observations before and after t_s, and which are valid."""
         late = np.count_nonzero(self._t <= t_s, axis=1)
         known = (late > 0) & (late < DEPTH)
         late = np.minimum(np.maximum(late, 1), DEPTH - 1)
@@ -104,13 +104,13 @@ class Tracks:
         share = ((t_s - early_s) / gap)[:, :, None]
         return (1.0 - share) * self._xy[before] + share * self._xy[after], known
 
-    def _advanced(self, ahead_s: FloatArray, max_gap_s: float) -> FloatArray:
-        """Return where tracks (C, M, 2) are that much (C, M) after their newest observations.
+    def _extrapolated(self, ahead_s: FloatArray, max_gap_s: float) -> FloatArray:
+        """Return tracks (C, M, 2) extrapolated by (C, M) seconds after their newest observations.
 
-        Newton's form of the parabola through the last three observations with half its bend, a line or nothing where
-        the track was cut or has gaps. A line misses ½·a·t·(t + T) of an accelerating marker, and in one camera only,
-        which a short baseline turns into ten times as much depth; the whole parabola amplifies noise 2.5 times. Half
-        had the smallest error over slow and fast motion with cameras 7 ms out of step.
+        Uses Newton's form of the parabola through the last three observations, with half its quadratic term; after a
+        split or a gap, a line or a constant. A line errs by ½·a·t·(t + T) for a marker with acceleration a, in one
+        camera only, and a short baseline amplifies this tenfold in depth. The whole parabola amplifies noise 2.5 times.
+        Half had the smallest error over slow and fast motion with cameras 7 ms out of phase.
         """
         t, xy, linked = self._t, self._xy, self._linked
         interval = t[:, -2:] - t[:, -3:-1]
@@ -120,11 +120,11 @@ class Tracks:
         bend = (rate[:, 1] - rate[:, 0]) * (0.5 * ahead_s * (ahead_s + last) / (last + earlier))[:, :, None]
         way = rate[:, 1] * ahead_s[:, :, None]
         way += np.where((joined[:, 0] & joined[:, 1])[:, :, None], bend, 0.0)
-        advanced: FloatArray = xy[:, -1] + np.where(joined[:, 1, :, None], way, 0.0)
-        return advanced
+        extrapolated: FloatArray = xy[:, -1] + np.where(joined[:, 1, :, None], way, 0.0)
+        return extrapolated
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Discard all observations."""
         self._t.fill(-np.inf)
         self._xy.fill(np.nan)
         self._linked.fill(False)

@@ -1,8 +1,8 @@
 """Triangulation from any number of calibrated views, batched over markers.
 
-Linear start, then a Gauss–Newton step on the reprojection error in normalised image coordinates (Hartley and Zisserman,
-"Multiple View Geometry", 2nd ed., sections 12.2 and 12.3; the linear system here is the inhomogeneous one). The
-covariance is the inverse of Σ JᵀJ / σ² at the solution (section 5.2.3, forward from the Jacobian).
+The linear solution, refined by a Gauss–Newton step on the reprojection error in normalised image coordinates (Hartley
+and Zisserman, "Multiple View Geometry", 2nd ed., sections 12.2 and 12.3; inhomogeneous linear system). The covariance
+is the inverse of Σ JᵀJ / σ² at the solution (section 5.2.3).
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from rhot.geometry.camera import CameraModel
 _ITERATIONS = 1
 """Gauss–Newton steps from the linear solution; chosen."""
 _NEAREST_M = 0.02
-"""A point must lie this far in front of every camera that saw it."""
+"""Smallest valid depth of a point in every camera that sees it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Points from views.
+    """Triangulated points.
 
     Attributes:
         position: (N, 3) metres, rig frame; NaN = no solution.
         covariance: (N, 3, 3) square metres.
         residual: (N,) largest reprojection error over the views, normalised units; 0 for a single view.
-        in_front: (N,) whether the point lies in front of all cameras that saw it; false tells of swapped cameras.
+        in_front: (N,) whether the point is in front of all cameras that see it; often false if cameras are swapped.
     """
 
     position: FloatArray
@@ -41,11 +41,11 @@ class Solution:
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """What several cameras see of N points.
+    """Views of N points in C cameras.
 
     Attributes:
         xy: (C, N, 2) normalised image coordinates.
-        used: (C, N) which of them count; the others may be NaN.
+        used: (C, N) which of them to use; the others may be NaN.
     """
 
     xy: FloatArray
@@ -54,11 +54,11 @@ class Views:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Where points are believed to be before looking; it decides the depth of a point with a single view.
+    """Prior positions of points; determine the depth of points with a single view.
 
     Attributes:
-        position: (N, 3) metres, rig frame; NaN = nothing believed.
-        sigma_m: (N,) standard deviation along each axis.
+        position: (N, 3) metres, rig frame; NaN = no prior.
+        sigma_m: (N,) standard deviation along each axis, metres.
     """
 
     position: FloatArray
@@ -66,16 +66,16 @@ class Prior:
 
 
 class Geometry(Protocol):
-    """How views become points and back; lens calibration or the depth law.
+    """Triangulation and projection, by the cameras' calibration or by the depth law.
 
     Attributes:
-        uses: (C,) which cameras it can use.
+        uses: (C,) which cameras are used.
     """
 
     uses: BoolArray
 
     def solve(self, views: Views, prior: Prior, sigma: float) -> Solution:
-        """Return the points behind the views; sigma is the noise of a coordinate, normalised units."""
+        """Return the points of views; sigma is the standard deviation of a coordinate, normalised units."""
         ...
 
     def project(self, points: FloatArray) -> FloatArray:
@@ -84,7 +84,7 @@ class Geometry(Protocol):
 
 
 class Triangulation:
-    """Cameras of known pose and their points."""
+    """Triangulation by cameras of known pose."""
 
     def __init__(self, cameras: Sequence[CameraModel]) -> None:
         self._R: FloatArray = np.stack([camera.R_camera_rig for camera in cameras])
@@ -99,12 +99,12 @@ class Triangulation:
         return projected
 
     def solve(self, views: Views, prior: Prior, sigma: float) -> Solution:
-        """Triangulate; a point with a single view takes its depth from the prior.
+        """Triangulate; the depth of a point with a single view comes from the prior.
 
         Args:
-            views: N points seen by C cameras.
+            views: of N points in C cameras.
             prior: used for points with one view only.
-            sigma: standard deviation of a normalised coordinate.
+            sigma: standard deviation of a coordinate, normalised units.
         """
         used = views.used
         count = used.sum(axis=0)
@@ -131,8 +131,8 @@ class Triangulation:
     def _normal(self, jacobian: FloatArray, information: FloatArray, blank: FloatArray) -> FloatArray:
         """Return the normal matrices (N, 3, 3), never singular.
 
-        Rays that meet nowhere (parallel, or cameras in one place) leave a direction free; damping it by a billionth
-        keeps the step finite and moves no point that the views do fix.
+        Parallel rays and coincident cameras leave one direction undetermined. Damping by a billionth of the trace keeps
+        the step finite and does not shift points that the views determine.
         """
         normal = np.einsum("cnri,cnrj->nij", jacobian, jacobian)
         damping = 1e-9 * np.trace(normal, axis1=1, axis2=2) + 1e-15
@@ -140,11 +140,11 @@ class Triangulation:
         return damped
 
     def _linear(self, xy: FloatArray, weight: FloatArray, solvable: BoolArray) -> FloatArray:
-        """Least squares of (r₁ − x r₃)·X = x t₃ − t₁ and its twin in y, over all views."""
+        """Return the least squares solution (N, 3) of (r₁ − x r₃)·X = x t₃ − t₁, and the same in y, over all views."""
         rows = weight[:, :, None, None] * (self._R[:, None, :2] - xy[:, :, :, None] * self._R[:, None, 2:])
         right = weight[:, :, None] * (xy * self._t[:, None, 2:] - self._t[:, None, :2])
         normal = np.einsum("cnri,cnrj->nij", rows, rows)
-        # Views along one line leave the system singular; the ridge keeps it solvable and the gates refuse the result.
+        # Collinear rays make the system singular; the ridge keeps it solvable, and the gates reject the result.
         normal = normal + np.where(solvable, 1e-12, 1.0)[:, None, None] * np.eye(3)
         moment = np.einsum("cnri,cnr->ni", rows, right)
         solution: FloatArray = np.linalg.solve(normal, moment[:, :, None])[:, :, 0]
@@ -153,10 +153,10 @@ class Triangulation:
     def _linearise(
         self, position: FloatArray, xy: FloatArray, weight: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return errors (C, N, 2), their Jacobian by position (C, N, 2, 3) and depths (C, N)."""
+        """Return errors (C, N, 2), their Jacobians with respect to the position (C, N, 2, 3), and depths (C, N)."""
         local = np.einsum("cij,nj->cni", self._R, position) + self._t[:, None]
         depth = local[:, :, 2]
-        # A point on or behind the image plane has no useful derivative; it is refused by its depth in the end.
+        # A point on or behind the image plane has no useful derivative; `in_front` rejects it at the end.
         inverse = weight / np.where(np.abs(depth) > 1e-3, depth, 1e-3)
         projected = local[:, :, :2] * inverse[:, :, None]
         error = weight[:, :, None] * xy - projected

@@ -1,4 +1,4 @@
-"""Vector algebra on plain floats, for arrays that are too small for numpy to pay off."""
+"""Vector algebra on plain floats, for arrays too small for numpy to be faster."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Vector = tuple[float, float, float]
 
 
 def vector(values: NDArray[np.float64]) -> Vector:
-    """Return an array (3,) as numbers."""
+    """Return an array (3,) as a tuple."""
     x, y, z = values.tolist()
     return x, y, z
 
@@ -24,19 +24,19 @@ def dot(a: Vector, b: Vector) -> float:
 
 
 def across(a: Vector, unit: Vector) -> Vector:
-    """Return what of a vector is across a direction of length 1."""
+    """Return the component of a vector perpendicular to a unit vector."""
     along = dot(a, unit)
     return a[0] - along * unit[0], a[1] - along * unit[1], a[2] - along * unit[2]
 
 
 def unit(a: Vector) -> Vector:
-    """Return a vector of length 1 in the direction of another; of almost nothing, something shorter."""
+    """Return the unit vector in the direction of a; shorter if a is shorter than 1e-6."""
     scale = 1.0 / max(math.sqrt(dot(a, a)), 1e-6)
     return scale * a[0], scale * a[1], scale * a[2]
 
 
 def interpolated(x: float, known: Sequence[float], values: Sequence[float]) -> float:
-    """Return the value at x between those known at ascending places, beyond them that of the nearest: np.interp."""
+    """Return the linear interpolation at x of values at ascending `known`, constant beyond both ends: np.interp."""
     after = bisect_right(known, x)
     if after in (0, len(known)):
         return values[max(after - 1, 0)]
