@@ -1,4 +1,4 @@
-"""What fusion says of itself: what it refused and why, and that asking changes nothing."""
+"""Explanations of fusion and ik: rejected views with their distances; explaining changes nothing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rhot_sim.rig.calibration import simulated_rig_calibration
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
-    """Simulated, without colours: no picture is looked at here."""
+    """Simulated, without colours: no pictures are used."""
     folder = tmp_path_factory.mktemp("rig")
     (folder / "rig.toml").write_text(rig_template(folder="rig", name="test", source="simulated", seed=1))
     write_json_model(folder / "cameras.json", simulated_rig_calibration(load_rig(folder).config.cameras, 1).found)
@@ -37,7 +37,7 @@ def moved(frame: MarkerFrame, name: str, by_px: float) -> MarkerFrame:
     return frame.model_copy(update={"markers": {**frame.markers, name: marker}})
 
 
-def test_a_wrong_place_is_refused_with_its_distance(rig: Rig, frames: list[MarkerFrame]) -> None:
+def test_a_wrong_position_is_rejected_with_its_distance(rig: Rig, frames: list[MarkerFrame]) -> None:
     stage = FusionStage(rig)
     assert isinstance(stage, Explaining)
     for frame in frames[:-1]:
@@ -45,16 +45,16 @@ def test_a_wrong_place_is_refused_with_its_distance(rig: Rig, frames: list[Marke
     last = frames[-1]
     stage.feed(moved(last, "index", 40.0))
     rows = {row.cells[:2]: row for row in table(stage.explain(), "Gates").rows}
-    refused = rows[last.camera, "index"]
-    assert refused.verdict == "refused"
-    assert 30.0 < abs(float(refused.cells[2])) < 50.0
-    assert refused.cells[-1] == "refused"
+    rejected = rows[last.camera, "index"]
+    assert rejected.verdict == "rejected"
+    assert 30.0 < abs(float(rejected.cells[2])) < 50.0
+    assert rejected.cells[-1] == "rejected"
     others = [row for (_, name), row in rows.items() if name != "index"]
-    assert {row.verdict for row in others} == {"taken"}
+    assert {row.verdict for row in others} == {"accepted"}
     assert all(abs(float(row.cells[2])) < 5.0 * float(row.cells[3]) for row in others)
-    states = {row.cells[0]: row.cells for row in table(stage.explain(), "Filters").rows}
+    states = {row.cells[0]: row.cells for row in table(stage.explain(), "Filter").rows}
     assert states["thumb"][1] == "measured"
-    assert float(states["thumb"][4]) < 30.0, "seen, ms ago"
+    assert float(states["thumb"][4]) < 30.0, "last seen, ms ago"
 
 
 def test_a_marker_that_one_camera_sees_is_on_its_ray(rig: Rig, frames: list[MarkerFrame]) -> None:
@@ -62,13 +62,13 @@ def test_a_marker_that_one_camera_sees_is_on_its_ray(rig: Rig, frames: list[Mark
     for frame in frames:
         hidden = {name: marker for name, marker in frame.markers.items() if (name, frame.camera) != ("ring", "left")}
         stage.feed(frame.model_copy(update={"markers": hidden}))
-    states = {row.cells[0]: row for row in table(stage.explain(), "Filters").rows}
+    states = {row.cells[0]: row for row in table(stage.explain(), "Filter").rows}
     assert states["ring"].cells[1] == "one_view"
     assert states["ring"].cells[-1] == "right"
 
 
 @pytest.mark.parametrize("method", ["filter", "triangulate", "disparity"])
-def test_asking_changes_nothing(rig: Rig, frames: list[MarkerFrame], method: str) -> None:
+def test_explaining_changes_nothing(rig: Rig, frames: list[MarkerFrame], method: str) -> None:
     plain, asked = FusionStage(rig), FusionStage(rig)
     config = rig.config.fusion.model_copy(update={"method": method})
     for stage in (plain, asked):
@@ -80,7 +80,7 @@ def test_asking_changes_nothing(rig: Rig, frames: list[MarkerFrame], method: str
 
 def test_hand(rig: Rig, frames: list[MarkerFrame]) -> None:
     fusion, plain, asked = FusionStage(rig), HandStage(rig), HandStage(rig)
-    assert asked.explain()[0].rows[0].verdict == "refused"
+    assert asked.explain()[0].rows[0].verdict == "rejected"
     hand = None
     for frame in frames:
         for _, points in fusion.feed(frame):

@@ -1,6 +1,6 @@
-"""What a core knew at one moment and why it decided as it did, as tables for people.
+"""Tables of a stage's state at one time and of the reasons for its decisions.
 
-A stage (`rhot.stage`) may offer `explain`; `rhot explain` runs the stages over the seconds before a moment and asks.
+A stage (`rhot.stage`) may implement `explain`; `rhot explain` processes the seconds before a time and then calls it.
 """
 
 from rhot.explain.tables import Explaining, Explanation, ExplanationRow, Outline, PictureExplanation, Verdict

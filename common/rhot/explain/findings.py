@@ -1,4 +1,4 @@
-"""The first tables of an explanation: each marker in short, what the rig itself said then, its services."""
+"""The first tables of an explanation: summary of the markers, messages published by the rig, its services."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SAME_M = 0.001
 
 
 def in_short(rig: Rig, trace: Trace, pictures: Mapping[str, PictureExplanation]) -> Explanation:
-    """Return one row a marker: what each camera saw, the point, and what the hand made of it."""
+    """Return one row per marker: its detection in each camera, its point, and its finger or palm."""
     rows = []
     fresh = trace.points is not None and trace.t_ns - trace.points.t_ns <= _STALE_S * 1e9
     points = trace.points.points if trace.points is not None and fresh else {}
@@ -37,13 +37,13 @@ def in_short(rig: Rig, trace: Trace, pictures: Mapping[str, PictureExplanation])
             cells.append("no hand")
         elif finger:
             state = hand.fingers.get(finger, "")
-            cells.append(f"{finger} {state}" + ("" if miss is None else f", {1e3 * miss:.1f} mm off"))
+            cells.append(f"{finger} {state}" + ("" if miss is None else f", residual {1e3 * miss:.1f} mm"))
         else:
             cells.append(f"palm {hand.state}")
-        verdict: Verdict = "taken" if point is not None and point.state == "measured" else "refused"
+        verdict: Verdict = "accepted" if point is not None and point.state == "measured" else "rejected"
         rows.append(ExplanationRow(tuple(cells), verdict))
     columns = ("marker", *(f"camera {camera}" for camera in rig.cameras), "point", "hand")
-    return Explanation("In short", columns, tuple(rows))
+    return Explanation("Summary", columns, tuple(rows))
 
 
 def _seen(camera: str, name: str, trace: Trace, pictures: Mapping[str, PictureExplanation]) -> str:
@@ -57,15 +57,15 @@ def _seen(camera: str, name: str, trace: Trace, pictures: Mapping[str, PictureEx
         return f"seen at {marker.u:.1f}, {marker.v:.1f}, score {marker.score:.2f}{late}"
     if camera in pictures:
         reasons = [row.cells[-1] for row in pictures[camera].candidates.rows if row.cells[0] == name]
-        if reasons and reasons[0] != "taken":
+        if reasons and reasons[0] != "accepted":
             return f"not seen{late}: {reasons[0]}"
     return f"not seen{late}"
 
 
 def published_then(moment: Moment, trace: Trace) -> list[Explanation]:
-    """Return what the rig itself published last, beside what was recomputed, and how its services were."""
+    """Return the rig's last published messages compared with the recomputed ones, and the status of its services."""
     rows, services = [], []
-    for key, message in sorted(moment.said.items()):
+    for key, message in sorted(moment.published.items()):
         if isinstance(message, ServiceStatus):
             late = {name: count for name, count in message.counts.items() if count}
             services.append(
@@ -77,13 +77,13 @@ def published_then(moment: Moment, trace: Trace) -> list[Explanation]:
                         ", ".join(f"{name} {count}" for name, count in sorted(late.items())),
                         message.problem or message.last_error,
                     ),
-                    "refused" if message.problem else "",
+                    "rejected" if message.problem else "",
                 )
             )
         elif isinstance(message, HandPose | PointSet):
             again = trace.before.get((key, message.t_ns))
             gap_m = float("nan") if again is None else difference_m(message, again)
-            verdict: Verdict = "" if np.isnan(gap_m) else "taken" if gap_m <= _SAME_M else "refused"
+            verdict: Verdict = "" if np.isnan(gap_m) else "accepted" if gap_m <= _SAME_M else "rejected"
             rows.append(
                 ExplanationRow(
                     (
@@ -98,14 +98,15 @@ def published_then(moment: Moment, trace: Trace) -> list[Explanation]:
     if rows:
         tables.append(
             Explanation(
-                "What the rig said, and the same recomputed",
-                ("key", "ms before the moment", "largest difference, mm"),
+                "Published messages compared with recomputed ones",
+                ("key", "age, ms", "largest difference, mm"),
                 tuple(rows),
-                "Recomputed from the recorded markers with the rig folder's settings. They differ where samples "
-                "were lost on the way to fusion or ik, settings were changed while it ran, or the run-up is too short "
-                "(--lead).",
+                "Recomputed from the recorded markers with the rig folder's settings. They differ if messages were "
+                "lost on the way to fusion or ik, if settings were changed while it ran, or if too few seconds were "
+                "processed (--lead).",
             )
         )
     if services:
-        tables.append(Explanation("Services then", ("service", "state", "per s", "counts", "trouble"), tuple(services)))
+        columns = ("service", "state", "rates, 1/s", "counts", "problem")
+        tables.append(Explanation("Services", columns, tuple(services)))
     return tables

@@ -1,4 +1,4 @@
-"""What a recording holds of one moment and of the seconds before it."""
+"""The part of a recording up to a time."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from rhot.recording.span import between, time_span
 M = TypeVar("M", bound=Message)
 
 _LATEST_ARRIVAL_NS: Final = 1_000_000_000
-"""Messages true before the moment are looked for up to this long after it."""
+"""Messages may have been recorded up to this long after their `t_ns`."""
 _ABSOLUTE_NS: Final = 10**15
-"""An integer from here on is nanoseconds since 1970."""
+"""Times from here on are nanoseconds since 1970."""
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """One moment of a recording.
+    """The part of a recording up to a time.
 
     Attributes:
-        t_ns: the moment, rig clock.
+        t_ns: the time, rig clock.
         since_s: seconds since the recording's first marker frame.
-        frames: marker frames up to the moment, as they arrived or in order of time.
-        said: what the rig itself last said by then, by key; empty for a recording of pictures or marker tracks.
-        pictures: pictures up to the moment, if there are any.
+        frames: marker frames up to then, in order of arrival or time.
+        published: the last message that the rig published by then, by key; empty for pictures and marker tracks.
+        pictures: pictures up to then, if there are any.
     """
 
     t_ns: int
     since_s: float
     frames: list[MarkerFrame]
-    said: dict[str, Message]
+    published: dict[str, Message]
     pictures: Recording | None
 
 
@@ -44,28 +44,28 @@ def moment_of_mcap(recording: McapRecording, pictures: Recording | None, at: flo
 
     Args:
         recording: of `rhot record`.
-        pictures: recorded beside it.
-        at: seconds since the first marker frame, or its `t_ns`.
-        lead_s: how many seconds before it count.
+        pictures: recorded with it.
+        at: seconds since the first marker frame, or a `t_ns`.
+        lead_s: seconds before that time to include.
 
     Raises:
-        ConfigError: there are no marker frames at all, or not then.
+        ConfigError: there are no marker frames, or none at that time.
     """
     begin = next(_messages(recording, MarkerFrame), None)
     if begin is None:
-        raise ConfigError(f"{recording.path}: holds no valid rhot/markers; there is nothing to explain")
+        raise ConfigError(f"{recording.path}: contains no valid rhot/markers; there is nothing to explain")
     _, first, first_log_ns = begin
     t_ns, delay_ns = _absolute(at, first.t_ns), first_log_ns - first.t_ns
     from_ns, to_ns = t_ns + delay_ns - round(lead_s * 1e9), t_ns + delay_ns + _LATEST_ARRIVAL_NS
     frames: list[MarkerFrame] = []
-    said: dict[str, Message] = {}
+    published: dict[str, Message] = {}
     for key, message, _ in _messages(recording, Message, from_ns, to_ns):
         if message.t_ns > t_ns:
             continue
         if isinstance(message, MarkerFrame):
             frames.append(message)
         elif isinstance(message, PointSet | HandPose | ServiceStatus):
-            said[key] = message
+            published[key] = message
     if not frames or frames[-1].t_ns < t_ns - _LATEST_ARRIVAL_NS:
         length_s = (recording.end_ns - recording.start_ns) / 1e9
         raise ConfigError(
@@ -73,7 +73,7 @@ def moment_of_mcap(recording: McapRecording, pictures: Recording | None, at: flo
             "long"
         )
     part = None if pictures is None else _up_to(pictures, t_ns, lead_s)
-    return Moment(t_ns, (t_ns - first.t_ns) / 1e9, frames, said, part)
+    return Moment(t_ns, (t_ns - first.t_ns) / 1e9, frames, published, part)
 
 
 def moment_of_folder(
@@ -83,12 +83,12 @@ def moment_of_folder(
 
     Args:
         recording: pictures, videos or marker tracks.
-        marker_frames: finds the markers in it.
+        marker_frames: detects the markers in it.
         at: seconds since the first frame, or a `t_ns`.
-        lead_s: how many seconds before it count.
+        lead_s: seconds before that time to include.
 
     Raises:
-        ConfigError: there is no frame then.
+        ConfigError: there is no frame at that time.
     """
     first_ns, last_ns = time_span(recording)
     t_ns = _absolute(at, first_ns)
@@ -105,7 +105,7 @@ def _up_to(pictures: Recording, t_ns: int, lead_s: float) -> Recording | None:
     try:
         return between(pictures, t_ns - round(lead_s * 1e9), t_ns)
     except ConfigError:
-        # Recorded at other times than this.
+        # The pictures do not cover this time.
         return None
 
 

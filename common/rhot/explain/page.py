@@ -1,4 +1,4 @@
-"""An explanation as one HTML page with everything in it, to attach to a report."""
+"""An explanation as one self-contained HTML page, to attach to a bug report."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from rhot.rig import Rig
 
 _STYLE = """
 body { max-width: 1320px; } td { vertical-align: top; }
-tr.taken td:last-child, tr.taken td:first-child { color: #2d6a4f; }
-tr.refused td:last-child, tr.refused td:first-child { color: #b00020; }
+tr.accepted td:last-child, tr.accepted td:first-child { color: #2d6a4f; }
+tr.rejected td:last-child, tr.rejected td:first-child { color: #b00020; }
 figure { display: inline-block; margin: 0 0.5em 1em 0; width: 48%; min-width: min(420px, 100%); vertical-align: top; }
 figure svg { width: 100%; background: #111; } figcaption { font-size: 13px; color: #444; }
 """
-_COLORS = {"taken": "#3ddc97", "refused": "#ff5a5f", "": "#ffd166"}
+_COLORS = {"accepted": "#3ddc97", "rejected": "#ff5a5f", "": "#ffd166"}
 _POINT = "#5bc0ff"
 _MARGIN_PX = 30.0
 _LETTERS = 45.0
-"""As high as this many of them would fill a picture's width."""
+"""Width of a picture divided by the font size."""
 _CIRCLE_PX = 9.0
-"""Radius around a point; what is written beside a cross begins outside."""
+"""Radius of the circle around a point; labels of crosses start outside it."""
 
 Box = tuple[float, float, float, float]
 """Left, top, width and height of a part of a picture, pixels."""
@@ -48,9 +48,9 @@ def explanation_page(
 
     Args:
         title: heading.
-        about: which recording, moment and rig.
-        rig: for the cameras.
-        trace: of the seconds before.
+        about: the recording, time and rig.
+        rig: for its cameras.
+        trace: of the processed seconds.
         first: tables above the pictures.
         pictures: of the cameras that have one.
         rest: tables below.
@@ -64,14 +64,12 @@ def explanation_page(
     )
     body = (
         "".join(_table(table) for table in first)
-        + f"<h2>What the cameras see</h2>{figures}{candidates}"
+        + f"<h2>Cameras</h2>{figures}{candidates}"
         + "".join(_table(table) for table in rest)
-        + "<h2>The seconds before</h2>"
-        + line_plot("markers seen by each camera", "seconds from the moment", "markers", trace.seen)
-        + line_plot("sigma of each point", "seconds from the moment", "mm", trace.sigmas_mm)
-        + line_plot(
-            "distance of each finger's marker from the hand", "seconds from the moment", "mm", trace.residuals_mm
-        )
+        + "<h2>Preceding seconds</h2>"
+        + line_plot("markers seen by each camera", "time, s", "markers", trace.seen)
+        + line_plot("sigma of each point", "time, s", "mm", trace.sigmas_mm)
+        + line_plot("residual of each finger", "time, s", "mm", trace.residuals_mm)
     )
     return html_page(title, about, body, _STYLE)
 
@@ -109,7 +107,7 @@ def _figure(
         uv = CameraModel.from_calibration(camera).project(positions)
         for marker_name, (u, v) in zip(points.points, uv.tolist(), strict=True):
             if np.isfinite((u, v)).all():
-                text = f"<title>{escape(marker_name)} as fusion has it</title>"
+                text = f"<title>{escape(marker_name)}, point of fusion</title>"
                 parts.append(
                     f"<circle cx='{u:.2f}' cy='{v:.2f}' r='{_CIRCLE_PX:g}' fill='none' stroke='{_POINT}' "
                     f"stroke-width='1'>{text}</circle>"
@@ -121,10 +119,10 @@ def _figure(
     whole = (-0.5, -0.5, camera.width, camera.height)
     return (
         f"<figure>{_svg(whole, drawn)}"
-        f"<figcaption><b>{escape(name)}</b>: {when}.{blank} Cross: the marker's centre as sent. Outline: a blob of its "
-        "colour, green taken, red refused. Circle: the point as fusion has it.</figcaption></figure>"
+        f"<figcaption><b>{escape(name)}</b>: {when}.{blank} Cross: published centre of a marker. Outline: blob of a "
+        "marker's colour, green accepted, red rejected. Circle: point of fusion, projected.</figcaption></figure>"
         f"<figure>{_svg(_close_up(frame, whole), again)}"
-        f"<figcaption><b>{escape(name)}</b>, closer</figcaption></figure>"
+        f"<figcaption><b>{escape(name)}</b>, enlarged</figcaption></figure>"
     )
 
 
@@ -137,7 +135,7 @@ def _svg(box: Box, drawn: str) -> str:
 
 
 def _close_up(frame: MarkerFrame | None, whole: Box) -> Box:
-    """Return the part of a picture that holds its markers, in the picture's shape."""
+    """Return the part of a picture that contains its markers, with the picture's aspect ratio."""
     if frame is None or not frame.markers:
         return whole
     uv = np.array([(marker.u, marker.v) for marker in frame.markers.values()])
@@ -163,7 +161,7 @@ def _outline(outline: Outline) -> str:
 def _cross(u: float, v: float, label: str) -> str:
     lines = f"M{u - 4:.2f},{v:.2f}h8M{u:.2f},{v - 4:.2f}v8"
     text = (
-        f"<text x='{u + _CIRCLE_PX + 3:.1f}' y='{v:.1f}' fill='{_COLORS['taken']}'>{escape(label)}</text>"
+        f"<text x='{u + _CIRCLE_PX + 3:.1f}' y='{v:.1f}' fill='{_COLORS['accepted']}'>{escape(label)}</text>"
         if label
         else ""
     )

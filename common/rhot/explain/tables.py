@@ -9,7 +9,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-Verdict = Literal["", "taken", "refused"]
+Verdict = Literal["", "accepted", "rejected"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,8 +17,8 @@ class ExplanationRow:
     """One row.
 
     Attributes:
-        cells: text of each column; figures carry no unit, the column's name does.
-        verdict: whether what the row is about was taken or refused; empty where that is not the question.
+        cells: text of each column; the unit of a number is in the column's name.
+        verdict: `accepted` rows are green, `rejected` ones red; empty if neither applies.
     """
 
     cells: tuple[str, ...]
@@ -33,7 +33,7 @@ class Explanation:
         title: heading.
         columns: names, with units.
         rows: the rows.
-        note: how to read it, one or two sentences.
+        note: explanation of the columns, one to three sentences.
     """
 
     title: str
@@ -44,12 +44,12 @@ class Explanation:
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """Something drawn over a picture.
+    """Outline drawn over a picture.
 
     Attributes:
-        points: (N, 2) pixels, closed.
-        label: beside it.
-        verdict: whether it was taken.
+        points: (N, 2) pixels, of a closed polygon.
+        label: text beside it.
+        verdict: determines the color.
     """
 
     points: NDArray[np.float64]
@@ -59,11 +59,11 @@ class Outline:
 
 @dataclass(frozen=True, slots=True)
 class PictureExplanation:
-    """What detection made of one picture.
+    """Detection in one picture.
 
     Attributes:
         jpeg: the picture.
-        candidates: what was looked at for each marker; the first column is the marker, the last the verdict.
+        candidates: blobs considered for each marker; the first column is the marker, the last the verdict.
         outlines: of the candidates.
     """
 
@@ -74,8 +74,8 @@ class PictureExplanation:
 
 @runtime_checkable
 class Explaining(Protocol):
-    """A core that shows what it knows; asking changes nothing."""
+    """A stage that can explain its state, without changing it."""
 
     def explain(self) -> Sequence[Explanation]:
-        """Return what the core knows after the message it was fed last."""
+        """Return tables of the state after the last message."""
         ...

@@ -1,4 +1,4 @@
-"""How tracking went in the seconds before a moment."""
+"""Messages of the seconds before a time, and curves of their quality."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Line = tuple[FloatArray, FloatArray]
 
 @dataclass(slots=True)
 class Trace:
-    """What the cores published on the way to a moment.
+    """Messages of the stages up to a time.
 
     Attributes:
-        t_ns: the moment.
+        t_ns: the time.
         frames: newest marker frame of each camera.
         points: newest points.
         hands: newest hand of each side.
-        before: all hands and points of the run-up by key and time.
+        before: all hands and points by key and time.
     """
 
     t_ns: int
@@ -36,21 +36,21 @@ class Trace:
 
     @property
     def residuals_mm(self) -> Mapping[str, Line]:
-        """Finger to seconds before the moment (N,), negative, and distance of its marker from the model (N,)."""
+        """Finger to time relative to `t_ns` (N,), seconds, negative, and residual of its marker (N,), millimetres."""
         return _lines(self._residuals)
 
     @property
     def sigmas_mm(self) -> Mapping[str, Line]:
-        """Marker to seconds and standard deviation of its point."""
+        """Marker to relative time (N,), seconds, and standard deviation of its point (N,), millimetres."""
         return _lines(self._sigmas)
 
     @property
     def seen(self) -> Mapping[str, Line]:
-        """Camera to seconds and number of markers that it saw."""
+        """Camera to relative time (N,), seconds, and number of markers detected (N,)."""
         return _lines(self._seen)
 
-    def note(self, key: str, message: Message) -> None:
-        """Take one message, in order."""
+    def add(self, key: str, message: Message) -> None:
+        """Add a message; messages must be in order of time."""
         at_s = (message.t_ns - self.t_ns) / 1e9
         if isinstance(message, MarkerFrame):
             self.frames[message.camera] = message
@@ -69,15 +69,15 @@ class Trace:
 
 
 def trace_of(t_ns: int, messages: Iterable[tuple[str, Message]]) -> Trace:
-    """Return the trace of messages up to a moment."""
+    """Return the trace of messages up to a time."""
     trace = Trace(t_ns)
     for key, message in messages:
-        trace.note(key, message)
+        trace.add(key, message)
     return trace
 
 
 def difference_m(first: HandPose | PointSet, second: HandPose | PointSet) -> float:
-    """Return the largest distance between joints or points that both have; NaN when there is none."""
+    """Return the largest distance between joints or points that both have; NaN if there are none."""
     one, other = _positions(first), _positions(second)
     gaps = [
         float(np.linalg.norm(np.subtract(position, other[name]))) for name, position in one.items() if name in other

@@ -18,13 +18,13 @@ from rhot_fusion.views.sightings import Tracker
 def tracker_tables(
     tracker: Tracker, cameras: Sequence[str], markers: Sequence[str], counts: Mapping[str, int], now_s: float
 ) -> list[Explanation]:
-    """Return what a tracker knows.
+    """Return the tables of a tracker's state.
 
     Args:
-        tracker: of any method; the `filter` one can tell more.
+        tracker: of any method; `filter` has tables of its own.
         cameras, markers: names, in the tracker's order.
         counts: of the stage.
-        now_s: the moment, seconds since the stream's start.
+        now_s: current time, seconds since the stream's start.
     """
     tables = [_rig(tracker, counts)]
     if isinstance(tracker, FilterTracker):
@@ -52,17 +52,21 @@ def _gates(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str
                         f"{y[1]:+.2f}",
                         f"{sigma[1]:.2f}",
                         f"{nis**0.5:.1f}",
-                        "taken" if accepted else "refused",
+                        "accepted" if accepted else "rejected",
                     ),
-                    "taken" if accepted else "refused",
+                    "accepted" if accepted else "rejected",
                 )
             )
     return Explanation(
-        "Gates: each camera's newest frame against what was expected",
-        ("camera", "marker", "off in x, px", "sigma x, px", "off in y, px", "sigma y, px", "sigmas off", "verdict"),
+        "Gates: innovations of each camera's newest frame",
+        (
+            *("camera", "marker", "innovation x, px", "sigma x, px", "innovation y, px", "sigma y, px"),
+            *("Mahalanobis distance", "verdict"),
+        ),
         tuple(rows),
-        f"Distance of the view from the filter's prediction. Beyond {DEFAULT.track.gate**0.5:.0f} standard deviations "
-        "of both together, which hold some slack for what hides a marker, it is refused.",
+        "Innovation: observation minus the filter's prediction. Sigma: its standard deviation, including an allowance "
+        f"for occluded paint. Observations with a Mahalanobis distance above {DEFAULT.track.gate**0.5:.0f} are "
+        "rejected.",
     )
 
 
@@ -73,7 +77,7 @@ def _states(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[st
         track = tracker.tracks[index]
         if track.status is not TrackStatus.CONFIRMED or outcome.covariance is None or outcome.state is None:
             status = f"not tracked ({track.status.name.lower()})"
-            rows.append(ExplanationRow((name, status, "", "", "", ""), "refused"))
+            rows.append(ExplanationRow((name, status, "", "", "", ""), "rejected"))
             continue
         fresh = [camera for camera, seen in zip(cameras, outcome.seen, strict=True) if seen[index]]
         xx, _, _, yy, _, zz = outcome.covariance[index]
@@ -87,12 +91,12 @@ def _states(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[st
                     f"{1e3 * (now_s - track.seen_s):.0f}",
                     ", ".join(fresh) or "none",
                 ),
-                "taken" if fresh else "refused",
+                "accepted" if fresh else "rejected",
             )
         )
     return Explanation(
-        "Filters: what is known of each marker",
-        ("marker", "state", "x, y, z, mm", "sigma x / y / z, mm", "seen, ms ago", "newest frame shows it"),
+        "Filter: state of each marker",
+        ("marker", "state", "x, y, z, mm", "sigma x / y / z, mm", "last seen, ms ago", "visible to cameras"),
         tuple(rows),
     )
 
@@ -101,16 +105,18 @@ def _rig(tracker: Tracker, counts: Mapping[str, int]) -> Explanation:
     mean, p95 = tracker.epipolar.figures_px
     noise = []
     if isinstance(tracker, FilterTracker):
-        noise = [(f"noise of camera {k + 1}, px", f"{px:.2f}") for k, px in enumerate(tracker.noise.sigma_px.tolist())]
+        noise = [(f"noise, camera {k + 1}, px", f"{px:.2f}") for k, px in enumerate(tracker.noise.sigma_px.tolist())]
     rows = [
         ("epipolar residual, mean, px", f"{mean:.2f}"),
         ("epipolar residual, p95, px", f"{p95:.2f}"),
-        ("by how much cameras have moved, px", f"{tracker.epipolar.correction_px:.2f}"),
+        ("systematic epipolar residual, px", f"{tracker.epipolar.correction_px:.2f}"),
         *noise,
         *((f"count: {name}", str(count)) for name, count in sorted(counts.items()) if count),
     ]
     return Explanation(
-        "Fusion: how well the cameras agree, and counts since the run-up began",
-        ("figure", "value"),
+        "Fusion: agreement of the cameras, and counts",
+        ("quantity", "value"),
         tuple(ExplanationRow(row) for row in rows),
+        "The systematic residual grows when a camera moves after its calibration. Counts start with the processed part "
+        "of the recording (--lead).",
     )

@@ -1,4 +1,4 @@
-"""Why blobs are taken or not: each reason on a picture that gives cause for it."""
+"""Why blobs are accepted or rejected: each reason on a picture that causes it."""
 
 from __future__ import annotations
 
@@ -39,26 +39,26 @@ def verdicts(rig: Rig, pictures: list[ImageArray]) -> dict[str, list[str]]:
     """Marker to the verdicts on its blobs in the last picture."""
     explainer = PictureExplainer(rig, "left")
     for picture in pictures[:-1]:
-        explainer.look(picture)
+        explainer.detect(picture)
     found: dict[str, list[str]] = {}
     for row in explainer.explain(pictures[-1]).candidates.rows:
         found.setdefault(row.cells[0], []).append(row.cells[-1])
     return found
 
 
-def test_what_is_detected_is_taken(rig: Rig, pictures: list[ImageArray]) -> None:
+def test_detected_blobs_are_accepted(rig: Rig, pictures: list[ImageArray]) -> None:
     explainer = PictureExplainer(rig, "left")
     for picture in pictures[:-1]:
-        explainer.look(picture)
+        explainer.detect(picture)
     explained = explainer.explain(pictures[-1])
     again = PictureExplainer(rig, "left")
-    detections = [again.look(picture) for picture in pictures][-1]
-    taken = {row.cells[0]: row for row in explained.candidates.rows if row.verdict == "taken"}
-    assert set(taken) == set(detections) == set(rig.config.markers)
+    detections = [again.detect(picture) for picture in pictures][-1]
+    accepted = {row.cells[0]: row for row in explained.candidates.rows if row.verdict == "accepted"}
+    assert set(accepted) == set(detections) == set(rig.config.markers)
     for name, detection in detections.items():
-        assert taken[name].cells[1] == f"{detection.u:.2f}, {detection.v:.2f}"
-        assert float(taken[name].cells[7]) < 5.0, "off the track, px"
-    outlines = [outline for outline in explained.outlines if outline.verdict == "taken"]
+        assert accepted[name].cells[1] == f"{detection.u:.2f}, {detection.v:.2f}"
+        assert float(accepted[name].cells[7]) < 5.0, "from prediction, px"
+    outlines = [outline for outline in explained.outlines if outline.verdict == "accepted"]
     for outline, detection in zip(outlines, detections.values(), strict=True):
         assert np.linalg.norm(outline.points.mean(axis=0) - (detection.u, detection.v)) < 3.0
 
@@ -69,20 +69,20 @@ def test_reasons(rig: Rig, pictures: list[ImageArray]) -> None:
     assert found["thumb"][0].startswith("too small")
     assert "min_area_px = 900" in found["thumb"][0]
     assert found["base"][0].startswith("too large")
-    assert found["index"][0] == "taken"
+    assert found["index"][0] == "accepted"
     dark = [np.zeros_like(pictures[0])]
     assert {reason for found in verdicts(rig, dark).values() for reason in found} == {
-        "nothing of its colour in the picture"
+        "no blob of its colour in the picture"
     }
 
 
-def test_a_second_blob_of_the_colour_is_told(rig: Rig, pictures: list[ImageArray]) -> None:
+def test_a_second_blob_of_the_colour_is_rejected(rig: Rig, pictures: list[ImageArray]) -> None:
     doubled = [picture.copy() for picture in pictures]
     explainer = PictureExplainer(rig, "left")
-    seen = explainer.look(pictures[0])["base"]
+    seen = explainer.detect(pictures[0])["base"]
     u, v = round(seen.u), round(seen.v)
     for picture in doubled:
         picture[20:36, 20:44] = picture[v - 8 : v + 8, u - 12 : u + 12]
     reasons = verdicts(rig, doubled)["base"]
-    assert reasons.count("taken") == 1
+    assert reasons.count("accepted") == 1
     assert any(reason.startswith("another blob") for reason in reasons)

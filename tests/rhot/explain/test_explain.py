@@ -1,4 +1,4 @@
-"""`rhot explain`: one page that tells what was seen, believed and solved at a moment of a recording."""
+"""`rhot explain`: a page with detection, filter and hand at one moment of a recording."""
 
 from __future__ import annotations
 
@@ -50,23 +50,23 @@ def test_a_moment_of_a_live_recording(take: Path, tmp_path: Path) -> None:
     assert image is not None
     assert image.shape == (480, 640, 3)
     assert not re.search(r"(src|href)='https?:", page), "nothing is loaded from elsewhere"
-    assert [row[0] for row in rows_of(page, "In short")] == ["thumb", "index", "middle", "ring", "little", "base"]
-    recomputed = {row[0]: float(row[2]) for row in rows_of(page, "What the rig said")}
+    assert [row[0] for row in rows_of(page, "Summary")] == ["thumb", "index", "middle", "ring", "little", "base"]
+    recomputed = {row[0]: float(row[2]) for row in rows_of(page, "Published messages")}
     assert set(recomputed) == {"rhot/hand/right", "rhot/points"}
-    assert max(recomputed.values()) < 0.001, "the same cores on the same markers say the same, mm"
+    assert max(recomputed.values()) < 0.001, "the same stages on the same markers give the same result, mm"
     gates = rows_of(page, "Gates")
     assert {row[0] for row in gates} == {"left", "right"}
-    assert all(float(row[6]) <= 5.0 for row in gates if row[-1] == "taken"), "standard deviations"
-    assert all(float(row[6]) >= 5.0 for row in gates if row[-1] == "refused")
-    assert len(rows_of(page, "Filters")) == 6
+    assert all(float(row[6]) <= 5.0 for row in gates if row[-1] == "accepted"), "standard deviations"
+    assert all(float(row[6]) >= 5.0 for row in gates if row[-1] == "rejected")
+    assert len(rows_of(page, "Filter")) == 6
     assert len(rows_of(page, "Hand right: angles")) == 20
     assert page.count("<polyline") >= 8
 
 
-def test_a_shorter_run_up_knows_less(take: Path, tmp_path: Path) -> None:
+def test_a_short_lead_changes_the_result(take: Path, tmp_path: Path) -> None:
     page = page_of(tmp_path / "page.html", str(take / "take.mcap"), "--at", "1.0", "--lead", "0.1")
     assert any(
-        row[2] == "not computed for that time" or float(row[2]) > 0.1 for row in rows_of(page, "What the rig said")
+        row[2] == "not computed for that time" or float(row[2]) > 0.1 for row in rows_of(page, "Published messages")
     )
 
 
@@ -74,13 +74,13 @@ def test_pictures_alone_and_a_time_on_the_rig_clock(take: Path, tmp_path: Path) 
     first_ns, _ = time_span(load_recording(take / "take"))
     rig = ["--rig", str(take / "rig")]
     page = page_of(tmp_path / "a.html", str(take / "take"), "--at", "1.0", *rig)
-    assert "What the rig said" not in page
+    assert "Published messages" not in page
     assert len(rows_of(page, "Candidates in left")) >= 6
     same = page_of(tmp_path / "b.html", str(take / "take"), "--at", str(first_ns + 10**9), *rig)
     assert same == page
 
 
-def test_without_pictures_the_markers_are_drawn_all_the_same(take: Path, tmp_path: Path) -> None:
+def test_markers_are_drawn_without_pictures(take: Path, tmp_path: Path) -> None:
     shutil.copy(take / "take.mcap", tmp_path / "alone.mcap")
     page = page_of(tmp_path / "page.html", str(tmp_path / "alone.mcap"), "--at", "1.0")
     assert "data:image" not in page
@@ -97,7 +97,7 @@ def test_without_pictures_the_markers_are_drawn_all_the_same(take: Path, tmp_pat
         (["rig/rig.toml", "--at", "1"], "not an MCAP file"),
     ],
 )
-def test_what_cannot_be_explained_is_told(
+def test_what_cannot_be_explained_is_an_error(
     take: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], message: str
 ) -> None:
     monkeypatch.chdir(take)
@@ -109,7 +109,7 @@ def test_what_cannot_be_explained_is_told(
 def test_a_time_must_be_one(take: Path, at: str) -> None:
     result = CliRunner().invoke(explain, [str(take / "take.mcap"), f"--at={at}"])
     assert result.exit_code == 2
-    assert "no time" in result.output
+    assert "not a time" in result.output
 
 
 def test_a_span_of_a_recording(take: Path) -> None:

@@ -1,4 +1,4 @@
-"""`rhot explain`: why a recording was tracked as it was at one moment, as one page."""
+"""`rhot explain`: how one moment of a recording was tracked and why, as an HTML page."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from rhot.rig import Rig, load_rig
 from rhot.rig.folder import write_text_atomic
 
 _DETECTION_LEAD: Final = 30
-"""Pictures before the one to explain: detection remembers no more than ten, and looks everywhere every thirty."""
+"""Pictures before the one to explain: detection uses up to ten previous ones, and searches everywhere every thirty."""
 
 
 def _time(_: click.Context, __: click.Parameter, text: str) -> float:
-    """Return seconds, or nanoseconds since 1970 unrounded."""
+    """Return seconds, or nanoseconds since 1970 as an exact integer."""
     try:
         value = int(text) if text.isdecimal() else float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or value < 0:
-        raise click.BadParameter(f"{text!r} is no time: seconds into the recording such as 12.5, or a message's t_ns")
+        raise click.BadParameter(f"{text!r} is not a time; give seconds such as 12.5, or a message's t_ns")
     return value
 
 
@@ -64,7 +64,7 @@ def _time(_: click.Context, __: click.Parameter, text: str) -> float:
     type=FiniteRange(0.1, 3600),
     default=10.0,
     show_default=True,
-    help="Seconds before the moment to track, so that the filters know what they knew then.",
+    help="Seconds before the moment to process, so that the filters reach the state they had then.",
 )
 @rig_option
 @click.pass_context
@@ -110,14 +110,14 @@ def _page(rig: Rig, moment: Moment, path: Path, lead_s: float) -> str:
     about = (
         f"{path}, {moment.since_s:.3f} s after its first marker frame, t_ns {moment.t_ns} on the rig clock. "
         f"Rig {rig.config.name}, fusion method {rig.config.fusion.method}, hand solver {rig.config.ik.solver}. "
-        f"Tracked again from up to {lead_s:g} s before: {len(moment.frames)} marker frames."
+        f"Recomputed from the preceding {lead_s:g} s at most: {len(moment.frames)} marker frames."
     )
     first = [in_short(rig, trace, pictures), *published_then(moment, trace)]
     return explanation_page(f"{path.name} at {moment.since_s:.3f} s", about, rig, trace, first, pictures, tables)
 
 
 def _explained(rig: Rig, pictures: Recording) -> dict[str, PictureExplanation]:
-    """Return why each camera's last picture shows the markers that it shows; nothing without colours or capture."""
+    """Return the explanation of each camera's last picture; empty without `colors.json`."""
     if not rig.colors_path.exists():
         return {}
     explain_last = load_plugin("rhot.explainers", "capture", "explaining pictures", "capture")

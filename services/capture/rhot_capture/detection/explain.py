@@ -1,7 +1,7 @@
-"""Which blobs of one picture were taken for markers, which were not, and why: what the detector itself decided.
+"""Explain which blobs of a picture were accepted as markers, and why the others were rejected.
 
-The detector runs over the pictures before, so that it expects the markers where the live one did. While it follows all
-markers it looks at small windows only; blobs beyond these are judged by its own search of the whole picture.
+The detector first processes the preceding pictures, so that its predictions are those of the live one. While it tracks
+all markers it searches small windows only; for blobs outside them, the table shows its search of the whole picture.
 """
 
 from __future__ import annotations
@@ -27,40 +27,40 @@ from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.sources.pictures import read_pictures
 
 _MOST_SHOWN: Final = 6
-"""Blobs of one marker's colour; the largest are shown."""
+"""Largest number of blobs shown per marker; the largest blobs are shown."""
 _COLUMNS: Final = (
-    *("marker", "u, v, px", "area, px²", "solidity", "own colour", "colour typical", "on border"),
-    *("off track, px", "score", "verdict"),
+    *("marker", "u, v, px", "area, px²", "solidity", "pixels of its colour", "colour likelihood", "at image border"),
+    *("from prediction, px", "score", "verdict"),
 )
 _NOTE: Final = (
-    "Blobs of each marker's colour, largest first. Asked for: the marker's own area, solidity of at least "
-    f"{MIN_SOLIDITY:g}, own colour on {100 * MIN_FILL:.0f} % of it, a core that is not thin, "
-    f"not hanging on a larger blob of another marker, altogether at least {MIN_PLAUSIBILITY:g} alike. "
-    "An empty cell was not looked at. "
-    "Found again in the recorded picture; its coding can cost a live marker a pixel or two of its area."
+    "Blobs of each marker's colour, largest first. A marker needs an area within its limits, a solidity of at least "
+    f"{MIN_SOLIDITY:g}, its own colour on at least {100 * MIN_FILL:.0f} % of its pixels, a core of pure colour, no "
+    f"contact with a larger blob of another marker, and a total likelihood of at least {MIN_PLAUSIBILITY:g}. Empty "
+    "cells were not computed. Areas can differ from the live ones by a pixel or two because recorded pictures are "
+    "compressed."
 )
 _REASONS: Final[dict[Reason, str]] = {
     "too small": "too small: {area:.0f} px², min_area_px = {marker.min_area_px:g}",
     "too large": "too large: {area:.0f} px², max_area_px = {marker.max_area_px:g}",
-    "ragged": f"ragged: solidity {{solidity:.2f}}, at least {MIN_SOLIDITY:g}",
-    "hollow": f"hollow: own colour on {{fill:.0f}} %, at least {100 * MIN_FILL:.0f} %",
-    "thin": "thin: no core of pure colour, and not where the marker just was",
-    "rim": "rim of another marker: it hangs on a larger blob of that colour",
-    "unlike": "not like the marker: hardly any of its colour is typical, or all of its rim is on the border",
-    "outsized": "too large for its hand: {area:.0f} px², several times what the other markers of the hand let expect",
-    "cut": "cut: it goes on beyond the region that was searched",
+    "ragged": f"irregular shape: solidity {{solidity:.2f}}, minimum {MIN_SOLIDITY:g}",
+    "hollow": f"mixed colours: own colour on {{fill:.0f}} %, minimum {100 * MIN_FILL:.0f} %",
+    "thin": "thin: no core of pure colour, and not at the marker's last position",
+    "rim": "edge of another marker: connected to a larger blob of that marker's colour",
+    "unlike": "unlikely: hardly any pixels of the typical colour, or the whole outline at the image border",
+    "outsized": "too large for its hand: {area:.0f} px², several times the size expected from the hand's other markers",
+    "cut": "clipped: extends beyond the searched region",
 }
 
 
 class PictureExplainer:
-    """Explains pictures of one camera."""
+    """Explains the detection in pictures of one camera."""
 
     def __init__(self, rig: Rig, camera: str) -> None:
-        """Prepare.
+        """Build the camera's detector.
 
         Args:
-            rig: with colours.
-            camera: of the rig.
+            rig: with `colors.json`.
+            camera: its name.
 
         Raises:
             CalibrationError: `colors.json` is missing or wrong.
@@ -70,18 +70,18 @@ class PictureExplainer:
         table = build_color_table(load_colors(rig.colors_path), list(own_paints(self._markers)), camera)
         self._detector = MarkerDetector(self._markers, table, size.width, size.height)
 
-    def look(self, image: ImageArray) -> dict[str, Detection]:
-        """Take a picture (H, W, 3), uint8 BGR, and return what is seen in it."""
+    def detect(self, image: ImageArray) -> dict[str, Detection]:
+        """Detect the markers in the next picture (H, W, 3), uint8 BGR."""
         return self._detector.detect(image)
 
     def explain(self, image: ImageArray) -> PictureExplanation:
-        """Take the next picture and explain what was seen in it.
+        """Detect the markers in the next picture and explain the result.
 
         Raises:
-            ConfigError: it is not of the camera's size.
+            ConfigError: its size is not that of the camera.
         """
         before = copy.deepcopy(self._detector)
-        found = self.look(image)
+        found = self.detect(image)
         decisions = self._detector.decisions
         elsewhere = [
             (name, each)
@@ -94,14 +94,14 @@ class PictureExplainer:
             detection = found.get(name)
             judged = [each for whose, each in (*decisions.judged, *elsewhere) if whose in (name, marker.paint_of)]
             if not judged:
-                rows.append(ExplanationRow((name, *([""] * 8), "nothing of its colour in the picture"), "refused"))
+                rows.append(ExplanationRow((name, *([""] * 8), "no blob of its colour in the picture"), "rejected"))
             for each in sorted(judged, key=lambda each: each.blob.area, reverse=True)[:_MOST_SHOWN]:
-                taken = detection if detection is not None and detection.blob is each.blob else None
-                why = "taken" if taken is not None else _reason(each, marker, detection is not None)
-                verdict: Verdict = "refused" if taken is None else "taken"
-                cells = _cells(each, taken, before.expected(name))
+                accepted = detection if detection is not None and detection.blob is each.blob else None
+                verdict: Verdict = "rejected" if accepted is None else "accepted"
+                why = verdict if accepted is not None else _reason(each, marker, detection is not None)
+                cells = _cells(each, accepted, before.expected(name))
                 rows.append(ExplanationRow((name, *cells, why), verdict))
-                text = name if taken else f"{name}: {why.partition(':')[0]}"
+                text = name if accepted else f"{name}: {why.partition(':')[0]}"
                 outlines.append(Outline(each.blob.rim, text, verdict))
         return PictureExplanation(
             jpeg_of(image), Explanation("Candidates", _COLUMNS, tuple(rows), _NOTE), tuple(outlines)
@@ -109,14 +109,14 @@ class PictureExplainer:
 
 
 def explain_last(rig: Rig, track: PictureTrack | VideoTrack) -> PictureExplanation:
-    """Return why markers were seen or not in the last picture of a track; the entry point of `rhot explain`.
+    """Explain the detection in the last picture of a track; the entry point of `rhot explain`.
 
     Args:
-        rig: with colours.
-        track: the pictures of one camera up to the moment, one at least; some dozens before it are enough.
+        rig: with `colors.json`.
+        track: pictures of one camera, at least one; some dozens before the last one are sufficient.
 
     Raises:
-        ConfigError: the rig does not know the camera, or a picture cannot be read or is of another size.
+        ConfigError: the camera is not in the rig, or a picture cannot be read or has another size.
         CalibrationError: `colors.json` is missing or wrong.
     """
     if track.name not in rig.cameras:
@@ -126,8 +126,8 @@ def explain_last(rig: Rig, track: PictureTrack | VideoTrack) -> PictureExplanati
     for number, image in enumerate(read_pictures(track)):
         if number == last:
             return explainer.explain(image)
-        explainer.look(image)
-    raise ConfigError(f"camera {track.name}: there is no picture before this moment")
+        explainer.detect(image)
+    raise ConfigError(f"camera {track.name}: no picture before this time")
 
 
 def _in(region: Region, blob: Blob) -> bool:
@@ -135,17 +135,17 @@ def _in(region: Region, blob: Blob) -> bool:
     return region.left <= u < region.right and region.top <= v < region.bottom
 
 
-def _reason(judged: Candidate | Refusal, marker: MarkerConfig, other_taken: bool) -> str:
+def _reason(judged: Candidate | Refusal, marker: MarkerConfig, other_accepted: bool) -> str:
     blob = judged.blob
     if isinstance(judged, Refusal):
         return _REASONS[judged.reason].format(
             area=blob.area, marker=marker, solidity=blob.solidity, fill=100 * judged.fill
         )
-    if other_taken:
-        return "another blob: fits better by likeness, size and position"
+    if other_accepted:
+        return "another blob: its colour, size and position fit better"
     return (
-        f"not like the marker: colour {math.exp(judged.evidence.colour):.2f} of typical, "
-        f"{100 * blob.border_share:.0f} % on the border"
+        f"unlikely: colour likelihood {math.exp(judged.evidence.colour):.2f}, "
+        f"{100 * blob.border_share:.0f} % of the outline at the image border"
     )
 
 

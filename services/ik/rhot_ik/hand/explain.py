@@ -17,11 +17,11 @@ _UNUSUAL = 2.0
 
 
 def solver_tables(side: str, solver: HandSolver) -> list[Explanation]:
-    """Return what a solver knows of one hand after the sample it was given last."""
+    """Return the tables of a solver's state of one hand after its last sample."""
     track, solution = solver.track, solver.solution
     if track is None or solution is None:
-        row = ExplanationRow((f"no {side} hand: its base marker and a fingertip must be seen",), "refused")
-        return [Explanation(f"Hand {side}: nothing is known", ("",), (row,))]
+        row = ExplanationRow((f"no {side} hand: the base marker and a fingertip must be visible",), "rejected")
+        return [Explanation(f"Hand {side}: not tracked", ("",), (row,))]
     return [_fingers(side, solver, solution), _angles(side, solver, track), _palm(side, solver, track, solution)]
 
 
@@ -38,12 +38,12 @@ def _fingers(side: str, solver: HandSolver, solution: HandSolution) -> Explanati
                     "" if np.isnan(miss) else f"{1e3 * miss:.2f}",
                     solver.geometry.markers.get(finger, "none"),
                 ),
-                "taken" if seen else "refused",
+                "accepted" if seen else "rejected",
             )
         )
     return Explanation(
         f"Hand {side}: residual of each finger",
-        ("finger", "state", "marker off the model, mm", "marker"),
+        ("finger", "state", "residual, mm", "marker"),
         tuple(rows),
     )
 
@@ -74,7 +74,7 @@ def _angles(side: str, solver: HandSolver, track: HandTrack) -> Explanation:
                         f"{np.degrees(rest[at]):.0f} ± {np.degrees(usual[at]):.0f}",
                         f"{off:+.1f}",
                     ),
-                    "refused" if (limit and low < high) or abs(off) > _UNUSUAL else "",
+                    "rejected" if (limit and low < high) or abs(off) > _UNUSUAL else "",
                 )
             )
     return Explanation(
@@ -82,17 +82,17 @@ def _angles(side: str, solver: HandSolver, track: HandTrack) -> Explanation:
         (
             "finger",
             "angle",
-            "shown, °",
+            "published, °",
             "filter, °",
             "sigma, °",
             "limits, °",
             "at limit",
-            "at rest, °",
-            "off rest, sigma",
+            "prior, °",
+            "from prior, sigma",
         ),
         tuple(rows),
-        "Shown is what was published: the filter's angles, with smooth transitions between sources. Marked are "
-        f"angles at a limit and those more than {_UNUSUAL:g} standard deviations from a hand at rest.",
+        "Published: the filter's angle, blended when a finger reappears. Red: angles at a limit, or more than "
+        f"{_UNUSUAL:g} standard deviations from the prior, a hand at rest.",
     )
 
 
@@ -102,16 +102,16 @@ def _palm(side: str, solver: HandSolver, track: HandTrack, solution: HandSolutio
     rotation, position = np.sqrt(np.diag(state.P)[ROTATION]), np.sqrt(np.diag(state.P)[POSITION])
     rows = [
         ("wrist x, y, z, mm", ", ".join(f"{1e3 * value:.1f}" for value in state.p)),
-        ("sigma of its position, mm", " / ".join(f"{1e3 * value:.1f}" for value in position)),
-        ("sigma of its rotation, °", " / ".join(f"{np.degrees(value):.1f}" for value in rotation)),
+        ("sigma of the position, mm", " / ".join(f"{1e3 * value:.1f}" for value in position)),
+        ("sigma of the rotation, °", " / ".join(f"{np.degrees(value):.1f}" for value in rotation)),
         ("speed, m/s", f"{np.linalg.norm(state.velocity):.3f}"),
         ("angular velocity, °/s", f"{np.degrees(np.linalg.norm(state.angular_velocity)):.0f}"),
         ("base marker measured", "yes" if solution.palm_measured else "no"),
         ("rotation measured by the patch's corners", "yes" if track.corners_measured else "no"),
-        ("seen tips miss the model by, mean, mm", f"{1e3 * state.mean_residual_m:.2f}"),
-        ("patch off its place, learned, mm", " / ".join(f"{1e3 * value:.1f}" for value in shift)),
-        ("patch tilted on the palm, learned, °", " / ".join(f"{np.degrees(value):.1f}" for value in tilt)),
-        ("fingers longer than the model's, learned, %", " / ".join(f"{100.0 * value:.0f}" for value in longer)),
+        ("mean residual of visible fingertips, mm", f"{1e3 * state.mean_residual_m:.2f}"),
+        ("estimated offset of the patch, mm", " / ".join(f"{1e3 * value:.1f}" for value in shift)),
+        ("estimated tilt of the patch, °", " / ".join(f"{np.degrees(value):.1f}" for value in tilt)),
+        ("estimated excess length of the fingers, %", " / ".join(f"{100.0 * value:.0f}" for value in longer)),
         ("solver", solver.config.solver),
     ]
-    return Explanation(f"Hand {side}: the palm", ("figure", "value"), tuple(ExplanationRow(row) for row in rows))
+    return Explanation(f"Hand {side}: palm", ("quantity", "value"), tuple(ExplanationRow(row) for row in rows))
