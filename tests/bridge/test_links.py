@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import socket
+import struct
 from collections.abc import Iterator
 
 import pytest
@@ -19,6 +20,10 @@ from rhot_bridge.links import UdpLink, WebSocketLink
 from rhot_bridge.links.websocket import MOST_READERS
 
 SECOND = 1_000_000_000
+
+
+def connected(link: WebSocketLink) -> int:
+    return len(link._readers)
 
 
 @contextlib.contextmanager
@@ -80,10 +85,10 @@ async def test_web_socket_reaches_all_readers_and_nobody_costs_nothing(free_port
     assert not link.wanted(0)
     url = f"ws://127.0.0.1:{free_port}"
     async with connect(url) as one, connect(url, origin=Origin("http://localhost:8000")) as two:
-        await until(lambda: link.readers == 2)
+        await until(lambda: connected(link) == 2)
         assert link.send([b'{"a":1}']) == 0
         assert await one.recv() == await two.recv() == '{"a":1}'
-    await until(lambda: link.readers == 0)
+    await until(lambda: connected(link) == 0)
     await link.close()
 
 
@@ -96,7 +101,7 @@ async def test_web_socket_is_closed_to_other_websites(free_port: int) -> None:
             async with connect(url, origin=Origin(origin)):
                 pass
     async with connect(url, origin=Origin("https://mine.example")):
-        await until(lambda: link.readers == 1)
+        await until(lambda: connected(link) == 1)
     await link.close()
 
 
@@ -105,7 +110,7 @@ async def test_a_reader_that_does_not_read_loses_messages_and_delays_nobody(free
     await link.open()
     url = f"ws://127.0.0.1:{free_port}"
     async with connect(url, max_queue=1) as slow, connect(url) as quick:
-        await until(lambda: link.readers == 2)
+        await until(lambda: connected(link) == 2)
         slow.transport.pause_reading()
         lost, seen = 0, 0
         for number in range(2000):
@@ -123,11 +128,37 @@ async def test_web_socket_has_room_for_so_many_readers(free_port: int) -> None:
     async with contextlib.AsyncExitStack() as stack:
         for _ in range(MOST_READERS):
             await stack.enter_async_context(connect(f"ws://127.0.0.1:{free_port}"))
-        await until(lambda: link.readers == MOST_READERS)
+        await until(lambda: connected(link) == MOST_READERS)
         async with connect(f"ws://127.0.0.1:{free_port}") as further:
             await further.wait_closed()
             assert further.close_code == 1013
     await link.close()
+
+
+@pytest.mark.parametrize("how", ["reset", "too large a message"])
+async def test_a_reader_that_breaks_off_leaves_no_traceback(
+    free_port: int, caplog: pytest.LogCaptureFixture, how: str
+) -> None:
+    link = WebSocketLink("127.0.0.1", free_port)
+    await link.open()
+    reader = await connect(f"ws://127.0.0.1:{free_port}")
+    await until(lambda: connected(link) == 1)
+    if how == "reset":
+        # Without lingering, closing the socket sends a TCP reset, as the system does for a program that crashed.
+        sock = reader.transport.get_extra_info("socket")
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        reader.transport.abort()
+    else:
+        await reader.send("x" * 5000)
+        await reader.wait_closed()
+    await until(lambda: connected(link) == 0)
+    await link.close()
+    assert [record for record in caplog.records if record.levelno >= logging.ERROR] == []
+
+
+async def test_a_host_name_that_cannot_be_one_is_refused_in_words() -> None:
+    with pytest.raises(DeviceError, match=r"cannot be reached.*--host"):
+        await UdpLink("a" * 64, 9).open()
 
 
 async def test_a_busy_port_says_so(free_port: int) -> None:

@@ -125,6 +125,29 @@ async def test_streams_that_are_silent_make_room_for_others(monkeypatch: pytest.
     await output.close()
 
 
+async def test_a_stream_that_cannot_be_opened_is_logged_and_opened_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    lsl = pytest.importorskip("rhot_bridge.targets.lsl", reason="pip install 'rhot[lsl]'")
+    outlets: list[Any] = [RuntimeError("could not create stream outlet.")]
+
+    def outlet(*_: object) -> Any:
+        if outlets:
+            raise outlets.pop()
+        return SimpleNamespace(push_sample=lambda *_: None)
+
+    monkeypatch.setattr(lsl, "_outlet", outlet)
+    monkeypatch.setattr(lsl, "_RETRY_S", 0.01)
+    output = lsl.make_output(BridgeConfig(target="lsl"))
+    output.use_clock(LocalRigClock(SystemClock()))
+    thing = Thing(1, "measured", 1.0, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+    async with asyncio.timeout(PATIENCE_S):
+        while not output.take("rhot/object/cup", thing):
+            await asyncio.sleep(0.01)
+    await output.close()
+    assert "LSL stream object_cup cannot be opened: could not create stream outlet." in caplog.text
+
+
 @pytest.mark.integration
 async def test_labrecorder_records_it_on_the_rigs_times(router: BusConfig, tmp_path: Path) -> None:
     pytest.importorskip("pylsl", reason="pip install 'rhot[lsl]'")

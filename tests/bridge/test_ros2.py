@@ -98,6 +98,20 @@ async def test_no_router_is_told(free_port: int) -> None:
         await output.open()
 
 
+async def test_a_router_that_refuses_the_node_leaves_no_session(
+    free_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> str:
+        raise zenoh.ZError("not authorised")
+
+    monkeypatch.setattr("rhot_bridge.links.rmw_zenoh.node_token", refuse)
+    output = ros2.make_output(BridgeConfig(target="ros2", port=free_port))
+    async with await Bus.open(BusConfig(mode="router", connect=(), listen=(f"tcp/127.0.0.1:{free_port}",))):
+        with pytest.raises(DeviceError, match="not authorised"):
+            await output.open()
+        assert not output.wanted(0)
+
+
 async def test_a_router_carries_messages_tokens_and_attachments(
     free_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,4 @@
-"""How packets reach another program; none blocks, and a receiver that is not there costs nothing and is told once."""
+"""Links that send packets to another program without blocking; a missing receiver is logged once and costs no work."""
 
 from __future__ import annotations
 
@@ -12,24 +12,28 @@ __all__ = ["Link", "UdpLink", "WebSocketLink"]
 
 
 class Link(Protocol):
-    """A way to a receiver."""
+    """A connection to a receiver."""
 
     @property
     def where(self) -> str:
-        """Where it leads, for people."""
+        """Its address, for people."""
         ...
 
     @property
     def problem(self) -> str:
-        """Why nothing gets there, one sentence; empty when it does, as far as can be told."""
+        """Why packets do not arrive, one sentence; empty while they do, as far as is known."""
         ...
 
     async def open(self) -> None:
-        """Open it; a DeviceError is tried again by the runner."""
+        """Open the link.
+
+        Raises:
+            DeviceError: it cannot be opened; the service runner tries again.
+        """
         ...
 
     def wanted(self, now_ns: int) -> bool:
-        """Return whether it is worth making packets now, by the monotonic clock."""
+        """Return whether packets would be sent now; `now_ns` is on the monotonic clock."""
         ...
 
     def send(self, packets: Sequence[bytes]) -> int:
@@ -37,5 +41,5 @@ class Link(Protocol):
         ...
 
     async def close(self) -> None:
-        """Close it."""
+        """Close the link; closing it twice does no harm."""
         ...

@@ -1,13 +1,14 @@
-"""Speaking ROS 2's Zenoh middleware, rmw_zenoh: where a message goes, who is told of it, and what is attached.
+"""ROS 2's Zenoh middleware rmw_zenoh: keys, liveliness tokens and attachments.
 
 A topic's key is `<domain>/<topic>/<package>::msg::dds_::<Type>_/<type hash>`. Each node and each publisher has a
-liveliness token, from which `ros2 topic list` and others learn of it:
+liveliness token, by which `ros2 topic list` and other tools discover it:
 
     @ros2_lv/<domain>/<zid>/<node id>/<id>/NN/%/%/<node>
     @ros2_lv/<domain>/<zid>/<node id>/<id>/MP/%/%/<node>/<topic, / as %>/<type>/<type hash>/<quality of service>
 
-(an empty enclave and namespace are `%`; `::,10:,:,:,,` is the default quality of service). Attached to every message:
-a sequence number from 1 and a time in ns (8 bytes each, little-endian), 16, and the publisher's id of 16 bytes.
+(an empty enclave and namespace are `%`; `::,10:,:,:,,` is the default quality of service). Every message carries as
+attachment a sequence number from 1 and a time in ns (8 bytes each, little-endian), the byte 16, and the publisher's id
+of 16 bytes.
 Source: rmw_zenoh, docs/design.md and `attachment_helpers.cpp`, versions from Jazzy on.
 """
 
@@ -36,9 +37,9 @@ logger = logging.getLogger(__name__)
 NODE: Final = "rhot"
 DEFAULT_QOS: Final = "::,10:,:,:,,"
 MOST_TOPICS: Final = 128
-"""Of one node; a rig has about ten."""
+"""Largest number of topics of one node; a rig has about ten."""
 _RETRY_S: Final = 5.0
-"""Until a topic that could not be announced is announced again."""
+"""Pause before a topic that could not be declared is declared again."""
 _ID_BYTES: Final = 16
 _CLOSE_LIMIT_S: Final = 1.0
 _LOOK_NS: Final = 1_000_000_000
@@ -50,7 +51,7 @@ def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
 
 
 def dds_type(type_name: str) -> str:
-    """Return a type as the middleware names it, such as `geometry_msgs::msg::dds_::PoseStamped_`."""
+    """Return the middleware's name of a type, such as `geometry_msgs::msg::dds_::PoseStamped_`."""
     package, kind, name = type_name.split("/")
     return f"{package}::{kind}::dds_::{name}_"
 
@@ -67,7 +68,7 @@ def publisher_token(domain: int, zid: str, number: int, topic: str, type_name: s
 
 
 def attachment(sequence: int, t_ns: int, publisher_id: bytes) -> bytes:
-    """Return what goes with every message."""
+    """Return the attachment of a message."""
     return struct.pack(f"<qqB{_ID_BYTES}s", sequence, t_ns, _ID_BYTES, publisher_id)
 
 
@@ -79,14 +80,14 @@ class _Publisher:
     sequence: int = 0
 
     def undeclare(self) -> None:
-        """Take publisher and token back."""
+        """Undeclare publisher and token."""
         for declared in (self.token, self.publisher):
             with contextlib.suppress(zenoh.ZError):
                 declared.undeclare()
 
 
 class RmwZenohLink:
-    """A session of its own with a Zenoh router: ROS's (`rmw_zenohd`), or the rig's where ROS uses that."""
+    """A separate session with a Zenoh router: ROS's (`rmw_zenohd`), or the rig's router if ROS uses it."""
 
     def __init__(self, host: str, port: int, domain: int, type_hash: Callable[[str], str]) -> None:
         self._host, self._port = host, port
@@ -102,33 +103,34 @@ class RmwZenohLink:
 
     @property
     def where(self) -> str:
-        """Where it leads, for people."""
+        """The router's address and the ROS domain, for people."""
         return f"ROS 2 (rmw_zenoh) at {self._host} port {self._port}, domain {self._domain}"
 
     @property
     def problem(self) -> str:
-        """That the router has gone."""
+        """That the router is gone; empty while it is there."""
         return self._problem
 
     async def open(self) -> None:
-        """Open the session.
+        """Open the session and declare the node.
 
         Raises:
-            DeviceError: no router answers.
+            DeviceError: no router answers, or it refuses the node.
         """
         config = BusConfig(connect=(f"tcp/{self._host}:{self._port}",))
         try:
             self._session = await asyncio.to_thread(zenoh.open, session_config(config))
+            self._node = self._session.liveliness().declare_token(node_token(self._domain, self._zid()))
         except zenoh.ZError as error:
+            await self.close()
             raise DeviceError(
                 f"no Zenoh router answers at {self._host} port {self._port}; start `ros2 run rmw_zenoh_cpp "
                 f"rmw_zenohd`, or name it with --host and --port (Zenoh: {plain_reason(error)})"
             ) from error
         self._problem = ""
-        self._node = self._session.liveliness().declare_token(node_token(self._domain, self._zid()))
 
     def wanted(self, now_ns: int) -> bool:
-        """Return whether a router is there; looked at once a second."""
+        """Return whether a router is there; checked once a second."""
         session = self._session
         if session is None:
             return False
@@ -142,9 +144,9 @@ class RmwZenohLink:
         return not self._problem
 
     def put(self, topic: str, type_name: str, payload: bytes) -> bool | None:
-        """Send a message; return whether it went out, None while its topic is being announced.
+        """Send a message; return whether it was sent, None while its topic is being declared.
 
-        Announcing waits for the router, so it happens on a thread of its own.
+        Declaring a topic waits for the router, so it runs on a worker thread.
         """
         publisher = self._publishers.heard(topic)
         if publisher is None:
@@ -184,7 +186,7 @@ class RmwZenohLink:
             logger.info("ROS topic %s is there, %s", topic, type_name)
         except zenoh.ZError as error:
             logger.warning("ROS topic %s cannot be announced: %s", topic, plain_reason(error))
-            # Not again with the next frame.
+            # Keeps the next frame from declaring it again at once.
             await asyncio.sleep(_RETRY_S)
         finally:
             self._announcing.pop(topic, None)
@@ -195,7 +197,7 @@ class RmwZenohLink:
         return str(self._session.info.zid())
 
     async def close(self) -> None:
-        """Close the session; what it has declared goes with it."""
+        """Close the session with everything that it has declared."""
         session, self._session = self._session, None
         announcing = list(self._announcing.values())
         for task in announcing:
@@ -205,7 +207,7 @@ class RmwZenohLink:
         self._publishers.clear()
         self._node = None
         if session is not None:
-            # A daemon thread: a close that hangs must not keep the process alive.
+            # On a daemon thread, because a close that hangs must not keep the process alive.
             closer = threading.Thread(target=session.close, name="rhot-ros2-close", daemon=True)
             closer.start()
             await asyncio.to_thread(closer.join, _CLOSE_LIMIT_S)

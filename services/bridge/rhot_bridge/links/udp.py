@@ -1,4 +1,4 @@
-"""Packets by UDP."""
+"""Packets over UDP."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rhot.errors import DeviceError
 logger = logging.getLogger(__name__)
 
 _PROBE_NS: Final = 1_000_000_000
-"""While nobody listens, one frame is sent in so long a time, to see whether somebody does now."""
+"""Interval at which one frame is sent as a probe while no program listens."""
 _NOBODY: Final = (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN, errno.ENETDOWN)
 MOST_BYTES: Final = 65_507
 """Largest UDP payload over IPv4."""
@@ -23,8 +23,8 @@ MOST_BYTES: Final = 65_507
 class UdpLink:
     """Sends to one address.
 
-    The socket is connected, so that the answer "nobody listens on this port" (ICMP), where the other machine gives
-    one, comes back as an error of a later call.
+    The socket is connected, so that an ICMP "port unreachable" from the other machine is reported as an error of a
+    later call.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -37,27 +37,27 @@ class UdpLink:
 
     @property
     def where(self) -> str:
-        """Where it leads, for people."""
+        """The receiver's address, for people."""
         return f"UDP to {self._host} port {self._port}"
 
     @property
     def problem(self) -> str:
-        """That nobody receives."""
+        """That no program receives; empty while one does, as far as is known."""
         return self._problem
 
     async def open(self) -> None:
         """Open the socket.
 
         Raises:
-            DeviceError: the host has no address.
+            DeviceError: the host has no address, or none that this machine can send to.
         """
         loop = asyncio.get_running_loop()
         try:
             found = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_DGRAM)
-        except OSError as error:
+            family, kind, protocol, _, address = found[0]
+            opened = socket.socket(family, kind, protocol)
+        except (OSError, UnicodeError) as error:  # UnicodeError: not a valid host name
             raise self._unreachable(error) from error
-        family, kind, protocol, _, address = found[0]
-        opened = socket.socket(family, kind, protocol)
         opened.setblocking(False)
         try:
             opened.connect(address)
@@ -66,11 +66,13 @@ class UdpLink:
             raise self._unreachable(error) from error
         self._socket = opened
 
-    def _unreachable(self, error: OSError) -> DeviceError:
-        return DeviceError(f"{self._host} cannot be reached: {error.strerror or error}; check --host")
+    def _unreachable(self, error: Exception) -> DeviceError:
+        return DeviceError(
+            f"{self._host} cannot be reached: {getattr(error, 'strerror', None) or error}; check --host"
+        )
 
     def wanted(self, now_ns: int) -> bool:
-        """Return whether somebody listens, as far as can be told, or it is time to try again."""
+        """Return whether a program listens, as far as is known, or a probe is due."""
         if self._socket is None:
             return False
         code = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) or self._refusal
@@ -83,7 +85,7 @@ class UdpLink:
             logger.info("somebody receives at %s port %d again", self._host, self._port)
             self._problem, self._probed = "", False
         elif self._problem:
-            # Whether the probe is refused shows until the silence ends.
+            # The refusal of the probe, if any, arrives before the next probe is due.
             self._probed, self._silent_until_ns = True, now_ns + _PROBE_NS
         return True
 
@@ -97,7 +99,7 @@ class UdpLink:
             logger.warning("%s; it is tried again once a second", self._problem)
 
     def send(self, packets: Sequence[bytes]) -> int:
-        """Send packets; return how many the system did not take, which are lost."""
+        """Send packets; return how many the system refused, which are lost."""
         if self._socket is None:
             return 0
         lost = 0

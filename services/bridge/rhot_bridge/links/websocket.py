@@ -1,13 +1,15 @@
-"""Messages to all who connect by WebSocket."""
+"""Messages to all clients of a WebSocket server."""
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
 from collections.abc import Sequence
 from typing import Final
 
 from websockets.asyncio.server import Server, ServerConnection, broadcast, serve
+from websockets.exceptions import ConnectionClosed
 from websockets.typing import Origin
 
 from rhot.errors import DeviceError
@@ -15,15 +17,16 @@ from rhot.errors import DeviceError
 logger = logging.getLogger(__name__)
 
 MOST_READERS: Final = 16
-"""Programs and pages that may read at once; chosen."""
+"""Largest number of connected clients; chosen."""
 _MOST_UNSENT_BYTES: Final = 65_536
-"""A reader with more than about ten messages unread is slow: it misses messages instead of getting old ones."""
+"""A client with more unsent bytes, about ten messages, is skipped: it misses messages instead of receiving old ones."""
 _HERE: Final = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
-"""Pages of this machine. Programs that are no browsers say no origin; any other page could read along unseen."""
+"""Origins on this machine. Programs other than browsers send no origin. Any other web page is refused, because it could
+read the poses without the user's knowledge."""
 
 
 class WebSocketLink:
-    """Listens on one port; one text message a packet, the newest to everybody who keeps up."""
+    """WebSocket server on one port; sends each packet as a text message to every client that keeps up."""
 
     def __init__(self, host: str, port: int, allow_origins: Sequence[str] = ()) -> None:
         self._host, self._port = host, port
@@ -33,26 +36,21 @@ class WebSocketLink:
 
     @property
     def where(self) -> str:
-        """Where it leads, for people."""
+        """The server's address, for people."""
         return f"WebSocket at ws://{self._host}:{self._port}"
 
     @property
     def problem(self) -> str:
-        """Nothing: that nobody has connected yet is none."""
+        """Always empty: a server without clients is not a problem."""
         return ""
 
-    @property
-    def readers(self) -> int:
-        """How many are connected."""
-        return len(self._readers)
-
     async def open(self) -> None:
-        """Listen.
+        """Start listening.
 
         Raises:
-            DeviceError: the port or the address cannot be had.
+            DeviceError: the port is in use, or the address is not this machine's.
         """
-        # It logs every connection that fails; who reads is told here.
+        # The library logs every failed connection; clients are logged below.
         library = logging.getLogger("rhot_bridge.websockets")
         library.setLevel(logging.ERROR)
         try:
@@ -61,7 +59,7 @@ class WebSocketLink:
                 self._host,
                 self._port,
                 origins=self._origins,
-                # Small messages of numbers at 90 Hz: packing them costs more than it saves.
+                # Compressing small messages of numbers at 90 Hz costs more time than it saves.
                 compression=None,
                 max_size=1024,
                 close_timeout=0.5,
@@ -80,25 +78,27 @@ class WebSocketLink:
         self._readers.add(reader)
         logger.info("a reader has connected, %d now", len(self._readers))
         try:
-            async for _ in reader:
-                pass  # Nothing is expected of a reader.
+            # A program that crashes, or sends too large a message, ends the connection without a closing handshake.
+            with contextlib.suppress(ConnectionClosed):
+                async for _ in reader:
+                    pass  # Messages from clients are ignored.
         finally:
             self._readers.discard(reader)
             logger.info("a reader has gone, %d left", len(self._readers))
 
     def wanted(self, now_ns: int) -> bool:
-        """Return whether anybody is connected."""
+        """Return whether any client is connected."""
         return bool(self._readers)
 
     def send(self, packets: Sequence[bytes]) -> int:
-        """Send messages to all who keep up; return how many others missed."""
+        """Send messages to all clients that keep up; return how many messages the others missed."""
         ready = [each for each in self._readers if each.transport.get_write_buffer_size() < _MOST_UNSENT_BYTES]
         for packet in packets:
             broadcast(ready, packet, text=True)
         return (len(self._readers) - len(ready)) * len(packets)
 
     async def close(self) -> None:
-        """Say goodbye to all and stop listening."""
+        """Close all connections and stop listening."""
         if self._server is not None:
             self._server.close()
             await self._server.wait_closed()

@@ -1,8 +1,8 @@
 """LSL (Lab Streaming Layer): a stream of type `MoCap` for each hand, body, foot, object and the headset.
 
-Every sample that the rig publishes goes out once, at the moment at which it was true: its rig time, mapped to LSL's
-`local_clock()` (`rhot_bridge.clock_map`), never the time of sending. So a recording lines up with EEG, gaze or force
-plates whatever the tracker's latency is.
+Every published sample is sent once, with its own time: the rig time, mapped to LSL's `local_clock()`
+(`rhot_bridge.clock_map`), never the time of sending. So a recording is synchronous with EEG, gaze or force plates,
+whatever the tracker's latency is.
 
 Channels: see `rhot_bridge.targets.mocap_channels`. The rate is irregular.
 """
@@ -35,28 +35,30 @@ except RuntimeError as error:
 logger = logging.getLogger(__name__)
 
 MOST_STREAMS: Final = 64
-"""Things that one bridge sends; a rig has about ten."""
+"""Largest number of streams; a rig has about ten."""
 _FIRST_READINGS: Final = 5
+_RETRY_S: Final = 5.0
+"""Pause before a stream that could not be opened is opened again; chosen."""
 _BUFFERED: Final = 60
-"""Hundreds of samples that are kept for a recorder which stalls: a minute at 100 Hz, 4 MB for a hand."""
+"""Samples buffered for a recorder that stalls, in hundreds: a minute at 100 Hz, 4 MB for a hand."""
 
 
 @dataclass(slots=True)
 class _Stream:
-    """One stream, and the time of the sample that it sent last."""
+    """One stream, and the time of the last sample sent."""
 
     outlet: Any
     sent_ns: int | None = None
 
 
 class LslOutput:
-    """Streams of this machine; see `rhot_bridge.output.SampleOutput`."""
+    """The streams of this process; see `rhot_bridge.output.SampleOutput`."""
 
     leads: Sequence[str] = ()
     problem = ""
 
     def __init__(self, config: BridgeConfig) -> None:
-        """Prepare; of the configuration, axes and what is predicted count."""
+        """Prepare; uses `axes` and `predicted` of the configuration."""
         self.axes: Axes = config.axes
         self._predicted = config.predicted == "send"
         self._clock: RigClock | None = None
@@ -66,18 +68,18 @@ class LslOutput:
 
     @property
     def where(self) -> str:
-        """Who finds the streams."""
+        """How the streams are found, for people."""
         return "LSL streams of type MoCap, for whom LSL's own configuration (lsl_api.cfg) lets find them"
 
     def use_clock(self, clock: RigClock) -> None:
-        """Take times from a rig clock."""
+        """Set the rig clock that samples are timed on."""
         self._clock = clock
 
     async def open(self) -> None:
-        """Nothing: streams appear with their first samples."""
+        """Do nothing: streams are opened with their first samples."""
 
     def wanted(self, now_ns: int) -> bool:
-        """Return that no scenes are: every sample goes out by itself."""
+        """Return False: samples are sent one by one, not as scenes."""
         return False
 
     def send(self, scene: Scene, now_ns: int) -> tuple[int, int]:
@@ -85,7 +87,7 @@ class LslOutput:
         return 0, 0
 
     def take(self, key: str, tracked: Tracked) -> bool:
-        """Send a sample in the wanted axes; return whether it went out."""
+        """Send a sample in the output's axes; return whether it was sent."""
         if tracked.state == "predicted" and not self._predicted:
             return False
         name = key.removeprefix("rhot/").replace("/", "_")
@@ -93,7 +95,7 @@ class LslOutput:
         if stream is None:
             self._offer(name, joints_of(name, tracked))
             return False
-        # Not "later than": the rig clock may be set back.
+        # Compared for equality, because the rig clock may be set back.
         if tracked.t_ns == stream.sent_ns or not self._read_clocks():
             return False
         stream.sent_ns = tracked.t_ns
@@ -104,41 +106,48 @@ class LslOutput:
         clock = self._clock
         if clock is None or not clock.ready:
             return False
-        # The first reading counts whole: the shortest of several, so that no interruption lies within it.
+        # The first reading is not smoothed: the shortest of several is used, which contains no interruption.
         readings = [_read(clock) for _ in range(1 if self._map.ready else _FIRST_READINGS)]
         rig_ns, before_ns, after_ns = min(readings, key=lambda reading: reading[2] - reading[1])
         self._map.read(rig_ns, before_ns, after_ns)
         return True
 
     def _offer(self, name: str, joints: tuple[str, ...]) -> None:
-        """Make a stream, on a thread of its own: opening its ports takes some milliseconds."""
+        """Open a stream on a worker thread: opening its ports takes some milliseconds."""
         if name in self._opening or not self._outlets.make_room(len(self._opening), _forget):
             return
 
         async def offer() -> None:
-            self._outlets.add(name, _Stream(await asyncio.to_thread(_outlet, name, joints, self.axes)))
-            del self._opening[name]
-            logger.info("LSL stream %s is there, %d channels", name, 7 * len(joints) + 1)
+            try:
+                self._outlets.add(name, _Stream(await asyncio.to_thread(_outlet, name, joints, self.axes)))
+                logger.info("LSL stream %s is there, %d channels", name, 7 * len(joints) + 1)
+            except Exception as error:  # whatever liblsl raises: one stream does not end the bridge
+                logger.warning("LSL stream %s cannot be opened: %s", name, str(error) or type(error).__name__)
+                # Keeps the next sample from opening it again at once.
+                await asyncio.sleep(_RETRY_S)
+            finally:
+                self._opening.pop(name, None)
 
         self._opening[name] = asyncio.create_task(offer())
 
     async def close(self) -> None:
         """Close all streams."""
-        for task in self._opening.values():
+        opening = list(self._opening.values())
+        for task in opening:
             task.cancel()
-        await asyncio.gather(*self._opening.values(), return_exceptions=True)
+        await asyncio.gather(*opening, return_exceptions=True)
         outlets = self._outlets.clear()
         self._opening.clear()
-        # The last reference ends a stream, which takes a moment.
+        # Dropping the last reference closes a stream, which takes a moment.
         await asyncio.to_thread(outlets.clear)
 
 
 def _forget(_: _Stream) -> None:
-    """Do nothing more: the last reference ends a stream, which takes a moment."""
+    """Do nothing: dropping the last reference, on the worker thread, closes the stream."""
 
 
 def _read(clock: RigClock) -> tuple[int, int, int]:
-    """Return a reading of the rig clock, and of LSL's before and after it, nanoseconds."""
+    """Return a reading of the rig clock, and of LSL's clock before and after it, nanoseconds."""
     before_s, rig_ns, after_s = pylsl.local_clock(), clock.now_ns(), pylsl.local_clock()
     return rig_ns, round(1e9 * before_s), round(1e9 * after_s)
 
