@@ -163,10 +163,10 @@ def test_a_device_that_is_gone_is_switched_off_for_a_second_and_the_room_is_told
 
 def test_devices_are_switched_off_when_the_bridge_ends() -> None:
     target = VmtTarget()
-    assert target.farewell() == []
+    assert target.closing_packets() == []
     target.frame(bridge_poses.scene("flat"), 0)
-    assert devices(target.farewell()) == sorted(3 * [[0, 0], [1, 0], [2, 0], [3, 0], [10, 0]])
-    assert target.farewell() == [], "once"
+    assert devices(target.closing_packets()) == sorted(3 * [[0, 0], [1, 0], [2, 0], [3, 0], [10, 0]])
+    assert target.closing_packets() == [], "once"
 
 
 def test_an_object_that_is_new_takes_the_device_of_one_that_has_gone() -> None:

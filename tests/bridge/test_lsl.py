@@ -119,7 +119,7 @@ async def test_streams_that_are_silent_make_room_for_others(monkeypatch: pytest.
     async with asyncio.timeout(PATIENCE_S):
         for number, name in enumerate(("a", "b", "c", "d", "a")):
             thing = Thing(number, "measured", 1.0, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
-            while not output.take(f"rhot/object/{name}", thing):
+            while not output.send_sample(f"rhot/object/{name}", thing):
                 await asyncio.sleep(0.01)
     assert list(output._outlets) == ["object_d", "object_a"]
     await output.close()
@@ -142,7 +142,7 @@ async def test_a_stream_that_cannot_be_opened_is_logged_and_opened_again(
     output.use_clock(LocalRigClock(SystemClock()))
     thing = Thing(1, "measured", 1.0, np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
     async with asyncio.timeout(PATIENCE_S):
-        while not output.take("rhot/object/cup", thing):
+        while not output.send_sample("rhot/object/cup", thing):
             await asyncio.sleep(0.01)
     await output.close()
     assert "LSL stream object_cup cannot be opened: could not create stream outlet." in caplog.text

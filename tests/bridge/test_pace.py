@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rhot_bridge.feed import Moments
+from rhot_bridge.feed import HandPairing
 from rhot_bridge.pace import Pace
 
 
@@ -42,11 +42,11 @@ def test_others_ride_along_while_the_hand_leads_and_lead_when_it_is_gone() -> No
 
 
 def test_hands_that_come_together_wait_for_each_other() -> None:
-    moments = Moments()
-    assert moments.complete("left", 1)
-    assert moments.complete("right", 1)
-    assert not moments.complete("left", 2)
-    assert moments.complete("right", 2)
-    assert not moments.complete("left", 3)
-    moments.waited_in_vain()
-    assert moments.complete("left", 4)
+    pairing = HandPairing()
+    assert pairing.add("left", 1)
+    assert pairing.add("right", 1)
+    assert not pairing.add("left", 2)
+    assert pairing.add("right", 2)
+    assert not pairing.add("left", 3)
+    pairing.time_out()
+    assert pairing.add("left", 4)

@@ -11,8 +11,9 @@ and q_R the quaternion of R,
     p_unity = M · p_stage = (x, y, −z)
     R_unity = M · R_stage · M, so q_unity = (−x, −y, z, w)
 
-A joint's own axes are mirrored, too: OpenXR's +Z from the tip to the wrist becomes +z from the wrist to the tip, which
-is Unity's "forward along the finger", +Y stays out of the back of the hand. OpenVR's axes (SteamVR) are the stage's.
+A joint's own axes are mirrored as well: OpenXR's +Z from the tip to the wrist becomes +z from the wrist to the tip,
+which is Unity's "forward along the finger"; +Y still points out of the back of the hand. OpenVR's axes (SteamVR) are
+the stage's.
 
 **Euler angles** of VRChat: degrees, in Unity's axes, applied about z, then x, then y, each about the fixed axes:
 R = Ry(y) · Rx(x) · Rz(z), Unity's own order. With left-handed axes a positive angle turns clockwise seen along the
@@ -35,7 +36,7 @@ from rhot_bridge.scene import Axes, Poses, Scene
 _UNITY_POSITION: Final = np.array([1.0, 1.0, -1.0])
 _UNITY_ORIENTATION: Final = np.array([-1.0, -1.0, 1.0, 1.0])
 _MOST_KNOWN: Final = 64
-"""Poses whose conversion is remembered, for the other bridges of the process that want the same axes."""
+"""Size of the cache of converted poses, which bridges with the same axes share."""
 _GIMBAL_LOCK: Final = 1.0 - 1e-9
 
 P = TypeVar("P", bound=Poses)
@@ -43,21 +44,21 @@ K = TypeVar("K", bound=str)
 
 
 class Converter:
-    """From the rig's axes to those that a target wants.
+    """Converts poses from the rig's axes to those of a target.
 
     Attributes:
-        axes: that come out.
+        axes: the target's axes.
     """
 
     def __init__(self, axes: Axes, T_rig_stage: FloatArray | None = None) -> None:
-        """Prepare.
+        """Precompute the conversion.
 
         Args:
-            axes: wanted.
-            T_rig_stage: (4, 4) metres; needed for any axes but the rig's.
+            axes: the target's axes.
+            T_rig_stage: (4, 4) metres; required for all axes except the rig's.
 
         Raises:
-            ValueError: the stage is needed and not given.
+            ValueError: T_rig_stage is required and not given.
         """
         self.axes: Axes = axes
         if axes == "rig":
@@ -74,7 +75,7 @@ class Converter:
         self._known: dict[int, tuple[Poses, Poses]] = {}
 
     def poses(self, poses: P) -> P:
-        """Return poses in the rig's axes in the target's; the same poses again cost nothing."""
+        """Return poses converted from the rig's to the target's axes; results are cached by identity."""
         found = self._known.get(id(poses))
         if found is not None and found[0] is poses:
             return cast(P, found[1])
@@ -85,7 +86,7 @@ class Converter:
         return moved
 
     def scene(self, scene: Scene) -> Scene:
-        """Return a scene in the rig's axes in the target's."""
+        """Return a scene converted from the rig's to the target's axes."""
         return Scene(
             self.axes,
             scene.t_ns,
@@ -101,9 +102,9 @@ class Converter:
 
 
 def unity_euler_deg(xyzw: FloatArray) -> tuple[float, float, float]:
-    """Return Unity's Euler angles x, y, z, degrees, of a unit quaternion (4,) in Unity's axes; see the module.
+    """Return Unity's Euler angles x, y, z, degrees, of a unit quaternion (4,), x y z w, in Unity's axes.
 
-    Where x is ±90° (gimbal lock) only a sum of the others is known; z is taken as 0.
+    At x = ±90° (gimbal lock), where only the sum or difference of y and z is determined, z is 0.
     """
     x, y, z, w = xyzw.tolist()
     # Elements of R: R12 = −sin x, R02 : R22 = tan y, R10 : R11 = tan z.

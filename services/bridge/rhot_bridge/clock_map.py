@@ -1,14 +1,14 @@
-"""From the rig clock to another clock of this machine, for programs that keep their own time.
+"""Maps the rig clock to another clock of this machine, for programs with their own clock.
 
-With r and l the readings of both clocks at one moment, o = l − r is their offset, and a sample of rig time s is at
+With r and l the readings of both clocks at one moment, o = l − r is their offset. A sample of rig time s has the time
 
     s + ô
 
-on the other clock. r is read between l₀ and l₁, so o lies between l₀ − r and l₁ − r. Where ô lies there, too, the
-reading tells nothing new: a process that was interrupted between two of its lines moves no stamp. Else ô follows the
-nearer end smoothly: it closes 1 − exp(−Δt/τ) of the difference after Δt. The rig clock of this machine is itself an
-estimate that moves by microseconds as it learns; a recording must not jump with it. A difference of more than
-`STEP_NS` is no estimate's, but a clock that was set: ô follows at once.
+on the other clock. r is read between l₀ and l₁, so o lies between l₀ − r and l₁ − r. If ô lies in this interval, it is
+kept, so that an interruption of the process between two readings does not change time stamps. Otherwise ô approaches
+the nearer bound by 1 − exp(−Δt/τ) of the difference after Δt: the rig clock of this machine is itself an estimate that
+changes by microseconds, and a recording must not jump with it. A difference of more than `STEP_NS` means that a clock
+was set; ô then follows at once.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import math
 from typing import Final
 
 TIME_CONSTANT_NS: Final = 10_000_000_000
-"""A rig clock that drifts by 40 ppm against this machine's leaves 0.4 ms behind in that time; see `SimConfig`."""
+"""τ. A rig clock that drifts by 40 ppm against this machine's clock leaves an error of 0.4 ms; see `SimConfig`."""
 STEP_NS: Final = 20_000_000
-"""Ten times what `rhot doctor` calls a badly known clock."""
+"""Ten times the uncertainty at which `rhot doctor` warns about a clock."""
 
 
 class ClockMap:
@@ -35,7 +35,7 @@ class ClockMap:
         return self._offset_ns is not None
 
     def read(self, rig_ns: int, before_ns: int, after_ns: int) -> None:
-        """Take a reading of the rig clock between two of the other clock."""
+        """Update the offset with a reading of the rig clock between two readings of the other clock."""
         local_ns = (before_ns + after_ns) // 2
         last = float(local_ns - rig_ns) if self._offset_ns is None else self._offset_ns
         nearest = min(max(last, before_ns - rig_ns), after_ns - rig_ns)
@@ -47,7 +47,7 @@ class ClockMap:
         self._read_ns = local_ns
 
     def to_local_ns(self, rig_ns: int) -> int:
-        """Return a moment of the rig clock on the other clock.
+        """Return the other clock's time of a rig time.
 
         Raises:
             ValueError: no clock has been read yet.

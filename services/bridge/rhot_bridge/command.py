@@ -15,7 +15,7 @@ from rhot.messages import first_problem
 from rhot.rig import BridgeConfig
 from rhot.rig.folder import RIG_FILE, load_config
 from rhot.service.stop import run_to_the_end
-from rhot_bridge.output import meaningless
+from rhot_bridge.output import unsupported_setting
 from rhot_bridge.service import serve_bridges
 from rhot_bridge.targets import TARGETS, TARGETS_OF
 
@@ -90,7 +90,7 @@ def _chosen(
     if target is None:
         if not known:
             raise click.UsageError(
-                f"which program? one of {', '.join(TARGETS)}; {rig_path / RIG_FILE} names no [bridges.NAME] either"
+                f"which program? one of {', '.join(TARGETS)}; {rig_path / RIG_FILE} has no [bridges.NAME] either"
             )
         if given:
             raise click.UsageError("options belong to one bridge; name it, or write them into rig.toml")
@@ -104,7 +104,7 @@ def _chosen(
         raise click.UsageError(f"there is no bridge to {target!r}; one of {', '.join(TARGETS)}{own}")
     for name in given:
         if chosen.target not in TARGETS_OF.get(name, TARGETS):
-            raise ConfigError(f"bridge {target}: {meaningless(name, chosen.target)}")
+            raise ConfigError(f"bridge {target}: {unsupported_setting(name, chosen.target)}")
     try:
         return {target: BridgeConfig.model_validate({**chosen.model_dump(), **given})}
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""What comes from the bus, decoded once for all bridges of a process."""
+"""Subscribes to the bus and decodes messages once for all bridges of a process."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 STAGE_KEY: Final = "rhot/space/stage"
 _STAGE_RETRY_S: Final = 1.0
 _OTHER_HAND_S: Final = 0.002
-"""ik publishes both hands of a moment one right after the other: two turns of an event loop's clock."""
+"""Longest wait for the other hand of a sample: ik publishes both hands one right after the other."""
 
 _KEYS: Final = ("rhot/hand/*", "rhot/object/*", "rhot/head", "rhot/foot/*", "rhot/body")
 _MODELS: Final[Mapping[str, type[HandPose | ObjectPose | FootPose | BodyPose]]] = {
@@ -35,39 +35,39 @@ _MODELS: Final[Mapping[str, type[HandPose | ObjectPose | FootPose | BodyPose]]] 
     "foot": FootPose,
     "body": BodyPose,
 }
-"""What stands on these keys, by the second chunk of each: its kind."""
+"""Model of the messages on these keys by the kind, which is the second chunk of the key."""
 _NAME: Final = TypeAdapter(Name)
 
 
 class Listener(Protocol):
-    """Who uses the feed: a bridge."""
+    """A user of the feed: a bridge."""
 
-    def take(self, key: str, tracked: Tracked, arrived_ns: int) -> None:
-        """Keep a sample; it arrived at a moment of `time.monotonic_ns`."""
+    def add_sample(self, key: str, tracked: Tracked, arrived_ns: int) -> None:
+        """Store a sample; `arrived_ns` is on the clock of `time.monotonic_ns`."""
         ...
 
-    def moment(self, kind: str, arrived_ns: int) -> None:
-        """Send, if it is time to: all of a kind (`hand`, `foot`, …) that belongs to one moment has been handed over."""
+    def update_complete(self, kind: str, arrived_ns: int) -> None:
+        """Send if due: all samples of a kind (`hand`, `foot`, …) with the same time have been added."""
         ...
 
-    def floor(self) -> None:
-        """The floor has been found, or another one: ask for another converter."""
+    def stage_changed(self) -> None:
+        """Replace the converter: the stage has become known, or has changed."""
         ...
 
 
-class Moments:
-    """Tells when both hands of a moment are there; pure.
+class HandPairing:
+    """Detects when both hands of a sample have arrived; reads no clock.
 
-    Hands that are solved together carry the same time. If the other hand did so last time, the first of a moment waits
-    for it.
+    Hands that are solved together carry the same time. If both had the same time last time, the first hand of a sample
+    waits for the other.
     """
 
     def __init__(self) -> None:
         self._stamps: dict[str, int] = {}
         self._together = False
 
-    def complete(self, key: str, t_ns: int) -> bool:
-        """Take a hand's time, and return whether nothing more is to be waited for."""
+    def add(self, key: str, t_ns: int) -> bool:
+        """Add a hand's time `t_ns`; return whether the sample is complete."""
         self._stamps[key] = t_ns
         others = [stamp for other, stamp in self._stamps.items() if other != key]
         if t_ns in others:
@@ -75,25 +75,25 @@ class Moments:
             return True
         return not self._together
 
-    def waited_in_vain(self) -> None:
-        """The other hand did not come: wait no more until both come together again."""
+    def time_out(self) -> None:
+        """Stop waiting for the other hand until both have the same time again."""
         self._together = False
 
 
 class Feed:
-    """Subscribes on the bus of the first bridge that is attached, and hands all on to all bridges."""
+    """Subscribes on the bus of the first attached bridge, and passes the samples to all bridges."""
 
     def __init__(self) -> None:
         self._node: asyncio.Future[Node] = asyncio.get_running_loop().create_future()
         self._listeners: list[Listener] = []
-        self._moments = Moments()
+        self._pairing = HandPairing()
         self._late: asyncio.TimerHandle | None = None
         self._first_ns = 0
         self._T_rig_stage: FloatArray | None = None
         self._converters: dict[Axes, Converter] = {"rig": Converter("rig")}
 
     def converter(self, axes: Axes) -> Converter | None:
-        """Return the converter that all bridges share which want these axes; None while the floor is not known."""
+        """Return the shared converter to some axes; None while the stage is unknown."""
         if axes not in self._converters and self._T_rig_stage is not None:
             self._converters[axes] = Converter(axes, self._T_rig_stage)
         return self._converters.get(axes)
@@ -105,7 +105,7 @@ class Feed:
             self._node.set_result(node)
 
     async def run(self) -> None:
-        """Hand on what comes until the bus is closed."""
+        """Pass samples on until the bus is closed."""
         node = await self._node
         poses, stages = node.bus.latest(*_KEYS), node.bus.latest(STAGE_KEY)
         async with asyncio.TaskGroup() as tasks:
@@ -128,29 +128,29 @@ class Feed:
             mailbox.keep_slot_of(sample.key)
             node.status.tick("input")
             for listener in self._listeners:
-                listener.take(sample.key, found, sample.arrived_ns)
+                listener.add_sample(sample.key, found, sample.arrived_ns)
             self._announce(kind, sample.key, found.t_ns, sample.arrived_ns)
 
     def _announce(self, kind: str, key: str, t_ns: int, arrived_ns: int) -> None:
         if kind == "hand":
-            if not self._moments.complete(key, t_ns):
+            if not self._pairing.add(key, t_ns):
                 if self._late is None:
                     self._first_ns = arrived_ns
                     self._late = asyncio.get_running_loop().call_later(_OTHER_HAND_S, self._hand_alone)
                 return
             if self._late is not None:
-                # The moment is as old as its first hand.
+                # The sample is as old as its first hand.
                 arrived_ns = self._first_ns
                 self._late.cancel()
                 self._late = None
         for listener in self._listeners:
-            listener.moment(kind, arrived_ns)
+            listener.update_complete(kind, arrived_ns)
 
     def _hand_alone(self) -> None:
         self._late = None
-        self._moments.waited_in_vain()
+        self._pairing.time_out()
         for listener in self._listeners:
-            listener.moment("hand", self._first_ns)
+            listener.update_complete("hand", self._first_ns)
 
     async def _follow_stage(self, node: Node, mailbox: LatestSubscriber) -> None:
         async for sample in mailbox:
@@ -158,7 +158,7 @@ class Feed:
                 self._take_stage(node, sample.payload)
 
     async def _ask_for_stage(self, node: Node) -> None:
-        """Ask for the floor, which may have been published before this process was there."""
+        """Query the stage, which may have been published before this process started."""
         while self._T_rig_stage is None:
             with contextlib.suppress(BusError):
                 for reply in await node.bus.get(STAGE_KEY, timeout_s=_STAGE_RETRY_S):
@@ -180,14 +180,14 @@ class Feed:
         self._T_rig_stage = T_rig_stage
         self._converters = {"rig": self._converters["rig"]}
         for listener in self._listeners:
-            listener.floor()
+            listener.stage_changed()
 
 
 def _check_key(key: str, message: HandPose | ObjectPose | FootPose | BodyPose) -> None:
-    """Refuse what stands on a key that is not its own: names go on into other programs.
+    """Refuse a message on a wrong key, because names are passed on to other programs.
 
     Raises:
-        WireError: the other side's key, one of no side, or an object whose name is none.
+        WireError: the key names the other side or no side, or the object's name is not valid.
     """
     _, kind, *rest = key.split("/")
     if isinstance(message, HandPose | FootPose):

@@ -1,4 +1,4 @@
-"""What of the newest samples goes out, and how: as it is, kept, faded or not at all."""
+"""The newest sample of each key, and whether it is sent as it is, kept, faded or omitted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rhot.rig import BridgeConfig
 from rhot_bridge.scene import Body, Hand, Scene, Thing, Tracked
 
 MOST_KEYS: Final = 64
-"""Things that one bridge sends; a rig has about ten."""
+"""Largest number of keys of one bridge; a rig has about ten."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -20,7 +20,7 @@ class _Arrived:
 
 
 class Newest:
-    """The newest of each key that may be sent; all times are of one monotonic clock, handed in."""
+    """The newest sample of each key; all times are on one monotonic clock, passed in by the caller."""
 
     def __init__(self, config: BridgeConfig) -> None:
         self.config = config
@@ -33,24 +33,24 @@ class Newest:
         return self._fading
 
     def put(self, key: str, tracked: Tracked, now_ns: int) -> None:
-        """Keep a sample; a predicted one only where such are sent."""
+        """Store a sample; a predicted one only if `predicted = "send"`."""
         if tracked.state == "predicted" and self.config.predicted == "absent":
             return
-        # Taken out first, so that the first is the one that has been silent longest.
+        # Removed and added again, so that the dict is ordered by arrival, oldest first.
         if self._arrived.pop(key, None) is None and len(self._arrived) >= MOST_KEYS:
             silent = next(iter(self._arrived))
             if self._weight((now_ns - self._arrived[silent].at_ns) / 1e9)[1]:
                 return
-            # It has gone, and is only kept or fading.
+            # The oldest is absent: it is only kept or fading.
             del self._arrived[silent]
         self._arrived[key] = _Arrived(tracked, now_ns)
 
     def clear(self) -> None:
-        """Forget all, as at a session's start."""
+        """Discard all samples, as at a session's start."""
         self._arrived.clear()
 
     def scene(self, now_ns: int) -> Scene:
-        """Return what is sent now, rig axes; what is over is forgotten."""
+        """Return the scene to send now, rig axes; samples that have faded out are discarded."""
         hands: dict[Side, Hand] = {}
         feet: dict[Side, Thing] = {}
         objects: dict[str, Thing] = {}
@@ -82,7 +82,7 @@ class Newest:
         return Scene("rig", newest_ns, hands, objects, head, feet, body)
 
     def _weight(self, age_s: float) -> tuple[float, bool]:
-        """Return how much of a sample of an age is sent, 0 = nothing, and whether it counts as present."""
+        """Return the weight of a sample of an age, 0 = not sent, and whether it counts as present."""
         config = self.config
         absent_s = age_s - config.absent_after_s
         if absent_s <= 0.0:

@@ -1,4 +1,4 @@
-"""The seam between the core and another program."""
+"""The interface between the core and another program."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from rhot_bridge.targets import TARGETS, TARGETS_OF, Target
 
 
 class Output(Protocol):
-    """Another program, whole: what the core needs of it. `PacketOutput` makes one of a target and a link.
+    """Another program as the core sees it; `PacketOutput` combines a target and a link.
 
-    `make_output(config)` of each target's module returns one. Nothing here may block: a library that does belongs on a
-    thread of its own, and the newest scene wins.
+    `make_output(config)` of each target's module returns one. No method may block: a blocking library needs its own
+    thread, on which the newest scene replaces older ones.
     """
 
     @property
     def axes(self) -> Axes:
-        """Axes of the scenes it takes; `rig` needs no floor."""
+        """Axes of the scenes that it accepts; `rig` needs no stage."""
         ...
 
     @property
-    def leads(self) -> Sequence[str]:
-        """Kinds whose samples give the beat (`hand`, `body`, `foot`, `object`, `head`), the most important first."""
+    def triggers(self) -> Sequence[str]:
+        """Kinds of samples (`hand`, `body`, `foot`, `object`, `head`) that trigger a frame, by priority."""
         ...
 
     @property
     def where(self) -> str:
-        """Where it goes, for people."""
+        """The destination, for people."""
         ...
 
     @property
@@ -42,15 +42,19 @@ class Output(Protocol):
         ...
 
     async def open(self) -> None:
-        """Get ready; a DeviceError is shown in the status and tried again."""
+        """Open the output.
+
+        Raises:
+            DeviceError: it cannot be opened; the runner shows this in the status and tries again.
+        """
         ...
 
     def wanted(self, now_ns: int) -> bool:
-        """Return whether it is worth making a scene now, by the monotonic clock."""
+        """Return whether a scene would be sent now; `now_ns` is on the monotonic clock."""
         ...
 
     def send(self, scene: Scene, now_ns: int) -> tuple[int, int]:
-        """Send a scene in its axes; return how many packets went out and how many were lost on this machine."""
+        """Send a scene in the output's axes; return how many packets were sent and how many lost on this machine."""
         ...
 
     async def close(self) -> None:
@@ -60,75 +64,75 @@ class Output(Protocol):
 
 @runtime_checkable
 class SampleOutput(Output, Protocol):
-    """An output that takes every sample by itself, each with its own time: for recorders. The rate is not capped."""
+    """An output for recorders, which receives every sample with its own time; the rate is not limited."""
 
     def use_clock(self, clock: RigClock) -> None:
-        """Take times from a rig clock."""
+        """Set the rig clock that samples are timed on."""
         ...
 
-    def take(self, key: str, tracked: Tracked) -> bool:
-        """Send a sample in the output's axes; return whether it went out."""
+    def send_sample(self, key: str, tracked: Tracked) -> bool:
+        """Send a sample in the output's axes; return whether it was sent."""
         ...
 
 
 class PacketOutput:
-    """A target's packets over a link."""
+    """Sends a target's packets over a link."""
 
-    def __init__(self, target: Target, link: Link, farewell: Callable[[], list[bytes]] = list) -> None:
-        """Put them together; `farewell` returns the packets that take back what is there when the bridge ends."""
-        self._target, self._link, self._farewell = target, link, farewell
+    def __init__(self, target: Target, link: Link, closing_packets: Callable[[], list[bytes]] = list) -> None:
+        """Combine them; `closing_packets` returns packets that are sent when the bridge ends."""
+        self._target, self._link, self._closing_packets = target, link, closing_packets
         self.axes: Axes = target.axes
-        self.leads = tuple(target.leads)
+        self.triggers = tuple(target.triggers)
         self.open, self.wanted = link.open, link.wanted
 
     @property
     def where(self) -> str:
-        """The link's."""
+        """The link's receiver, for people."""
         return self._link.where
 
     @property
     def problem(self) -> str:
-        """The link's."""
+        """The link's problem; empty when there is none."""
         return self._link.problem
 
     def send(self, scene: Scene, now_ns: int) -> tuple[int, int]:
-        """Make the packets of a scene and send them."""
+        """Send the packets of a scene; return how many were sent and how many were lost on this machine."""
         packets = self._target.frame(scene, now_ns)
         lost = self._link.send(packets)
         return len(packets) - lost, lost
 
     async def close(self) -> None:
-        """Send the farewell and close the link."""
-        self._link.send(self._farewell())
+        """Send the closing packets and close the link."""
+        self._link.send(self._closing_packets())
         await self._link.close()
 
 
-def refuse_meaningless(config: BridgeConfig) -> None:
-    """Refuse a setting that the target has no use for, instead of leaving it without effect.
+def check_settings(config: BridgeConfig) -> None:
+    """Refuse settings that have no effect on the target.
 
     Raises:
         ConfigError: such a setting differs from its default.
     """
     for name, targets in TARGETS_OF.items():
         if config.target not in targets and getattr(config, name) != BridgeConfig.model_fields[name].default:
-            raise ConfigError(meaningless(name, config.target))
+            raise ConfigError(unsupported_setting(name, config.target))
 
 
-def meaningless(name: str, target: str) -> str:
-    """Return the sentence that refuses a setting of a target."""
+def unsupported_setting(name: str, target: str) -> str:
+    """Return the error message for a setting that has no effect on a target."""
     return f"{name} means nothing to {target}, only to {', '.join(sorted(TARGETS_OF[name]))}; leave it out"
 
 
 def make_output(config: BridgeConfig) -> Output:
-    """Return what a configuration asks for.
+    """Return the output of a configuration.
 
     Raises:
-        ConfigError: its library is not installed, or its settings do not fit together.
+        ConfigError: the target is unknown, its library is not installed, or its settings contradict each other.
     """
     kind = TARGETS.get(config.target)
     if kind is None:
         raise ConfigError(f'target = "{config.target}": there is no such bridge; one of {", ".join(TARGETS)}')
-    refuse_meaningless(config)
+    check_settings(config)
     try:
         module = importlib.import_module(kind.module)
     except ModuleNotFoundError as error:

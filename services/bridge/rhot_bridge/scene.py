@@ -1,9 +1,9 @@
-"""What a bridge sends of one moment: plain arrays, all in one frame."""
+"""The poses that a bridge sends at one moment, as plain arrays in one frame."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
 import numpy as np
@@ -14,19 +14,19 @@ from rhot.errors import WireError
 from rhot.messages import BodyPose, FootPose, HandPose, ObjectPose, ObjectShape, Side
 
 Axes = Literal["rig", "stage", "unity"]
-"""The frame and handedness of a scene's numbers; see `rhot_bridge.axes`."""
+"""Frame and handedness of a scene's poses; see `rhot_bridge.axes`."""
 SentState = Literal["measured", "predicted", "kept"]
-"""As in the messages; `kept`: nothing has come for a while, the last is repeated or fades."""
+"""As in the messages; `kept`: no sample has come for a while, and the last one is repeated or fades."""
 
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Poses that belong together: a hand's joints, a body's joints, or one thing.
+    """The poses of one message: a hand's joints, a body's joints, or one rigid body.
 
     Attributes:
-        t_ns: when they were true, rig clock.
-        state: whether they are measured.
-        weight: 1, falling to 0 while they fade.
+        t_ns: time of the sample, rig clock.
+        state: measured, predicted or kept.
+        weight: 1, falling to 0 while the poses fade.
         positions: (N, 3) metres.
         orientations: (N, 4) unit quaternions, x y z w.
     """
@@ -38,8 +38,8 @@ class Poses:
     orientations: FloatArray
 
     def moved(self, positions: FloatArray, orientations: FloatArray) -> Self:
-        """Return the same poses at positions (N, 3), metres, with orientations (N, 4), x, y, z, w."""
-        return type(self)(self.t_ns, self.state, self.weight, positions, orientations)
+        """Return a copy with other positions (N, 3), metres, and orientations (N, 4), x y z w."""
+        return replace(self, positions=positions, orientations=orientations)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +47,10 @@ class Hand(Poses):
     """One hand; rows in the order of `rhot.anatomy.skeleton.JOINTS`, OpenXR's.
 
     Attributes:
-        radii: (26,) metres, flesh around each joint.
+        radii: (26,) metres, radius of the flesh around each joint.
     """
 
     radii: FloatArray
-
-    def moved(self, positions: FloatArray, orientations: FloatArray) -> Hand:
-        """Return the same hand at positions (N, 3), metres, with orientations (N, 4), x, y, z, w."""
-        return Hand(self.t_ns, self.state, self.weight, positions, orientations, self.radii)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,32 +58,24 @@ class Thing(Poses):
     """An object, the head or a foot: one row.
 
     Attributes:
-        shape: of an object, where it is known.
+        shape: of an object, if known.
     """
 
     shape: ObjectShape | None = None
 
-    def moved(self, positions: FloatArray, orientations: FloatArray) -> Thing:
-        """Return the same thing at positions (N, 3), metres, with orientations (N, 4), x, y, z, w."""
-        return Thing(self.t_ns, self.state, self.weight, positions, orientations, self.shape)
-
 
 @dataclass(frozen=True, slots=True)
 class Body(Poses):
-    """Hips and legs.
+    """The joints of a body.
 
     Attributes:
-        names: of the rows; see `rhot.messages.BodyPose`.
+        names: joint of each row; see `rhot.messages.BodyPose`.
     """
 
     names: tuple[str, ...] = ()
 
-    def moved(self, positions: FloatArray, orientations: FloatArray) -> Body:
-        """Return the same body at positions (N, 3), metres, with orientations (N, 4), x, y, z, w."""
-        return Body(self.t_ns, self.state, self.weight, positions, orientations, self.names)
-
     def row(self, name: str) -> int | None:
-        """Return the row of a joint, None when it is not known."""
+        """Return the row of a joint, None if the body lacks it."""
         return self.names.index(name) if name in self.names else None
 
 
@@ -96,14 +84,14 @@ Tracked = Hand | Thing | Body
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """All that is sent of one moment.
+    """All poses that are sent at one moment.
 
     Attributes:
-        axes: of all numbers.
-        t_ns: the newest of its parts' times, rig clock.
+        axes: of all poses.
+        t_ns: newest time of the poses, rig clock.
         hands, feet: by side.
         objects: by id.
-        head, body: None when there is none.
+        head, body: None if absent.
     """
 
     axes: Axes
@@ -116,12 +104,12 @@ class Scene:
 
     @property
     def empty(self) -> bool:
-        """Whether there is nothing to send."""
+        """Whether the scene holds no poses."""
         return not (self.hands or self.objects or self.head or self.feet or self.body)
 
 
 def tracked(message: HandPose | ObjectPose | FootPose | BodyPose) -> Tracked:
-    """Return a message as arrays.
+    """Return the poses of a message as arrays, rig axes.
 
     Raises:
         WireError: a hand lacks joints.

@@ -1,4 +1,4 @@
-"""A bridge as a service: what the feed brings goes out at the target's pace, in the target's axes."""
+"""A bridge as a service: sends the feed's samples at the target's rate, in the target's axes."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from rhot.service import Node
 from rhot.service.runner import serve
 from rhot_bridge.feed import Feed
 from rhot_bridge.newest import Newest
-from rhot_bridge.output import SampleOutput, make_output, refuse_meaningless
+from rhot_bridge.output import SampleOutput, check_settings, make_output
 from rhot_bridge.pace import Pace
 from rhot_bridge.scene import Tracked
 
 logger = logging.getLogger(__name__)
 
 _REPEAT_NS: Final = 100_000_000
-"""While nothing comes, a frame is repeated ten times a second: other programs take longer silence for a loss."""
+"""A frame is repeated at this interval while no samples come: other programs treat longer pauses as a loss."""
 _FIXED: Final = ("target", "host", "port", "axes", "transport", "body", "height_m", "allow_origins")
-"""Settings that are fixed when the bridge is made."""
+"""Settings that cannot change while the bridge runs."""
 
 
 class BridgeService:
-    """One bridge; see `rhot.service.Service` for the seam, and `Listener` of the feed."""
+    """One bridge; implements `rhot.service.Service` and the feed's `Listener`."""
 
     name = "bridge"
     owns_clock = False
 
     def __init__(self, instance: str, config: BridgeConfig, feed: Feed) -> None:
-        """Prepare.
+        """Create the output.
 
         Args:
-            instance: its name on the bus.
-            config: what is sent where.
-            feed: of this process.
+            instance: the bridge's name on the bus.
+            config: target and settings.
+            feed: shared by all bridges of this process.
 
         Raises:
             ConfigError: see `make_output`.
@@ -53,7 +53,7 @@ class BridgeService:
         self._output = make_output(config)
         self._recorder = self._output if isinstance(self._output, SampleOutput) else None
         self._newest = Newest(config)
-        self._pace = Pace(config.rate_hz, self._output.leads)
+        self._pace = Pace(config.rate_hz, self._output.triggers)
         self._converter = feed.converter(self._output.axes)
         self._node: Node | None = None
         self._running = False
@@ -65,15 +65,19 @@ class BridgeService:
         return self._config
 
     def reconfigure(self, config: BaseModel) -> None:
-        """Change the rate, and what is sent of what is not tracked; the rest is fixed when the bridge starts."""
+        """Change the rate and the treatment of predicted and absent samples.
+
+        Raises:
+            ConfigError: a setting that is fixed while the bridge runs, or has no effect on the target.
+        """
         if not isinstance(config, BridgeConfig):
             raise TypeError(f"{type(config).__name__} is not a BridgeConfig")
         changed = [name for name in _FIXED if getattr(config, name) != getattr(self._config, name)]
         if changed:
             raise ConfigError(f"{', '.join(changed)}: fixed while the bridge runs; change rig.toml and start it again")
-        refuse_meaningless(config)
+        check_settings(config)
         self._config = self._newest.config = config
-        self._pace = Pace(config.rate_hz, self._output.leads)
+        self._pace = Pace(config.rate_hz, self._output.triggers)
 
     def attach(self, node: Node) -> None:
         """Join the feed."""
@@ -100,7 +104,7 @@ class BridgeService:
         self._running = True
         try:
             while True:
-                # What has gone fades smoothly; else a repetition is enough.
+                # Fading needs the full rate; otherwise the repetition interval is enough.
                 await asyncio.sleep(1.0 / self._config.rate_hz if self._newest.fading else _REPEAT_NS / 2e9)
                 now_ns = time.monotonic_ns()
                 if self._newest.fading or now_ns - self._pace.sent_ns >= _REPEAT_NS:
@@ -109,8 +113,8 @@ class BridgeService:
             self._running = False
             await self._output.close()
 
-    def take(self, key: str, tracked: Tracked, arrived_ns: int) -> None:
-        """Keep a sample of the feed."""
+    def add_sample(self, key: str, tracked: Tracked, arrived_ns: int) -> None:
+        """Store a sample of the feed."""
         self._newest.put(key, tracked, arrived_ns)
         if self._running and self._recorder is not None:
             self._pass_on(self._recorder, key, tracked, arrived_ns)
@@ -119,17 +123,17 @@ class BridgeService:
         node = self._node
         if node is None or self._converter is None:
             self._warn_of_missing_floor()
-        elif output.take(key, self._converter.poses(tracked)):
+        elif output.send_sample(key, self._converter.poses(tracked)):
             node.status.tick("output")
             node.status.latency("to_wire", (time.monotonic_ns() - arrived_ns) / 1e9)
 
-    def moment(self, kind: str, arrived_ns: int) -> None:
-        """Send if the target wants this kind's beat and the rate allows."""
+    def update_complete(self, kind: str, arrived_ns: int) -> None:
+        """Send a frame if this kind triggers one and the rate limit allows it."""
         if self._running:
             self._send(time.monotonic_ns(), kind, arrived_ns)
 
-    def floor(self) -> None:
-        """Use the floor that is known now."""
+    def stage_changed(self) -> None:
+        """Use the converter to the present stage."""
         self._converter = self._feed.converter(self._output.axes)
 
     def _send(self, now_ns: int, kind: str | None, arrived_ns: int = 0) -> None:

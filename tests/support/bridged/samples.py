@@ -21,7 +21,7 @@ class LslPackets:
     """What LSL is handed, with the labels of its channels."""
 
     axes: Axes = "stage"
-    leads: Sequence[str] = ()
+    triggers: Sequence[str] = ()
 
     def frame(self, scene: Scene, now_ns: int) -> list[bytes]:
         things: dict[str, Tracked] = {f"hand_{side}": hand for side, hand in scene.hands.items()}
@@ -40,7 +40,7 @@ class Ros2Packets:
     """What ROS is handed, with its topics and types."""
 
     axes: Axes = "stage"
-    leads: Sequence[str] = ()
+    triggers: Sequence[str] = ()
 
     def frame(self, scene: Scene, now_ns: int) -> list[bytes]:
         messages = RosMessages("stage").of(scene)

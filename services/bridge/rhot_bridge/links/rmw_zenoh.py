@@ -148,7 +148,7 @@ class RmwZenohLink:
 
         Declaring a topic waits for the router, so it runs on a worker thread.
         """
-        publisher = self._publishers.heard(topic)
+        publisher = self._publishers.get(topic)
         if publisher is None:
             if self._session is not None and topic not in self._announcing and self._has_room():
                 self._announced += 1

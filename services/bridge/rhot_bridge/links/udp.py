@@ -67,9 +67,7 @@ class UdpLink:
         self._socket = opened
 
     def _unreachable(self, error: Exception) -> DeviceError:
-        return DeviceError(
-            f"{self._host} cannot be reached: {getattr(error, 'strerror', None) or error}; check --host"
-        )
+        return DeviceError(f"{self._host} cannot be reached: {getattr(error, 'strerror', None) or error}; check --host")
 
     def wanted(self, now_ns: int) -> bool:
         """Return whether a program listens, as far as is known, or a probe is due."""

@@ -1,1 +1,1 @@
-"""From our joints to the bones of other programs; pure arrays, both hands."""
+"""Conversion of joints to the bones of other programs, on plain arrays."""

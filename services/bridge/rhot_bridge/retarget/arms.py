@@ -1,9 +1,9 @@
-"""The rest of an avatar from what is known of a person: hips, spine, arms and legs.
+"""Hips, spine, arms and legs of an avatar.
 
-Unity's axes; N as in `rhot_bridge.retarget.vrm`. Where there is no `rhot/body`, shoulders hang at the neck, which hangs
-at the head, over the hips; the elbow lies where two bones of known length meet, on the side that points down, a little
-outwards and back. Half of the hand's rotation about the forearm is given to the forearm, as bone and
-skin do. Lengths are shares of the body's height, from the figure that `rhot.anatomy.body_proportions` names.
+Unity's axes; N as in `rhot_bridge.retarget.vrm`. Without `rhot/body`, neck, shoulders and hips are placed below the
+head, and the elbow follows from two bones of known length, on the side that points down, a little outwards and back.
+Half of the hand's rotation about the forearm is applied to the forearm, as in anatomy. Lengths are shares of the body's
+height, from the figure that `rhot.anatomy.body_proportions` names.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from rhot_bridge.retarget.vrm import avatar_rotations
 from rhot_bridge.scene import Body, Scene
 
 _ELBOW: Final = np.array([0.4, -1.0, -0.3])
-"""Where an elbow likes to be: outwards, up, forwards of the trunk. A choice that looks natural, no measurement."""
+"""Preferred direction of the elbow: outwards, up, forwards of the trunk. Chosen to look natural, not measured."""
 _REACH: Final = 0.999
-"""An arm is never straighter: its elbow would flip."""
+"""Largest share of an arm's length between shoulder and wrist: in a straight arm the elbow's side is undefined."""
 _SPINE: Final = (("Spine", "spine_lower"), ("Chest", "chest"), ("Neck", "neck"), ("Head", "head"))
 _LEGS: Final = (("UpperLeg", "hip"), ("LowerLeg", "knee"), ("Foot", "ankle"))
 
@@ -49,8 +49,8 @@ class Bone:
 
     Attributes:
         name: Unity's HumanBodyBones name.
-        position: (3,) metres.
-        rotation: (3, 3).
+        position: (3,) metres, parent's axes.
+        rotation: (3, 3) bone to parent.
     """
 
     name: str
@@ -63,7 +63,7 @@ def body_bones(scene: Scene, height_m: float) -> list[Bone]:
 
     Args:
         scene: in Unity's axes.
-        height_m: of the person.
+        height_m: height of the person.
     """
     if scene.head is None:
         return []
@@ -97,7 +97,7 @@ def body_bones(scene: Scene, height_m: float) -> list[Bone]:
 def _arm(
     scene: Scene, side: Side, neck: FloatArray, origin: FloatArray, N_chest: FloatArray, height_m: float
 ) -> list[Bone]:
-    """Return one arm; `origin` (3,) is where its parent bone is, with axes `N_chest` (3, 3)."""
+    """Return the bones of one arm; `origin` (3,) is the position of its parent bone, `N_chest` (3, 3) its axes."""
     out = 1.0 if side == "right" else -1.0
     hand = scene.hands[side]
     outwards = np.array([out * SHOULDER_OUTWARDS, -SHOULDER_BELOW_NECK, 0.0])
@@ -129,15 +129,15 @@ def _arm(
 def two_bones(
     start: FloatArray, end: FloatArray, first_m: float, second_m: float, pole: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return where two bones meet.
+    """Return the joint between two bones of known length (two-bone inverse kinematics).
 
     Args:
-        start, end: (3,) metres; an end out of reach is taken nearer, on the same line.
-        first_m, second_m: lengths.
-        pole: (3,) the side on which the joint lies.
+        start, end: (3,) metres; an end out of reach is moved nearer along the same line.
+        first_m, second_m: lengths of the bones.
+        pole: (3,) direction of the side on which the joint lies.
 
     Returns:
-        The joint, the end that is reached, and the hinge: the unit vector along first bone × second bone.
+        The joint (3,), the reached end (3,), and the hinge (3,): the unit vector along first bone × second bone.
     """
     way = end - start
     far = float(np.linalg.norm(way))
@@ -154,13 +154,13 @@ def two_bones(
 
 
 def _axes(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return N (3, 3) whose x points along a vector and whose y is a unit vector at right angles to it."""
+    """Return N (3, 3) with x along a vector (3,) and y, a unit vector (3,) perpendicular to it."""
     unit = x / np.linalg.norm(x)
     return np.stack([unit, y, np.cross(unit, y)], axis=1)
 
 
 def _chain(body: Body, joints: Sequence[tuple[str, str]], start: FloatArray, N_start: FloatArray) -> list[Bone]:
-    """Return the bones of joints that hang on each other, as far as the body has them, in their parents' axes."""
+    """Return the bones of a chain of joints up to the first one that the body lacks, in their parents' axes."""
     bones: list[Bone] = []
     before, N_before = start, N_start
     for bone, joint in joints:

@@ -1,6 +1,6 @@
-"""From OpenXR's joints to the 31 bones of OpenVR's hand skeleton.
+"""Converts OpenXR's joints to the 31 bones of OpenVR's hand skeleton.
 
-With R_j a joint's axes in OpenXR's sense, a bone's own axes are R'_j = R_j · C⁻¹ and the wrist's R'_w = R_w · D⁻¹:
+With R_j the rotation of an OpenXR joint, a bone's rotation is R'_j = R_j · C⁻¹ and the wrist's R'_w = R_w · D⁻¹:
 
     left   C: v' = (−z, −y, −x)    D: v' = ( y,  x, −z)       a finger points along +x
     right  C: v' = ( z,  y, −x)    D: v' = (−y, −x, −z)       a finger points along −x
@@ -11,8 +11,8 @@ so that in the parent's axes, with Q_j = R_parent⁻¹ · R_j and t_j the joint'
     the others    C · Q_j · C⁻¹, at C · t_j          ((±length, 0, 0): + left, − right)
     wrist         D⁻¹ in the device's axes, which are those of OpenXR's wrist
 
-C and D are rotations, for either hand. Bones: 0 root, 1 wrist, 2–25 OpenXR's joints, 26–30 the last joints of thumb to
-little finger once more, in the device's axes.
+C and D are rotations, for either hand. Bones: 0 root, 1 wrist, 2–25 OpenXR's joints, 26–30 the distal joints of thumb
+to little finger again, in the device's axes.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _WRIST: Final = {side: quaternion_from_rotation(_D[side].T) for side in _D}
 
 @cache
 def _tables(number: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return finger joints and their parents of several hands, one after the other."""
+    """Return the rows of the finger joints and of their parents in the concatenated joints of several hands."""
     starts = [len(JOINTS) * hand for hand in range(number)]
     return (
         np.concatenate([_FINGER_JOINTS + start for start in starts]),
@@ -70,7 +70,7 @@ def _tables(number: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def openvr_bones(hands: Mapping[Side, Hand]) -> FloatArray:
     """Return the bones of hands in their parents' axes.
 
-    Hands go together: arrays so small cost what their calls cost.
+    Both hands are computed together: with arrays this small, the number of numpy calls determines the time.
 
     Args:
         hands: one or both, in stage axes, which are OpenVR's; each bone lies along its joint's z.

@@ -1,4 +1,4 @@
-"""Products of many quaternions at once, x y z w: a few array calls where matrices would take tens."""
+"""Products of many quaternions, x y z w, in a few numpy calls."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def conjugate(xyzw: FloatArray) -> FloatArray:
 
 
 def right_product(xyzw: FloatArray) -> FloatArray:
-    """Return matrices (N, 4, 4) with q @ matrix = q ⊗ r of quaternions r (N, 4)."""
+    """Return the matrices (N, 4, 4) of quaternions r (N, 4) for which q @ matrix = q ⊗ r."""
     x, y, z, w = xyzw.T
     rows = [[w, -z, y, -x], [z, w, -x, -y], [-y, x, w, -z], [x, y, z, w]]
     return np.moveaxis(np.array(rows), -1, 0)
 
 
 def relative(parents: FloatArray, children: FloatArray) -> FloatArray:
-    """Return the quaternions parent⁻¹ ⊗ child, (N, 4) each; or one parent (4,) of all."""
+    """Return the quaternions parent⁻¹ ⊗ child (N, 4) of parents (N, 4), or one parent (4,), and children (N, 4)."""
     a, b, c, d = parents.T
     x, y, z, w = children.T
     found = np.empty_like(children)
@@ -37,7 +37,7 @@ def relative(parents: FloatArray, children: FloatArray) -> FloatArray:
 
 
 def faded(quaternions: FloatArray, weight: float) -> FloatArray:
-    """Return rotations (..., 4) brought towards the identity as their weight falls from 1 to 0."""
+    """Return rotations (..., 4) interpolated towards the identity as the weight falls from 1 to 0."""
     if weight >= 1.0:
         return quaternions
     near = np.where(quaternions[..., 3:] < 0.0, -quaternions, quaternions)

@@ -1,15 +1,15 @@
-"""From OpenXR's joints to a VRM avatar's bones.
+"""Converts OpenXR's joints to a VRM avatar's bones.
 
-Unity's axes. All bones of a VRM avatar are the identity in its T-pose: arms along ∓x, palms down, thumbs halfway
-forward. With R_j the axes of an OpenXR joint (z along the bone to its tip, y out of its back) and I_j the same in the
-T-pose, a bone is rotated from the T-pose by
+Unity's axes. The rotation of every bone of a VRM avatar is the identity in its T-pose: arms along ∓x, palms down,
+thumbs halfway forward. With R_j the rotation of an OpenXR joint (z along the bone to its tip, y out of its back) and
+I_j its rotation in the T-pose, a bone is rotated from the T-pose by
 
-    N_j = R_j · I_j⁻¹            and what is sent is N_parent⁻¹ · N_j
+    N_j = R_j · I_j⁻¹            and N_parent⁻¹ · N_j is sent.
 
 I_j by its z (along the bone) and y (out of the back): left fingers −x and +y, right fingers +x and +y; left thumb
 (−1, 0, 1)/√2 and (1, 0, 1)/√2, right thumb mirrored in x. The bones ThumbProximal, Intermediate and Distal are
-OpenXR's thumb metacarpal, proximal and distal; the other metacarpals are fixed in VRM: fingers hang on the hand.
-Positions are the hand's own, p_sent = N_parent⁻¹ · (p_j − p_parent): zeros would crush the fingers of some programs.
+OpenXR's thumb metacarpal, proximal and distal; the other metacarpals are fixed in VRM: the hand is the fingers' parent.
+Positions are those of the tracked hand, p_sent = N_parent⁻¹ · (p_j − p_parent): some programs would apply zeros.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _finger_joints(finger: str) -> tuple[str, str, str]:
 
 
 FINGER_BONES: Final = tuple(f"{finger.capitalize()}{segment}" for finger in FINGERS for segment in _SEGMENTS)
-"""The 15 bones of a hand, without the side before each name."""
+"""The 15 bones of a hand, without the prefix of the side."""
 _ROWS: Final = np.array([JOINTS.index(joint) for finger in FINGERS for joint in _finger_joints(finger)])
 _PARENTS: Final = np.array([WRIST if index % 3 == 0 else _ROWS[index - 1] for index in range(15)])
 
@@ -59,13 +59,13 @@ def _rest(side: Side) -> FloatArray:
 
 
 REST: Final[dict[Side, FloatArray]] = {"left": _rest("left"), "right": _rest("right")}
-"""(26, 3, 3) I_j of each joint."""
+"""(26, 3, 3) I_j of each joint, Unity's axes."""
 
 
 _UNREST: Final = {side: right_product(conjugate(quaternion_from_rotation(rest))) for side, rest in REST.items()}
 """(26, 4, 4) matrices: q_j @ _UNREST_j is the quaternion of N_j."""
 _BONE_AXIS: Final = {side: rest[_PARENTS] @ np.array([0.0, 0.0, 1.0]) for side, rest in REST.items()}
-"""(15, 3) where each bone's parent points in the T-pose: there its own joint lies."""
+"""(15, 3) direction of each bone's parent in the T-pose, along which the bone's joint lies."""
 
 
 def avatar_rotations(hand: Hand, side: Side) -> FloatArray:
@@ -76,7 +76,7 @@ def avatar_rotations(hand: Hand, side: Side) -> FloatArray:
 
 @cache
 def _tables(sides: tuple[Side, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
-    """Return rows, their parents, matrices and axes of several hands, one after the other."""
+    """Return rows, parents' rows, matrices and axes for the concatenated joints of several hands."""
     starts = [len(JOINTS) * number for number in range(len(sides))]
     return (
         np.concatenate([_ROWS + start for start in starts]),
@@ -89,7 +89,8 @@ def _tables(sides: tuple[Side, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]
 def finger_bones(hands: Mapping[Side, Hand]) -> FloatArray:
     """Return the finger bones of hands in their parents' axes, in the order of `FINGER_BONES`.
 
-    What fades goes to the open hand of the T-pose. Hands go together: arrays so small cost what their calls cost.
+    A fading hand approaches the open hand of the T-pose. Both hands are computed together: with arrays this small, the
+    number of numpy calls determines the time.
 
     Args:
         hands: one or both, in Unity's axes; each bone lies along its joint's z.

@@ -1,4 +1,4 @@
-"""The other programs: one module each, scenes in, packets out."""
+"""The other programs: one module each, which turns scenes into packets."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from rhot_bridge.scene import Axes, Scene
 
 
 class Target(Protocol):
-    """One other program's protocol; pure."""
+    """The protocol of one other program; no socket, no clock."""
 
     @property
     def axes(self) -> Axes:
-        """In which it takes its scenes."""
+        """Axes of the scenes that it accepts."""
         ...
 
     @property
-    def leads(self) -> Sequence[str]:
-        """Kinds of things whose samples give the beat, the most important first; see `rhot_bridge.pace`."""
+    def triggers(self) -> Sequence[str]:
+        """Kinds of samples that trigger a frame, by priority; see `rhot_bridge.pace`."""
         ...
 
     def frame(self, scene: Scene, now_ns: int) -> list[bytes]:
-        """Return the packets of a moment; none where there is nothing to say.
+        """Return the packets of a scene; none if there is nothing to send.
 
         Args:
             scene: in the target's axes; may be empty.
-            now_ns: monotonic, for what is sent once in a while.
+            now_ns: monotonic clock, for what is sent at intervals.
         """
         ...
 
@@ -37,10 +37,10 @@ class TargetKind:
     """One line of the table of targets.
 
     Attributes:
-        summary: what it is for, a line for people.
-        module: that holds it: `make_output(config)` returns a `rhot_bridge.output.Output`.
-        port: that the other program usually listens on; None where there is none.
-        extra: what to install when a library is missing.
+        summary: purpose, one line for people.
+        module: its module, whose `make_output(config)` returns a `rhot_bridge.output.Output`.
+        port: default port of the other program; None if it has none.
+        extra: the extra of the package `rhot` that installs its libraries.
     """
 
     summary: str
@@ -65,7 +65,7 @@ TARGETS: Final[Mapping[str, TargetKind]] = {
 }
 
 _BY_NETWORK: Final = frozenset(TARGETS) - {"lsl"}
-"""LSL finds its readers itself, and takes every sample."""
+"""All except LSL, which discovers readers by itself and sends every sample."""
 TARGETS_OF: Final[Mapping[str, frozenset[str]]] = {
     "host": _BY_NETWORK,
     "port": _BY_NETWORK,
@@ -76,4 +76,4 @@ TARGETS_OF: Final[Mapping[str, frozenset[str]]] = {
     "body": frozenset({"vmc"}),
     "height_m": frozenset({"vmc"}),
 }
-"""Settings that mean something to some targets only, and to which."""
+"""Targets of each setting that does not apply to all of them."""

@@ -1,4 +1,4 @@
-"""JSON for programs of one's own: one message a frame, by WebSocket or UDP.
+"""JSON for your own programs: one message per frame, by WebSocket or UDP.
 
     {"version": 1, "t": seconds since 1970 on the rig clock, "axes": "stage" | "unity" | "rig",
      "hands":   [{"side": "left" | "right", "state": …, "weight": 0…1,
@@ -9,10 +9,10 @@
      "body":    {"state": …, "weight": …, "joints": [{"name": "hips", "position": [3], "orientation": [4]}]}}
 
 Metres; quaternions x, y, z, w. Joints are the 26 of OpenXR's XR_EXT_hand_tracking in its order, x y z of the first,
-then of the second, …. `state` is `measured`, `predicted` or `kept` (not tracked any more); `weight` falls from 1 to 0
-while something fades. `shape` is `{"kind": "box", "size": [3]}`, `{"kind": "cylinder", "radius", "height"}`,
-`{"kind": "sphere", "radius"}`, `{"kind": "mesh", "file", "size": [3]}`, or absent. What is not known is absent
-(`head`, `body`) or not in its list.
+then of the second, …. `state` is `measured`, `predicted` or `kept` (no longer tracked); `weight` falls from 1 to 0
+during a fade. `shape` is `{"kind": "box", "size": [3]}`, `{"kind": "cylinder", "radius", "height"}`,
+`{"kind": "sphere", "radius"}`, `{"kind": "mesh", "file", "size": [3]}`, or absent. Unknown poses are absent (`head`,
+`body`) or missing from their list.
 """
 
 from __future__ import annotations
@@ -32,26 +32,26 @@ from rhot_bridge.scene import Axes, Hand, Poses, Scene, Thing
 VERSION: Final = 1
 WEBSOCKET_PORT: Final = 8765
 UDP_PORT: Final = 8766
-"""Ours to choose: no program waits for this format."""
+"""Chosen: no other program uses this format."""
 _HAND_FORMAT: Final = (
     f'"positions":[{",".join(["%.5f"] * 3 * len(JOINTS))}],'
     f'"orientations":[{",".join(["%.5f"] * 4 * len(JOINTS))}],'
     f'"radii":[{",".join(["%.4f"] * len(JOINTS))}]'
 )
-"""A hundredth of a millimetre, a thousandth of a degree: no reader needs more, and both hands take 4 kB."""
+"""Resolution 0.01 mm and 0.001°, so that both hands take 4 kB."""
 _POSE_FORMAT: Final = '"position":[%.5f,%.5f,%.5f],"orientation":[%.5f,%.5f,%.5f,%.5f]'
 
 
 class JsonTarget:
     """Frames as JSON; see the module for the format."""
 
-    leads = ("hand", "body", "foot", "object", "head")
+    triggers = ("hand", "body", "foot", "object", "head")
 
     def __init__(self, axes: Axes) -> None:
         self.axes: Axes = axes
 
     def frame(self, scene: Scene, now_ns: int) -> list[bytes]:
-        """Return one message, also when nothing is tracked, so that a reader sees that the rig is there."""
+        """Return one message, even for an empty scene, so that readers see that the rig runs."""
         hands = ",".join(f'{{"side":"{side}",{_hand(hand)}}}' for side, hand in scene.hands.items())
         objects = ",".join(
             f'{{"id":{json.dumps(name)},{_thing(thing)}{_shape(thing.shape)}}}' for name, thing in scene.objects.items()
@@ -97,5 +97,5 @@ def _thing(thing: Thing) -> str:
 
 
 def _shape(shape: ObjectShape | None) -> str:
-    # The planes of a mesh are the rig's business: in a left-handed frame they would be mirrored ones.
+    # Without the planes of a mesh, which would have to be mirrored in a left-handed frame.
     return "" if shape is None else f',"shape":{shape.model_dump_json(exclude={"planes"})}'

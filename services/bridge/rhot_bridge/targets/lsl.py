@@ -54,7 +54,7 @@ class _Stream:
 class LslOutput:
     """The streams of this process; see `rhot_bridge.output.SampleOutput`."""
 
-    leads: Sequence[str] = ()
+    triggers: Sequence[str] = ()
     problem = ""
 
     def __init__(self, config: BridgeConfig) -> None:
@@ -86,12 +86,12 @@ class LslOutput:
         """Send nothing."""
         return 0, 0
 
-    def take(self, key: str, tracked: Tracked) -> bool:
+    def send_sample(self, key: str, tracked: Tracked) -> bool:
         """Send a sample in the output's axes; return whether it was sent."""
         if tracked.state == "predicted" and not self._predicted:
             return False
         name = key.removeprefix("rhot/").replace("/", "_")
-        stream = self._outlets.heard(name)
+        stream = self._outlets.get(name)
         if stream is None:
             self._offer(name, joints_of(name, tracked))
             return False

@@ -1,8 +1,8 @@
-"""The channels of a MoCap stream: which number of a sample is what.
+"""The channels of a MoCap stream.
 
-After the meta-data specification of MoCap streams (sccn/xdf wiki), float32: for each joint PositionX, Y, Z (metres) and
-OrientationA, B, C, D (quaternion w, x, y, z), then one Confidence: 1 measured, 0 predicted. A stream has the same
-channels from its beginning to its end: joints of a body that are not known at a moment are NaN.
+By the meta-data specification of MoCap streams (sccn/xdf wiki), float32: for each joint PositionX, Y, Z (metres) and
+OrientationA, B, C, D (quaternion w, x, y, z), then one Confidence: 1 measured, 0 predicted. The channels of a stream
+never change: unknown joints of a body are NaN.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ORIENTATION: Final = ("OrientationA", "OrientationB", "OrientationC", "Orientat
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One number of a stream, in the words of the MoCap specification."""
+    """One channel of a stream; fields as in the MoCap specification."""
 
     label: str
     marker: str
@@ -33,11 +33,11 @@ class Channel:
 
 
 def channels_of(name: str, joints: Sequence[str]) -> list[Channel]:
-    """Return the channels of a thing: of each joint position and orientation, then the confidence.
+    """Return the channels of a stream: position and orientation of each joint, then the confidence.
 
     Args:
-        name: of the thing, such as `hand_right`.
-        joints: its joints; one, of the thing's own name, where it is rigid.
+        name: of the stream, such as `hand_right`.
+        joints: names of its joints; for a rigid body, its own name.
     """
     channels = []
     for joint in joints:
@@ -47,7 +47,7 @@ def channels_of(name: str, joints: Sequence[str]) -> list[Channel]:
 
 
 def sample_of(tracked: Tracked) -> NDArray[np.float32]:
-    """Return the numbers of a sample, in the order of its channels."""
+    """Return the values of a sample, float32, in the order of its channels."""
     wxyz = tracked.orientations[:, [3, 0, 1, 2]]
     joints = np.concatenate([tracked.positions, wxyz], axis=1)
     if isinstance(tracked, Body):
@@ -59,7 +59,7 @@ def sample_of(tracked: Tracked) -> NDArray[np.float32]:
 
 
 def joints_of(name: str, tracked: Tracked) -> tuple[str, ...]:
-    """Return the names of all joints that a thing may have; its own name where it is rigid."""
+    """Return the names of all joints that a sample may have; for a rigid body, its own name."""
     if isinstance(tracked, Hand):
         return JOINTS
     return tuple(BODY_PARENTS) if isinstance(tracked, Body) else (name,)

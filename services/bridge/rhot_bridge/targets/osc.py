@@ -1,7 +1,7 @@
-"""OSC 1.0 packets whose addresses and types never change, at the price of a `struct.pack` each.
+"""OSC 1.0 packets with constant addresses and types, each encoded by one `struct.pack`.
 
-python-osc makes each message once, with zeros; what comes later replaces only its floats. Building 35 messages for
-every frame would cost more than everything else together.
+python-osc encodes each message once, with zeros; later frames replace only its floats. Encoding 35 messages anew for
+each frame would take more time than everything else.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from numpy.typing import NDArray
 from pythonosc.osc_message_builder import OscMessageBuilder
 
 MOST_BYTES: Final = 1472
-"""An Ethernet frame without IPv4's and UDP's headers: nothing is cut into pieces on its way."""
+"""Payload of an Ethernet frame without the headers of IPv4 and UDP, so that packets are not fragmented."""
 _CHUNK: Final = 5
-"""Messages of a block that stay in one packet: few, so that packets get full."""
+"""Messages of a block that are not split across packets: few, so that packets are filled well."""
 _SIZE: Final = struct.Struct(">i")
 _BUNDLE: Final = b"#bundle\0" + struct.pack(">Q", 1)
-"""A bundle's start; the time tag 1 means at once."""
+"""Start of a bundle; the time tag 1 means "immediately"."""
 
 
 class Template:
-    """A message with constant first arguments, strings and ints, and floats after them.
+    """A message with constant strings and ints, followed by floats.
 
     Attributes:
-        zeros: the message with all floats 0.
+        zeros: the encoded message with all floats 0.
     """
 
     def __init__(self, address: str, *fixed: str | int, floats: int) -> None:
-        """Make the constant part.
+        """Encode the constant part.
 
         Args:
             address: of the message.
             fixed: its first arguments.
-            floats: how many floats follow, each of type `f`.
+            floats: number of arguments of type `f` that follow.
         """
         builder = OscMessageBuilder(address)
         for value in fixed:
@@ -48,22 +48,22 @@ class Template:
         self._floats = struct.Struct(f">{floats}f")
 
     def pack(self, *values: float) -> bytes:
-        """Return an element of a bundle: the message with its floats."""
+        """Return the message with these floats as an element of a bundle."""
         return self._head + self._floats.pack(*values)
 
 
 class Block:
-    """Messages that always go out together: filling them is one assignment of numpy's.
+    """Messages that are always sent together; one numpy assignment fills in all floats.
 
-    Everything in OSC lies on multiples of four bytes, and so do the floats.
+    OSC aligns all data to four bytes, including the floats.
     """
 
     def __init__(self, templates: Sequence[Template], floats: int, after: bytes = b"") -> None:
-        """Make the messages with zeros in them.
+        """Encode the messages with zeros.
 
         Args:
-            templates: of the messages.
-            floats: how many each ends with.
+            templates: the messages.
+            floats: number of floats at the end of each.
             after: a constant message that follows them.
         """
         self._buffer = bytearray()
@@ -81,19 +81,19 @@ class Block:
         self._places = np.array(ends)[:, None] + np.arange(-floats, 0)
 
     def pack(self, values: NDArray[np.float64]) -> list[bytes]:
-        """Return elements of a bundle with the floats (messages, floats) of each message."""
+        """Return the messages with these floats (messages, floats) as elements of a bundle."""
         self._floats[self._places] = values
         filled = bytes(self._buffer)
         return [filled[begin:end] for begin, end in self._cuts]
 
 
 def element(message: bytes) -> bytes:
-    """Return a message as an element of a bundle: its size before it."""
+    """Return a message as an element of a bundle, prefixed by its size."""
     return _SIZE.pack(len(message)) + message
 
 
 def bundles(elements: Iterable[bytes]) -> list[bytes]:
-    """Return elements, or runs of them, as bundles, each small enough for one network frame; order is kept."""
+    """Return elements, or runs of them, packed in order into bundles of at most one network frame each."""
     packets: list[bytes] = []
     parts: list[bytes] = [_BUNDLE]
     size = len(_BUNDLE)

@@ -1,20 +1,20 @@
-"""ROS 2: poses as ROS's own messages, by Zenoh as its middleware rmw_zenoh speaks it; no ROS is needed here.
+"""ROS 2: poses as ROS messages over Zenoh, as its middleware rmw_zenoh sends them; ROS need not be installed.
 
 | topic | message | of |
 |---|---|---|
 | `/rhot/hand_right`, `/rhot/hand_left` | geometry_msgs/PoseArray | the 26 joints in OpenXR's order |
-| `/rhot/body` | geometry_msgs/PoseArray | the body's joints, as many as are known; `/tf` names them |
-| `/rhot/object_cup`, `/rhot/head`, `/rhot/foot_left`, … | geometry_msgs/PoseStamped | one thing |
+| `/rhot/body` | geometry_msgs/PoseArray | the known joints of the body; `/tf` names them |
+| `/rhot/object_cup`, `/rhot/head`, `/rhot/foot_left`, … | geometry_msgs/PoseStamped | one rigid body |
 | `/tf` | tf2_msgs/TFMessage | `rhot_floor` to `hand_right_wrist`, `object_cup`, `body_hips`, … |
 
-The stamp is the moment at which the pose was true, rig time, which like ROS's counts from 1970. What is no longer
-tracked is not sent, and nothing is sent twice.
+The stamp is the sample's time on the rig clock, which counts from 1970 like ROS time. Poses that are no longer tracked
+are not sent, and no sample is sent twice.
 
 The frame `rhot_floor` is the stage in ROS's axes (REP 103: x forward, y left, z up, origin on the floor):
 
     p_ros = C · p_stage = (−z, −x, y),   R_ros = C · R_stage
 
-so a joint's own axes stay OpenXR's. With `axes = "rig"` the frame is `rhot_rig`, the first camera's optical frame.
+so a joint keeps OpenXR's axes. With `axes = "rig"` the frame is `rhot_rig`, the first camera's optical frame.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from rhot_bridge.links.rmw_zenoh import RmwZenohLink
 from rhot_bridge.scene import Axes, Body, Poses, Scene, Thing
 
 PORT: Final = 7447
-"""Of rmw_zenoh's router, and of ours."""
+"""Default port of rmw_zenoh's router, and of ours."""
 POSE_ARRAY: Final = "geometry_msgs/msg/PoseArray"
 POSE_STAMPED: Final = "geometry_msgs/msg/PoseStamped"
 TF_MESSAGE: Final = "tf2_msgs/msg/TFMessage"
@@ -50,7 +50,7 @@ _MULTIPLY: Final = product_matrix(*quaternion_from_rotation(R_ROS_STAGE).tolist(
 
 @dataclass(frozen=True, slots=True)
 class RosMessage:
-    """A message as it goes out: its topic, its type (`geometry_msgs/msg/PoseArray`) and its CDR bytes."""
+    """An encoded message: its topic, its type (`geometry_msgs/msg/PoseArray`) and its payload in CDR."""
 
     topic: str
     type: str
@@ -63,21 +63,24 @@ def type_hash(type_name: str) -> str:
 
 
 class RosMessages:
-    """Makes messages of scenes; pure, but for the times that it remembers."""
+    """Converts scenes to messages; keeps only the times of the last samples.
+
+    Args:
+        axes: of the scenes, `stage` or `rig`.
+    """
 
     def __init__(self, axes: Axes) -> None:
-        """Begin; `axes`: of the scenes, `stage` or `rig`."""
         self.frame_id = "rhot_floor" if axes == "stage" else "rhot_rig"
         self._turn = axes == "stage"
         self._sent_ns: dict[str, int] = {}
 
     def of(self, scene: Scene) -> list[RosMessage]:
-        """Return the messages of all that is new in a scene."""
+        """Return the messages of all new samples in a scene."""
         found: list[RosMessage] = []
         transforms: list[Any] = []
         before, self._sent_ns = self._sent_ns, {name: poses.t_ns for name, poses in _named(scene)}
         for name, poses in _named(scene):
-            # Not "later than": the rig clock may be set back.
+            # Compared for equality, because the rig clock may be set back.
             if poses.state == "kept" or poses.t_ns == before.get(name):
                 continue
             header = self._header(poses.t_ns)
@@ -108,7 +111,7 @@ class RosMessages:
         if isinstance(poses, Body):
             rows = [(f"{name}_{joint}", row) for row, joint in enumerate(poses.names)]
         else:
-            # A hand's other joints are in its own topic: every listener of /tf would keep ten seconds of all of them.
+            # A hand's other joints are only in its own topic, because listeners of /tf keep ten seconds of each frame.
             rows = [(name, 0) if isinstance(poses, Thing) else (f"{name}_wrist", WRIST)]
         for child, row in rows:
             x, y, z = positions[row].tolist()
@@ -126,15 +129,15 @@ class RosMessages:
 
 
 class Ros2Output:
-    """ROS messages over rmw_zenoh's link."""
+    """Sends ROS messages over rmw_zenoh's link."""
 
-    leads: Sequence[str] = ("hand", "body", "foot", "object", "head")
+    triggers: Sequence[str] = ("hand", "body", "foot", "object", "head")
 
     def __init__(self, config: BridgeConfig) -> None:
-        """Prepare.
+        """Create the link.
 
         Raises:
-            ConfigError: axes that ROS has not, or a domain that is no number.
+            ConfigError: the axes are Unity's, or `ROS_DOMAIN_ID` is not a number.
         """
         if config.axes == "unity":
             raise ConfigError('bridge ros2: axes = "unity" is not ROS\'s; use stage or rig')
@@ -145,16 +148,16 @@ class Ros2Output:
 
     @property
     def where(self) -> str:
-        """The link's."""
+        """The link's receiver, for people."""
         return self._link.where
 
     @property
     def problem(self) -> str:
-        """The link's."""
+        """The link's problem; empty when there is none."""
         return self._link.problem
 
     def send(self, scene: Scene, now_ns: int) -> tuple[int, int]:
-        """Send what is new in a scene."""
+        """Send the new samples of a scene; return how many messages were sent and how many lost."""
         went = [self._link.put(each.topic, each.type, each.payload) for each in self._messages.of(scene)]
         return went.count(True), went.count(False)
 
@@ -165,10 +168,10 @@ def make_output(config: BridgeConfig) -> Ros2Output:
 
 
 def ros_domain() -> int:
-    """Return ROS's domain, as its own programs find it: `ROS_DOMAIN_ID`, else 0.
+    """Return the ROS domain: the environment variable `ROS_DOMAIN_ID`, else 0.
 
     Raises:
-        ConfigError: it is no number.
+        ConfigError: it is not a number.
     """
     text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not text.isdecimal():

@@ -1,15 +1,15 @@
 """VMC protocol: avatars in VSeeFace, Warudo, VNyan, VMagicMirror, Blender.
 
-    /VMC/Ext/OK i                     1: there is something
+    /VMC/Ext/OK i                     1: the rig runs
     /VMC/Ext/T f                      seconds since the bridge started
     /VMC/Ext/Root/Pos s fff ffff      root, at the origin
     /VMC/Ext/Bone/Pos s fff ffff      bone (Unity's HumanBodyBones), position, quaternion x y z w, in the parent's axes
     /VMC/Ext/Tra/Pos s fff ffff       an object by its id, in the world's axes
 
-Unity's axes; bones as in `rhot_bridge.retarget`. With `fingers` only finger bones go out, for programs that get arms
-and head from elsewhere; with `arms` whole arms, head, spine, hips and legs as far as they are known. A frame is several
-bundles, each below an Ethernet frame. A hand that is not there is not in it: the avatar keeps its own. Source: the VMC
-protocol's specification, protocol.vmc.info.
+Unity's axes; bones as in `rhot_bridge.retarget`. With `fingers` only finger bones are sent, for programs that get arms
+and head from another source; with `arms` also arms, head, spine, hips and legs as far as they are known. A frame
+consists of several bundles, each smaller than an Ethernet frame. An absent hand is not sent, so that the avatar keeps
+its own. Source: the VMC protocol's specification, protocol.vmc.info.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rhot_bridge.scene import Axes, Scene
 from rhot_bridge.targets.osc import Block, Template, bundles
 
 PORT: Final = 39539
-"""Of a program that shows an avatar (marionette); one that passes motion on (performer) listens on 39540."""
+"""Default port of programs that show an avatar (marionettes); performers listen on 39540."""
 _SIDES: Final[tuple[Side, Side]] = ("left", "right")
 _ARMS: Final = {
     side: tuple(f"{side.capitalize()}{name}" for name in ("UpperArm", "LowerArm", "Hand")) for side in _SIDES
@@ -40,7 +40,7 @@ class VmcTarget:
     """Bones of a VRM avatar."""
 
     axes: Axes = "unity"
-    leads = ("hand", "body", "head", "foot", "object")
+    triggers = ("hand", "body", "head", "foot", "object")
 
     def __init__(self, body: Literal["fingers", "arms"] = "fingers", height_m: float = 1.70) -> None:
         self._body = body
@@ -54,7 +54,7 @@ class VmcTarget:
         self._trackers: dict[str, Template] = {}
 
     def frame(self, scene: Scene, now_ns: int) -> list[bytes]:
-        """Return the bones that are known; without any only that the rig is there."""
+        """Return the known bones and objects; for an empty scene only the status messages."""
         if self._started_ns is None:
             self._started_ns = now_ns
         messages = [self._ok, self._time.pack((now_ns - self._started_ns) / 1e9)]
@@ -68,7 +68,7 @@ class VmcTarget:
                 if bone.name not in self._bones:
                     self._bones[bone.name] = _bone(bone.name)
                 messages.append(self._bones[bone.name].pack(*bone.position.tolist(), *rotation.tolist()))
-        # Made for what is there, so that names that have gone are not kept.
+        # Rebuilt in each frame, so that templates of absent objects are discarded.
         self._trackers = {
             identity: self._trackers.get(identity) or Template("/VMC/Ext/Tra/Pos", identity, floats=7)
             for identity in scene.objects

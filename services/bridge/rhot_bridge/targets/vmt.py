@@ -1,15 +1,15 @@
 """Virtual Motion Tracker, a driver of SteamVR on Windows: trackers for objects, feet and hips, hands with fingers.
 
-    /VMT/Room/Driver     i i f fff ffff   device, what it is (0 off, 1 tracker, 5 and 6 left and right controller), time
+    /VMT/Room/Driver     i i f fff ffff   device, type (0 off, 1 tracker, 5 and 6 left and right controller), time
                                           offset, position, quaternion x y z w
     /VMT/Skeleton/Driver i i fff ffff     device, bone, position, quaternion, in the parent's axes
     /VMT/Skeleton/Apply  i f              device, time offset
     /VMT/Set/RoomMatrix/Temporary 12 f    3x4, row by row
 
-OpenVR's axes, which are the stage's. VMT refuses poses until it has a room matrix: the identity is sent once a second,
-and holds until SteamVR ends. Devices: 0 and 1 the hands, 2 and 3 the feet, 4 the hips, 10 and up the objects in the
-order in which they came. VMT keeps a device where it was last until it is told that it is off, so that is repeated for
-a second, for lost packets not to matter, and said of all when the bridge ends. Types are strict. Source: VMT's
+OpenVR's axes, which are the stage's. VMT refuses poses until it has a room matrix; the identity is sent once a second
+and applies until SteamVR ends. Devices: 0 and 1 the hands, 2 and 3 the feet, 4 the hips, 10 and up the objects in order
+of appearance. VMT holds a device at its last pose until the device is switched off; this message is repeated for a
+second, in case packets are lost, and sent for all devices when the bridge ends. Types are strict. Source: VMT's
 documentation.
 """
 
@@ -29,8 +29,8 @@ from rhot_bridge.targets.osc import Block, Template, bundles
 PORT: Final = 39570
 _ROOM_INTERVAL_NS: Final = 1_000_000_000
 _OFF_REPEATED_NS: Final = 1_000_000_000
-_FAREWELLS: Final = 3
-"""Nothing comes after them, so each is sent more than once. Chosen."""
+_CLOSING_REPEATS: Final = 3
+"""How often each closing packet is sent, in case packets are lost; chosen."""
 _OFF, _TRACKER = 0, 1
 _CONTROLLER: Final[dict[Side, int]] = {"left": 5, "right": 6}
 _HAND: Final[dict[Side, int]] = {"left": 0, "right": 1}
@@ -46,7 +46,7 @@ class VmtTarget:
     """Devices of VMT."""
 
     axes: Axes = "stage"
-    leads = ("hand", "object", "body", "foot", "head")
+    triggers = ("hand", "object", "body", "foot", "head")
 
     def __init__(self) -> None:
         self._room = Template("/VMT/Set/RoomMatrix/Temporary", floats=12).pack(*_IDENTITY)
@@ -64,7 +64,7 @@ class VmtTarget:
         self._seen_ns: dict[int, int] = {}
 
     def frame(self, scene: Scene, now_ns: int) -> list[bytes]:
-        """Return all devices; what was there and is no more is switched off, for a second."""
+        """Return the packets of all devices; devices that have disappeared are switched off for a second."""
         messages: list[bytes] = []
         bones: list[bytes] = []
         if self._room_sent_ns is None or now_ns - self._room_sent_ns >= _ROOM_INTERVAL_NS:
@@ -93,17 +93,17 @@ class VmtTarget:
         messages += [self._off(number) for number in sorted(self._seen_ns.keys() - present)]
         return bundles([*messages, *bones])
 
-    def farewell(self) -> list[bytes]:
-        """Return that all devices are off, a few times over."""
+    def closing_packets(self) -> list[bytes]:
+        """Return packets that switch all devices off, repeated a few times."""
         packets = bundles(self._off(number) for number in sorted(self._seen_ns))
         self._seen_ns.clear()
-        return packets * _FAREWELLS
+        return packets * _CLOSING_REPEATS
 
     def _off(self, number: int) -> bytes:
         return self._driver(number, _OFF).pack(*_NOWHERE)
 
     def _number(self, name: str, scene: Scene) -> int | None:
-        """Return an object's device; where all are given away, that of the object which came first and has gone."""
+        """Return an object's device; if none is free, that of the oldest absent object, None if all are present."""
         if name not in self._objects:
             number = _FIRST_OBJECT + len(self._objects)
             if number >= _MOST_DEVICES:
@@ -124,4 +124,4 @@ class VmtTarget:
 def make_output(config: BridgeConfig) -> PacketOutput:
     """Return the output that a configuration asks for."""
     target = VmtTarget()
-    return PacketOutput(target, UdpLink(config.host, config.port or PORT), target.farewell)
+    return PacketOutput(target, UdpLink(config.host, config.port or PORT), target.closing_packets)

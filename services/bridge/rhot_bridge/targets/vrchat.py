@@ -1,13 +1,13 @@
-"""VRChat's OSC trackers, which SlimeVR's server takes, too (port 9001).
+"""VRChat's OSC trackers, which SlimeVR's server also accepts (port 9001).
 
     /tracking/trackers/{1…8}/position fff    metres, Unity's axes (x right, y up, z forward)
     /tracking/trackers/{1…8}/rotation fff    degrees about x, y, z, applied z, then x, then y
     /tracking/trackers/head/position  fff
     /tracking/trackers/head/rotation  fff
 
-Tracker 1 is the hip, 2 and 3 the left and right foot, 4 and 5 the knees. VRChat shifts all trackers so that the head's
-position falls on the player's own head, so it goes out with every frame; the head's rotation turns them, so it goes
-out for a moment only, when the head appears. Source: VRChat's documentation, "OSC Trackers".
+Tracker 1 is the hip, 2 and 3 the left and right foot, 4 and 5 the knees. VRChat translates all trackers so that the
+head's position coincides with the player's head, so it is sent with every frame. The head's rotation rotates all
+trackers, so it is sent only for a second after the head appears. Source: VRChat's documentation, "OSC Trackers".
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rhot_bridge.targets.osc import Template, bundles
 
 PORT: Final = 9000
 _HEAD_TURN_NS: Final = 1_000_000_000
-"""So long the head's rotation is sent after the head has appeared: long enough for lost packets not to matter."""
+"""Duration for which the head's rotation is sent after the head appears; covers lost packets."""
 _BODY: Final = {"1": "hips", "2": "left_ankle", "3": "right_ankle", "4": "left_knee", "5": "right_knee"}
 _FEET: Final[dict[str, Side]] = {"2": "left", "3": "right"}
 
@@ -34,7 +34,7 @@ class VrChatTarget:
     """Hip, feet, knees and head as trackers."""
 
     axes: Axes = "unity"
-    leads = ("body", "foot", "head", "object", "hand")
+    triggers = ("body", "foot", "head", "object", "hand")
 
     def __init__(self) -> None:
         names = (*_BODY, "head")
@@ -43,7 +43,7 @@ class VrChatTarget:
         self._head_since_ns: int | None = None
 
     def frame(self, scene: Scene, now_ns: int) -> list[bytes]:
-        """Return the trackers that are known; a measured foot goes before the one of the solved leg."""
+        """Return the known trackers; a tracked foot takes precedence over the solved body's."""
         messages: list[bytes] = []
         for name, joint in _BODY.items():
             foot = scene.feet.get(_FEET[name]) if name in _FEET else None
