@@ -162,6 +162,21 @@ async def test_a_client_without_a_server_shows_in_the_status(
         await wait_for_status(bus, "capture/left", lambda status: not status.problem)
 
 
+def test_colours_that_fail_unexpectedly_are_logged(
+    rig_folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("no pixels")
+
+    service = CaptureService("left", load_rig(rig_folder), SystemClock())
+    monkeypatch.setattr(service._colors, "has_changed", lambda: True)
+    monkeypatch.setattr(service._colors, "reload", fail)
+    node: Any = None
+    service._look_for_colors(node)
+    service._building.submit(lambda: None).result(LIMIT_S)
+    assert "new colours failed, the old ones stay: no pixels" in caplog.text
+
+
 async def test_a_setting_taken_before_the_start_that_the_camera_refuses_ends_no_service(
     rig_folder: Path, router: BusConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -202,6 +202,7 @@ def test_a_recording_takes_new_colours_but_no_new_exposure(write_rig: Callable[.
     rig = load_rig(folder)
     source = open_source("left", rig, ManualClock(0))
     settings = CameraSettings.from_config(rig.config.cameras["left"], nominal_colors({"thumb": (30, 120, 60)}))
-    source.apply(settings.changed({"tolerances": {"thumb": 1.3}}, 60.0))
-    with pytest.raises(ConfigError, match="only colours"):
-        source.apply(settings.changed({"exposure_s": 0.001}, 60.0))
+    for _ in range(2):
+        with pytest.raises(ConfigError, match="only colours"):
+            source.apply(settings.changed({"exposure_s": 0.001}, 60.0))
+        source.apply(settings.changed({"tolerances": {"thumb": 1.3}}, 60.0))

@@ -44,6 +44,19 @@ def test_a_space_that_moved_while_steamvr_was_down_is_told(steamvr: FakeSteamVr)
         source.read(2)
 
 
+def test_a_move_shows_once_steamvr_tells_its_space_again(steamvr: FakeSteamVr) -> None:
+    source = opened(steamvr)
+    source.read(1)
+    source.close()
+    steamvr.reset_standing_position(0.4, tells=False)
+    steamvr.tells_space = False
+    source.open(0)
+    assert "cup" in source.read(2)
+    steamvr.tells_space = True
+    with pytest.raises(SpaceMovedError, match="standing position was reset"):
+        source.read(3)
+
+
 @pytest.mark.parametrize("event", [801, 808])
 def test_an_event_without_a_change_is_none(steamvr: FakeSteamVr, event: int) -> None:
     source = opened(steamvr)

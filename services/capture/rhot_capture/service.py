@@ -6,7 +6,7 @@ import asyncio
 import logging
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final
 
@@ -51,6 +51,12 @@ class _Seen:
     table: ColorTable
     detections: dict[str, Detection]
     index: int
+
+
+def _log_failure(building: Future[None]) -> None:
+    """Log an unexpected error of a worker thread, which nobody awaits; the old colours stay in force."""
+    if not building.cancelled() and (error := building.exception()) is not None:
+        logger.error("new colours failed, the old ones stay: %s", error, exc_info=error)
 
 
 class CaptureService:
@@ -114,8 +120,8 @@ class CaptureService:
                 raise ConfigError(str(error) or type(error).__name__) from error
         settings = self._colors.with_moved_bounds(settings, self._settings)
         if (settings.tolerances, settings.bounds) != (self._settings.tolerances, self._settings.bounds):
-            # Takes a fraction of a second; frames go on with the old colours meanwhile.
-            self._building.submit(self._rebuild, settings)
+            # Takes a fraction of a second; until then frames are processed with the old colours.
+            self._building.submit(self._rebuild, settings).add_done_callback(_log_failure)
         self._settings = settings
 
     def _rebuild(self, settings: CameraSettings) -> None:
@@ -134,7 +140,7 @@ class CaptureService:
 
     def _look_for_colors(self, node: Node) -> None:
         if self._colors.has_changed():
-            self._building.submit(self._reload, node)
+            self._building.submit(self._reload, node).add_done_callback(_log_failure)
 
     def attach(self, node: Node) -> None:
         """Declare `rhot/markers`, `rhot/@pictures`, `rhot/preview` and `rhot/keep/capture`, each for this camera."""

@@ -142,7 +142,7 @@ class FeetService:
             tasks.create_task(self._follow_head(node, heads))
             tasks.create_task(self._keep("depth camera", node, lambda: self._watch(node, start)))
             for side, source in sources.items():
-                tasks.create_task(self._keep(f"{side} sensor", node, partial(self._feel, node, start, side, source)))
+                tasks.create_task(self._keep(f"{side} sensor", node, partial(self._use_sensor, start, side, source)))
             tasks.create_task(self._publish(node))
 
     async def _keep(self, device: str, node: Node, use: Callable[[], Awaitable[None]]) -> None:
@@ -226,7 +226,7 @@ class FeetService:
             self._failed(node, error)
         status.latency("picture", time.perf_counter() - begun)
 
-    async def _feel(self, node: Node, start: Control, side: Side, source: ImuSource) -> None:
+    async def _use_sensor(self, start: Control, side: Side, source: ImuSource) -> None:
         device = DeviceThread(f"{side} sensor")
         try:
             await device.call("open", partial(source.open, start.start_t_ns), OPEN_LIMIT_S)

@@ -48,6 +48,12 @@ def test_parts_near_one_another_are_one_region(table: ColorTable, paints: Any) -
     assert len(find_regions(painted((160, 120), boxes, paints), table.labels)) == 1
 
 
+def test_merged_regions_that_overlap_a_third_one_are_merged_again(table: ColorTable, paints: Any) -> None:
+    # The last and smallest overlaps the first alone; what both span overlaps the second, which neither of them does.
+    boxes = [("ring", 10, 10, 9, 92), ("ring", 45, 30, 40, 30), ("ring", 30, 95, 44, 5)]
+    assert len(find_regions(painted((160, 120), boxes, paints), table.labels)) == 1
+
+
 def test_an_empty_picture_has_no_region(table: ColorTable) -> None:
     assert find_regions(np.full((120, 160, 3), CLOTH, np.uint8), table.labels) == []
 

@@ -45,6 +45,25 @@ async def test_every_message_of_a_session_is_in_the_file(router: BusConfig, rig_
         await explain(recording.file, "1", rig_folder)
 
 
+async def test_a_file_that_is_deleted_meanwhile_does_not_end_the_page(
+    router: BusConfig, rig_folder: Path, tmp_path: Path
+) -> None:
+    recording = LiveRecording(router, rig_folder, tmp_path / "recordings")
+    running = asyncio.create_task(recording.run())
+    recording.start()
+    async with asyncio.timeout(60.0):
+        while not recording.running:
+            await asyncio.sleep(0.02)
+        assert recording.file is not None
+        recording.file.unlink()
+        recording.stop()
+        while recording.running:
+            await asyncio.sleep(0.02)
+    assert "incomplete" in recording.problem
+    assert not running.done()
+    running.cancel()
+
+
 async def test_what_hinders_is_said(tmp_path: Path, rig_folder: Path, router: BusConfig) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("")

@@ -36,6 +36,15 @@ class Region(NamedTuple):
         across = self.left < other.right and other.left < self.right
         return across and self.top < other.bottom and other.top < self.bottom
 
+    def joined(self, other: Region) -> Region:
+        """Return the smallest region that contains both."""
+        return Region(
+            min(self.left, other.left),
+            min(self.top, other.top),
+            max(self.right, other.right),
+            max(self.bottom, other.bottom),
+        )
+
 
 class Cutout(NamedTuple):
     """A region in which a marker is looked for.

@@ -93,22 +93,11 @@ def _joined(sized: list[tuple[int, Region]]) -> list[Region]:
     sized.sort(reverse=True)
     joined: list[Region] = []
     for _, region in sized[:_MOST_REGIONS]:
-        grown = region
-        apart: list[Region] = []
-        for other in joined:
-            if (
-                grown.left < other.right
-                and other.left < grown.right
-                and grown.top < other.bottom
-                and other.top < grown.bottom
-            ):
-                grown = Region(
-                    min(grown.left, other.left),
-                    min(grown.top, other.top),
-                    max(grown.right, other.right),
-                    max(grown.bottom, other.bottom),
-                )
-            else:
-                apart.append(other)
-        joined = [*apart, grown]
+        merged = region
+        # Merging enlarges a region, which may then overlap a region that it did not overlap before.
+        while overlapping := [other for other in joined if merged.overlaps(other)]:
+            joined = [other for other in joined if not merged.overlaps(other)]
+            for other in overlapping:
+                merged = merged.joined(other)
+        joined.append(merged)
     return joined

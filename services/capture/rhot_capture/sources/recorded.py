@@ -9,6 +9,7 @@ from rhot.clock import NodeClock
 from rhot.errors import ConfigError
 from rhot.recording import MarkerTrack, PictureTrack, TrackTiming, VideoTrack, load_camera
 from rhot.rig import CameraConfig, Rig
+from rhot.rig.colors import ColorsFile
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.pacing import Pacer
@@ -28,7 +29,7 @@ class RecordedSource:
         self._track = track
         self._pacer = Pacer(clock)
         self._frames: Iterator[Frame] = iter(())
-        self._settings: CameraSettings | None = None
+        self._optics = CameraSettings.from_config(camera, ColorsFile(markers={})).optics
 
     @classmethod
     def from_rig(cls, name: str, rig: Rig, clock: NodeClock) -> RecordedSource:
@@ -55,13 +56,16 @@ class RecordedSource:
         return next(self._frames, None)
 
     def apply(self, settings: CameraSettings) -> None:
-        """Accept settings that leave the optics alone: a recording cannot be exposed again."""
-        if self._settings is not None and not settings.same_optics(self._settings):
+        """Accept settings with the camera's configured optics, because a recording cannot be exposed again.
+
+        Raises:
+            ConfigError: exposure, gain, white balance, focus or picture differ.
+        """
+        if settings.optics != self._optics:
             raise ConfigError(
                 f"camera {self._name} replays {self._camera.path}: exposure, gain, white balance, focus and "
                 "picture are what they were; only colours can change"
             )
-        self._settings = settings
 
     def close(self) -> None:
         """Stop; a waiting `read` returns None."""

@@ -165,7 +165,10 @@ class SteamVrSource:
         moved = self._moved
         if space is not None and before is not None:
             moved = space.moved_from(before)
-        self._space, self._has_tracked, self._moved, self._asks_space = space, True, "", False
+        # A known space that SteamVR does not report for the moment is kept, and compared as soon as it is reported.
+        keeps = space is None and before is not None and not moved
+        self._space, self._asks_space = (before, True) if keeps else (space, False)
+        self._has_tracked, self._moved = True, ""
         if moved:
             raise SpaceMovedError(
                 f"SteamVR's standing space has moved ({moved}): its registration no longer says where it is, so that "

@@ -120,7 +120,7 @@ class GraspService:
         node.beside(lambda: self._follow_as_wanted(node))
         node.beside(self._close_server_before_bus)
         node.beside(lambda: self._ask_for_spaces(node))
-        node.beside(lambda: self._follow_folder(node))
+        node.beside(self._follow_folder)
 
     def _figures(self) -> tuple[dict[str, float], str]:
         refused = {f"refused_{kind}": float(count) for kind, count in self._guard.refused.items()}
@@ -202,7 +202,7 @@ class GraspService:
                     with contextlib.suppress(WireError):
                         self._take(reply.key, decode(reply.payload, Space))
 
-    async def _follow_folder(self, node: Node) -> None:
+    async def _follow_folder(self) -> None:
         """Use the rig folder as it is now: a new hand, floor or registration shows at once."""
         stamps = None
         while True:

@@ -18,8 +18,10 @@ _CHOICES: Final = {
     "a chessboard": "board",
     "a chessboard that lies on the desk": "desk_board",
     "a finger that touches the faces of a box": "touch",
+    "two hands that touch and cross": "crossing",
+    "a marker on the floor, seen from the headset": "headset",
 }
-"""Label to `[sim] motion`."""
+"""Label to `[sim] motion`; every motion has a label."""
 
 
 def is_simulated(config: RigConfig) -> bool:

@@ -93,6 +93,8 @@ class LiveRecording:
                 self.problem = f"recording needs the Python module {error.name}: pip install 'rhot[record]'"
             except RhotError as error:
                 self.problem = str(error)
+            except OSError as error:
+                self.problem = f"{file}: the recording is lost or incomplete: {why(error)}"
             finally:
                 if self._begun is not None:
                     self._lasted_s = time.monotonic() - self._begun
