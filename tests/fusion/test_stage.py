@@ -258,7 +258,7 @@ def test_refused_settings_leave_the_old_ones(make_rig: MakeRig) -> None:
 
 
 def test_one_camera_is_not_enough(make_rig: MakeRig) -> None:
-    with pytest.raises(ConfigError, match="two cameras or more"):
+    with pytest.raises(ConfigError, match="at least two cameras"):
         FusionStage(make_rig(places={"left": 0.0}))
 
 

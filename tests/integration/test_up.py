@@ -71,7 +71,7 @@ def test_a_service_that_cannot_run_ends_it_with_its_reason(tmp_path: Path) -> No
     )
     took_s = time.monotonic() - begun
     assert done.returncode == 1
-    assert "fusion needs two cameras or more" in done.stderr
+    assert "fusion needs at least two cameras" in done.stderr
     assert "fusion ended by itself" in done.stderr
     assert list(processes_that_name(str(rig))) == []
     in_time(took_s, 10.0, "nobody waits for a rig that cannot come up")

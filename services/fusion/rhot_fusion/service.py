@@ -1,6 +1,6 @@
-"""The fusion service: newest marker frames in, points out; owns the rig clock.
+"""The fusion service: computes points from marker frames and owns the rig clock.
 
-It also publishes the further frames that the rig folder defines, such as the floor's.
+It also publishes the other coordinate frames that the rig folder defines, such as the floor's.
 """
 
 from __future__ import annotations
@@ -37,5 +37,5 @@ class _FusionService(StageService[MarkerFrame, FusionConfig]):
 
 
 def fusion_service(rig: Rig) -> StageService[MarkerFrame, FusionConfig]:
-    """Return the service that turns `rhot/markers/*` into `rhot/points`."""
+    """Return the service that computes `rhot/points` from `rhot/markers/*`."""
     return _FusionService(rig)

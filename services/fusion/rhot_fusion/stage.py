@@ -1,4 +1,4 @@
-"""The core of fusion: marker frames in, point sets out."""
+"""The fusion stage: computes point sets from marker frames."""
 
 from __future__ import annotations
 
@@ -27,27 +27,28 @@ POINTS_KEY = "rhot/points"
 RIG_FRAME = "rig"
 
 _ROW_SPREAD_S = 0.1
-"""A marker's own time may differ from its frame's by no more than a read-out takes."""
+"""Largest difference between a marker's time and its frame's: the sensor's read-out takes no longer."""
 _SWAP_EVIDENCE = 50
-"""Points behind the cameras, and more than before them, that tell of swapped cameras: ten frames of a hand. Chosen."""
+"""Cameras are reported as swapped if more points than this, and more than measured ones, are behind them: ten frames of
+a hand. Chosen."""
 
 
 class FusionStage:
-    """Turns MarkerFrames of any number of cameras, in any order of arrival, into PointSets in the rig frame.
+    """Computes PointSets in the rig frame from MarkerFrames of any number of cameras, in any order of arrival.
 
     Attributes:
-        counts: what was ignored, by reason, beside `published` sets and `measured` points.
+        counts: rejected input by reason, `published` sets and `measured` points.
     """
 
     def __init__(self, rig: Rig, *, record: bool = False) -> None:
-        """Build the stage of a rig; `record` keeps what `smoothed` needs.
+        """Build the stage of a rig; `record` stores the frames for `smoothed`.
 
         Raises:
-            ConfigError: the rig's cameras cannot be used with the method it asks for.
+            ConfigError: fewer than two cameras, or cameras that the configured method cannot use.
         """
         if len(rig.cameras) < 2:
             raise ConfigError(
-                f"{rig.path / 'rig.toml'}: fusion needs two cameras or more, it has {len(rig.cameras)}; add another "
+                f"{rig.path / 'rig.toml'}: fusion needs at least two cameras, but the rig has {len(rig.cameras)}; add "
                 "[cameras.NAME]"
             )
         self.counts: Counter[str] = Counter()
@@ -68,10 +69,10 @@ class FusionStage:
         self._newest_s = 0.0
 
     def configure(self, config: FusionConfig) -> None:
-        """Change the settings while running; points go on from where they are unless the method changes.
+        """Change the settings while running; the tracks are kept unless the method changes.
 
         Raises:
-            ConfigError: the rig's cameras cannot be used with the new method; the old settings stay.
+            ConfigError: the rig's cameras cannot be used with the new method; the old settings stay in force.
         """
         if config.method == self._config.method:
             self._tracker.configure(config)
@@ -84,7 +85,7 @@ class FusionStage:
         self._config = config
 
     def smoothed(self) -> list[PointSet]:
-        """Return the points at all frames so far as these together show them; empty unless recorded by `filter`."""
+        """Return the points at all frames so far, smoothed over all of them; empty without `record` and `filter`."""
         if isinstance(self._tracker, FilterTracker) and self._base_ns is not None:
             live = {points.t_ns: points for points in self._published}
             for outcome in self._tracker.smoothed():
@@ -95,14 +96,14 @@ class FusionStage:
 
     @property
     def epipolar_px(self) -> tuple[float, float]:
-        """Mean and 95th percentile of the recent epipolar residuals after the learnt correction, pixels."""
+        """Mean and 95th percentile of the recent corrected epipolar residuals, pixels."""
         return self._tracker.epipolar.figures_px
 
     @property
     def figures(self) -> dict[str, float]:
-        """How well the views agree (`epipolar_px`, `epipolar_p95_px`), and by how much they were corrected for it.
+        """Epipolar residuals (`epipolar_px`, `epipolar_p95_px`) and the size of their correction, pixels.
 
-        `epipolar_correction_px` is what the cameras have moved since their calibration; it grows when one was bumped.
+        `epipolar_correction_px` is the systematic residual; it grows when a camera moves after its calibration.
         """
         mean, p95 = self.epipolar_px
         correction = self._tracker.epipolar.correction_px
@@ -111,24 +112,24 @@ class FusionStage:
 
     @property
     def problem(self) -> str:
-        """What is wrong with the rig as a whole, one sentence; empty when nothing is."""
+        """A problem of the whole rig, as one sentence; empty if there is none."""
         behind, measured = self.counts["behind_cameras"], self.counts["measured"]
         if behind > _SWAP_EVIDENCE and behind > measured:
             first, second = list(self._camera_index)[:2]
             return (
-                f"{behind} points lie behind the cameras and {measured} before them: cameras {first} and {second} are "
-                "probably swapped; exchange their names or places in rig.toml (and cameras.json)"
+                f"{behind} points are behind the cameras and {measured} in front: cameras {first} and {second} are "
+                "probably swapped; exchange their names or positions in rig.toml (and cameras.json)"
             )
         bumped_px = self._tracker.agreement.bumped_px if isinstance(self._tracker, FilterTracker) else 0.0
         if bumped_px:
             return (
-                f"a camera has moved since the rig was calibrated: its views are {bumped_px:.1f} px off their epipolar "
-                "lines, which is corrected for as far as it can be told; run rhot calibrate cameras"
+                f"a camera has moved since the calibration: its views are {bumped_px:.1f} px off their epipolar lines; "
+                "only a part of this error can be corrected; run rhot calibrate cameras"
             )
         return ""
 
     def feed(self, frame: MarkerFrame) -> list[Output]:
-        """Take one frame of one camera and return the point set that it made possible, if any."""
+        """Process a frame of one camera; return the next point set if its time was reached."""
         verdict = self._guard.judge(frame)
         if verdict == "refuse":
             return []
@@ -148,11 +149,11 @@ class FusionStage:
         return [(POINTS_KEY, points)]
 
     def explain(self) -> list[Explanation]:
-        """Return what is known of the markers after the newest frame, and why; see `rhot.explain`."""
+        """Return tables of the markers' state after the newest frame; see `rhot.explain`."""
         return tracker_tables(self._tracker, list(self._camera_index), self._markers, self.counts, self._newest_s)
 
     def _begin(self, t_ns: int) -> int:
-        """Start a stream at a time; seconds in here count from it, so that they fit a float64 to the nanosecond."""
+        """Start a stream; seconds count from its start, so that float64 resolves nanoseconds."""
         self.smoothed()
         self._corners.clear()
         self._tracker.clear()
@@ -162,7 +163,7 @@ class FusionStage:
     def _sightings(self, frame: MarkerFrame, base_ns: int) -> Sightings:
         camera = self._camera_index[frame.camera]
         frame_s = (frame.t_ns - base_ns) * 1e-9
-        places: list[int] = []
+        indices: list[int] = []
         uv: list[tuple[float, float]] = []
         times: list[float] = []
         areas: list[float] = []
@@ -179,7 +180,7 @@ class FusionStage:
             elif not (-0.5 < marker.u < frame.width - 0.5 and -0.5 < marker.v < frame.height - 0.5):
                 self.counts["outside"] += 1
             else:
-                places.append(index)
+                indices.append(index)
                 uv.append((marker.u, marker.v))
                 times.append(t_s)
                 areas.append(marker.area)
@@ -187,10 +188,10 @@ class FusionStage:
                 is_near |= away_px**2 < marker.area
         if known < len(frame.markers):
             self.counts["unknown_marker"] += len(frame.markers) - known
-        # What the border cuts off matters to few frames.
+        # Computed on demand: in few frames does a marker touch the border.
         borders = [nearest_border(u, v, frame.width, frame.height) for u, v in uv] if is_near else None
-        # Lenses are undone for all pixels at once.
-        count, patches = len(places), self._corners.listed(camera, frame)
+        # One call undistorts all pixels.
+        count, patches = len(indices), self._corners.listed(camera, frame)
         for points in patches.values():
             uv += points
         xy = self._models[camera].undistort(np.array(uv))
@@ -202,15 +203,15 @@ class FusionStage:
                 self._corners.observe(camera, name, t_s, list(islice(corners, 5)))
         middle_s = median(times) if times else frame_s
         border = None if borders is None else np.array(borders) / (self._models[camera].K[0, 0], 1.0, 1.0)
-        markers = np.array(places, dtype=np.intp)
+        markers = np.array(indices, dtype=np.intp)
         seen = Sightings(camera, middle_s, markers, np.array(times), xy[:count], np.array(areas), border)
         return seen if math.isfinite(seen.xy.sum()) else self._inside_lens(seen)
 
     def _inside_lens(self, seen: Sightings) -> Sightings:
-        """Return the sightings at which the camera's lens model has an inverse."""
-        there = np.isfinite(seen.xy[:, 0]) & np.isfinite(seen.xy[:, 1])
-        self.counts["outside"] += int(np.count_nonzero(~there))
-        return seen.chosen(there)
+        """Return the observations for which the camera's lens model can be inverted."""
+        inside = np.isfinite(seen.xy[:, 0]) & np.isfinite(seen.xy[:, 1])
+        self.counts["outside"] += int(np.count_nonzero(~inside))
+        return seen.chosen(inside)
 
     def _make_tracker(self, config: FusionConfig) -> Tracker:
         if config.method == "filter":
@@ -219,7 +220,7 @@ class FusionStage:
         return PairedTracker(*parts)
 
     def _points(self, outcome: Outcome, t_ns: int, seq: int, live: PointSet | None = None) -> PointSet:
-        """Return the message that carries an outcome; corners are those of `live`, moved, where that is given."""
+        """Return the message of an outcome; if `live` is given, with its corners, translated to the new points."""
         points: dict[str, dict[str, object]] = {}
         for index, (name, (x, y, z), sigma, views, measured) in enumerate(
             zip(self._markers, outcome.position, outcome.sigma_m, outcome.views, outcome.measured, strict=True)
@@ -229,7 +230,7 @@ class FusionStage:
             position = x, y, z
             corners = None
             if live is not None:
-                corners = _moved_corners(live.points.get(name), position)
+                corners = _translated_corners(live.points.get(name), position)
             elif measured and name in self._corners.names:
                 cameras = [camera for camera, seen in enumerate(outcome.seen) if seen[index]]
                 corners = self._corners.solve(name, cameras, position, outcome.t_s)
@@ -245,12 +246,12 @@ class FusionStage:
                 "covariance": covariance,
                 "corners": corners,
             }
-        # One validation of the whole is a third faster than one of each point.
+        # Validating the whole message is a third faster than validating each point.
         return PointSet.model_validate({"t_ns": t_ns, "seq": seq, "frame": RIG_FRAME, "points": points})
 
 
-def _moved_corners(point: Point | None, position: Position) -> Corners | None:
-    """Return the corners of a point, moved along with it to another position."""
+def _translated_corners(point: Point | None, position: Position) -> Corners | None:
+    """Return the corners of a point, translated with it to another position."""
     if point is None or point.corners is None:
         return None
     step = np.array(position) - point.position

@@ -33,7 +33,7 @@ def test_a_bumped_camera_is_told(make_rig: MakeRig) -> None:
     assert rig.calibrated
     seen = [lowered(one, "camera1", 6.0) for one in watch(rig, Motion(), 12.0)]
     problem = problem_after(rig, seen)
-    assert "has moved since the rig was calibrated" in problem
+    assert "has moved since the calibration" in problem
     assert "rhot calibrate cameras" in problem
 
 

@@ -1,8 +1,8 @@
-"""Association of views with markers, and their combination into points.
+"""Association of views with markers, and triangulation of points.
 
-Three passes over the markers: views that agree with the prediction and with each other measure a marker; where that
-fails, all its views are judged without regard to the prediction and believed once they repeat; what is left follows the
-one view that fits best, along its ray.
+There are three passes. Markers are measured from views that agree with the prediction and with each other. The others
+are triangulated from all their views without the prediction, and accepted after several consistent points. The rest are
+updated along the ray of their best single view.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ CountArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class _Moment:
-    """Everything known before the views of one moment are judged.
+    """Views of one time, with the predictions.
 
     Attributes:
-        t_s: the moment.
+        t_s: the time.
         views: corrected views of all markers.
         misses: (C, M) distance of each view from its marker's prediction, in units of the gate; NaN = no prediction.
-        plausible: (C, M) views that agree with the prediction.
+        plausible: (C, M) views inside the gate.
         prior: predictions.
         sigma: noise of a coordinate, normalised units.
     """
@@ -52,7 +52,7 @@ class _Moment:
 
 
 class Association:
-    """The state of all markers of a rig and the judgement of new views."""
+    """Holds the states of all markers of a rig and updates them with new views."""
 
     def __init__(
         self,
@@ -62,10 +62,10 @@ class Association:
         config: FusionConfig,
         counts: Counter[str],
     ) -> None:
-        """Build from the rig's parts; counts takes `measured`, `gated` and `behind_cameras`.
+        """Build from the rig's parts; increments `measured`, `gated` and `behind_cameras` of counts.
 
         Raises:
-            ConfigError: the cameras cannot be used with the method asked for.
+            ConfigError: the configured method cannot use the cameras.
         """
         self._cameras = list(cameras)
         self._centers: FloatArray = np.stack([camera.center for camera in cameras])
@@ -80,10 +80,10 @@ class Association:
         self.epipolar = EpipolarModel(cameras, config.epipolar_limit_px)
 
     def configure(self, config: FusionConfig) -> None:
-        """Change the settings; markers start from scratch only when the method changes.
+        """Change the settings; the states are discarded only if the method changes.
 
         Raises:
-            ConfigError: the cameras cannot be used with the new method; the old settings stay.
+            ConfigError: the new method cannot use the cameras; the old settings stay in force.
         """
         self._geometry = self._make_geometry(config)
         if config.method != self._config.method:
@@ -94,17 +94,17 @@ class Association:
         self._states.configure(_one_euro(config), config.max_speed_m_s, depth_only=depth_only)
 
     def clear(self) -> None:
-        """Forget all markers; what was learnt of the cameras stays."""
+        """Discard all markers; the estimated epipolar residuals are kept."""
         self._states.drop(np.ones(len(self._states.tracked), dtype=bool))
         self._last_s = -np.inf
 
     def advance(self, shot: Snapshot, t_s: float, longest_step_s: float) -> Outcome:
-        """Take all tracks at a moment later than the last.
+        """Update all markers with the tracks at a time later than the last.
 
         Args:
             shot: the tracks, uncorrected.
-            t_s: the moment.
-            longest_step_s: markers found after a gap glide there by no more than the way of this time.
+            t_s: the time.
+            longest_step_s: see `MarkerStates.publish`.
         """
         moment = self._prepare(shot, t_s)
         views = self._confirm(moment)
@@ -112,14 +112,14 @@ class Association:
         measured = views > 0
         self._follow(moment, views)
         states = self._states
-        states.backed_s[measured] = t_s
+        states.measured_s[measured] = t_s
         self._counts["measured"] += int(np.count_nonzero(measured))
         self.epipolar.learn(shot.xy, shot.valid & measured, t_s - self._last_s)
         self._last_s = t_s
-        states.drop(states.tracked & (t_s - states.backed_s > self._config.hold_s))
+        states.drop(states.tracked & (t_s - states.measured_s > self._config.hold_s))
         states.coast(self._hands.siblings, t_s)
-        position = states.show(t_s, longest_step_s)
-        age = np.where(states.tracked, t_s - states.backed_s, 0.0)
+        position = states.publish(t_s, longest_step_s)
+        age = np.where(states.tracked, t_s - states.measured_s, 0.0)
         sigma = np.hypot(states.sigma_m, PAIRED.maneuver_m_s * age)
         columns = (position, sigma, views, measured, moment.views.used)
         return Outcome(t_s, *(column.tolist() for column in columns))
@@ -127,7 +127,7 @@ class Association:
     def _prepare(self, shot: Snapshot, t_s: float) -> _Moment:
         views = Views(self.epipolar.correct(shot.xy), shot.valid & self._geometry.uses[:, None])
         predicted = self._states.predict(t_s)
-        sigma = max(self.epipolar.spread_px / np.sqrt(2.0), PAIRED.smallest_noise_px) / self._focal_px
+        sigma = max(self.epipolar.spread_px / np.sqrt(2.0), PAIRED.least_noise_px) / self._focal_px
         away = views.xy - self._geometry.project(predicted)
         direction = predicted - self._centers[:, None]
         with np.errstate(invalid="ignore"):
@@ -135,13 +135,13 @@ class Association:
             gate = PAIRED.view_gate_sigmas * np.hypot(sigma, self._states.uncertainty_m(t_s) / distance)
             misses = np.hypot(away[:, :, 0], away[:, :, 1]) / (gate + PAIRED.view_gate_slack_px / self._focal_px)
             plausible = views.used & (misses <= 1.0)
-        age = np.clip(t_s - self._states.backed_s, 0.0, 1.0)
+        age = np.clip(t_s - self._states.measured_s, 0.0, 1.0)
         return _Moment(
             t_s, views, misses, plausible, Prior(predicted, PAIRED.depth_sigma_m + PAIRED.maneuver_m_s * age), sigma
         )
 
     def _confirm(self, moment: _Moment) -> CountArray:
-        """Measure tracked markers by two views or more that agree with the prediction; return views used (M,)."""
+        """Update tracked markers from two or more views inside the gate; return the numbers of views used (M,)."""
         count = moment.plausible.sum(axis=0)
         views = np.zeros(len(count), dtype=np.int64)
         index = np.flatnonzero(self._states.tracked & (count >= 2))
@@ -154,7 +154,7 @@ class Association:
         return views
 
     def _reacquire(self, moment: _Moment, views: CountArray) -> None:
-        """Measure what nothing confirmed by all its views, whatever was believed of it, once this repeats."""
+        """Triangulate the other markers from all views, ignoring predictions; accept points that repeat."""
         count = moment.views.used.sum(axis=0)
         index = np.flatnonzero((views == 0) & (count >= 2))
         if not len(index):
@@ -177,8 +177,8 @@ class Association:
         views[index[confirmed]] = count[index[confirmed]]
 
     def _follow(self, moment: _Moment, views: CountArray) -> None:
-        """Move what is left, if one of its views agrees with the prediction, along the best one's ray."""
-        index = np.flatnonzero(self._states.still_to_move(moment.t_s) & moment.plausible.any(axis=0))
+        """Update the remaining markers with a view inside the gate along the ray of the best view."""
+        index = np.flatnonzero(self._states.not_updated(moment.t_s) & moment.plausible.any(axis=0))
         if not len(index):
             return
         best = np.argmin(np.where(moment.plausible, moment.misses, np.inf), axis=0)
@@ -190,9 +190,9 @@ class Association:
         )
 
     def _solve(self, moment: _Moment, used: BoolArray, index: IndexArray) -> tuple[Solution, BoolArray]:
-        """Return the points of markers (K,) by the views used, and which are believable.
+        """Return the points of markers (K,) from the views used, and which of them (K,) are plausible.
 
-        A believable point lies in the volume and near its hand, and its views agree.
+        A plausible point is inside the volume and near its hand, and its views agree.
         """
         prior = Prior(moment.prior.position[index], moment.prior.sigma_m[index])
         solution = self._geometry.solve(Views(moment.views.xy[:, index], used[:, index]), prior, moment.sigma)

@@ -1,9 +1,9 @@
 """Depth by the empirical law of the 2018 thesis, depth[cm] = k · d^z with the disparity d in pixels.
 
 The disparity is signed, d = u_left − u_right in undistorted pixels, and must be positive; the thesis used its absolute
-value, which hides swapped cameras. The lateral position follows from the pinhole model of the reference (first) camera.
-The law is fitted to one pair of parallel cameras: it takes the first two cameras of the rig and turns the second one's
-rays into the first one's orientation (no rotation where nothing is calibrated).
+value, which does not reveal swapped cameras. The lateral position follows from the pinhole model of the reference
+(first) camera. The law is valid for one pair of parallel cameras: it uses the first two cameras of the rig and rotates
+the rays of the second into the orientation of the first (without a calibration, the rotation is the identity).
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ def disparity_from_depth(depth_m: FloatArray, law: tuple[float, float]) -> Float
 
 
 class DisparityLaw:
-    """The first two cameras of a rig and the depth law."""
+    """Triangulation with the first two cameras of a rig by the depth law."""
 
     def __init__(self, cameras: Sequence[CameraModel], law: tuple[float, float]) -> None:
-        """Find from the cameras' positions which of the two is the left one.
+        """Determine from the cameras' positions which of the two is the left one.
 
         Raises:
-            ConfigError: fewer than two cameras, no baseline across, or an exponent that is not negative.
+            ConfigError: fewer than two cameras, no lateral baseline, or an exponent that is not negative.
         """
         if len(cameras) < 2:
             raise ConfigError('fusion.method = "disparity" needs two cameras in rig.toml; it has one')
         if law[1] >= 0.0:
             raise ConfigError(
-                f"fusion.depth_law: the exponent must be negative, as depth falls with disparity; got {law[1]}"
+                f"fusion.depth_law: the exponent must be negative, because depth decreases with disparity; got {law[1]}"
             )
         baseline_m = float(cameras[0].to_camera(cameras[1].center[None])[0, 0])
         if abs(baseline_m) < 1e-3:
             raise ConfigError(
-                f"the first two cameras are {baseline_m * 1e3:.1f} mm apart sideways; the depth law needs them side by "
-                "side: set position_m of the second camera in rig.toml, or calibrate"
+                f"the lateral distance of the first two cameras is {baseline_m * 1e3:.1f} mm; the depth law needs them "
+                "side by side: set position_m of the second camera in rig.toml, or calibrate the cameras"
             )
         self._law = law
         self.uses: BoolArray = np.arange(len(cameras)) < 2
@@ -63,7 +63,7 @@ class DisparityLaw:
         self._R: FloatArray = cameras[0].R_camera_rig @ cameras[1].R_camera_rig.T
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Return normalised coordinates (C, N, 2) by pinhole and law; NaN for cameras beyond the second."""
+        """Return normalised coordinates (C, N, 2) of points (N, 3) by the law; NaN for cameras beyond the second."""
         local = self._reference.to_camera(points)
         xy = np.full((len(self.uses), len(points), 2), np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -75,7 +75,7 @@ class DisparityLaw:
         return xy
 
     def solve(self, views: Views, prior: Prior, sigma: float) -> Solution:
-        """Return points by the law; a point with a single view takes its depth from the prior."""
+        """Triangulate by the law; the depth of a point with a single view comes from the prior."""
         count = views.xy.shape[1]
         used = views.used[:2]
         both = used.all(axis=0)
@@ -105,7 +105,7 @@ class DisparityLaw:
         )
 
     def _covariance(self, ray: FloatArray, depth: FloatArray, depth_sigma_m: FloatArray, sigma: float) -> FloatArray:
-        """Return (N, 3, 3): lateral noise Z·σ; depth noise |z|·Z/d·σ_d with σ_d = √2·f·σ, or that of the prior."""
+        """Return (N, 3, 3): lateral noise Z·σ; depth noise |z|·Z/d·σ_d with σ_d = √2·f·σ, or the prior's."""
         with np.errstate(invalid="ignore", divide="ignore"):
             of_law = (
                 -self._law[1] * depth / disparity_from_depth(depth, self._law) * np.sqrt(2.0) * self._focal_px * sigma

@@ -1,7 +1,7 @@
-"""State of each marker: position, velocity, and the gating of new points.
+"""State of each marker: position, velocity, and gating of new points.
 
-A point is gated by its innovation against the prediction, in the axes of its own noise; one that passes moves the
-1-euro filter, by a bounded amount. One that does not is kept as a candidate, and believed once it repeats.
+The innovation of a point is gated along the axes of its noise. A point inside the gate updates the 1-euro filter with a
+bounded innovation. A point outside becomes a candidate, which is accepted after several consistent points.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ class MarkerStates:
     """States of M markers.
 
     Attributes:
-        filter: the smoothed points.
+        filter: smooths the points.
         tracked: (M,) whether a marker has a state.
-        backed_s: (M,) when a marker was last seen by two cameras or more.
-        sigma_m: (M,) noise of the last accepted point.
-        depth_only: the filters smooth along the noisiest axis of each point alone, which is its depth.
+        measured_s: (M,) time at which a marker was last measured by two cameras or more.
+        sigma_m: (M,) standard deviation of the last accepted point, metres.
+        depth_only: smooth only along the noisiest axis of each point, which is its depth.
     """
 
     def __init__(
@@ -33,25 +33,25 @@ class MarkerStates:
         self.filter = OneEuroFilter(count, settings)
         self.max_speed_m_s = max_speed_m_s
         self.tracked: BoolArray = np.zeros(count, dtype=bool)
-        self.backed_s: FloatArray = np.full(count, -np.inf)
+        self.measured_s: FloatArray = np.full(count, -np.inf)
         self.sigma_m: FloatArray = np.zeros(count)
         self._candidate: FloatArray = np.full((count, 3), np.nan)
         self._candidate_s: FloatArray = np.full(count, -np.inf)
         self._agreed = np.zeros(count, dtype=np.int64)
         self._trusted_speed: FloatArray = np.zeros((count, 3))
         self._anchor_s: FloatArray = np.full(count, -np.inf)
-        self._shown: FloatArray = np.full((count, 3), np.nan)
-        self._shown_s = -np.inf
+        self._published: FloatArray = np.full((count, 3), np.nan)
+        self._published_s = -np.inf
         self._longest_step_s = np.inf
 
     def configure(self, settings: OneEuroSettings, max_speed_m_s: float, *, depth_only: bool = False) -> None:
-        """Change the settings; states stay."""
+        """Change the settings; the states are kept."""
         self.depth_only = depth_only
         self.filter.settings = settings
         self.max_speed_m_s = max_speed_m_s
 
     def predict(self, t_s: float) -> FloatArray:
-        """Return where the markers are believed to be (M, 3), metres; the velocity fades. NaN = no state."""
+        """Return the predicted positions (M, 3), metres, with decaying velocity; NaN = no state."""
         elapsed = np.clip(t_s - self._anchor_s, 0.0, 10.0)
         reach = PAIRED.damping_s * -np.expm1(-elapsed / PAIRED.damping_s)
         predicted: FloatArray = self.filter.value + self._trusted_speed * reach[:, None]
@@ -59,7 +59,7 @@ class MarkerStates:
         return predicted
 
     def uncertainty_m(self, t_s: float) -> FloatArray:
-        """Return the standard deviation (M,) of the prediction along each axis."""
+        """Return the standard deviation (M,) of the prediction along each axis, metres."""
         elapsed = np.clip(t_s - self.filter.t_s, 0.0, 10.0)
         uncertainty: FloatArray = np.minimum(PAIRED.maneuver_m_s * elapsed, PAIRED.maneuver_limit_m)
         return uncertainty
@@ -74,19 +74,19 @@ class MarkerStates:
         *,
         gated: bool = True,
     ) -> BoolArray:
-        """Let points of tracked markers move the filters, if they pass the gate; by a bounded amount in any case.
+        """Update the filters of tracked markers with points inside the gate; innovations are bounded.
 
         Args:
             index: (K,) markers.
             position: (K, 3) metres.
-            covariance: (K, 3, 3).
+            covariance: (K, 3, 3) square metres.
             predicted: (K, 3) metres.
             t_s: their time.
-            gated: whether a point must agree with the prediction.
+            gated: False to accept all points.
 
         Returns:
-            (K,) which agreed with the prediction in all axes. Points that disagree in depth alone move their filters
-            sideways only and do not count.
+            (K,) which points are inside the gate along all axes. Points outside it in depth only update the filters
+            laterally and are not included.
         """
         variances, basis = np.linalg.eigh(covariance)
         sigma = np.sqrt(np.maximum(variances, 0.0))
@@ -95,24 +95,24 @@ class MarkerStates:
         relative = np.abs(innovation) / np.maximum(expected, 1e-9)
         within = (relative <= PAIRED.point_gate_sigmas) | (not gated)
         confirmed: BoolArray = within.all(axis=1)
-        # Cameras that disagree about the depth of a fast marker (they are never quite in step) still know where it is
-        # sideways; eigenvalues ascend, so the last axis is the noisy one.
+        # When views of a fast marker disagree in depth (cameras are never exactly synchronised), its lateral position
+        # is still valid. Eigenvalues ascend, so the last axis is the noisy one.
         passed = within[:, :2].all(axis=1) & (within[:, 2] | (sigma[:, 2] > PAIRED.elongated * sigma[:, 1]))
-        # Huber: beyond its full weight a point pulls no harder.
+        # Huber: clip the innovation.
         innovation *= np.minimum(1.0, PAIRED.full_weight_sigmas / np.maximum(relative, 1e-9)) * within
         bounded = predicted + np.einsum("kij,kj->ki", basis, innovation)
         quiet = np.minimum(1.0, PAIRED.quiet_sigma_m / np.maximum(sigma, 1e-9))
         moved, basis, quiet = index[passed], basis[passed], quiet[passed]
         cutoff_scale = np.maximum(quiet, PAIRED.slowest_cutoff)
         if self.depth_only:
-            # Eigenvalues ascend: the last axis is depth, the others were smoothed in the pictures.
+            # Eigenvalues ascend: the last axis is depth; the others were smoothed in the images.
             cutoff_scale[:, :2] = PAIRED.open_cutoff
         axes = Axes(basis, quiet, cutoff_scale)
         advance = (predicted - self.filter.value[index])[passed]
         self.filter.update(moved, bounded[passed], t_s, axes, advance=advance)
         self._anchor_s[moved] = t_s
-        self._glide(moved, basis, quiet, t_s)
-        # The speed along a noisy axis is mostly noise; a prediction must not run away with it.
+        self._limit_speed(moved, basis, quiet, t_s)
+        # The speed along a noisy axis is mostly noise and must not enter the prediction.
         along_axes = quiet * np.einsum("kji,kj->ki", basis, self.filter.speed[moved])
         self._trusted_speed[moved] = np.einsum("kij,kj->ki", basis, along_axes)
         self.sigma_m[moved] = np.sqrt(variances[passed].sum(axis=1))
@@ -120,64 +120,64 @@ class MarkerStates:
             self._agreed[index[confirmed]] = 0
         return confirmed
 
-    def _glide(self, index: IndexArray, basis: FloatArray, quiet: FloatArray, t_s: float) -> None:
-        """Keep markers from moving faster than is believable since they were last shown, most of all along noise."""
-        interval = min(t_s - self._shown_s, self._longest_step_s)
-        limit = self.max_speed_m_s * interval * np.maximum(quiet, PAIRED.slowest_glide)
-        step = np.einsum("kji,kj->ki", basis, self.filter.value[index] - self._shown[index])
-        # Not shown yet: NaN, which passes through the bounds.
+    def _limit_speed(self, index: IndexArray, basis: FloatArray, quiet: FloatArray, t_s: float) -> None:
+        """Limit the speed of markers (K,) since they were last published, with lower limits along noisy axes."""
+        interval = min(t_s - self._published_s, self._longest_step_s)
+        limit = self.max_speed_m_s * interval * np.maximum(quiet, PAIRED.slowest_share)
+        step = np.einsum("kji,kj->ki", basis, self.filter.value[index] - self._published[index])
+        # NaN, of markers not published yet, passes through the bounds.
         step = np.einsum("kij,kj->ki", basis, np.clip(step, -limit, limit))
         longest = self.max_speed_m_s * interval
         step *= np.minimum(1.0, longest / np.maximum(np.sqrt((step * step).sum(axis=1)), 1e-9))[:, None]
         shown = np.isfinite(step[:, 0])
-        self.filter.value[index[shown]] = self._shown[index[shown]] + step[shown]
+        self.filter.value[index[shown]] = self._published[index[shown]] + step[shown]
 
-    def still_to_move(self, t_s: float) -> BoolArray:
-        """Return which tracked markers (M,) nothing has moved yet at a moment."""
+    def not_updated(self, t_s: float) -> BoolArray:
+        """Return which tracked markers (M,) have not been updated at a time."""
         waiting: BoolArray = self.tracked & (self.filter.t_s < t_s)
         return waiting
 
     def coast(self, siblings: Sequence[IndexArray], t_s: float) -> None:
-        """Carry tracked markers that nothing moved at this moment along with the others of their hand.
+        """Move tracked markers without an update by the median displacement of their hand's others.
 
         Args:
-            siblings: per marker the others of its hand.
-            t_s: the moment; markers that moved have been accepted for it.
+            siblings: per marker, the others of its hand.
+            t_s: current time; updated markers have been accepted for it.
         """
-        moved = self.tracked & (self.filter.t_s >= t_s) & np.isfinite(self._shown[:, 0])
-        steps = self.filter.value - self._shown
-        for marker in np.flatnonzero(self.still_to_move(t_s) & np.isfinite(self._shown[:, 0])).tolist():
+        moved = self.tracked & (self.filter.t_s >= t_s) & np.isfinite(self._published[:, 0])
+        steps = self.filter.value - self._published
+        for marker in np.flatnonzero(self.not_updated(t_s) & np.isfinite(self._published[:, 0])).tolist():
             others = siblings[marker][moved[siblings[marker]]]
             if len(others) < PAIRED.fewest_siblings:
                 continue
-            self.filter.value[marker] = self._shown[marker] + np.median(steps[others], axis=0)
+            self.filter.value[marker] = self._published[marker] + np.median(steps[others], axis=0)
             self._trusted_speed[marker] = np.median(self._trusted_speed[others], axis=0)
             self._anchor_s[marker] = t_s
 
-    def show(self, t_s: float, longest_step_s: float) -> FloatArray:
-        """Return the markers' positions (M, 3), metres, to be published for a moment; NaN = no state.
+    def publish(self, t_s: float, longest_step_s: float) -> FloatArray:
+        """Return the positions (M, 3), metres, to publish for a time; NaN = no state.
 
         Args:
-            t_s: the moment.
-            longest_step_s: markers glide to where they are found after a gap by no more than the way of this time.
+            t_s: the time.
+            longest_step_s: after a gap, markers move by no more than the highest speed times this.
         """
-        self._shown = self.predict(t_s)
-        self._shown_s, self._longest_step_s = t_s, longest_step_s
-        return self._shown
+        self._published = self.predict(t_s)
+        self._published_s, self._longest_step_s = t_s, longest_step_s
+        return self._published
 
     def propose(self, index: IndexArray, position: FloatArray, covariance: FloatArray, t_s: float) -> BoolArray:
-        """Note points of markers that have no state, or whose state contradicts them.
+        """Store points of markers that have no state or whose points are outside the gate.
 
-        A marker without a state starts at its point as soon as a few have agreed.
+        A marker without a state is started after several consistent points.
 
         Args:
             index: (K,) markers.
             position: (K, 3) their points, metres, rig frame.
             covariance: (K, 3, 3) square metres.
-            t_s: the moment.
+            t_s: their time.
 
         Returns:
-            (K,) which are confirmed, because their points agreed several times running.
+            (K,) which are confirmed by several consecutive consistent points.
         """
         elapsed = t_s - self._candidate_s[index]
         noise = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
@@ -193,13 +193,13 @@ class MarkerStates:
         self.filter.start(started, position[new], t_s)
         self._trusted_speed[started] = 0.0
         self._anchor_s[started] = t_s
-        self._shown[started] = np.nan
+        self._published[started] = np.nan
         self.sigma_m[started] = noise[new]
         self.tracked[started] = True
         return confirmed
 
     def drop(self, lost: BoolArray) -> None:
-        """Forget markers (M,) that were not measured for too long."""
+        """Discard the states of markers (M,)."""
         index = np.flatnonzero(lost)
         if len(index):
             self.filter.forget(index)

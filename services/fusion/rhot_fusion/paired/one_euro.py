@@ -1,4 +1,4 @@
-"""The 1-euro filter over arrays of points, each with its own time.
+"""The 1-euro filter for arrays of points, each with its own time.
 
 Source: Casiez, Roussel, Vogel, "1€ Filter: A Simple Speed-based Low-pass Filter for Noisy Input in Interactive
 Systems", CHI 2012, section "The 1€ filter". A first-order low-pass whose cut-off grows with the filtered speed:
@@ -22,7 +22,7 @@ class OneEuroSettings:
     Attributes:
         min_cutoff_hz: f_min, cut-off at rest; lower = less jitter.
         beta: β, hertz per metre per second; higher = less lag in motion.
-        derivative_cutoff_hz: cut-off of the speed's own low-pass.
+        derivative_cutoff_hz: cut-off of the speed's low-pass.
     """
 
     min_cutoff_hz: float
@@ -43,7 +43,7 @@ class Axes:
 
     Attributes:
         basis: (K, 3, 3) orthonormal, axes as columns.
-        beta_scale: (K, 3) multiplies β per axis, below 1 where an axis is so noisy that its speed means little.
+        beta_scale: (K, 3) multiplies β per axis; below 1 for axes whose speed is mostly noise.
         cutoff_scale: (K, 3) multiplies f_min per axis.
     """
 
@@ -55,8 +55,8 @@ class Axes:
 class OneEuroFilter:
     """1-euro filters of N points, one per point and axis, updated in any subsets at any times.
 
-    The axes may change with each sample (`Axes`): a point's depth is much noisier than its lateral position, and
-    the direction of that noise turns with the point. State is kept in world axes.
+    The axes may change with each sample (`Axes`): a point's depth is much noisier than its lateral position, and the
+    direction of depth depends on its position. The state is in world axes.
 
     Attributes:
         value: (N, 3) filtered points; NaN before the first sample.
@@ -72,14 +72,14 @@ class OneEuroFilter:
         self._raw: FloatArray = np.full((count, 3), np.nan)
 
     def start(self, index: IndexArray, value: FloatArray, t_s: float) -> None:
-        """Restart some points: value (K, 3) becomes the state, at rest."""
+        """Restart points (K,) at values (K, 3), at rest."""
         self.value[index] = value
         self._raw[index] = value
         self.speed[index] = 0.0
         self.t_s[index] = t_s
 
     def forget(self, index: IndexArray) -> None:
-        """Drop the state of points (K,)."""
+        """Discard the state of points (K,)."""
         self.start(index, np.full((len(index), 3), np.nan), -np.inf)
 
     def update(
@@ -91,19 +91,19 @@ class OneEuroFilter:
         *,
         advance: FloatArray | float = 0.0,
     ) -> None:
-        """Take one sample of some points; a sample that is not later than the last one is ignored.
+        """Update some points with a sample each; samples not later than the last one are ignored.
 
         Args:
             index: (K,) which points.
             value: (K, 3) samples.
             t_s: their time, or the time (K, 1) of each.
-            axes: axes of the filter and their scales; world axes and 1 when absent.
-            advance: (K, 3) how far the points are believed to have moved since their last samples; the low-pass then
-                acts on what is left, and a steady motion does not lag. 0 is the filter as published.
+            axes: axes of the filter and their scales; by default world axes and 1.
+            advance: (K, 3) predicted displacement since the last samples. The low-pass then acts on the innovation, so
+                that uniform motion does not lag. 0 is the published filter.
         """
         interval = t_s - self.t_s[index][:, None]
         later = interval > 0.0
-        # An interval that does not advance must not move anything: α(0) = 0.
+        # A sample that is not later must not change the state: α(0) = 0.
         step_s = np.where(later, interval, 0.0)
         derivative = (value - self._raw[index]) / np.where(later, interval, np.inf)
         speed = self.speed[index]

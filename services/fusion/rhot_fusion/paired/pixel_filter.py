@@ -1,7 +1,7 @@
-"""The 1-euro filter where the 2018 thesis has it: on each camera's view of each marker, before any depth is computed.
+"""The 1-euro filter as in the 2018 thesis: on each camera's view of each marker, before depth is computed.
 
-What a camera sees jitters alike in u and v, whatever the depth; smoothed there, with a cut-off in units of the
-picture, the disparity is smoothed with it, and depth is left to a filter of its own.
+The noise of an image position is the same in u and v and at any depth. Smoothing it, with a cut-off in image units,
+also smooths the disparity; depth has a separate filter.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ class PixelFilters:
         """Build the filters.
 
         Args:
-            focal_px: of each camera; β is set for pixels and works on normalised coordinates.
-            markers: how many.
+            focal_px: of each camera; converts β from pixels to normalised coordinates.
+            markers: their number.
             config: `one_euro` and its pixel settings.
         """
         self._focal_px = tuple(focal_px)
@@ -31,7 +31,7 @@ class PixelFilters:
         self._on = config.one_euro == "pixels"
 
     def configure(self, config: FusionConfig) -> None:
-        """Change the settings; states stay, unless the filters were off."""
+        """Change the settings; the states are kept unless the filters were off."""
         on = config.one_euro == "pixels"
         if on and not self._on:
             self.clear()
@@ -40,21 +40,21 @@ class PixelFilters:
             filters.settings = _settings(config, focal)
 
     def clear(self) -> None:
-        """Forget all views."""
+        """Discard all states."""
         for filters in self._filters:
             filters.forget(np.arange(len(filters.value)))
 
     def smoothed(
         self, camera: int, markers: IndexArray, t_s: FloatArray, xy: FloatArray, max_rate: float
     ) -> FloatArray:
-        """Return views (K, 2) after the filter; as they are where it is off.
+        """Return filtered views (K, 2); unchanged if the filter is off.
 
         Args:
             camera: index.
             markers: (K,) indices.
-            t_s: (K,) times, later than the newest of these markers.
+            t_s: (K,) times, later than the last ones of these markers.
             xy: (K, 2) normalised coordinates.
-            max_rate: fastest believable motion, normalised units per second; beyond it a filter starts over.
+            max_rate: highest plausible image speed, normalised units per second; a faster step restarts the filter.
         """
         if not self._on or not len(markers):
             return xy
@@ -62,10 +62,10 @@ class PixelFilters:
         views = np.column_stack([xy, np.zeros(len(xy))])
         step = np.linalg.norm(views - filters.value[markers], axis=1)
         elapsed = t_s - filters.t_s[markers]
-        # Also where nothing is known yet: comparisons with NaN are false.
+        # Markers without a state restart, too: comparisons with NaN are false.
         follows = step <= max_rate * elapsed
-        for place in np.flatnonzero(~follows):
-            filters.start(markers[place : place + 1], views[place : place + 1], float(t_s[place]))
+        for row in np.flatnonzero(~follows):
+            filters.start(markers[row : row + 1], views[row : row + 1], float(t_s[row]))
         if follows.any():
             filters.update(markers[follows], views[follows], t_s[follows][:, None])
         smoothed: FloatArray = filters.value[markers, :2]
@@ -73,5 +73,5 @@ class PixelFilters:
 
 
 def _settings(config: FusionConfig, focal_px: float) -> OneEuroSettings:
-    # β is in hertz per pixel a second; the filter's speed is in normalised units a second.
+    # β is in hertz per (pixel per second), the filter's speed in normalised units per second.
     return OneEuroSettings(config.pixel_min_cutoff_hz, config.pixel_beta * focal_px, config.derivative_cutoff_hz)

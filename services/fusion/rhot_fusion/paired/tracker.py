@@ -1,6 +1,6 @@
-"""The paired methods: all cameras' tracks read at one common moment, and points from there.
+"""The paired methods: evaluate all cameras' tracks at a common time and compute points from them.
 
-The moment is as late as the extrapolation of the other cameras' tracks allows; see `schedule` and `tracks`.
+The time is as late as the extrapolation of the other cameras' tracks allows; see `schedule` and `tracks`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rhot_fusion.views.tracks import LONGEST_GAP, ROWS_SHARE, Tracks
 
 
 class PairedTracker:
-    """Triangulation, or the depth law, of tracks read at common moments; see `Tracker`."""
+    """Triangulation, or the depth law, of tracks at common times; see `Tracker`."""
 
     def __init__(
         self,
@@ -32,10 +32,10 @@ class PairedTracker:
         config: FusionConfig,
         counts: Counter[str],
     ) -> None:
-        """Build from the rig's parts; counts takes `measured`, `gated`, `behind_cameras` and `late_marker`.
+        """Build from the rig's parts; increments `measured`, `gated`, `behind_cameras` and `late_marker` of counts.
 
         Raises:
-            ConfigError: the cameras cannot be used with the method asked for.
+            ConfigError: the configured method cannot use the cameras.
         """
         self._config = config
         self._counts = counts
@@ -47,7 +47,7 @@ class PairedTracker:
 
     @property
     def epipolar(self) -> EpipolarModel:
-        """What was learnt of the cameras since they were calibrated."""
+        """Estimated epipolar residuals of the cameras."""
         return self._association.epipolar
 
     @epipolar.setter
@@ -58,21 +58,21 @@ class PairedTracker:
         """Change the settings.
 
         Raises:
-            ConfigError: the cameras cannot be used with them; the old settings stay.
+            ConfigError: the new method cannot use the cameras; the old settings stay in force.
         """
         self._association.configure(config)
         self._config = config
         self._pixels.configure(config)
 
     def clear(self) -> None:
-        """Forget all markers; what was learnt of the cameras stays."""
+        """Discard all markers; the estimated epipolar residuals are kept."""
         self._schedule.clear()
         self._tracks.clear()
         self._pixels.clear()
         self._association.clear()
 
     def advance(self, sightings: Sightings) -> Outcome | None:
-        """Take one frame; return the markers at the moment that it made possible, if any."""
+        """Process a frame; return the markers at the next common time if it was reached."""
         camera, t = sightings.camera, sightings.times_s
         later = t > self._tracks.last_t_s[camera, sightings.index]
         self._counts["late_marker"] += int(np.count_nonzero(~later))
