@@ -6,6 +6,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
+from bus_watch import until
 
 from rhot.bus import Bus
 from rhot.errors import ConfigError
@@ -51,14 +52,11 @@ async def test_a_file_that_is_deleted_meanwhile_does_not_end_the_page(
     recording = LiveRecording(router, rig_folder, tmp_path / "recordings")
     running = asyncio.create_task(recording.run())
     recording.start()
-    async with asyncio.timeout(60.0):
-        while not recording.running:
-            await asyncio.sleep(0.02)
-        assert recording.file is not None
-        recording.file.unlink()
-        recording.stop()
-        while recording.running:
-            await asyncio.sleep(0.02)
+    await until(lambda: recording.running)
+    assert recording.file is not None
+    recording.file.unlink()
+    recording.stop()
+    await until(lambda: not recording.running)
     assert "incomplete" in recording.problem
     assert not running.done()
     running.cancel()
