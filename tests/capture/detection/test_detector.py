@@ -162,7 +162,7 @@ def test_the_mixed_rim_of_another_marker_is_no_marker(
     assert np.count_nonzero(marker_mask(drawn.image, detector.table, "thumb")) > markers["thumb"].min_area_px
     assert set(found) == {"middle"}
     refused = {each.reason for name, each in detector.decisions.judged if name == "thumb" and isinstance(each, Refusal)}
-    assert refused == {"hollow"}
+    assert refused == {"mixed colours"}
 
 
 def test_decisions_hold_what_was_taken_and_what_was_not(detector: MarkerDetector, scene: Any, shape: Any) -> None:
@@ -310,7 +310,7 @@ def test_an_object_of_a_paints_colour_is_no_marker(
     hidden = detector.detect(scene([*hand[1:], thing]).image)
     assert set(hidden) == set(paints) - {"thumb"}
     reasons = [each.reason for name, each in detector.decisions.judged if name == "thumb" and isinstance(each, Refusal)]
-    assert "outsized" in reasons
+    assert "too large for hand" in reasons
 
 
 def test_a_marker_beside_slivers_of_the_others_is_no_object(

@@ -16,36 +16,37 @@ from rhot_capture.detection.cutouts import Cutout, Region
 ContourArray = NDArray[np.int32]
 
 PADDING_PX: Final = 6
-"""Room around a blob for its rim and a strip of what surrounds it."""
+"""Margin around a blob's mask: contains its rim and a strip of the surroundings."""
 _MAX_CANDIDATES: Final = 6
-"""Of one colour in one part of the picture; the largest are kept. Chosen."""
+"""Largest number of blobs of one colour in one region; the largest blobs are kept. Chosen."""
 _LEAST_PX: Final = 3.0
-"""Square pixels inside an outline; less is noise."""
+"""Smallest area of an outline, square pixels; smaller ones are noise."""
 _MERGE_GAP_RATIO: Final = 0.3
 _MERGE_GAP_MIN_PX: Final = 2.0
 _MERGE_MIN_SHARE: Final = 0.05
 _MERGE_MIN_SOLIDITY: Final = 0.75
-"""Parts become one blob where the gap is at most that share of the root of the larger area, or so wide; none is a
-smaller share of the largest and of the smallest marker; and together they fill so much of their hull. Chosen."""
+"""Parts are merged into one blob if their gap is at most this share of the root of the larger area, or this many
+pixels; if each has at least this share of the largest part and of the smallest marker; and if their joint solidity is
+at least this. Chosen."""
 _INSIDE: Final = np.uint8(255)
-# Reaches less far than the padding, so that closing a gap does not meet the window's edge.
+# Smaller than the padding, so that closing a gap does not reach the window's edge.
 _GAP_FILLER: Final = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * PADDING_PX - 1, 2 * PADDING_PX - 1))
 
 
 class Blob(NamedTuple):
-    """A candidate for a marker; a tuple, as one is made of every blob of every frame, and a dataclass takes longer.
+    """A connected area of a marker's colour; a tuple because creating a dataclass for every blob takes longer.
 
     Attributes:
         x0, y0: image coordinates of the mask's upper left pixel.
         mask: (h, w) uint8, 255 inside the blob with its holes filled; padded by `PADDING_PX` where the image allows.
-        cut: rows and columns of the mask among the cutouts, as far as the region reaches that it was found in.
+        cut: rows and columns of the mask in `Cutouts`, limited to the blob's region.
         seen: that part of the mask.
-        contours: outlines of the blob's parts, each (n, 1, 2) int32, as they were found among the cutouts.
-        box: upright rectangle x, y, width, height of these.
-        shift: x and y, pixels, from there to the image.
-        area: pixels inside the filled outline.
-        border_share: share of the outline that lies on the image's border.
-        has_holes: whether some of its pixels may not have its label.
+        contours: outlines of the blob's parts, each (n, 1, 2) int32, in coordinates of `Cutouts`.
+        box: their bounding rectangle x, y, width, height.
+        shift: x and y, pixels, from coordinates of `Cutouts` to image coordinates.
+        area: number of pixels inside the filled outline.
+        border_share: share of the outline on the image border.
+        has_holes: whether some of its pixels may have another label.
     """
 
     x0: int
@@ -62,17 +63,17 @@ class Blob(NamedTuple):
 
     @property
     def points(self) -> ContourArray:
-        """All points of the outlines, (n, 1, 2) int32, among the cutouts."""
+        """All points of the outlines, (n, 1, 2) int32, in coordinates of `Cutouts`."""
         return self.contours[0] if len(self.contours) == 1 else np.concatenate(self.contours)
 
     @property
     def solidity(self) -> float:
-        """Area over the area of the convex hull."""
+        """Area divided by the area of the convex hull."""
         return min(1.0, self.area / _hull_area(self.points))
 
     @property
     def box_fill(self) -> float:
-        """Area over the area of the box, which solidity is not below."""
+        """Area divided by the area of the box: a lower bound of the solidity."""
         return self.area / (self.box[2] * self.box[3])
 
     @property
@@ -83,17 +84,17 @@ class Blob(NamedTuple):
 
     @property
     def middle(self) -> tuple[float, float]:
-        """U and v of the middle of the window, pixels."""
+        """U and v of the centre of the window, pixels."""
         height, width = self.mask.shape
         return self.x0 + 0.5 * (width - 1), self.y0 + 0.5 * (height - 1)
 
     @property
     def rim(self) -> FloatArray:
-        """(n, 2) float64, points of the outlines of its parts, image coordinates."""
+        """(n, 2) float64, points of the outlines, image coordinates."""
         return (self.points[:, 0] + self.shift).astype(np.float64)
 
     def inside(self, region: Region, shape: tuple[int, int]) -> bool:
-        """Tell whether the blob ends before a region does, but for where the image ends."""
+        """Return whether the blob does not touch a region's border, except where that is the image border."""
         x, y, width, height = self.box
         left, top = x + self.shift[0], y + self.shift[1]
         return (
@@ -105,7 +106,7 @@ class Blob(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """One connected outline, the pixels that it encloses, and its upright rectangle x, y, width, height."""
+    """One connected outline, the number of pixels inside, and its bounding rectangle x, y, width, height."""
 
     area: float
     outline: ContourArray
@@ -113,11 +114,11 @@ class _Part(NamedTuple):
 
 
 class _Drawing(NamedTuple):
-    """The insides of parts, drawn in one call.
+    """Filled outlines, drawn in one call.
 
     Attributes:
-        filled: (H, W) uint8, 255 inside of parts that are alone in their cutout.
-        has_holes: whether any of these may have holes.
+        filled: (H, W) uint8, 255 inside parts that are the only one in their cutout.
+        has_holes: whether any of them may have holes.
     """
 
     filled: ImageArray
@@ -129,15 +130,14 @@ def find_blobs(
 ) -> list[Blob]:
     """Return the blobs of one label, largest first.
 
-    Parts that a highlight or the shine of a nail has split are joined when they are near and together as compact as
-    one marker is.
+    Parts separated by a highlight or a nail's reflection are merged if they are near each other and jointly compact.
 
     Args:
         labels: (H, W) uint8.
         label: of the marker.
-        min_area: smallest joined blob, square pixels.
-        max_area: largest joined blob, square pixels.
-        region: where the label occurs; the whole image when not given.
+        min_area: smallest area of a merged blob, square pixels.
+        max_area: largest area of a merged blob, square pixels.
+        region: to search; by default the whole image.
     """
     region = region or Region(0, 0, labels.shape[1], labels.shape[0])
     own = labels[region.top : region.bottom, region.left : region.right] == label
@@ -146,11 +146,11 @@ def find_blobs(
 
 
 class Outsized(NamedTuple):
-    """Parts that belong together and are too small or too large for a marker; drawn only for those who ask.
+    """A blob that is too small or too large for its marker; its mask is drawn on demand only.
 
     Attributes:
-        parts: connected areas of one colour that make up the blob.
-        cutout: where it was found.
+        parts: of the blob.
+        cutout: in which it was found.
         shape: height and width of the image.
     """
 
@@ -160,7 +160,7 @@ class Outsized(NamedTuple):
 
     @property
     def blob(self) -> Blob:
-        """The blob."""
+        """The blob with its mask."""
         return _blob(self.parts, self.cutout, None, self.shape)
 
 
@@ -174,11 +174,11 @@ def blobs_of(
     """Return the blobs of each cutout, largest first; see `find_blobs`.
 
     Args:
-        own: (H, W) uint8, 1 where a pixel has the label that is looked for there, else 0.
-        cutouts: the cutouts, from top to bottom.
-        gates: smallest and largest area of a blob in each of them.
+        own: (H, W) uint8, 1 where a pixel has its cutout's label, otherwise 0.
+        cutouts: from top to bottom.
+        gates: smallest and largest area of a blob in each of them, square pixels.
         shape: height and width of the image.
-        outsized: what is too small or too large is added here.
+        outsized: blobs that are too small or too large are appended.
     """
     outsized = [] if outsized is None else outsized
     found, _ = cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -219,11 +219,11 @@ def _grouped(
 
     Args:
         parts: in the cutout.
-        cutout: the part in question.
-        gate: smallest and largest area of a blob.
-        drawing: of what is alone in its cutout.
+        cutout: the cutout.
+        gate: smallest and largest area of a blob, square pixels.
+        drawing: of the parts that are the only one in their cutout.
         shape: height and width of the image.
-        outsized: what is too small or too large is added here.
+        outsized: blobs that are too small or too large are appended.
     """
     if len(parts) == 1:
         if gate[0] <= parts[0].area <= gate[1]:
@@ -242,12 +242,12 @@ def _grouped(
 
 
 def pixel_area(contour: ContourArray) -> float:
-    """Return the number of pixels inside and on a closed chain of neighbouring pixels (Pick's theorem)."""
+    """Return the number of pixels inside and on a closed 8-connected chain of pixels (Pick's theorem)."""
     return cv2.contourArea(contour) + 0.5 * len(contour) + 1.0
 
 
 def _gather(parts: Sequence[_Part]) -> tuple[list[_Part], list[_Part]]:
-    """Split parts into those that belong to the first one and the rest."""
+    """Split parts into those to merge with the first one, and the rest."""
     main = parts[0]
     group, rest = [main], []
     if len(parts) > 1:
@@ -272,18 +272,18 @@ def _joint_solidity(parts: Sequence[_Part]) -> float:
 
 
 def _hull_area(points: ContourArray) -> float:
-    # The hull runs through pixel centres; half a pixel all round belongs to it.
+    # The hull runs through pixel centres; half a pixel on all sides belongs to it.
     hull = cv2.convexHull(points)
     return cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1.0
 
 
 def _blob(parts: Sequence[_Part], cutout: Cutout, drawing: _Drawing | None, shape: tuple[int, int]) -> Blob:
-    """Return the blob that some parts are.
+    """Return the blob of some parts.
 
     Args:
         parts: of the blob.
-        cutout: where they were found.
-        drawing: of the cutouts, when this blob is the only one in its cutout.
+        cutout: in which they were found.
+        drawing: of the cutouts, if this blob is the only one in its cutout.
         shape: height and width of the image.
     """
     region = cutout.region
@@ -294,7 +294,7 @@ def _blob(parts: Sequence[_Part], cutout: Cutout, drawing: _Drawing | None, shap
     right, bottom = left + box[2], top + box[3]
     x0, y0 = max(left - PADDING_PX, 0), max(top - PADDING_PX, 0)
     x1, y1 = min(right + PADDING_PX, shape[1]), min(bottom + PADDING_PX, shape[0])
-    # What the region shows of the window.
+    # The part of the window inside the region.
     xa, ya = max(x0, region.left), max(y0, region.top)
     xb, yb = min(x1, region.right), min(y1, region.bottom)
     cut = slice(ya - shift_y, yb - shift_y), slice(xa - shift_x, xb - shift_x)

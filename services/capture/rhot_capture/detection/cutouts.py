@@ -1,8 +1,7 @@
-"""Parts of a picture, classified together.
+"""Regions of an image, classified together.
 
-Each part may hold one marker. They are laid one below the other, so that it takes one call of each kind to tell the
-colours of all of them, wherever in the picture they are, and what lies between them costs nothing. Of parts as small
-as these a call costs more than the pixels do.
+Regions that may contain a marker are copied below each other into one array, so that each step of the classification is
+one call for all of them. For such small regions the calls take more time than the pixels.
 """
 
 from __future__ import annotations
@@ -18,13 +17,13 @@ from rhot.errors import ConfigError
 from rhot_capture.detection.color_table import ColorTable
 
 _GAP_PX: Final = 2
-"""Round parts, so that no outline runs from one into the next."""
+"""Gap between regions, so that outlines do not connect."""
 _MAJORITY: Final = 5
-"""Of the nine pixels in a square."""
+"""Majority of the nine pixels of a 3x3 neighbourhood."""
 
 
 class Region(NamedTuple):
-    """Part of a picture, pixels; right and bottom are not part of it."""
+    """Rectangle of an image, pixels; right and bottom are exclusive."""
 
     left: int
     top: int
@@ -32,7 +31,7 @@ class Region(NamedTuple):
     bottom: int
 
     def overlaps(self, other: Region) -> bool:
-        """Tell whether some pixel is part of both."""
+        """Return whether the regions have common pixels."""
         across = self.left < other.right and other.left < self.right
         return across and self.top < other.bottom and other.top < self.bottom
 
@@ -47,12 +46,12 @@ class Region(NamedTuple):
 
 
 class Cutout(NamedTuple):
-    """A region in which a marker is looked for.
+    """A region in which a marker is searched for.
 
     Attributes:
         label: of the marker, from 1.
-        region: in the picture.
-        row: of the region's first row among the cutouts; its first column is 0.
+        region: in the image.
+        row: of the region's first row in `Cutouts`; its first column is 0.
     """
 
     label: int
@@ -61,29 +60,29 @@ class Cutout(NamedTuple):
 
 
 class Cutouts:
-    """Regions of a picture one below the other.
+    """Regions of an image, copied below each other.
 
     Attributes:
         parts: the regions, from top to bottom.
         labels: (H, W) uint8, label of every pixel.
-        own: (H, W) uint8, 1 where a pixel and most of its neighbours have the label that is looked for there, of faint
-            colours too if they were asked for.
-        typical: (H, W) uint8, 1 where a pixel has that label by its typical colour.
+        own: (H, W) uint8, 1 where a pixel and most of its neighbours have the label of their region; includes faint
+            colours if `faint`.
+        typical: (H, W) uint8, 1 where a pixel has that label without faint colours.
         pixels: (H, W, 3) uint8 BGR.
-        foreign_pixels: how many pixels have the label of another marker.
-        likelihoods: (H, W) uint8, how typical each colour is of its label, see `ColorTable`.
+        foreign_pixels: number of pixels with the label of another marker.
+        likelihoods: (H, W) uint8, likelihood of each colour, see `ColorTable`.
     """
 
     def __init__(
         self, image: ImageArray, table: ColorTable, looks: Sequence[tuple[int, Region]], *, faint: bool = False
     ) -> None:
-        """Cut out and classify.
+        """Copy and classify the regions.
 
         Args:
             image: (H, W, 3) uint8 BGR.
             table: colours of the labels.
             looks: label and region of each part, at least one.
-            faint: whether faint colours count as a marker's own.
+            faint: whether to include faint colours.
         """
         self.parts: list[Cutout] = []
         row, width = _GAP_PX, 0
@@ -93,7 +92,7 @@ class Cutouts:
             width = max(width, region.right - region.left)
         pixels: ImageArray = np.zeros((row, width + _GAP_PX, 3), np.uint8)
         if table.faint[0] != 0:
-            pixels[:] = _nobodys_color(table)
+            pixels[:] = _unlabelled_color(table)
         wanted: ImageArray = np.ones((row, 1), np.uint8)
         for label, (left, top, right, bottom), row in self.parts:
             end = row + bottom - top
@@ -107,16 +106,16 @@ class Cutouts:
         if faint:
             labels = np.asarray(cv2.LUT(packed, table.faint), dtype=np.uint8).reshape(self.labels.shape)
             matching = (labels == wanted).view(np.uint8)
-        self.own: ImageArray = _of_most(matching)
+        self.own: ImageArray = _majority(matching)
         self.foreign_pixels: int = cv2.countNonZero(self.labels) - cv2.countNonZero(self.typical)
 
     def foreign_in(self, window: tuple[slice, slice]) -> int:
-        """Return how many pixels of a window have the label of another marker."""
+        """Return the number of pixels of a window with the label of another marker."""
         return cv2.countNonZero(self.labels[window]) - cv2.countNonZero(self.typical[window])
 
 
 def marker_mask(image: ImageArray, table: ColorTable, marker: str) -> ImageArray:
-    """Return 255 where the detector would take a pixel for a marker's, 0 elsewhere, (H, W) uint8.
+    """Return the mask of a marker's colour as the detector uses it, (H, W) uint8, 255 or 0.
 
     Args:
         image: (H, W, 3) uint8 BGR.
@@ -127,18 +126,18 @@ def marker_mask(image: ImageArray, table: ColorTable, marker: str) -> ImageArray
         ConfigError: no such marker.
     """
     if marker not in table.names:
-        raise ConfigError(f"mask={marker}: no such marker; one of {', '.join(table.names)}")
+        raise ConfigError(f"mask={marker}: no such marker; choose one of {', '.join(table.names)}")
     height, width = image.shape[:2]
     cutouts = Cutouts(image, table, [(table.names.index(marker) + 1, Region(0, 0, width, height))])
     row = cutouts.parts[0].row
     return cutouts.own[row : row + height, :width] * np.uint8(255)
 
 
-def _of_most(own: ImageArray) -> ImageArray:
-    """Return where most of nine neighbours are 1, so that single wrong pixels go, right or wrong.
+def _majority(own: ImageArray) -> ImageArray:
+    """Return 1 where most pixels of the 3x3 neighbourhood are 1, which removes single wrong pixels.
 
-    In the row that the picture's memory is, neighbours are constant steps apart: five sums of whole arrays do it,
-    where a median of labels takes forty times as long. The gaps keep the end of a row apart from the next one's start.
+    In the flattened array, neighbours are at constant offsets, so sums of whole arrays suffice; a median of the labels
+    takes forty times as long. The gaps separate the end of a row from the start of the next.
 
     Args:
         own: (H, W) uint8, 0 or 1; 0 in its first and last rows and its last columns.
@@ -154,7 +153,7 @@ def _of_most(own: ImageArray) -> ImageArray:
     return most
 
 
-def _nobodys_color(table: ColorTable) -> tuple[int, int, int]:
-    """Return a colour that is not even faintly a marker's, blue, green, red; black where every colour is."""
+def _unlabelled_color(table: ColorTable) -> tuple[int, int, int]:
+    """Return a colour without a label, faint ones included, blue, green, red; black if there is none."""
     packed = int(np.argmin(table.faint))
     return ((packed & 31) << 3, ((packed >> 5) & 63) << 2, (packed >> 11) << 3)

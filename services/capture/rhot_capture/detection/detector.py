@@ -243,7 +243,7 @@ class MarkerDetector:
                 if not blob.inside(cutout.region, self._size):
                     if every:
                         return None
-                    self._judged.append((name, Refusal(blob, "cut")))
+                    self._judged.append((name, Refusal(blob, "clipped")))
                     continue
                 track = self._track_at(name, blob)
                 least_px = self._gates[cutout.label - 1][0]

@@ -35,20 +35,20 @@ _COLUMNS: Final = (
 _NOTE: Final = (
     "Blobs of each marker's colour, largest first. A marker needs an area within its limits, a solidity of at least "
     f"{MIN_SOLIDITY:g}, its own colour on at least {100 * MIN_FILL:.0f} % of its pixels, a core of pure colour, no "
-    f"contact with a larger blob of another marker, and a total likelihood of at least {MIN_PLAUSIBILITY:g}. Empty "
+    f"contact with a larger blob of another marker, and a plausibility of at least {MIN_PLAUSIBILITY:g}. Empty "
     "cells were not computed. Areas can differ from the live ones by a pixel or two because recorded pictures are "
     "compressed."
 )
 _REASONS: Final[dict[Reason, str]] = {
     "too small": "too small: {area:.0f} px², min_area_px = {marker.min_area_px:g}",
     "too large": "too large: {area:.0f} px², max_area_px = {marker.max_area_px:g}",
-    "ragged": f"irregular shape: solidity {{solidity:.2f}}, minimum {MIN_SOLIDITY:g}",
-    "hollow": f"mixed colours: own colour on {{fill:.0f}} %, minimum {100 * MIN_FILL:.0f} %",
+    "irregular": f"irregular shape: solidity {{solidity:.2f}}, minimum {MIN_SOLIDITY:g}",
+    "mixed colours": f"mixed colours: own colour on {{fill:.0f}} %, minimum {100 * MIN_FILL:.0f} %",
     "thin": "thin: no core of pure colour, and not at the marker's last position",
-    "rim": "edge of another marker: connected to a larger blob of that marker's colour",
-    "unlike": "unlikely: hardly any pixels of the typical colour, or the whole outline at the image border",
-    "outsized": "too large for its hand: {area:.0f} px², several times the size expected from the hand's other markers",
-    "cut": "clipped: extends beyond the searched region",
+    "edge": "edge of another marker: connected to a larger blob of that marker's colour",
+    "unlikely": "unlikely: hardly any pixels of the typical colour, or the whole outline at the image border",
+    "too large for hand": "too large for hand: {area:.0f} px², several times the size implied by the other markers",
+    "clipped": "clipped: extends beyond the searched region",
 }
 
 

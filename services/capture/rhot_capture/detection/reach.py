@@ -1,8 +1,8 @@
-"""Where a marker that was not found may be: within a hand's reach of the other markers of its hand.
+"""Search regions of missing markers: within a hand's reach of the hand's other markers.
 
-Faint colours occur everywhere in a room, and pixels of a paint's typical colour among them now and then: in pictures
-without any hand they would be called markers. So they are looked for only where a finger can be that goes behind
-another one or comes back: no further from any marker that was found than markers of this hand have lately been apart.
+Faint colours occur everywhere in a room, some with a few pixels of a paint's typical colour among them; in pictures
+without a hand they would be false detections. They are therefore searched for only where a finger can be that is being
+occluded or is reappearing: no further from any detected marker than the recent largest distance of the hand's markers.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from rhot_capture.detection.cutouts import Region
 from rhot_capture.detection.search import find_regions
 
 _FEWEST: Final = 3
-"""Markers that tell how large a hand is, if it has as many: fewer may all be something else."""
+"""Number of markers required to measure a hand's extent, if it has as many: fewer may all be false detections."""
 _MEMORY: Final = 0.999
-"""What remains of the largest extent in a searched frame: half of it is forgotten in 700 such frames, 12 to 23 s. A
-hand in a grasp, of which little is seen, remains as large as it was open; one that has gone makes room for another."""
+"""Decay of the extent per searched frame: half in 700 frames, 12 to 23 s. A grasping hand, of which little is visible,
+keeps the extent of the open hand; after a hand has left, the extent adapts to the next one."""
 
 _HALF_WIDTH_PX: Final = 12
-"""Of a marker, about: reaches are measured from middle to middle."""
+"""Approximate half width of a marker: extents are measured between centres."""
 
 
 class HandReach:
-    """How far markers of each hand are apart in one camera's picture, frame after frame.
+    """Extent of each hand's markers in one camera.
 
     Args:
         markers: of the rig, by name.
@@ -47,19 +47,19 @@ class HandReach:
         self._labels_of: ImageArray = np.zeros(0, np.uint8)
 
     def clear(self) -> None:
-        """Forget how far they are apart."""
+        """Discard the extents."""
         self._extent_px = dict.fromkeys(self._extent_px, 0.0)
 
     def looks(
         self, image: ImageArray, table: ColorTable, missing: Mapping[str, int], found: Mapping[str, Candidate]
     ) -> list[tuple[int, Region]]:
-        """Return label and bounds of the regions that may hold missing markers in faint colours.
+        """Update the extents, and return label and region of faint colours that may be missing markers.
 
         Args:
             image: (H, W, 3) uint8 BGR.
             table: colours of the labels.
-            missing: label of each marker that was not found; faint paint that two hands wear tells nothing.
-            found: the others; how far they are apart is learnt.
+            missing: labels by marker that was not detected; paints that both hands have are not searched for.
+            found: the detected markers; they update the extents.
         """
         looks = []
         for hand, kept_px in self._extent_px.items():
@@ -84,7 +84,7 @@ class HandReach:
         return looks
 
     def _faint(self, table: ColorTable, labels: tuple[int, ...]) -> ImageArray:
-        """Return the table of faint colours of some labels, (65536,) uint8; kept while they stay the same."""
+        """Return the table of faint colours of some labels, (65536,) uint8; cached for the last labels."""
         if self._table is None or self._table[0] is not table.faint or self._table[1] != labels:
             wanted = np.zeros(256, np.uint8)
             wanted[list(labels)] = labels

@@ -1,13 +1,13 @@
-"""How surely a detection is right, as a probability: a logistic model fitted to simulated pictures.
+"""Probability that a detection is correct: a logistic model fitted to simulated pictures.
 
-Right means: it is that marker, and its centre lies within `RIGHT_PX` of the centre of the paint that nothing hides;
-paint beyond the picture's border counts as not hidden, so a marker that the border cuts is rarely right. With the
-evidence x (each entry oriented so that more of it never makes a detection less sure, hence w ≥ 0) the score is
+Correct means: it is that marker, and its centre is within `RIGHT_PX` of the centre of the unoccluded paint. Paint
+beyond the image border counts as unoccluded, so markers clipped by the border are rarely correct. With the evidence x
+(more of each entry never decreases the score, hence w ≥ 0) the score is
 
     p = 1 / (1 + exp(−(b + w·x))).
 
-Solidity, size, thinness, neighbouring markers and the distance and size against the track were tried beside these
-three and got weight 0: they decide which blobs are candidates at all, and say nothing more about those that remain.
+Solidity, size, thinness, neighbouring markers, and distance and size relative to the track were tried, too, and got
+weight 0: they are criteria for candidates, and give no further information about those that remain.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ import math
 from typing import Final, NamedTuple
 
 RIGHT_PX: Final = 1.0
-"""Chosen: beside one good view it is up to 19 mm of depth, at 85 cm and with 75 mm between the cameras."""
+"""Chosen: at 85 cm and with a baseline of 75 mm it causes a depth error of up to 19 mm if the other view is exact."""
 
-# Made by `python -m rhot_bench.detection.score_fit`, which prints these lines and the reliability on other seeds.
+# Output of `python -m rhot_bench.detection.score_fit`, which also prints the reliability on other seeds.
 BIAS: Final = 3.081
 WEIGHTS: Final = (4.327, 11.682, 5.145)
 
 
 class Evidence(NamedTuple):
-    """What speaks for a detection; each entry is at most 0, more is better.
+    """Features of a detection; each is at most 0, larger is better.
 
     Attributes:
-        colour: logarithm of how typical the blob's colour is of its marker.
-        inside: minus the share of its outline on the picture's border.
-        alone: logarithm of its share against a second blob of the same colour.
+        colour: logarithm of the colour's likelihood relative to a typical one.
+        inside: minus the share of its outline on the image border.
+        alone: logarithm of its weight's share of the sum of the two best blobs' weights.
     """
 
     colour: float

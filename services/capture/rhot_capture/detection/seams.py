@@ -1,8 +1,8 @@
-"""Blobs that hang on another marker: its rim, or a seam where its paint mixes with what is beside it.
+"""Detect blobs that are the edge of another marker: mixtures of its paint with the surroundings.
 
-A pixel on the edge of green paint on bright skin is yellowish, and where the edge is blurred, turned away or lit by the
-paint, such pixels make a blob of their own. Its colour lies between that of the paint and that of the surroundings.
-Real paint does not: of two colours that touch, the mixed one is that which lies nearer to a mixture of the other.
+A pixel on the edge of green paint on bright skin is yellowish. Where the edge is blurred, seen obliquely or lit by the
+paint, such pixels form a blob of their own, whose colour lies between those of the paint and the surroundings. The
+colour of real paint does not: of two adjacent colours, the mixture is the one nearer to mixtures of the other.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from rhot.arrays import FloatArray, ImageArray
 from rhot_capture.detection.blob import Blob
 
 _LIKELY: Final = 0.75
-"""A blob is a mixture when it is nearer to one than so many times what its neighbour is. 1 is where nothing speaks for
-either; on rendered pictures in seven lights and sizes paint is at 0.9 to 160 (median 4), a seam at 0.03 to 0.7."""
+"""A blob is a mixture if its distance from mixtures is less than this times that of its neighbour. On rendered pictures
+with seven lights and sizes, the ratio is 0.9 to 160 (median 4) for paint and 0.03 to 0.7 for seams."""
 _OFF: Final = 0.4
-"""And when it is no further from one than this share of how far both colours are apart: two paints may well be at the
-edge of the first rule, but then both are far from any mixture (0.46 for yellow beside green)."""
+"""And if that distance is less than this share of the distance between both colours: two paints can be near the first
+limit, but then both are far from any mixture (0.46 for yellow beside green)."""
 _CLOSEST: Final = 20
-"""One in so many colours of the surroundings may be nearer to making a mixture than the one that counts: noise."""
+"""The distance from mixtures is the quantile 1 / this over the colours of the surroundings, because of noise."""
 _WITHIN_2: Final = np.ones((5, 5), np.uint8)
 
 
 class Neighbour(NamedTuple):
-    """What another marker has around a blob.
+    """Another marker beside a blob.
 
     Attributes:
         share: of the ring of two pixels around the blob.
-        pixels: in its window.
-        mask: (h, w) bool, where in its window; nowhere when there is no other marker.
-        around: (h, w) bool, where neither of both nor the ring is, and no paint.
+        pixels: their number in the blob's window.
+        mask: (h, w) bool, its pixels in the window; all false without another marker.
+        around: (h, w) bool, surroundings: no paint, and outside the blob and the ring.
     """
 
     share: float
@@ -43,12 +43,12 @@ class Neighbour(NamedTuple):
 
 
 def neighbour_of(blob: Blob, labels: ImageArray, label: int) -> Neighbour:
-    """Return the other marker that has most of the ring around a blob.
+    """Return the other marker with the largest share of the ring around a blob.
 
     Args:
-        blob: the blob in question.
-        labels: (h, w) uint8, label of every pixel in its window, as far as it is seen.
-        label: of its marker.
+        blob: the blob.
+        labels: (h, w) uint8, labels of `blob.seen`.
+        label: of the blob's marker.
     """
     near = cv2.dilate(blob.seen, _WITHIN_2) > 0
     ring = labels[near & (blob.seen == 0)]
@@ -60,12 +60,12 @@ def neighbour_of(blob: Blob, labels: ImageArray, label: int) -> Neighbour:
 
 
 def is_mixture(blob: Blob, beside: Neighbour, pixels: ImageArray) -> bool:
-    """Tell whether a blob has the colour of its neighbour mixed with what is around both, rather than one of its own.
+    """Return whether a blob's colour is a mixture of its neighbour's colour and the surroundings.
 
     Args:
-        blob: the blob in question.
+        blob: the blob.
         beside: its neighbour, of at least one pixel.
-        pixels: (h, w, 3) uint8 BGR, of its window.
+        pixels: (h, w, 3) uint8 BGR, colours of `blob.seen`.
     """
     around = pixels[beside.around].astype(np.float64)
     if not len(around):
@@ -77,11 +77,11 @@ def is_mixture(blob: Blob, beside: Neighbour, pixels: ImageArray) -> bool:
 
 
 def _off_mixtures(color: FloatArray, paint: FloatArray, around: FloatArray) -> float:
-    """Return how far a colour is from mixtures of a paint with what is around, grey levels.
+    """Return the distance of a colour from mixtures of a paint with the surroundings, grey levels.
 
     Args:
         color, paint: (3,).
-        around: (N, 3), N at least 1.
+        around: (N, 3) colours of the surroundings, N at least 1.
     """
     along = around - paint
     share = (along @ (color - paint)) / np.maximum((along * along).sum(axis=1), 1.0)

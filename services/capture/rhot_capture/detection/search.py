@@ -1,7 +1,7 @@
-"""Where in a whole picture markers may be, by looking at every third pixel of every third row.
+"""Find the regions of an image that may contain markers, from every third pixel of every third row.
 
-A blob that is a marker holds three by three pixels of its colour (`rhot_capture.detection.detector` believes thinner
-ones only where a marker just was), and of these one is looked at.
+A marker's blob contains 3x3 pixels of its colour, one of which is sampled; `rhot_capture.detection.candidates` accepts
+thinner blobs only where a marker just was.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from rhot_capture.detection.cutouts import Region
 
 _STEP: Final = 3
 _FIRST: Final = 1
-"""Every third row and column, beginning with the second: one pixel of each 3x3 block, its middle one."""
+"""Every third row and column, starting with the second: the centre pixel of each 3x3 block."""
 _ROOM_PX: Final = 9
-"""Round the pixels that were looked at: what was passed over, the padding of a blob, and a pixel beyond it. Regions
-of parts that shine has split overlap and become one."""
+"""Margin around the sampled pixels: skipped pixels, the padding of a blob, and one more pixel. Regions of parts that a
+highlight separates overlap and are merged."""
 _BEFORE: Final = _FIRST - _ROOM_PX
 _AFTER: Final = _FIRST - _STEP + _ROOM_PX + 1
 _MOST_CONTOURS: Final = 100
-"""Of one label that are looked at, the largest; a picture full of specks must not stop the camera. Chosen."""
+"""Largest number of contours examined, the largest ones: limits the time for pictures full of speckle. Chosen."""
 _MOST_REGIONS: Final = 6
-"""For one label; the largest are kept."""
+"""Largest number of regions of one label before merging; the largest are kept."""
 
 
 def find_regions(image: ImageArray, labels_of: ImageArray) -> list[tuple[int, Region]]:
-    """Return label and bounds of every region that may hold a marker.
+    """Return label and bounds of every region that may contain a marker.
 
     Args:
         image: (H, W, 3) uint8 BGR.
         labels_of: (65536,) uint8, the label of each 5-6-5 colour.
 
     Returns:
-        regions; those of one label do not touch, and hold all that is of its colour, but for speckle where there is
-        more than can be looked at.
+        Regions; those of one label do not overlap. They contain all pixels of its colour, except speckle beyond
+        the limits above.
     """
     height, width = image.shape[:2]
     labels = _sampled_labels(image, labels_of)
@@ -60,10 +60,10 @@ def find_regions(image: ImageArray, labels_of: ImageArray) -> list[tuple[int, Re
 
 
 def _labels_in(part: ImageArray) -> list[tuple[int, int, Sequence[int]]]:
-    """Return the labels that occur, each with its pixels and its upright rectangle.
+    """Return the labels that occur, each with its number of pixels and its bounding rectangle.
 
     Args:
-        part: (h, w) uint8, labels, not all 0; in most cases of one kind.
+        part: (h, w) uint8 labels, not all 0; usually only one label.
     """
     values = part.tobytes()
     highest = max(values)
@@ -81,13 +81,13 @@ def _labels_in(part: ImageArray) -> list[tuple[int, int, Sequence[int]]]:
 def _sampled_labels(image: ImageArray, labels_of: ImageArray) -> ImageArray:
     """Return the labels of every third pixel of every third row, (H/3, W/3)."""
     packed = np.asarray(cv2.cvtColor(image[_FIRST::_STEP], cv2.COLOR_BGR2BGR565)).view(np.uint16)[..., 0]
-    # Columns are left out only now: two bytes with a step are copied ten times as fast as three.
+    # Columns are skipped after the conversion: a strided copy is ten times as fast for two bytes as for three.
     sampled = np.ascontiguousarray(packed[:, _FIRST::_STEP])
     return np.asarray(cv2.LUT(sampled, labels_of), dtype=np.uint8).reshape(sampled.shape)
 
 
 def _joined(sized: list[tuple[int, Region]]) -> list[Region]:
-    """Return the largest regions, those that overlap as one."""
+    """Return the largest regions; overlapping ones are merged."""
     if len(sized) == 1:
         return [sized[0][1]]
     sized.sort(reverse=True)

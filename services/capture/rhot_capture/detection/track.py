@@ -1,4 +1,4 @@
-"""Where a marker was, as a soft preference for where it is."""
+"""Track of a marker in one camera: a soft preference for blobs near the predicted position."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import Final
 from rhot_capture.detection.cutouts import Region
 
 _MEMORY_FRAMES: Final = 10
-"""Frames without the marker after which nothing is preferred any more; chosen: a sixth of a second at 60 Hz."""
+"""Frames without the marker after which the track is dropped; chosen: a sixth of a second at 60 Hz."""
 _GATE_MIN_PX: Final = 25.0
 _GATE_RATIO: Final = 1.5
 _GATE_GROWTH: Final = 0.5
-"""The gate is a standard deviation: the larger of a least one, pixels, and a multiple of the root of the marker's area,
-and by so much of itself wider for each frame without the marker. Chosen: a fingertip that stops at once from 2 m/s is
-22 pixels off the prediction at 60 Hz, 80 cm away."""
+"""The gate is a standard deviation: the maximum of this many pixels and this multiple of the root of the marker's area,
+growing by this share with each frame without the marker. Chosen: a fingertip that stops suddenly from 2 m/s is 22
+pixels from the prediction at 60 Hz and 80 cm."""
 _SLIVER_FRAMES: Final = 3
 _SLIVER_GATE_PX: Final = 6.0
-"""What is left of a marker that is being covered is believed so many frames, and so near to the prediction; chosen."""
+"""Thin remains of a marker being occluded are accepted after at most this many frames, counted from the last detection,
+and within this distance from the prediction; chosen."""
 _FLOOR: Final = 0.05
-"""A blob far from the prediction keeps this much: it must be 20 times better to win, and wins when it is alone."""
+"""Smallest preference: a blob far from the prediction must be 20 times better to be chosen, unless it is alone."""
 _MARGIN_PX: Final = 8.0
 _MARGIN_PER_MOTION: Final = 0.5
-"""What a hand turns aside of its motion from one frame to the next; a tip at 1.5 m/s moves 17 pixels in a frame of
-1/60 s, 80 cm away."""
+"""Change of motion between two frames, as a share of it; a tip at 1.5 m/s moves 17 pixels in 1/60 s at 80 cm."""
 
 
 class MarkerTrack:
@@ -40,19 +40,19 @@ class MarkerTrack:
 
     @property
     def margin_px(self) -> float:
-        """Room to leave around where the marker is expected; more the faster it moves."""
+        """Margin around the predicted position; grows with the speed."""
         return _MARGIN_PX + _MARGIN_PER_MOTION * max(abs(self._motion_u), abs(self._motion_v))
 
     @property
     def expected(self) -> tuple[float, float] | None:
-        """U and v of where the marker is expected, pixels; None when it was not in the last frame."""
+        """Predicted u and v, pixels; None if the marker was not in the last frame."""
         return None if self._missed > 0 else (self._u + self._motion_u, self._v + self._motion_v)
 
     def region(self, margin_px: float, height: int, width: int) -> Region | None:
-        """Return where in the picture the marker is expected; None when it was not in the last frame.
+        """Return the region in which the marker is predicted; None if it was not in the last frame.
 
         Args:
-            margin_px: room on all sides.
+            margin_px: on all sides.
             height: of the picture, pixels.
             width: of the picture, pixels.
         """
@@ -65,11 +65,11 @@ class MarkerTrack:
         return Region(left, top, right, bottom) if left < right and top < bottom else None
 
     def preference(self, u: float, v: float, area: float) -> float:
-        """Return how well a blob continues the track, 0 to 1; 1 when there is no track.
+        """Return the agreement of a blob with the track, 0 to 1; 1 if there is no track.
 
         Args:
-            u: middle of the blob, pixels to the right.
-            v: middle of the blob, pixels down.
+            u: centre of the blob, pixels to the right.
+            v: centre of the blob, pixels down.
             area: of the blob, square pixels.
         """
         if self._missed >= _MEMORY_FRAMES:
@@ -81,11 +81,11 @@ class MarkerTrack:
         return max(_FLOOR, math.exp(-0.5 * (away / gate) ** 2) * math.sqrt(ratio))
 
     def continues(self, u: float, v: float) -> bool:
-        """Tell whether a position is so near to where the marker must be that even a sliver of its colour is believed.
+        """Return whether a blob is near enough to the prediction to accept even a thin one.
 
         Args:
-            u: middle of the blob, pixels to the right.
-            v: middle of the blob, pixels down.
+            u: centre of the blob, pixels to the right.
+            v: centre of the blob, pixels down.
         """
         frames = self._missed + 1
         away = math.hypot(u - self._u - frames * self._motion_u, v - self._v - frames * self._motion_v)
@@ -98,7 +98,7 @@ class MarkerTrack:
             u: centre, pixels to the right.
             v: centre, pixels down.
             area: square pixels.
-            reach_px: how far it extends from its centre to the sides, and up and down.
+            reach_px: half of its width and of its height, pixels.
         """
         if self._missed == 0:
             self._motion_u, self._motion_v = u - self._u, v - self._v
@@ -108,5 +108,5 @@ class MarkerTrack:
         self._missed = 0
 
     def miss(self) -> None:
-        """Note that the marker was not seen in this frame."""
+        """Update the track with a frame without the marker."""
         self._missed += 1
