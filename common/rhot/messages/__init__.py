@@ -1,12 +1,12 @@
-"""The wire schemas: what travels on which key, and its exact encoding.
+"""The wire schemas: the message of each key and its encoding.
 
 A payload is a msgpack map of one of the models of this package; the Zenoh encoding is `application/msgpack` with the
 model's name as suffix (`application/msgpack;MarkerFrame`). SI units throughout: metres, seconds, radians;
 pixels with u to the right and v down, pixel centres on integers, in the raw (distorted) image. Quaternions are
 (x, y, z, w) of unit norm. Times are integer nanoseconds since the Unix epoch on the rig clock.
 
-Unknown fields are ignored so that a newer sender may talk to an older reader; anything missing, wrong-typed,
-not finite or out of bounds makes the message invalid (`WireError`).
+Unknown fields are ignored, so that an older reader accepts messages of a newer sender. A missing field, or a value that
+has the wrong type, is not finite or is out of bounds, makes the message invalid (`WireError`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What all messages have in common: kinds of values, strictness, time and number, a pose."""
+"""Common parts of all messages: value types, the base models, and a pose."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _QUATERNION_NORM_TOLERANCE: Final = 1e-3
 
 NAME_PATTERN: Final = r"^[A-Za-z0-9_.-]{1,64}$"
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
-"""A camera, marker, joint, object or service name: it can stand as one chunk of a key."""
+"""Name of a camera, marker, joint, object or service; valid as one chunk of a key."""
 TimeNs = Annotated[int, Field(ge=0, lt=1 << 62)]
-"""Nanoseconds since the Unix epoch, until the year 2116: what is later is garbage, and sums of two still fit."""
+"""Nanoseconds since the Unix epoch, up to the year 2116, so that the sum of two fits into 64 bits."""
 Count = Annotated[int, Field(ge=0, lt=1 << 63)]
 Pixel = Annotated[float, Field(ge=-1e5, le=1e5)]
 Metres = Annotated[float, Field(ge=-1e3, le=1e3)]
@@ -33,31 +33,31 @@ def _shown(most: int, text: str) -> str:
 
 Sentence = Annotated[str, Field(max_length=4096), AfterValidator(partial(_shown, 4096))]
 Label = Annotated[str, Field(max_length=64), AfterValidator(partial(_shown, 64))]
-"""Text for people, without what could act on the terminal that shows it."""
+"""Text for people, without control characters that could act on a terminal."""
 
 PixelPoint = tuple[Pixel, Pixel]
 Position = tuple[Metres, Metres, Metres]
 Quaternion = tuple[float, float, float, float]
 
 State = Literal["measured", "predicted"]
-"""`measured`: backed by an observation of this moment; `predicted`: bridged by a model."""
+"""`measured`: based on an observation at this time; `predicted`: extrapolated by a model."""
 PointState = Literal["measured", "one_view", "predicted"]
-"""`measured`: by two views or more of this moment; `one_view`: on one camera's ray; `predicted`: bridged by a model."""
+"""`measured`: seen by two or more cameras at this time; `one_view`: on one camera's ray; `predicted`: extrapolated."""
 Side = Literal["left", "right"]
 
 
 class WireModel(BaseModel):
-    """Base of messages and their parts: frozen, finite, strict about types, tolerant of unknown fields."""
+    """Base of messages and their parts: frozen, finite values, strict types, unknown fields ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True, allow_inf_nan=False)
 
 
 class Message(WireModel):
-    """What every message carries.
+    """Fields of every message.
 
     Attributes:
-        t_ns: the moment the sample was true, rig clock.
-        seq: counts the publisher's messages on this key from 0, so that gaps can be counted.
+        t_ns: time of the sample, rig clock.
+        seq: number of the message on this key since the publisher started, from 0; a gap means lost messages.
         schema_version: version of the model.
     """
 
@@ -67,7 +67,7 @@ class Message(WireModel):
 
 
 def unit_quaternion(value: Quaternion) -> Quaternion:
-    """Return a quaternion as it is.
+    """Validate a quaternion x, y, z, w and return it unchanged.
 
     Raises:
         ValueError: its norm is not 1.
@@ -94,12 +94,12 @@ class Pose(WireModel):
 
 
 def wire_position(vector: NDArray[np.float64]) -> Position:
-    """Return a position (3,), metres, as a message carries it."""
+    """Return a position (3,), metres, as a tuple for a message."""
     x, y, z = vector.tolist()
     return x, y, z
 
 
 def wire_quaternion(xyzw: NDArray[np.float64]) -> Quaternion:
-    """Return a unit quaternion (4,), x y z w, as a message carries it."""
+    """Return a unit quaternion (4,), x y z w, as a tuple for a message."""
     x, y, z, w = xyzw.tolist()
     return x, y, z, w

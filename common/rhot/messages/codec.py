@@ -1,4 +1,4 @@
-"""Messages as payloads and back."""
+"""Encoding of messages to payloads and back."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rhot.messages.base import Message
 from rhot.messages.problems import first_problem
 
 MAX_PAYLOAD_BYTES: Final = 1 << 20
-"""Largest payload that is decoded; a full HandPose takes about 3 kB."""
+"""Size of the largest payload that is decoded; a full HandPose has about 3 kB."""
 
 M = TypeVar("M", bound=Message)
 
 
 def encoding_of(model: type[Message]) -> str:
-    """Return the Zenoh encoding that carries a model's payloads."""
+    """Return the Zenoh encoding of a model's payloads."""
     return f"application/msgpack;{model.__name__}"
 
 
@@ -29,7 +29,7 @@ def encode(message: Message) -> bytes:
 
 
 def unpack(payload: bytes) -> Any:
-    """Return the plain Python value of a msgpack payload, arrays as tuples.
+    """Return the Python value of a msgpack payload, arrays as tuples.
 
     Raises:
         WireError: the payload is too large or not msgpack.
@@ -55,5 +55,5 @@ def decode(payload: bytes, model: type[M]) -> M:
 
 
 def with_seq(message: M, seq: int) -> M:
-    """Return the message with its sequence number set; publishers call it."""
+    """Return a copy of the message with its sequence number set, for publishers."""
     return message.model_copy(update={"seq": seq})

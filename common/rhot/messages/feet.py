@@ -1,4 +1,4 @@
-"""Feet, and the body that follows from them, the head and the hands."""
+"""Feet, and the body computed from feet, head and hands."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ class FootPose(Message):
     and +Z from the toes to the heel.
 
     Attributes:
-        side: which foot.
+        side: left or right foot.
         frame: frame of all vectors, `rig`.
         position: metres.
-        orientation: unit quaternion x, y, z, w.
+        orientation: unit quaternion x, y, z, w, foot frame to `frame`.
         velocity: metres per second.
         sigma: standard deviation of the position, metres (root of the sum of the three variances).
-        stage: the best evidence of the last moment: the `marker`, the foot's blob in the `depth` image, the `inertial`
-            sensor alone, or nothing (`lost`: the last position is held).
-        stationary: the foot stands still.
-        state: measured while a marker, the depth image or a stand-still backs the position, else predicted.
+        stage: best recent measurement: the `marker`, the foot's blob in the `depth` image, the `inertial` sensor alone,
+            or none (`lost`: the last position is held).
+        stationary: whether the foot stands still.
+        state: `measured` while marker, depth image or zero velocity confirm the position, else `predicted`.
     """
 
     side: Side
@@ -44,10 +44,10 @@ class FootPose(Message):
 class BodyJoint(Pose):
     """One joint of the body.
 
-    A joint's frame has +X to the body's right, +Y up and +Z backwards when the person stands upright with hanging arms
-    and palms towards the thighs. It moves with the bone that begins at the joint, along +Y or −Y: a knee's frame is
-    that of the shank, an ankle's and a foot's that of the foot, a shoulder's that of the upper arm, an elbow's that of
-    the forearm, a wrist's that of the hand.
+    When the person stands upright with hanging arms and palms towards the thighs, a joint's frame has +X to the body's
+    right, +Y up and +Z backwards. It is fixed to the bone that starts at the joint, along +Y or −Y: a knee's frame to
+    the shank, an ankle's and a foot's to the foot, a shoulder's to the upper arm, an elbow's to the forearm, a wrist's
+    to the hand.
     """
 
 
@@ -55,11 +55,11 @@ class LegAngles(WireModel):
     """Joint angles of one leg, radians, all 0 when standing upright.
 
     Attributes:
-        hip_flexion: of the thigh, forwards positive.
-        hip_abduction: of the thigh, away from the other leg positive.
-        hip_rotation: of the thigh about itself, toes outwards positive.
+        hip_flexion: of the thigh, positive forwards.
+        hip_abduction: of the thigh, positive away from the other leg.
+        hip_rotation: of the thigh about its own axis, positive with the toes outwards.
         knee_flexion: never negative.
-        ankle_flexion: toes upwards positive.
+        ankle_flexion: dorsiflexion, positive with the toes upwards.
     """
 
     hip_flexion: float
@@ -70,10 +70,10 @@ class LegAngles(WireModel):
 
 
 class BodyPose(Message):
-    """A body, from ik: hips, legs, trunk, head and, of hands that are tracked, arms.
+    """A body, from ik: hips, legs, trunk, head, and the arms of tracked hands.
 
-    Head, feet and wrists are measured; `inferred` names the joints between them, which follow by the person's lengths
-    and by how people stand.
+    Head, feet and wrists are measured; `inferred` names the joints between them, which are computed from the person's
+    segment lengths and typical postures.
 
     Attributes:
         frame: frame of all positions and orientations.
@@ -82,10 +82,10 @@ class BodyPose(Message):
             hand `<side>_shoulder`, `<side>_elbow`, `<side>_wrist`. OpenXR's names (XR_FB_body_tracking,
             XR_BD_body_tracking).
         angles: joint angles per leg.
-        legs: per leg whether its foot is measured or predicted; a leg of which nothing is known is absent.
-        arms: per arm whether its hand is measured or predicted; an arm whose hand is not tracked is absent.
-        inferred: joints that nothing measures.
-        state: measured while the head and at least one foot are.
+        legs: state of each leg's foot; an unknown leg is absent.
+        arms: state of each arm's hand; an arm whose hand is not tracked is absent.
+        inferred: joints that are not measured.
+        state: `measured` while the head and at least one foot are measured.
     """
 
     frame: Name

@@ -14,7 +14,7 @@ class Joint(Pose):
 
     Attributes:
         orientation: unit quaternion x, y, z, w; OpenXR axes, +Z from tip to wrist, +Y out of the back of the hand.
-        radius: of the flesh around it, metres.
+        radius: distance from the joint to the skin, metres.
     """
 
     radius: Annotated[float, Field(ge=0.0, le=1.0)]
@@ -24,8 +24,8 @@ class FingerAngles(WireModel):
     """Joint angles of one finger, radians; flexion is positive towards the palm.
 
     Attributes:
-        mcp_flexion, mcp_abduction: at the knuckle; abduction is positive towards the thumb's side.
-        pip_flexion, dip_flexion: at the middle and the last hinge.
+        mcp_flexion, mcp_abduction: metacarpophalangeal joint (knuckle); abduction is positive towards the thumb.
+        pip_flexion, dip_flexion: proximal and distal interphalangeal joints.
     """
 
     mcp_flexion: float
@@ -38,14 +38,14 @@ class HandPose(Message):
     """One hand, from ik.
 
     Attributes:
-        side: whose hand.
+        side: left or right hand.
         frame: frame of all positions and orientations.
         joints: the 26 OpenXR joints by name.
-        angles: joint angles per finger; the thumb's MCP stands for its carpometacarpal joint, its PIP for the
-            metacarpophalangeal and its DIP for the interphalangeal joint.
+        angles: joint angles per finger; for the thumb, MCP is the carpometacarpal joint, PIP the metacarpophalangeal
+            and DIP the interphalangeal joint.
         residual: distance between each finger's measured and modelled marker, metres; absent when not measured.
-        fingers: per finger whether its pose is measured or predicted.
-        state: measured when the palm and at least one finger are measured.
+        fingers: state of each finger.
+        state: `measured` when the palm and at least one finger are measured.
     """
 
     side: Side

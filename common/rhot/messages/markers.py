@@ -1,4 +1,4 @@
-"""Markers in pictures, and as points in space."""
+"""Markers in images, and as points in space."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Covariance = tuple[SquareMetres, SquareMetres, SquareMetres, SquareMetres, Squar
 
 
 class Marker(WireModel):
-    """One marker as one camera saw it.
+    """One marker in one camera's image.
 
     Attributes:
         u, v: sub-pixel centre, pixels, raw image.
         area: visible area, square pixels.
-        score: probability that this is the marker and its centre within a pixel of the truth.
-        t_ns: mid-exposure of the marker's own row where it differs from the frame's `t_ns`.
+        score: probability that the identity is right and the centre within one pixel of the true one.
+        t_ns: mid-exposure of the marker's image row, if it differs from the frame's `t_ns`.
         corners: the four corners of a rectangular patch in cyclic order, pixels.
         outline: closed outline, pixels.
     """
@@ -46,15 +46,15 @@ class Marker(WireModel):
 
 
 class MarkerFrame(Message):
-    """All markers found in one frame of one camera; a marker that was not seen is absent.
+    """All markers detected in one frame of one camera; a marker that was not seen is absent.
 
     Attributes:
-        camera: name of the camera as in `rig.toml`.
+        camera: name of the camera in `rig.toml`.
         width, height: size of the image, pixels.
-        markers: marker name to its observation.
+        markers: observations by marker name.
         timing: seconds per stage of the capture service: `age`, from mid-exposure of the middle row to the start of
-            detection, and `detect`.
-        frame: the source's own frame counter; a gap means frames lost before detection.
+            detection, and `detect`, duration of the detection.
+        frame: the source's frame counter; a gap means frames lost before detection.
     """
 
     camera: Name
@@ -69,11 +69,11 @@ class Point(WireModel):
     """One marker in space.
 
     Attributes:
-        position: metres, in the frame that the PointSet names.
-        covariance: xx, xy, xz, yy, yz, zz of the position's error, square metres; absent where the method tells none.
+        position: metres, in the frame of the PointSet.
+        covariance: of the position, xx, xy, xz, yy, yz, zz, square metres; absent if the method estimates none.
         sigma: standard deviation of the position, metres (root of the sum of the three variances).
-        views: number of cameras behind it.
-        state: `measured` (two views or more at this moment), `one_view` (on a ray: long along it, sharp across) or
+        views: number of cameras that see the marker.
+        state: `measured` (two or more views at this time), `one_view` (on one camera's ray: uncertain along it) or
             `predicted`.
         corners: corners of a rectangular patch, metres, cyclic order.
     """
@@ -87,11 +87,11 @@ class Point(WireModel):
 
 
 class PointSet(Message):
-    """All marker points at one moment, from fusion.
+    """All marker points at one time, from fusion.
 
     Attributes:
         frame: frame of all positions, `rig`.
-        points: by marker name; a marker of which nothing is known is absent.
+        points: by marker name; an unknown marker is absent.
     """
 
     frame: Name

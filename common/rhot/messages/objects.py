@@ -10,14 +10,14 @@ from pydantic import Field, field_validator
 from rhot.messages.base import Label, Message, Name, Position, Quaternion, State, WireModel, unit_quaternion
 
 Size = Annotated[float, Field(gt=0.0, le=10.0)]
-"""An edge, a radius or a height, metres."""
+"""Length of an edge, radius or height, metres."""
 
 
 class BoxShape(WireModel):
     """A cuboid.
 
     Attributes:
-        kind: which shape.
+        kind: type of the shape.
         size: edges along the object's x, y, z, metres.
     """
 
@@ -26,10 +26,10 @@ class BoxShape(WireModel):
 
 
 class CylinderShape(WireModel):
-    """A round body with flat ends; its axis is the object's z.
+    """A cylinder about the object's z axis.
 
     Attributes:
-        kind: which shape.
+        kind: type of the shape.
         radius: metres.
         height: from end to end, metres.
     """
@@ -40,10 +40,10 @@ class CylinderShape(WireModel):
 
 
 class SphereShape(WireModel):
-    """A ball.
+    """A sphere.
 
     Attributes:
-        kind: which shape.
+        kind: type of the shape.
         radius: metres.
     """
 
@@ -52,23 +52,23 @@ class SphereShape(WireModel):
 
 
 MOST_PLANES: Final = 64
-"""Of a mesh: 2.3 kB a message. With half as many a ball of 40 mm stands off by 1.5 mm instead of 0.8 (median)."""
+"""Planes of a mesh: 2.3 kB per message. With 32, the median error of a sphere of 40 mm is 1.5 instead of 0.8 mm."""
 _NORM_TOLERANCE: Final = 1e-3
 _FAR_M: Final = 20.0
 
 Plane = tuple[float, float, float, float]
-"""Unit normal that leads out, and how far along it the plane lies from the middle, metres."""
+"""Outward unit normal, and the plane's distance from the middle along it, metres."""
 
 
 class MeshShape(WireModel):
-    """A body with a surface of its own, from a file of the rig folder. Fingers meet the planes around it.
+    """A mesh from a file of the rig folder; fingers touch the planes of its convex hull.
 
     Attributes:
-        kind: which shape.
-        file: name of the file with its surface, glTF; who lacks it draws the planes.
+        kind: type of the shape.
+        file: name of the file with its surface, glTF; a reader without this file draws the planes.
         size: edges of its bounding box along the object's x, y, z, metres; the object's frame has the file's axes (y
             up) and its origin in the middle of that box.
-        planes: unit normal that leads out and distance from the middle (x, y, z, m) of each plane of its convex hull.
+        planes: of its convex hull: outward unit normal x, y, z and distance from the middle, metres.
     """
 
     kind: Literal["mesh"] = "mesh"
@@ -89,7 +89,7 @@ class MeshShape(WireModel):
 
 
 FacedShape = BoxShape | CylinderShape | SphereShape
-"""Shapes with faces that have names."""
+"""Shapes with named faces."""
 ObjectShape = Annotated[BoxShape | CylinderShape | SphereShape | MeshShape, Field(discriminator="kind")]
 
 
@@ -100,8 +100,8 @@ class ObjectPose(Message):
         frame: frame of the pose, `rig`.
         position: metres.
         orientation: unit quaternion x, y, z, w.
-        state: measured, or predicted where tracking was lost a moment ago.
-        shape: what fingers meet, where it is known; the pose is that of its middle.
+        state: `measured`, or `predicted` shortly after tracking was lost.
+        shape: shape of the object, if known; the pose is that of its middle.
     """
 
     frame: Name

@@ -1,4 +1,4 @@
-"""What is wrong with a message or a file, in one line for people."""
+"""Validation errors of messages and files as one line for people."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from rhot.text import printable
 
 
 def first_problem(error: ValidationError, model: type[BaseModel] | None = None) -> str:
-    """Return one line that names the first offending field of a validation error, its value and how many more.
+    """Return one line with the first offending field of a validation error, its value, and the number of further ones.
 
     Args:
-        error: what pydantic raised.
-        model: what was validated; with it, a misspelt field comes with the name that was probably meant.
+        error: raised by pydantic.
+        model: the validated model; used to suggest the right name of a misspelt field.
     """
     problems = error.errors(include_url=False)
     first = problems[0]
-    # "[key]" stands for the name of a table: its path ends with that name already.
+    # "[key]" repeats the name of a table, with which the path already ends.
     where = printable(".".join(str(part) for part in first["loc"] if part != "[key]"), 120) or "(whole)"
     if first["type"] == "missing":
         text = f"{where}: is missing"
@@ -41,7 +41,7 @@ def _short(value: object) -> str:
 
 
 def _fields_below(model: type[BaseModel] | None, location: list[Any]) -> list[str]:
-    """Return the fields of the models that a location leads to; keys of maps, indices and tags of unions lead on."""
+    """Return the fields of the models at a location; keys of maps, indices and tags of unions are skipped."""
     found = [] if model is None else [model]
     for part in location:
         fields = [each.model_fields[part] for each in found if part in each.model_fields]

@@ -1,4 +1,4 @@
-"""Messages between services: start and stop, the rig clock, status."""
+"""Messages between services: control, rig clock, status."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ class Control(Message):
 
     Attributes:
         action: `start` or `stop`.
-        session: identifies the run; a stop without a session stops whatever runs.
-        start_t_ns: rig time at which everybody starts; it lies in the future when the message is sent, so that
-            all cameras begin with the same moment.
-        revision: one more than that of the newest control message that any service knew; orders messages whose times
-            do not, because the rig clock was set back in between. 0 from a sender that did not ask.
+        session: id of the session; a stop without a session stops any session.
+        start_t_ns: rig time at which all services start; in the future when the message is sent, so that all cameras
+            start at the same time.
+        revision: one more than that of the newest control message known to any service; orders messages even if the
+            rig clock was set back in between. 0 if the sender did not query it.
     """
 
     action: Literal["start", "stop"]
@@ -31,9 +31,9 @@ class ClockReply(Message):
     """Answer to a clock query: two of the four timestamps of the exchange.
 
     Attributes:
-        t_ns: rig time when the answer left.
-        received_t_ns: rig time when the query arrived.
-        instance: identifies the clock, so that a restart of the machine that owns it is noticed.
+        t_ns: rig time at which the answer was sent.
+        received_t_ns: rig time at which the query arrived.
+        instance: id of the clock, which changes when its machine restarts.
     """
 
     received_t_ns: TimeNs
@@ -41,22 +41,22 @@ class ClockReply(Message):
 
 
 class ServiceStatus(Message):
-    """Once a second from every service.
+    """Status of a service, published once a second.
 
     Attributes:
-        service, instance: who.
-        state: what it does now.
-        session: id of the running session.
+        service, instance: names of the service and its instance.
+        state: present state.
+        session: id of the running session; empty when none.
         uptime_s: seconds since the process started.
         rates: events per second over the last interval, by name.
-        counts: events since start, by name: `invalid`, `dropped_late`, `missed`, …
+        counts: events since the start of the process, by name: `invalid`, `dropped_late`, `missed`, …
         latency_s: percentiles over the last seconds, by stage: `{"total": {"p50": …, "p99": …}}`.
-        figures: other figures of this kind of service, such as `epipolar_px`, the mean epipolar residual.
-        problem: what is wrong with the rig as a whole right now, one sentence; empty when nothing is.
-        last_error: newest error, empty when none.
-        config_digest: changes when the configuration does.
+        figures: other figures of this service, such as `epipolar_px`, the mean epipolar residual.
+        problem: present problem of the rig, one sentence; empty when none.
+        last_error: newest error; empty when none.
+        config_digest: hash of the configuration.
         clock_offset_s: rig clock minus this node's clock.
-        clock_uncertainty_s: bound of the remaining error of that offset; absent before the first exchange.
+        clock_uncertainty_s: bound of the error of that offset; absent before the first exchange.
     """
 
     service: Name

@@ -1,4 +1,4 @@
-"""Further frames that the rig is placed in: the floor, a tracking system's space."""
+"""Further frames with a known pose in the rig frame: the floor, a tracking system's space."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Matrix4 = tuple[Row, Row, Row, Row]
 
 
 class Space(Message):
-    """A further frame and where it lies in the rig frame.
+    """A further frame and its pose in the rig frame.
 
     Attributes:
-        T_rig_space: maps coordinates of the space to the rig frame; rigid, row by row, metres.
-        source: what it was found by, such as `steamvr registration` or `desk board`.
-        residual_m: how well what it was found by agrees with itself, metres; absent where nothing could tell.
+        T_rig_space: rigid transform that maps coordinates of the space to the rig frame; 4x4 by rows, metres.
+        source: method of its calibration, such as `steamvr registration` or `desk board`.
+        residual_m: residual of the calibration, metres; absent if not known.
     """
 
     T_rig_space: Matrix4

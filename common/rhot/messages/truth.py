@@ -1,4 +1,4 @@
-"""What is true in a simulated world."""
+"""Ground truth of a simulated world."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ class TruePose(Pose):
 
 
 class Truth(Message):
-    """What is true in the simulated world, rig frame: 60 times a second while somebody subscribes, ten times otherwise.
+    """Ground truth of the simulated world, rig frame: 60 Hz while there is a subscriber, 10 Hz otherwise.
 
     Attributes:
         frame: frame of all poses, `rig`.
-        points: centre of each marker's painted volume.
+        points: centre of each marker's painted volume, metres.
         hands: side to OpenXR joint name to pose.
         objects: object id to pose.
         head: pose of the headset.
-        feet: side to the pose of the foot as in `FootPose`.
-        body: joint name to pose as in `BodyPose`.
+        feet: side to pose, see `FootPose`.
+        body: joint name to pose, see `BodyPose`.
     """
 
     frame: Name
