@@ -1,1 +1,1 @@
-"""From a frame to markers."""
+"""Detection of markers in a frame."""

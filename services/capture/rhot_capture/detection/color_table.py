@@ -1,11 +1,11 @@
-"""One table that names the marker of every colour, so that a whole frame is classified in one look-up.
+"""Look-up table from colour to marker, which classifies a frame in one operation.
 
-A frame becomes a 16-bit 5-6-5 picture; each of its 65,536 possible colours has one entry here. The label of a
-colour is the position of its marker in the list, counted from 1; 0 is nobody's colour.
+A frame is converted to 16-bit 5-6-5 colours; the table has one entry for each of these 65,536 colours. The label of a
+colour is the position of its marker in the list, counted from 1; 0 = no marker.
 
-Paint that is seen from its edge, in shade or smeared is mixed with what lies beside it in every pixel, and so is that
-of a strip two pixels wide, as cameras store colour more coarsely than light. A second table names the marker of such
-faint colours too: those that are likelier paint than skin or background, if no longer typical of it.
+In paint that is seen obliquely, in shade or with motion blur, every pixel is mixed with the surroundings. The same
+holds for strips two pixels wide, because cameras subsample colour. A second table also labels such faint colours: those
+that are likelier paint than skin or background, but not typical of the paint.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from rhot.rig.colors import ColorComponent, ColorsFile, Gains, GaussianColor, Hs
 
 TABLE_SIZE: Final = 1 << 16
 _FAINT: Final = 2.0
-"""How many times as far from a paint as its limit a faint colour may be. What is half paint and half skin lies about
-there: skin and paints are 8 to 12 standard deviations apart in rendered and in real pictures, limits at 3.5."""
+"""Limit of faint colours, as a multiple of the paint's limit. Mixtures of half paint and half skin are about there:
+skin and paints are 8 to 12 standard deviations apart in rendered and in real pictures, limits are at 3.5."""
 _NO_GAINS: Final = (1.0, 1.0, 1.0)
 _BOX_EDGE: Final = 3.0
-"""The limit of a box or range counts as this many standard deviations when a likelihood is wanted."""
+"""Number of standard deviations to which the limit of a box or range is equivalent in likelihoods."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +38,10 @@ class ColorTable:
     Attributes:
         names: markers; label i stands for `names[i - 1]`.
         labels: (65536,) uint8, label of each 5-6-5 colour, 0 = none.
-        likelihoods: (65536,) uint8, how typical the colour is of its label: 255 at the centre of the class, falling
-            to about 0 at its limit.
-        faint: (65536,) uint8, the same as `labels` with faint colours beside them; where nothing is known of skin or
-            background, or of how a paint varies, there are none.
+        likelihoods: (65536,) uint8, likelihood of the colour given its label: 255 at the centre of the class, about 0
+            at its limit.
+        faint: (65536,) uint8, as `labels`, with faint colours in addition; without statistics of skin, background or
+            the paint there are none.
     """
 
     names: tuple[str, ...]
@@ -50,7 +50,7 @@ class ColorTable:
     faint: ImageArray
 
     def classify(self, image: ImageArray) -> tuple[ImageArray, NDArray[np.uint16]]:
-        """Return the label of every pixel and the 5-6-5 picture.
+        """Return the label and the 5-6-5 colour of every pixel.
 
         Args:
             image: (H, W, 3) uint8 BGR.
@@ -64,24 +64,24 @@ class ColorTable:
 
 
 def table_colors() -> FloatArray:
-    """Return the (65536, 3) red, green, blue at the middle of each cell of the 5-6-5 table, 0 to 255."""
+    """Return the (65536, 3) red, green, blue at the centre of each cell of the 5-6-5 table, 0 to 255."""
     index = np.arange(TABLE_SIZE)
     red, green, blue = index >> 11, (index >> 5) & 63, index & 31
     return np.column_stack([red * 8 + 3.5, green * 4 + 1.5, blue * 8 + 3.5])
 
 
 def in_balance(rgb: FloatArray, gains: Gains) -> FloatArray:
-    """Return (..., 3) red, green, blue multiplied by a camera's factors, 0 to 255; what was cut off remains so."""
+    """Return (..., 3) red, green, blue multiplied by a camera's gains, 0 to 255; clipped values remain clipped."""
     return np.asarray(np.minimum(rgb * gains, 255.0))
 
 
 def build_color_table(colors: ColorsFile, names: Sequence[str], camera: str | None = None) -> ColorTable:
-    """Build the tables for some markers.
+    """Build the tables of markers.
 
     Args:
-        colors: the colours; a marker that has none is never labelled.
+        colors: the colours; markers without one get no label.
         names: markers in the order of their labels, at most 255.
-        camera: whose pictures are looked at; None = one in balance with the colours.
+        camera: of the pictures to classify; None = a camera with the white balance of the colours.
 
     Raises:
         ConfigError: too many markers.
@@ -137,7 +137,7 @@ def _assign_statistical(
 def camera_tables(
     colors: ColorsFile, names: Sequence[str], cameras: Collection[str | None]
 ) -> dict[str | None, ColorTable]:
-    """Return the tables of several cameras, see `build_color_table`; those that are alike share one."""
+    """Return the tables of several cameras, see `build_color_table`; cameras with equal gains share one."""
     gains = {camera: colors.gains.get(camera or "", _NO_GAINS) for camera in cameras}
     one_of = {each: camera for camera, each in gains.items()}
     tables = {each: build_color_table(colors, names, camera) for each, camera in one_of.items()}
@@ -145,24 +145,24 @@ def camera_tables(
 
 
 def mixture_fit(color: GaussianColor, features: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how well colours fit a class.
+    """Return the log-density and the Mahalanobis distance of colours for a class.
 
     Args:
-        color: the class.
+        color: the class, a Gaussian mixture.
         features: (N, 3) colours in log-ratio space.
 
     Returns:
-        (N,) logarithm of the mixture's density, which integrates to 1 whatever the sum of its weights: no class is
-        likelier than another before its colour is known; (N,) squared Mahalanobis distance to the nearest component.
+        (N,) logarithm of the mixture's density, normalised to an integral of 1 (all classes have the same prior); (N,)
+        squared Mahalanobis distance to the nearest component.
     """
     form, constants = _quadratic_forms(color.components)
-    # A row a component: numpy reduces over rows several times as fast as over short columns.
+    # One row per component: numpy reduces over rows several times as fast as over short columns.
     squared = np.maximum(form @ _monomials(features), 0.0)
     densities = constants[:, None] - 0.5 * squared
     if len(squared) == 1:
         return densities[0], squared[0]
     highest = densities.max(axis=0)
-    # What `np.logaddexp.reduce` says, in a third of its time.
+    # The same as `np.logaddexp.reduce` in a third of the time.
     density: FloatArray = highest + np.log(np.exp(densities - highest).sum(axis=0))
     return density, squared.min(axis=0)
 
@@ -212,13 +212,13 @@ def _assign_boxes(
 
 
 def _range_distance(values: FloatArray, low: float, high: float, tolerance: float, cell: float) -> FloatArray:
-    """Distance from the middle of a range in units of its half width; a cell that overlaps the range is inside."""
+    """Return distances from the middle of a range in units of its half width; cells that overlap it are inside."""
     half = max(0.5 * (high - low) * tolerance, 1e-9)
     return np.asarray(np.maximum(np.abs(values - 0.5 * (low + high)) - 0.5 * cell, 0.0) / half)
 
 
 def _box_distance(color: RgbBoxColor, rgb: FloatArray) -> FloatArray:
-    # Half a cell (4, 2, 4 grey levels) is forgiven, so that a box narrower than a cell still catches its colour.
+    # A tolerance of half a cell (4, 2, 4 grey levels), so that a box narrower than a cell still contains its colour.
     relative: FloatArray = np.max(
         [
             _range_distance(rgb[:, axis], color.low[axis], color.high[axis], color.tolerance, cell)

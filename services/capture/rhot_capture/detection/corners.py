@@ -1,7 +1,7 @@
-"""The four corners of a rectangular patch, from lines fitted to its sides.
+"""Find the four corners of a rectangular patch from lines fitted to its sides.
 
-A coarse quadrilateral of the mask gives the sides; across each of them the painted share crosses one half where the
-true edge runs. A line through these crossings per side and the meeting points of neighbouring lines are the corners.
+A coarse quadrilateral is fitted to the outline. Along profiles across each side, the edge is located from the painted
+shares. A line is fitted to the edge points of each side; the corners are the intersections of adjacent lines.
 """
 
 from __future__ import annotations
@@ -22,43 +22,43 @@ from rhot_capture.detection.subpixel.shares import CoverageArray, Shares
 Point = tuple[float, float]
 
 _POINTS_PER_SIDE: Final = 12
-"""At which the edge is looked for; chosen."""
+"""Number of profiles across each side; chosen."""
 _SIDE_MARGIN: Final = 0.17
-"""Share of a side left out at either end: corners are rounded by blur and by the brush."""
+"""Share of a side omitted at either end: corners are rounded by blur and by the brush."""
 _SEARCH_PX: Final = (-3.0, 5.5)
-"""How far inside and outside of the coarse side the edge is looked for; the mask's outline runs through the centres of
-its outermost pixels, so the edge is rather outside."""
+"""Range of a profile from inside to outside of the coarse side; asymmetric because the outline runs through the centres
+of the outermost pixels, so that the edge is usually outside of it."""
 _STEPS: Final = 12
-"""Samples across an edge, 0.8 pixels apart."""
+"""Samples per profile, 0.8 pixels apart."""
 _MAX_SHIFT_PX: Final = 6.0
-"""From a corner of the coarse polygon to the one that the sides meet in; just over the farther end of the search."""
+"""Largest distance of a corner from that of the coarse polygon; slightly more than the end of the profiles."""
 _MIN_SIDE_PX: Final = 7.0
-"""Chosen: the search of either neighbour reaches 3 pixels into a side."""
+"""Chosen: the profiles of either adjacent side extend 3 pixels into a side."""
 _MAX_RESIDUAL_PX: Final = 0.6
 _OUTLIER_PX: Final = 1.0
-"""Of an edge point from its side. All within the first make a side; one beyond the second is left out; between them
-the mean decides. Chosen."""
+"""Limits of an edge point's residual. A side is accepted if all residuals are below the first, or if the mean is and
+none exceeds the second; points beyond the second are removed. Chosen."""
 _AREA_TOLERANCE: Final = 0.15
-"""Share by which the corners' area may differ from the blob's; chosen."""
+"""Largest relative difference between the area of the corners and the blob's; chosen."""
 _MAX_CONVERGENCE: Final = 0.2
-"""How far opposite sides of a seen rectangle may differ, as a share of their length: 0.04 m at 0.3 m converge by 0.13;
-more tells of a side that is no side but the edge of what hides a corner."""
+"""Largest difference between opposite sides, as a share of their length: with 0.04 m at 0.3 m perspective causes 0.13.
+A larger one indicates that a side is the edge of an object that occludes a corner."""
 _POSITIONS: Final = np.linspace(_SIDE_MARGIN, 1.0 - _SIDE_MARGIN, _POINTS_PER_SIDE)
-"""Of the points on a side, as shares of its length."""
+"""Positions of the profiles, as shares of a side's length."""
 _POWERS: Final = np.vander(_POSITIONS, 3, increasing=True)
 _LINEAR: Final = np.ascontiguousarray(_POWERS[:, :2].T)
 _FIT: Final = np.linalg.pinv(_LINEAR)
-"""Times (4, _POINTS_PER_SIDE) edges gives intercepts and slopes, where all points count."""
+"""Maps edges (4, _POINTS_PER_SIDE) to intercepts and slopes (4, 2), if all points are used."""
 _STEP_PX: Final = (_SEARCH_PX[1] - _SEARCH_PX[0]) / (_STEPS - 1)
 _TRAPEZIUM: Final = np.full(_STEPS, _STEP_PX, np.float32)
 _TRAPEZIUM[[0, -1]] *= 0.5
 
 
 def _sampling() -> CoverageArray:
-    """Return what four corners and then four outward normals contribute to each sample's position.
+    """Return the matrix that maps four corners and four outward normals (8, 2) to sample positions, pixels.
 
     Returns:
-        (4 · _POINTS_PER_SIDE · _STEPS, 8) float32; times (8, 2) of corners and normals gives positions in pixels.
+        (4 · _POINTS_PER_SIDE · _STEPS, 8) float32.
     """
     parts = np.zeros((4, _POINTS_PER_SIDE, _STEPS, 8), np.float32)
     for side in range(4):
@@ -74,19 +74,19 @@ _SAMPLING: Final = _sampling()
 def find_corners(
     shares: Shares, outline: ContourArray, shift: Point, area: float, expected: Sequence[Point] | None = None
 ) -> FloatArray | None:
-    """Return the corners of a patch, or None when the blob is not a quadrilateral that can be trusted.
+    """Return the corners of a patch, or None if the blob is not a reliable quadrilateral.
 
     Args:
         shares: painted shares of its window.
         outline: (n, 1, 2) int32, of the blob.
         shift: x and y, pixels, from the outline's coordinates to those of the window.
         area: painted area, square pixels.
-        expected: four corners near the true ones, clockwise, pixels in the window, when they are known; that the
-            coarse quadrilateral is found again takes a third of the time.
+        expected: predicted corners, clockwise, pixels in the window; saves fitting the coarse quadrilateral, which
+            takes a third of the time.
 
     Returns:
-        (4, 2) float64, pixels in the window, clockwise as seen in the image; the first is the one nearest to the
-        window's upper left (least u + v).
+        (4, 2) float64, pixels in the window, clockwise in the image, starting with the one nearest to the window's
+        upper left (smallest u + v).
     """
     if expected is not None:
         corners = _corners_near(shares, _from_upper_left(expected), area)
@@ -118,13 +118,13 @@ def _sides(corners: Sequence[Point]) -> tuple[list[Point], list[float]]:
 
 
 def _refine(shares: Shares, corners: Sequence[Point]) -> list[Point] | None:
-    """Return the meeting points of the lines fitted along four sides."""
+    """Return the intersections of the lines fitted to four sides."""
     along, lengths = _sides(corners)
     outward = [(y / length, -x / length) for (x, y), length in zip(along, lengths, strict=True)]
     on_grid = [*map(shares.on_grid, corners), *[(u / shares.scale, v / shares.scale) for u, v in outward]]
     samples = (_SAMPLING @ np.array(on_grid, np.float32)).reshape(4 * _POINTS_PER_SIDE, _STEPS, 2)
     profile = shares.at(samples)
-    # The painted length along the profile ends at the edge: exact for any symmetric blur.
+    # The integral of the painted share along a profile gives the edge: exact for any symmetric blur.
     length = (profile @ _TRAPEZIUM).reshape(4, -1)
     fitted = _fit_lines(length, ((profile[:, 0] > 0.75) & (profile[:, -1] < 0.25)).reshape(4, -1))
     if fitted is None:
@@ -136,15 +136,15 @@ def _refine(shares: Shares, corners: Sequence[Point]) -> list[Point] | None:
         (x + (start + first) * u, y + (start + first) * v, dx + slope * u, dy + slope * v)
         for (x, y), (dx, dy), (u, v), (first, slope) in zip(corners, along, outward, fitted, strict=True)
     ]
-    return _meeting_points(lines)
+    return _intersections(lines)
 
 
 def _fit_lines(edge: CoverageArray, usable: NDArray[np.bool_]) -> list[tuple[float, float]] | None:
-    """Fit edge = intercept + slope · position along each side, again without what lies far off where something does.
+    """Fit edge = intercept + slope · position to each side, repeatedly without outliers; None if a side does not fit.
 
     Args:
         edge: (4, _POINTS_PER_SIDE) float32, pixels.
-        usable: (4, _POINTS_PER_SIDE), which points count.
+        usable: (4, _POINTS_PER_SIDE), which points to use.
     """
     if usable.all():
         fits = edge @ _FIT
@@ -169,8 +169,8 @@ def _fit_lines(edge: CoverageArray, usable: NDArray[np.bool_]) -> list[tuple[flo
         weights *= residual <= _OUTLIER_PX
 
 
-def _meeting_points(lines: Sequence[tuple[float, float, float, float]]) -> list[Point] | None:
-    """Return where each line (a point and a direction) meets the one before it; None when some are parallel."""
+def _intersections(lines: Sequence[tuple[float, float, float, float]]) -> list[Point] | None:
+    """Return the intersection of each line (a point and a direction) with its predecessor; None if two are parallel."""
     points = []
     for (x1, y1, dx1, dy1), (x2, y2, dx2, dy2) in pairwise([lines[-1], *lines]):
         cross = dx1 * dy2 - dy1 * dx2
@@ -201,13 +201,13 @@ def _coarse_quadrilateral(outline: ContourArray, shift: Point) -> list[Point] | 
 
 
 def _from_upper_left(corners: Sequence[Point]) -> list[Point]:
-    """Return corners in their order, beginning with the one nearest to the upper left."""
+    """Return corners in their order, starting with the one nearest to the upper left."""
     sums = [x + y for x, y in corners]
     first = sums.index(min(sums))
     return [*corners[first:], *corners[:first]]
 
 
 def _signed_area(corners: Sequence[Point]) -> float:
-    """Area of a quadrilateral, positive when clockwise as seen (v points down): half of its diagonals' product."""
+    """Return a quadrilateral's area, positive if clockwise (v down): half of its diagonals' cross product."""
     (ax, ay), (bx, by), (cx, cy), (dx, dy) = corners
     return 0.5 * ((cx - ax) * (dy - by) - (cy - ay) * (dx - bx))

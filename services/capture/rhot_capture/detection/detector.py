@@ -1,10 +1,9 @@
-"""All markers of a frame in one pass.
+"""Detect all markers of a frame in one pass.
 
-While every marker is where it was expected, only these windows are searched. As soon as one is not there, and every
-`_SURVEY_FRAMES` frames anyway, the whole frame is searched, so a lost marker is found again wherever it turns up; where
-a marker was before only decides between several blobs of its colour. What is missing even then is looked for once more
-by fainter colours, near the other markers of its hand (`reach`). Either way all windows are classified together and
-measured alike.
+While all markers are at their predicted positions, only windows around these are searched. If one is not, and every
+`_SURVEY_FRAMES` frames in any case, the whole frame is searched, so that a lost marker is found anywhere; the tracks
+only decide between several blobs of a colour. Markers that are still missing are searched for by fainter colours near
+the other markers of their hand (`reach`). All windows are classified together and measured by the same method.
 """
 
 from __future__ import annotations
@@ -33,19 +32,19 @@ from rhot_capture.detection.subpixel.windows import Window
 from rhot_capture.detection.track import MarkerTrack
 
 _SURVEY_FRAMES: Final = 30
-"""So often the whole frame is searched although nothing is missing: half a second at 60 Hz. Chosen."""
+"""Interval at which the whole frame is searched even if no marker is missing: half a second at 60 Hz. Chosen."""
 
 
 class Detection(NamedTuple):
-    """One marker in one frame; a tuple, as those of each frame are made in a quarter of the time of dataclasses.
+    """One marker in one frame; a tuple because it is created in a quarter of the time of a dataclass.
 
     Attributes:
         u, v: sub-pixel centre of the visible painted area, pixels, pixel centres on integers.
         area: visible painted area, square pixels.
-        score: the probability that this is the marker and its centre within a pixel of the truth; see
+        score: probability that this is the marker and its centre is within a pixel of the truth; see
             `rhot_capture.detection.score`.
-        corners: (4, 2) of a patch, pixels, clockwise as seen; None when they could not be found.
-        blob: the painted area.
+        corners: (4, 2) of a patch, pixels, clockwise in the image; None if they were not found.
+        blob: its blob.
     """
 
     u: float
@@ -57,17 +56,17 @@ class Detection(NamedTuple):
 
     @property
     def outline(self) -> FloatArray:
-        """(n, 2) pixels on the rim of the painted area."""
+        """(n, 2) points of the blob's outline, pixels."""
         return self.blob.rim
 
 
 class Decisions(NamedTuple):
-    """What was decided about the blobs of one frame.
+    """Decisions about the blobs of one frame.
 
     Attributes:
-        looks: label and region of every part of the frame that was looked at.
-        judged: name of the marker and candidate or refusal of every blob of a marker's colour in these.
-        chosen: the candidates that were taken, with the evidence of all blobs.
+        looks: label and region of every searched part of the frame.
+        judged: marker name, and candidate or refusal, of every blob of a marker's colour in them.
+        chosen: the accepted candidate of each marker, with complete evidence.
     """
 
     looks: Sequence[tuple[int, Region]]
@@ -76,19 +75,19 @@ class Decisions(NamedTuple):
 
 
 class MarkerDetector:
-    """Finds all markers of one camera, frame after frame."""
+    """Detects all markers in the frames of one camera."""
 
     def __init__(self, markers: Mapping[str, MarkerConfig], table: ColorTable, width: int, height: int) -> None:
-        """Prepare for frames of one size.
+        """Build the detector for frames of one size.
 
         Args:
             markers: by name.
-            table: built for the paints of these markers, in this order.
+            table: for the paints of these markers, in this order.
             width: of the frames, pixels.
             height: of the frames, pixels.
 
         Raises:
-            ConfigError: the table was built for other markers.
+            ConfigError: the table is for other markers.
         """
         self._markers = dict(markers)
         self._names = tuple(own_paints(markers))
@@ -99,7 +98,7 @@ class MarkerDetector:
         self._scale = HandScale(markers)
         self._size = (height, width)
         self._tracks = {name: MarkerTrack() for name in markers}
-        # Corners of patches in the last frame, from their centres.
+        # Corners of patches in the last frame, relative to their centres.
         self._shapes: dict[str, list[tuple[float, float]]] = {}
         self._image: ImageArray = np.zeros((height, width, 3), np.uint8)
         self._since_survey = 0
@@ -118,13 +117,13 @@ class MarkerDetector:
     def table(self, table: ColorTable) -> None:
         if table.names != self._names:
             raise ConfigError(
-                f"colour table is for {', '.join(table.names)}, the detector looks for {', '.join(self._names)}"
+                f"the colour table is for {', '.join(table.names)}, but the detector is for {', '.join(self._names)}"
             )
         self._table = table
 
     @property
     def decisions(self) -> Decisions:
-        """What was decided about the blobs of the last frame; put together only when asked for."""
+        """Decisions about the blobs of the last frame; computed on demand."""
         judged = list(self._judged)
         for each in self._outsized:
             label, blob = each.cutout.label, each.blob
@@ -133,23 +132,23 @@ class MarkerDetector:
         return Decisions(self._looks, judged, self._chosen)
 
     def expected(self, name: str) -> tuple[float, float] | None:
-        """Return where a marker is expected in the next frame, u and v in pixels; None when it was not in the last."""
+        """Return a marker's predicted u and v in the next frame, pixels; None if it was not in the last one."""
         return self._tracks[name].expected
 
     def reset(self) -> None:
-        """Forget where the markers were."""
+        """Discard all tracks."""
         for memory in (self._shapes, self._sharing, self._reach, self._scale):
             memory.clear()
         self._tracks = {name: MarkerTrack() for name in self._markers}
 
     def detect(self, image: ImageArray) -> dict[str, Detection]:
-        """Return the markers seen in a frame; one that is not seen is absent.
+        """Return the markers detected in a frame; markers that are not visible are absent.
 
         Args:
             image: (H, W, 3) uint8 BGR.
 
         Raises:
-            ConfigError: the frame is not of the detector's size.
+            ConfigError: the frame has another size than the detector.
         """
         self._require_size(image)
         self._image = image
@@ -163,13 +162,13 @@ class MarkerDetector:
         return self._measure(image, chosen)
 
     def decide_everywhere(self, image: ImageArray) -> Decisions:
-        """Return what would be decided about a frame if all of it was searched; changes no track.
+        """Search a whole frame and return the decisions; does not update the tracks.
 
         Args:
             image: (H, W, 3) uint8 BGR.
 
         Raises:
-            ConfigError: the frame is not of the detector's size.
+            ConfigError: the frame has another size than the detector.
         """
         self._require_size(image)
         self._image = image
@@ -179,12 +178,12 @@ class MarkerDetector:
     def _require_size(self, image: ImageArray) -> None:
         if image.shape != (*self._size, 3) or image.dtype != np.uint8:
             raise ConfigError(
-                f"frame is {image.shape} {image.dtype}, the detector was made for {(*self._size, 3)} uint8; "
-                "set width and height of the camera in rig.toml to what it delivers"
+                f"the frame is {image.shape} {image.dtype}, but the detector is for {(*self._size, 3)} uint8; "
+                "set width and height of the camera in rig.toml to the size of its frames"
             )
 
     def _follow(self) -> dict[str, Candidate] | None:
-        """Look for each marker where it is expected; None when one of them is not wholly there."""
+        """Search each marker's predicted region; return None unless all markers are completely inside."""
         self._since_survey += 1
         if self._since_survey >= _SURVEY_FRAMES:
             return None
@@ -196,7 +195,7 @@ class MarkerDetector:
                 return None
             regions[label] = region
             looks.append((label, region))
-        self._forget_decisions()
+        self._clear_decisions()
         candidates = self._candidates(looks, every=True) if looks else {}
         if candidates is None or len(candidates) < len(regions):
             return None
@@ -204,9 +203,9 @@ class MarkerDetector:
         return chosen if len(chosen) == len(looks) else None
 
     def _survey(self) -> dict[str, Candidate]:
-        """Look for every marker in the whole frame."""
+        """Search the whole frame for all markers."""
         self._since_survey = 0
-        self._forget_decisions()
+        self._clear_decisions()
         looks = find_regions(self._image, self._table.labels)
         chosen = self._best((self._candidates(looks, every=False) or {}) if looks else {})
         missing = {name: label for name, label in self._labels.items() if name not in chosen}
@@ -215,18 +214,18 @@ class MarkerDetector:
             self._chosen = chosen = chosen | self._likeliest(found, missing)
         return chosen
 
-    def _forget_decisions(self) -> None:
+    def _clear_decisions(self) -> None:
         self._looks, self._judged, self._outsized = [], [], []
 
     def _candidates(
         self, looks: Sequence[tuple[int, Region]], every: bool, *, faint: bool = False
     ) -> dict[str, list[Candidate]] | None:
-        """Return the candidates for each marker in some regions of the frame; markers without one are absent.
+        """Return the candidates for each marker in regions of the frame; markers without one are absent.
 
         Args:
             looks: label and region.
-            every: return None as soon as some blob is not wholly in its region.
-            faint: whether faint colours count.
+            every: return None if a blob is not completely inside its region.
+            faint: whether to include faint colours.
         """
         cutouts = Cutouts(self._image, self._table, looks, faint=faint)
         candidates: dict[str, list[Candidate]] = {}
@@ -254,21 +253,21 @@ class MarkerDetector:
         return candidates
 
     def _track_at(self, paint: str, blob: Blob) -> MarkerTrack:
-        """Return the track of the marker that wears a paint; of two, the one that a blob continues better."""
+        """Return the track of the marker with a paint; of two markers, the track that fits the blob better."""
         pair = self._sharing.wearers.get(paint)
         if pair is None:
             return self._tracks[paint]
         return max((self._tracks[name] for name in pair), key=lambda track: track.preference(*blob.middle, blob.area))
 
     def _best(self, candidates: Mapping[str, list[Candidate]]) -> dict[str, Candidate]:
-        """Return for each marker the candidate that is most surely it; none where none is surely enough."""
+        """Return the most plausible candidate of each marker; markers without a plausible one are absent."""
         candidates = self._scale.fitting(candidates, self._tracks, self._judged)
         chosen = self._likeliest(candidates, self._names)
         self._chosen = chosen = chosen | self._share(candidates, chosen)
         return chosen
 
     def _likeliest(self, candidates: Mapping[str, list[Candidate]], names: Iterable[str]) -> dict[str, Candidate]:
-        """Return the same for some paints of one wearer."""
+        """Return the same for those of the paints that only one hand has."""
         chosen: dict[str, Candidate] = {}
         for name in names:
             each = () if name in self._sharing.wearers else candidates.get(name, ())
@@ -279,7 +278,7 @@ class MarkerDetector:
     def _share(
         self, candidates: Mapping[str, list[Candidate]], chosen: Mapping[str, Candidate]
     ) -> dict[str, Candidate]:
-        """Return which candidates of paints that both hands wear are which marker, once the patches are known."""
+        """Return the candidates of markers whose paint both hands have; needs the patches in `chosen`."""
         shared: dict[str, Candidate] = {}
         self._sharing.see_patches({name: spot_of(chosen[name]) for name in self._sharing.patches if name in chosen})
         for paint, pair in self._sharing.wearers.items():
@@ -293,7 +292,7 @@ class MarkerDetector:
         """Measure the chosen blobs of a frame."""
         windows = []
         for name, one in chosen.items():
-            # At the picture's border a rim is missing, and what the gain does on the other side would not cancel.
+            # At the image border a part of the rim is missing, so the effect of the gain on the rest would not cancel.
             blob, is_cap = one.blob, self._markers[name].kind == "cap"
             whole = blob.border_share == 0.0
             windows.append(Window(image[blob.window], blob.mask, is_cap and whole, not is_cap and whole))

@@ -1,11 +1,11 @@
-"""Two hands, one paint: which blob of a shared colour is which hand's marker.
+"""Assign blobs of a paint that both hands have to the hands' markers.
 
-A blob belongs to a marker the more it lies where that marker is expected: where its motion carries it while it is
-seen in every frame, and beside the patch of its hand as it was when it was seen last after that. It cannot lie further
-from that patch than a hand reaches. Blobs and markers are matched all at once; a match that another one rivals is not
-made: "not seen" is true, the other hand's name would not be.
+The likelihood of a match depends on the blob's distance from the marker's predicted position: from its motion while it
+is seen in every frame, afterwards from its last position relative to its hand's patch. The distance from that patch is
+limited by a hand's reach. All blobs of a paint are matched jointly. Ambiguous matches are omitted, because a missing
+marker is better than a swapped one.
 
-All of it happens in one camera's picture, pixels; the patches tell the hands apart, as each wears a paint of its own.
+Everything is in one camera's image, in pixels. The patches identify the hands, because each has a paint of its own.
 """
 
 from __future__ import annotations
@@ -19,38 +19,38 @@ from rhot.rig.config import MarkerConfig
 from rhot_capture.detection.candidates import Candidate
 
 _REACH_M: Final = 0.20
-"""From the middle of a patch to a fingertip: 0.165 m for an average hand (189 mm from the wrist), whose middle finger
-is longest; hands reach up to 0.22 m (hand.length_m allows 0.26), and a patch that is tilted looks smaller."""
+"""Distance from the centre of a patch to the farthest fingertip: 0.165 m for an average hand (189 mm from the wrist),
+up to 0.22 m for large ones (hand.length_m permits 0.26), and a tilted patch looks smaller."""
 _REACH_DEVIATION: Final = 0.1
-"""Standard deviation of that reach, as a share of it: the patch's area gives the scale to 5 to 10 %."""
+"""Standard deviation of that distance, as a share of it: the patch's area gives the scale to 5 to 10 %."""
 _STEP_PX: Final = 4.0
-"""How far a fingertip is from where its motion carries it, standard deviation: 20 m/s² (the recordings' hardest
-motion) for 1/30 s are 11 mm, 7 pixels of a camera with 0.6 pixels to the millimetre (640 columns, 62°, 0.85 m)."""
+"""Standard deviation of a fingertip's prediction from its motion: 20 m/s² (the largest in the recordings) for 1/30 s
+are 11 mm, 7 pixels of a camera with 0.6 pixels per millimetre (640 columns, 62°, 0.85 m)."""
 _DRIFT_PX: Final = 3.0
-"""By how much more it is for every frame that the marker was not seen: fingers move against the hand."""
+"""Increase of it per frame without the marker, because fingers move relative to the hand."""
 _MOST_DRIFT_PX: Final = 45.0
-"""Half of a finger's way from open to closed in such a picture."""
+"""Upper bound of it: half of a finger's path from open to closed in such an image."""
 _SURE_PX: Final = 10.0
-"""A place that is known better than this is a fingertip's own width."""
+"""Predictions with a smaller standard deviation are certain to a fingertip's width."""
 _NEW: Final = math.log(0.02)
-"""A marker of which nothing is known, beside one that is where it is expected."""
+"""Log-likelihood of a marker without prediction, relative to one at its predicted position."""
 _MISSING: Final = math.log(1e-5)
-"""A marker that is not seen, beside one that is where it is expected: what is 4.8 σ off is somewhere else."""
+"""Log-likelihood of a missing marker, on the same scale: equal to that of a blob at 4.8 σ."""
 _PATCH_FRAMES: Final = 10
-"""So many frames a patch that is not seen counts where it was: as long as a track is remembered."""
+"""Number of frames for which the last position of an unseen patch is used: as long as a track is kept."""
 _CLEAR: Final = math.log(100.0)
-"""A match is made when it is this much likelier than any other that names a blob otherwise: a wrong one would go on."""
+"""A match must be this much likelier than any that assigns the marker differently: a wrong one would persist."""
 _SCALE_MEMORY: Final = 0.995
-"""What remains in a frame of the largest scale seen: hands rise and sink, at 1 m/s by 2 % in a frame of 1/60 s at most,
-and half of a scale is forgotten in two seconds; until then a patch that is partly covered makes no hand small."""
+"""Decay of the largest scale per frame. Hands that move at 1 m/s change it by at most 2 % in 1/60 s. It halves in two
+seconds; until then a partly occluded patch does not reduce the scale."""
 
 
 class Anchor(NamedTuple):
-    """A patch in the picture.
+    """A patch in the image.
 
     Attributes:
-        u, v: its middle, pixels.
-        px_m: pixels to the metre on the hand.
+        u, v: its centre, pixels.
+        px_m: scale, pixels per metre.
     """
 
     u: float
@@ -59,13 +59,13 @@ class Anchor(NamedTuple):
 
 
 class Spot(NamedTuple):
-    """A blob, as far as it matters here.
+    """Position and size of a blob.
 
     Attributes:
-        u, v: its middle, pixels.
-        across, down: its extent, pixels.
+        u, v: its centre, pixels.
+        across, down: its width and height, pixels.
         area: square pixels.
-        plausibility: 0 to 1, how much it is like its paint.
+        plausibility: 0 to 1, see `Candidate`.
     """
 
     u: float
@@ -75,30 +75,30 @@ class Spot(NamedTuple):
     area: float
     plausibility: float
 
-    def holds(self, place: Place) -> bool:
-        """Tell whether a place lies within its bounds."""
+    def contains(self, place: Place) -> bool:
+        """Return whether a predicted position is inside its bounding rectangle."""
         return 2.0 * abs(place.u - self.u) <= self.across and 2.0 * abs(place.v - self.v) <= self.down
 
 
 def spot_of(candidate: Candidate) -> Spot:
-    """Return what matters of a candidate."""
+    """Return position and size of a candidate's blob."""
     u, v = candidate.blob.middle
     _, _, across, down = candidate.blob.box
     return Spot(u, v, across, down, candidate.blob.area, candidate.plausibility)
 
 
 def anchor_of(spot: Spot, marker: MarkerConfig) -> Anchor:
-    """Return what a patch says of its hand."""
+    """Return position and scale of a patch."""
     across_m, along_m = marker.size_m or (1.0, 1.0)
     return Anchor(spot.u, spot.v, math.sqrt(spot.area / (across_m * along_m)))
 
 
 class Place(NamedTuple):
-    """Where a marker is expected.
+    """Predicted position of a marker.
 
     Attributes:
         u, v: pixels.
-        sigma_px: standard deviation.
+        sigma_px: standard deviation of each.
     """
 
     u: float
@@ -107,7 +107,7 @@ class Place(NamedTuple):
 
 
 class _Memory:
-    """Where a marker was against its hand's patch when it was seen last."""
+    """Last position of a marker relative to its hand's patch, pixels, and number of frames since then."""
 
     __slots__ = ("beside", "missed")
 
@@ -117,7 +117,7 @@ class _Memory:
 
 
 class SharedPaints:
-    """Names the blobs of shared paints, frame after frame.
+    """Assigns the blobs of shared paints to markers.
 
     Args:
         markers: of the rig, by name.
@@ -137,24 +137,24 @@ class SharedPaints:
         self._kept_px_m = self._scale_px_m = 0.0
 
     def clear(self) -> None:
-        """Forget where the markers were."""
+        """Discard all positions."""
         self._memory = {name: _Memory() for name in self._memory}
         self._anchors, self._remembered = {}, {}
         self._kept_px_m = 0.0
 
     def see_patches(self, found: Mapping[str, Spot]) -> None:
-        """Take the patches that were found in a frame; one that is not seen is believed where it was."""
+        """Process the patches detected in a frame; for missing ones the last position is used."""
         seen = {name: anchor_of(found[name], patch) for name, patch in self.patches.items() if name in found}
         self._anchors = self._remembered | seen
-        # Hands are about as far away as each other, and a patch that is tilted or partly covered looks too small.
+        # The larger scale is valid for both hands: they are at similar distances, and tilted patches look too small.
         self._scale_px_m = max([self._kept_px_m, *(anchor.px_m for anchor in seen.values())])
 
     def expected(self, name: str, carried: tuple[float, float] | None) -> Place | None:
-        """Return where a marker is expected; None when nothing is known of it.
+        """Return the predicted position of a marker; None if there is none.
 
         Args:
             name: of the marker.
-            carried: where its motion carries it from the last frame; None when it was not seen in that.
+            carried: prediction from its motion, pixels; None if it was not in the last frame.
         """
         if carried is not None:
             return Place(*carried, _STEP_PX)
@@ -167,18 +167,18 @@ class SharedPaints:
     def match(
         self, paint: str, spots: Sequence[Spot], carried: Mapping[str, tuple[float, float] | None]
     ) -> dict[str, int]:
-        """Return by marker the number of its blob, of a paint that two wear; what is not clear is left out.
+        """Return, by marker, the index of its blob of a shared paint; ambiguous matches are omitted.
 
         Args:
-            paint: the marker that stands for it.
-            spots: its blobs.
+            paint: name of the marker that defines the paint.
+            spots: blobs of this paint.
             carried: of both markers, see `expected`.
         """
         first, second = self.wearers[paint]
         places = {name: self.expected(name, carried[name]) for name in (first, second)}
         here = [place for place in places.values() if place is not None and place.sigma_px <= _SURE_PX]
-        # The paint of fingertips that touch is one blob: it is neither of them.
-        apart = [k for k, spot in enumerate(spots) if len(here) < 2 or not all(spot.holds(place) for place in here)]
+        # Touching fingertips form one blob, which is assigned to neither.
+        apart = [k for k, spot in enumerate(spots) if len(here) < 2 or not all(spot.contains(place) for place in here)]
         fits = {name: {k: self._fit(name, places[name], spots[k]) for k in apart} for name in (first, second)}
         numbers = [None, *apart]
         ranked: list[tuple[float, int | None, int | None]] = []
@@ -196,7 +196,7 @@ class SharedPaints:
         return found
 
     def remember(self, seen: Mapping[str, tuple[float, float]]) -> None:
-        """Take where the markers of a frame were, u and v in pixels; patches are among them."""
+        """Store the positions of a frame's markers and patches, u and v in pixels."""
         self._kept_px_m = _SCALE_MEMORY * self._scale_px_m
         for patch in self.patches:
             self._unseen[patch] = 0 if patch in seen else self._unseen.get(patch, 0) + 1
@@ -211,7 +211,7 @@ class SharedPaints:
                 memory.beside, memory.missed = (where[0] - anchor.u, where[1] - anchor.v), 0
 
     def _fit(self, name: str, place: Place | None, spot: Spot) -> float:
-        """Return how well a blob is a marker, logarithm of a likelihood beside that of one where it is expected."""
+        """Return the log-likelihood of a match, relative to that of a blob at the predicted position."""
         fit = math.log(max(spot.plausibility, 1e-6))
         if place is None:
             fit += _NEW

@@ -1,1 +1,1 @@
-"""Sub-pixel centres from how much of each pixel is paint."""
+"""Sub-pixel centres from the painted share of each pixel."""

@@ -1,8 +1,8 @@
-"""Grids of about one size in one array: which pixels are rim, pure paint and surroundings, and the sums over them.
+"""Grids of similar size in one array: classification into rim, pure paint and surroundings, and sums over these.
 
-A frame holds a few thousand such pixels, so what costs time is the number of calls and not that of pixels: each step
-is one call for all markers, sums over positions are products of matrices, and colours lie in planes, as numpy is
-several times as fast along long rows.
+A frame has only a few thousand such pixels, so the number of calls determines the time. Each step is one call for all
+markers, sums over positions are matrix products, and colours are stored as planes, because numpy is several times as
+fast along long rows.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from rhot_capture.detection.subpixel.windows import Grid
 
 Sums = tuple[float, float, float]
 
-# How these were chosen is not recorded; tests/capture/test_simulated_accuracy.py limits the error that they leave.
+# How these were chosen is not recorded; tests/capture/test_simulated_accuracy.py limits the resulting error.
 ROUND_GAIN: Final = 1.4
-"""Times a share of something round, whose shaded edge looks like a mixture with a dark background."""
+"""Factor on the shares of round surfaces, whose shaded edge looks like a mixture with a dark background."""
 _MARGIN_PX: Final = 3
-"""Below and beside each window, so that none is within reach of the next one's blob."""
+"""Margin below and beside each window, so that the neighbourhoods of blobs do not overlap."""
 _MIN_CORE_SHARE: Final = 0.08
-"""Of a blob's pixels: with fewer pure ones, the core reaches closer to the rim."""
+"""Smallest share of pure pixels in a blob; with fewer, the core extends closer to the rim."""
 _LARGE_PX: Final = 64
-"""From this many pixels on unlabelled paint beside a blob is taken back."""
-_TAKEN_BACK: Final = np.float32(0.4)
-"""t from which an unlabelled pixel beside a large blob is paint: the darkest shadow that still differs from a rim."""
-_GROWN_MUCH: Final = 1.15
-"""Only what motion smears or shade hides would grow by more, by what is taken back; else the mask is left as it is."""
+"""Smallest blob, pixels, whose mask is enlarged by unlabelled paint beside it."""
+_UNLABELLED_PAINT: Final = np.float32(0.4)
+"""t from which an unlabelled pixel beside a large blob is paint: the darkest shadow that differs from a rim."""
+_LEAST_GROWTH: Final = 1.15
+"""Smallest growth of a mask; only blobs with motion blur or shadow grow more. Otherwise the mask is not changed."""
 
-# Neighbourhoods: the next pixel, up to 2.5 pixels away, and by 2 steps away.
+# Neighbourhoods: 8-connected, within 2.5 pixels, and within 2 steps of the 4-connected one.
 _SQUARE: Final = np.ones((3, 3), np.uint8)
 _CROSS: Final = np.asarray(cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), dtype=np.uint8)
 _WITHIN_2_5: Final = np.asarray(cv2.dilate(np.pad(_CROSS, 1), _SQUARE), dtype=np.uint8)
@@ -43,16 +43,16 @@ _TWO_STEPS: Final = np.asarray(cv2.dilate(np.pad(_CROSS, 1), _CROSS), dtype=np.u
 
 
 class Batch:
-    """Grids in one array; H and W hold the largest and a margin below and beside it.
+    """N grids in one array; H and W are those of the largest grid plus a margin.
 
     Attributes:
         shape: N, H and W.
         colours: (N, 4, H·W) float32: blue, green, red, 1.
-        monomials: (6, H·W) float32: 1, x, y from the middle, x², xy, y².
-        area: (N,) pixels inside the blobs.
-        weights: (N, 2, H·W) float32, 1 in the surroundings, which hold no paint, and in the core. The core is where
-            paint is pure; the whole blob where it is too small for rim and core.
-        sums: (N, 2, 6) float32, of `monomials` by `weights`.
+        monomials: (6, H·W) float32: 1, x, y relative to the middle, x², xy, y².
+        area: (N,) number of pixels inside the blobs.
+        weights: (N, 2, H·W) float32, 1 in the surroundings, which contain no paint, and 1 in the core. The core is the
+            pure paint, or the whole blob if it is too small for rim and core.
+        sums: (N, 2, 6) float32, sums of `monomials` weighted by `weights`.
     """
 
     def __init__(self, grids: Sequence[Grid]) -> None:
@@ -64,7 +64,7 @@ class Batch:
         # 1 inside the blobs, and 1 where a window is.
         self._inside: ImageArray = np.zeros(self.shape, np.uint8)
         self._known: ImageArray = np.zeros(self.shape, np.uint8)
-        # What no window fills counts nowhere, whatever it is.
+        # Uninitialised pixels outside all windows have weight 0 everywhere.
         pixels: ImageArray = np.empty((count, height, width, 3), np.uint8)
         for k, (grid, (rows, columns)) in enumerate(zip(grids, sizes, strict=True)):
             self._inside[k, :rows, :columns] = grid.mask
@@ -85,24 +85,23 @@ class Batch:
         self._rim: CoverageArray = np.empty((count, size), np.float32)
         self._pure: CoverageArray = np.empty((count, size), np.float32)
         self.sums: CoverageArray = np.empty((count, 2, len(self.monomials)), np.float32)
-        self._look_around(range(count))
+        self._update_neighbourhoods(range(count))
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Where positions are counted from, x and y."""
+        """Origin of the positions, x and y."""
         _, height, width = self.shape
         return 0.5 * (width - 1), 0.5 * (height - 1)
 
-    def _look_around(self, changed: Sequence[int]) -> None:
-        """Find core and surroundings of some blobs, in ascending order, as they are now."""
+    def _update_neighbourhoods(self, changed: Sequence[int]) -> None:
+        """Compute core, rim and surroundings of blobs, in ascending order, from their current masks."""
         _, height, width = self.shape
         count = len(changed)
-        # A slice takes no copy.
+        # A slice makes no copy.
         which = list(changed) if count < len(self.area) else slice(None)
         inside, known = self._inside[which], self._known[which]
         stacked, shape = inside.reshape(-1, width), inside.shape
-        # Up to 2.5 pixels from the blob there may be paint, and 2 pixels from what is not the blob it is pure; on a
-        # coarser grid 2 of its pixels, and 1.5.
+        # The rim extends from 2.5 pixels outside the blob to 2 pixels inside; on a coarser grid 2 and 1.5 of its cells.
         near = np.asarray(cv2.dilate(stacked, _WITHIN_2_5), dtype=np.uint8).reshape(shape)
         reach = near & known
         pure = _eroded(stacked, _TWO_STEPS).reshape(shape)
@@ -112,7 +111,7 @@ class Batch:
                 reach[row] = cv2.dilate(inside[row], _TWO_STEPS) & known[row]
                 core[row] = pure[row] = _eroded(inside[row], _SQUARE)
             self.area[k] = area = cv2.countNonZero(inside[row])
-            # A blob large enough has a core that is.
+            # The core of a large blob is always large enough.
             if area < _LARGE_PX and cv2.countNonZero(pure[row]) <= _MIN_CORE_SHARE * area:
                 narrow = _eroded(inside[row], _CROSS)
                 if cv2.countNonZero(narrow) > _MIN_CORE_SHARE * area:
@@ -132,11 +131,11 @@ class Batch:
         return self._inside.reshape(self.shape[0], -1).astype(np.float32)
 
     def color_sums(self) -> CoverageArray:
-        """Return the sums that `rhot_capture.detection.subpixel.unmixing.projections` asks for.
+        """Return the sums for `rhot_capture.detection.subpixel.unmixing.projections`.
 
         Returns:
-            (N, 5, 4) float32, of blue, green, red, 1: over the surroundings, over the core, and times blue, green, red
-            over the surroundings.
+            (N, 5, 4) float32, sums of blue, green, red, 1: over the surroundings; over the core; over the surroundings
+            times blue, green and red.
         """
         np.multiply(self.colours[:, :3], self._weighted[:, :1], out=self._weighted[:, 2:])
         sums: CoverageArray = self._weighted @ self.colours.transpose(0, 2, 1)
@@ -146,34 +145,34 @@ class Batch:
         """Return t of every pixel, (N, H·W).
 
         Args:
-            lines: (N, 4), t of blue, green, red, 1.
+            lines: (N, 4), coefficients of t for blue, green, red, 1.
         """
         t: CoverageArray = (np.array(lines, np.float32)[:, None] @ self.colours)[:, 0]
         return t
 
-    def take_back(self, t: CoverageArray, rounds: int) -> None:
-        """Add to the masks of large blobs what t shows to be paint beside them, as long as one grows much by it.
+    def enlarge(self, t: CoverageArray, rounds: int) -> None:
+        """Add adjacent paint, as indicated by t, to the masks of large blobs that grow considerably by it.
 
         Args:
             t: (N, H·W).
-            rounds: how often at most.
+            rounds: largest number of iterations.
         """
         growing = [k for k, area in enumerate(self.area) if area >= _LARGE_PX]
         if not growing:
             return
-        paint = (t > _TAKEN_BACK).view(np.uint8).reshape(self.shape) & self._known
+        paint = (t > _UNLABELLED_PAINT).view(np.uint8).reshape(self.shape) & self._known
         for _ in range(rounds):
             growing = [k for k in growing if self._grow(k, paint[k])]
             if not growing:
                 break
-            self._look_around(growing)
+            self._update_neighbourhoods(growing)
 
     def _grow(self, k: int, paint: ImageArray) -> bool:
-        """Add paint (H, W) to the mask of a blob if it grows much by what lies about it; tell whether it does."""
-        much = _GROWN_MUCH * self.area[k]
+        """Add adjacent paint (H, W) to the mask of a blob if it grows considerably; return whether it did."""
+        much = _LEAST_GROWTH * self.area[k]
         if cv2.countNonZero(paint | self._inside[k]) < much:
             return False
-        # Three pixels around; more than the rim, as it is no rim.
+        # Within three pixels of the blob, further than the rim extends.
         about = np.asarray(cv2.dilate(self._near[k], _CROSS), dtype=np.uint8)
         grown = paint & about | self._inside[k]
         if cv2.countNonZero(grown) < much:
@@ -182,7 +181,7 @@ class Batch:
         return True
 
     def products(self, t: CoverageArray) -> tuple[CoverageArray, CoverageArray]:
-        """Return the sums that `rhot_capture.detection.subpixel.unmixing.fitted_levels` asks for.
+        """Return the sums for `rhot_capture.detection.subpixel.unmixing.fitted_levels`.
 
         Args:
             t: (N, H·W).
@@ -196,11 +195,11 @@ class Batch:
         return products, np.vecdot(weighted[:, 1], t)
 
     def shares(self, t: CoverageArray, planes: ArrayLike) -> CoverageArray:
-        """Return the painted share of every pixel as it comes out, (N, H·W).
+        """Return the unclipped painted share of every pixel, (N, H·W).
 
         Args:
             t: (N, H·W).
-            planes: (2·N, 3), coefficients of 1, x, y: first N levels outside, then N inside.
+            planes: (2·N, 3), coefficients of 1, x, y: N levels outside, then N inside.
         """
         found = np.array(planes, np.float32) @ self.monomials[:3]
         outside, step = found[: len(t)], found[len(t) :]
@@ -210,14 +209,14 @@ class Batch:
         share /= step
         return share
 
-    def tidy(self, share: CoverageArray) -> None:
-        """Bound shares (N, H·W); beyond the reach there is no paint, and pure paint is nothing else."""
+    def clip(self, share: CoverageArray) -> None:
+        """Clip shares (N, H·W) in place, and set them to 0 in the surroundings and to 1 in pure paint."""
         share.clip(LEAST, MOST, out=share)
         share *= self._rim
         share += self._pure
 
     def totals(self, share: CoverageArray) -> list[tuple[float, Sums]]:
-        """Return per window the sum of shares, and the sums of 1, x, y by what counts of a share for the centre.
+        """Return per window the sum of shares, and the sums of 1, x, y weighted by the shares with gain.
 
         Args:
             share: (N, H·W).
@@ -229,13 +228,13 @@ class Batch:
 
 
 def _eroded(mask: ImageArray, kernel: ImageArray) -> ImageArray:
-    """Return a mask without the pixels that have one outside of it, or of the picture, in their neighbourhood."""
+    """Return the eroded mask; pixels outside the image count as outside the mask."""
     return np.asarray(cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
 
 
 @lru_cache(maxsize=256)
 def _gains(round_parts: tuple[bool, ...]) -> tuple[CoverageArray, CoverageArray]:
-    """Return the (N, 1) gain of a share, and the most that one counts for."""
+    """Return the gain (N, 1) of shares, and the upper bound (N, 1) of the product."""
     gains = [(ROUND_GAIN, 1.0) if is_round else (1.0, float(MOST)) for is_round in round_parts]
     gain, most = np.array(gains, np.float32).T[:, :, None]
     return gain, most
@@ -243,7 +242,7 @@ def _gains(round_parts: tuple[bool, ...]) -> tuple[CoverageArray, CoverageArray]
 
 @lru_cache(maxsize=256)
 def _monomials(height: int, width: int) -> CoverageArray:
-    """Return 1, x, y, x², xy, y² of the pixels of a window, counted from its middle, (6, height · width)."""
+    """Return 1, x, y, x², xy, y² of a window's pixels, relative to its middle, (6, height · width)."""
     y, x = np.indices((height, width), np.float32).reshape(2, -1)
     x, y = x - np.float32(0.5 * (width - 1)), y - np.float32(0.5 * (height - 1))
     monomials = np.array([np.ones_like(x), x, y, x * x, x * y, y * y])

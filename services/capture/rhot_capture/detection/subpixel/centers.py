@@ -1,21 +1,21 @@
-"""Sub-pixel centres of blobs from how much of each rim pixel is paint.
+"""Sub-pixel centres of blobs from the painted share of each pixel at the rim.
 
-A pixel at the rim mixes paint with what lies beside it, which may be black cloth here, bright skin there and a mixture
-of these where they meet. With P the mean of the pure paint inside, μ and Σ mean and covariance of the colours around
-the blob, the projection t = n·(c − μ) with n = (Σ + σ²I)⁻¹·(P − μ) is blind to the directions in which the
-surroundings vary (the matched filter of spectral unmixing). Between its levels outside (t₀) and inside (t₁),
-α = (t − t₀)/(t₁ − t₀) is the painted share of a pixel. The centre is the centroid of α; blur spreads α evenly to both
-sides of the rim and leaves its centroid.
+A pixel at the rim is a mixture of paint and surroundings, and the surroundings may vary, for example from black cloth
+to bright skin. Let c be its colour, P the mean of the pure paint inside, μ and Σ mean and covariance of the colours
+around the blob. The projection t = n·(c − μ) with n = (Σ + σ²I)⁻¹·(P − μ) suppresses the directions in which the
+surroundings vary (the matched filter of spectral unmixing). With its levels outside (t₀) and inside (t₁),
+α = (t − t₀)/(t₁ − t₀) is the painted share of a pixel. The centre is the centroid of α, which symmetric blur does not
+change.
 
-Light falls unevenly, so both levels are planes over the picture, fitted to the surroundings and to the pure paint; the
-sums of t by 1, x, y over both hold all that these fits need. Where a plane does not describe the paint of a large
-blob, as at the edge of a shadow, both levels are local means instead, on the full grid.
+Illumination is uneven, so both levels are planes over the image, fitted to the surroundings and to the pure paint; the
+fits need only the sums of t times 1, x, y over both. Where a plane does not fit the paint of a large blob, as at the
+edge of a shadow, both levels are local means, on the full grid.
 
-Paint in shadow, in a highlight or smeared by motion may have been labelled as nobody's; beside a large blob it is taken
-back by t, which separates paint from the surroundings better than the label does.
+Paint in shadow, in a highlight or with motion blur may have no label. Beside a large blob it is added to the mask by t,
+which separates paint from the surroundings better than the label.
 
-As t is linear, the mean of four pixels has their mean share: large windows are measured on a coarser grid, at the cost
-of small ones. All windows of about one size are laid into one array, so that each step is one call for all of them.
+As t is linear, the mean of four pixels has their mean share, so large windows are measured on a coarser grid to save
+time. Windows of similar size are copied into one array, so that each step is one call for all of them.
 """
 
 from __future__ import annotations
@@ -29,20 +29,22 @@ from rhot_capture.detection.subpixel.shares import Shares, local_share
 from rhot_capture.detection.subpixel.windows import Centre, Grid, Window, grid_of
 
 _ALIKE: Final = 2.0
-"""Windows up to this many times as large as another are measured together."""
+"""Largest ratio between the sizes of windows that are measured together."""
 _ROUNDS: Final = 2
+"""Largest number of enlargements of a mask."""
 _LOCAL_FROM_PX: Final = 600
-"""Pixels of a window; a smaller one holds too little pure paint for levels of its lit and of its shaded side."""
+"""Smallest window for local levels, pixels; smaller ones have too little pure paint on the lit and the shaded side."""
 _MIN_SHARE_OF_MASK: Final = 0.5
-"""With less paint than that, or a centre outside of the window, the shares are nonsense, and the mask counts."""
+"""If the painted area is a smaller share of the mask, or the centre is outside the window, the shares are invalid and
+the mask is used."""
 
 
 def find_centres(windows: Sequence[Window]) -> list[Centre]:
-    """Return the centres of blobs, in their order.
+    """Return the centres of blobs, in the order of the windows.
 
-    Round parts are darker towards their edge, so that paint there looks like a mixture with a dark background and
-    would count for less on the shaded side. Counting a share of 1 / `ROUND_GAIN` and more as full takes most of that
-    back; it moves the rim outwards by the same small amount on all sides.
+    Round surfaces are darker towards their edge, so that paint there looks like a mixture with a dark background, and
+    the shaded side would get less weight. Shares of 1 / `ROUND_GAIN` and more therefore count as 1. This corrects most
+    of the bias, and moves the rim outwards by the same small amount on all sides.
     """
     if not windows:
         return []
@@ -58,11 +60,11 @@ def find_centres(windows: Sequence[Window]) -> list[Centre]:
 
 
 def _measure(grids: Sequence[Grid]) -> list[Centre]:
-    """Return the centres of the blobs on grids of about one size."""
+    """Return the centres of the blobs on grids of similar size."""
     batch = Batch(grids)
     lines, usable = unmixing.projections(batch.color_sums())
     t = batch.projected(lines)
-    batch.take_back(t, _ROUNDS)
+    batch.enlarge(t, _ROUNDS)
     planes, misfits = unmixing.fitted_levels(lines, batch.sums, *batch.products(t))
     share = batch.shares(t, planes)
     finer: list[int] = []
@@ -74,16 +76,16 @@ def _measure(grids: Sequence[Grid]) -> list[Centre]:
                 finer.append(k)
             else:
                 share[k] = local_share(t[k], batch.weights[k], batch.shape[1:])
-    batch.tidy(share)
+    batch.clip(share)
     totals = batch.totals(share)
     x, y = batch.middle
-    doubtful = [
+    invalid = [
         k
         for k, (painted, (m00, m10, m01)) in enumerate(totals)
         if painted < _MIN_SHARE_OF_MASK * batch.area[k] or not _within(grids[k], m10 + x * m00, m01 + y * m00, m00)
     ]
-    if doubtful:
-        share[doubtful] = batch.insides[doubtful]
+    if invalid:
+        share[invalid] = batch.insides[invalid]
         totals = batch.totals(share)
     centres = []
     for k, (grid, (painted, (m00, m10, m01))) in enumerate(zip(grids, totals, strict=True)):
@@ -97,12 +99,12 @@ def _measure(grids: Sequence[Grid]) -> list[Centre]:
         v = top + scale * (m01 / m00 + y + 0.5) - 0.5
         centres.append(Centre(u, v, painted * scale**2, shares))
     for k in finer:
-        # Local means reach over a few pixels: on a coarser grid too far.
+        # Local means extend over a few pixels, which is too far on a coarser grid.
         (centres[k],) = _measure([grid_of(grids[k].window, coarse=False)])
     return centres
 
 
 def _within(grid: Grid, m10: float, m01: float, m00: float) -> bool:
-    """Tell whether a centroid, by its moments about the first pixel, lies in the window: the batch may be larger."""
+    """Return whether a centroid, given by moments about the first pixel, is in the window; the batch may be larger."""
     height, width = grid.mask.shape
     return bool(0.0 <= m10 <= (width - 1) * m00 and 0.0 <= m01 <= (height - 1) * m00)

@@ -1,4 +1,4 @@
-"""The painted share of a window's pixels: between local levels, and at positions between pixels."""
+"""Painted shares of a window's pixels: relative to local levels, and interpolated between pixels."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 CoverageArray = NDArray[np.float32]
 
 MIN_STEP: Final = np.float32(0.2)
-"""Of t, from the level outside to the level inside; where planes come nearer they are extrapolated too far."""
+"""Lower bound of the difference of t between the levels inside and outside; extrapolated planes can come closer."""
 OVERSHOOT: Final = np.float32(0.25)
-"""Noise may push a share this far below 0 or above 1; clipping tighter would favour one side of the rim."""
+"""Shares are clipped this far below 0 and above 1; tighter clipping of noise would bias the centre."""
 LEAST: Final = -OVERSHOOT
 MOST: Final = np.float32(1.0) + OVERSHOOT
 
 
 _LOCAL_PX: Final = 1.7
-"""σ of the weights of pure paint and surroundings by distance, pixels; how it was chosen is not recorded."""
+"""σ of the Gaussian weights of pure paint and surroundings, pixels; how it was chosen is not recorded."""
 _LOCAL_SIZE: Final = (11, 11)
 """Pixels, ± 3 σ."""
 
@@ -29,8 +29,8 @@ class Shares(NamedTuple):
 
     Attributes:
         share: (h, w) float32, 0 to 1 up to noise, exactly 0 away from the blob.
-        scale: pixels of the window to the side of one of the grid.
-        left, top: of the grid in the window, pixels.
+        scale: size of a grid cell, pixels of the window.
+        left, top: position of the grid in the window, pixels.
     """
 
     share: CoverageArray
@@ -39,33 +39,33 @@ class Shares(NamedTuple):
     top: int
 
     def on_grid(self, position: tuple[float, float]) -> tuple[float, float]:
-        """Return where on the grid a position of the window is, both x and y in pixels."""
+        """Return the grid coordinates of a position in the window, both x and y in pixels."""
         x, y = position
         half = 0.5 * (self.scale - 1)
         return (x - self.left - half) / self.scale, (y - self.top - half) / self.scale
 
     def at(self, positions: CoverageArray) -> CoverageArray:
-        """Return the shares at some positions; beyond the grid as at its border.
+        """Return the shares at positions, by bilinear interpolation; constant beyond the grid.
 
-        A line across an edge has the same integral on a coarser grid: means blur it evenly to both sides.
+        The integral along a line across an edge is the same on a coarser grid, because averaging blurs symmetrically.
 
         Args:
-            positions: (n, m, 2) float32, x and y on the grid.
+            positions: (n, m, 2) float32, x and y in grid coordinates.
 
         Returns:
             (n, m) float32.
         """
-        # With an empty second map, which OpenCV's stubs do not know.
+        # OpenCV's type stubs lack the variant without a second map.
         found = cv2.remap(self.share, positions, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
         return np.asarray(found, dtype=np.float32)
 
 
 def local_share(t: CoverageArray, weights: CoverageArray, shape: tuple[int, int]) -> CoverageArray:
-    """Return the painted share of a window's pixels between local means, where no plane describes the levels, (H·W,).
+    """Return the painted shares (H·W,) of a window relative to local means, where planes do not fit the levels.
 
     Args:
         t: (H·W,), see `rhot_capture.detection.subpixel.centers`.
-        weights: (2, H·W), 1 in the surroundings and in the pure paint.
+        weights: (2, H·W), 1 in the surroundings, and 1 in the pure paint.
         shape: H and W.
     """
     levels = []

@@ -1,7 +1,7 @@
-"""What of a pixel's colour is paint: the algebra of `subpixel.centers`, on sums over pixels alone.
+"""Spectral unmixing of paint and surroundings: the algebra of `subpixel.centers`, on sums over pixels.
 
-In plain numbers: on a handful of 3x3 systems numpy spends its time on calls. `rhot bench --part capture` measures what
-that saves of a frame; a tenth is what it must save to stay.
+Uses plain floats: for a few 3x3 systems numpy's call overhead dominates. This must save at least a tenth of a frame's
+time to be worth keeping; `rhot bench --part capture` measures it.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ from rhot_capture.detection.subpixel.shares import CoverageArray
 Vector = tuple[float, float, float]
 Line = tuple[float, float, float, float]
 
-# How these were chosen is not recorded; tests/capture/test_simulated_accuracy.py limits the error that they leave.
+# How these were chosen is not recorded; tests/capture/test_simulated_accuracy.py limits the resulting error.
 NOISE: Final = 5.0
-"""σ, grey levels: variation of the surroundings that is no reason to avoid a direction."""
+"""σ of the camera noise, grey levels: regularises the covariance of the surroundings."""
 MIN_CONTRAST: Final = 12.0
-"""Grey levels between paint and surroundings below which their mixture cannot be measured; 2.4 times `NOISE`."""
+"""Smallest usable difference between paint and surroundings, grey levels; 2.4 times `NOISE`."""
 MIN_SURROUNDINGS: Final = 8
-"""Pixels, for the nine numbers of a mean and a covariance."""
+"""Smallest number of pixels for a mean and a covariance, which have nine parameters."""
 RIDGE: Final = 30.0
-"""Square pixels: holds the slopes of a level against noise where there are few pixels."""
+"""Regularisation of the slopes of a level, square pixels: limits noise where there are few pixels."""
 TINY: Final = 1e-6
-"""Pixels: keeps the matrix regular where there are none."""
+"""Regularisation of the mean, pixels: keeps the matrix invertible where there are none."""
 MISFIT: Final = 1.6
-"""Deviation of pure paint from its plane, in units of the noise, from which on the levels are local means."""
+"""Deviation of pure paint from its plane, in units of the noise, above which local means replace the planes."""
 
 
 def projections(sums: CoverageArray) -> tuple[list[Line], list[bool]]:
-    """Return t as a function of blue, green, red, 1, and whether paint and surroundings can be told apart.
+    """Return the coefficients of t for blue, green, red, 1, and whether paint and surroundings are distinguishable.
 
     Args:
-        sums: (N, 5, 4) of blue, green, red, 1: over the surroundings, over the pure paint, and over the surroundings
-            times blue, green or red.
+        sums: (N, 5, 4) sums of blue, green, red, 1: over the surroundings; over the pure paint; over the surroundings
+            times blue, green and red.
     """
     found = [_projection(*each) for each in cast(list[list[list[float]]], sums.tolist())]
     return [line for line, _ in found], [usable for _, usable in found]
@@ -68,10 +68,10 @@ def _projection(
 def fitted_levels(
     lines: Sequence[Line], moments: CoverageArray, products: CoverageArray, squares: CoverageArray
 ) -> tuple[list[Vector], list[bool]]:
-    """Return the planes that fit t best, and whether they describe the pure paint badly.
+    """Return the least squares planes of t, and whether those of the pure paint fit badly.
 
     Args:
-        lines: N times t of blue, green, red, 1.
+        lines: N times the coefficients of t for blue, green, red, 1.
         moments: (N, 2, 6) sums of 1, x, y, x², xy, y² over the surroundings and over the pure paint.
         products: (N, 2, 3) sums of the products of t with 1, x, y over both.
         squares: (N,) sum of t² over the pure paint.
@@ -85,7 +85,7 @@ def fitted_levels(
     ):
         outside.append(_plane(around, t_around))
         inside.append(_plane(core, t_core))
-        # What a least-squares fit leaves over of the pure paint's t, against what noise alone would.
+        # Residual sum of squares of the pure paint's t, compared with that of noise alone.
         level, slope_x, slope_y = inside[-1]
         t, tx, ty = t_core
         u, v, w, _ = line
@@ -100,11 +100,11 @@ def _plane(sums: Sequence[float], products: Sequence[float]) -> Vector:
 
 
 def _solved(first: Vector, rest: Vector, right: Sequence[float]) -> Vector:
-    """Return the solution of a symmetric equation.
+    """Return the solution of a symmetric 3x3 system.
 
     Args:
         first: first row of the positive definite matrix.
-        rest: entries (2, 2), (2, 3) and (3, 3) of it.
+        rest: its entries (2, 2), (2, 3) and (3, 3).
         right: right-hand side.
     """
     a, b, c = first

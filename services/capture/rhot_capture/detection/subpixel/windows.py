@@ -1,7 +1,7 @@
-"""Windows of the picture that hold a blob each, and the grids on which they are measured.
+"""Windows of the image that contain a blob each, and the grids on which they are measured.
 
-As shares are linear in colour, the mean of four pixels has their mean share: a large window is measured on a coarser
-grid, at the cost of a small one.
+Painted shares are linear in colour, so the mean of four pixels has their mean share. Large windows are therefore
+measured on a coarser grid, which saves time.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from rhot.arrays import ImageArray
 from rhot_capture.detection.subpixel.shares import Shares
 
 _COARSE_FROM_PX: Final = 40
-"""Width or height from which on a window is measured on a grid twice as coarse; coarser still, hardly any of the
-surroundings would be left beyond the rim."""
+"""Width or height from which a window is measured on a grid that is twice as coarse. On a coarser one, hardly any
+pixels of the surroundings would remain."""
 
 
 class Window(NamedTuple):
@@ -24,9 +24,9 @@ class Window(NamedTuple):
 
     Attributes:
         image: (h, w, 3) uint8.
-        mask: (h, w) uint8, 255 where the pixels were taken for the marker, holes filled.
-        round_part: whether the paint covers something round, such as a fingertip.
-        shared: whether the painted shares are asked for.
+        mask: (h, w) uint8, 255 for pixels of the marker, holes filled.
+        round_part: whether the painted surface is round, such as a fingertip.
+        shared: whether to return the painted shares.
     """
 
     image: ImageArray
@@ -41,7 +41,7 @@ class Centre(NamedTuple):
     Attributes:
         u, v: pixels, in the coordinates of the window.
         area: painted area, square pixels.
-        shares: painted share of the window's pixels; None where it was not asked for.
+        shares: painted shares of the window's pixels; None if they were not requested.
     """
 
     u: float
@@ -51,12 +51,12 @@ class Centre(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """A window as it is measured.
+    """Grid on which a window is measured.
 
     Attributes:
-        window: as it was given.
-        scale: pixels of the window to the side of one of the grid.
-        left, top: of the grid in the window, pixels.
+        window: the window.
+        scale: size of a grid cell, pixels of the window.
+        left, top: position of the grid in the window, pixels.
         image: (h, w, 3) uint8, mean colours.
         mask: (h, w) uint8, 255 where at least half is inside the blob, else 0.
     """
@@ -74,12 +74,12 @@ def grid_of(window: Window, coarse: bool = True) -> Grid:
 
     Args:
         window: to be measured.
-        coarse: whether a large window may have a coarser grid.
+        coarse: whether a coarser grid may be used for a large window.
     """
     height, width = window.mask.shape
     if not coarse or max(height, width) < _COARSE_FROM_PX:
         return Grid(window, 1, 0, 0, window.image, window.mask)
-    # What is left over goes on a side where there is no paint.
+    # An odd row or column is dropped on a side without paint.
     top = 1 if height % 2 and window.mask[-1].any() else 0
     left = 1 if width % 2 and window.mask[:, -1].any() else 0
     height, width = height // 2, width // 2
@@ -88,6 +88,6 @@ def grid_of(window: Window, coarse: bool = True) -> Grid:
     covered = cv2.resize(window.mask[part], (width, height), interpolation=cv2.INTER_AREA)
     _, mask = cv2.threshold(covered, 127, 255, cv2.THRESH_BINARY)
     if cv2.countNonZero(mask) == 0:
-        # Lone pixels in a large window, which fill no pixel of the grid by half, are kept where they fill most.
+        # Isolated pixels that do not fill half of any cell: use the cells that they fill most.
         _, mask = cv2.threshold(covered, int(covered.max()) - 1, 255, cv2.THRESH_BINARY)
     return Grid(window, 2, left, top, np.asarray(image, dtype=np.uint8), np.asarray(mask, dtype=np.uint8))
