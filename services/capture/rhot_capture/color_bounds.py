@@ -1,7 +1,7 @@
-"""Bounds of a marker's colour in hue, saturation and value, as people see and move them.
+"""Bounds of a marker's colour in hue, saturation and value, for the sliders of the page.
 
-A learned colour is a cloud, not a box. Its bounds are where the colours lie that it claims, so that a slider shows
-where it stands; once moved and in force, bounds take its place as an `hsv_range`.
+A learned colour is a distribution, not a box. Its bounds are percentiles of the colours that it labels. Once a user has
+moved them, the bounds replace the learned colour as an `hsv_range`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Final
 
-import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -17,12 +16,12 @@ from rhot.arrays import FloatArray
 from rhot.messages import Name
 from rhot.rig.colors import ColorsFile, HsvRangeColor, Share
 from rhot.rig.file_model import FileModel
-from rhot_capture.detection.color_table import ColorTable, table_colors
+from rhot_capture.detection.color_table import ColorTable, hsv_of, table_colors
 
 _TYPICAL: Final = 255.0 * np.exp(-0.5 * 2.0**2)
-"""Likelihood two standard deviations from the middle of a class: 95 of 100 of its pixels lie within."""
+"""Likelihood two standard deviations from the mean of a class."""
 _ENDS: Final = (1.0, 99.0)
-"""Percentiles that count as the ends of what a learned colour claims: single cells of the table do not."""
+"""Percentiles used as bounds of a learned colour, so that single cells of the table do not matter."""
 
 Degrees = Annotated[float, Field(ge=0.0, le=360.0)]
 
@@ -34,7 +33,7 @@ class ColorBounds(FileModel):
         hue_deg: from, to, degrees on the colour circle; 340 to 20 passes through red.
         saturation: lowest and highest, 0 to 1.
         value: lowest and highest, 0 to 1.
-        in_force: these bounds decide, in place of what colors.json says; otherwise they only tell where that stands.
+        in_force: whether these bounds replace the colour in colors.json; otherwise they only describe it.
     """
 
     hue_deg: tuple[Degrees, Degrees]
@@ -48,18 +47,18 @@ class ColorBounds(FileModel):
         return self
 
     def color(self, tolerance: float) -> HsvRangeColor:
-        """Return the colour that these bounds mean."""
+        """Return these bounds as a colour range."""
         return HsvRangeColor(hue_deg=self.hue_deg, saturation=self.saturation, value=self.value, tolerance=tolerance)
 
 
 def bounds_of(colors: ColorsFile, table: ColorTable) -> dict[Name, ColorBounds]:
-    """Return the bounds of all colours that claim anything.
+    """Return the bounds of all colours that label at least one cell of the table.
 
     Args:
-        colors: what the table was built from.
-        table: its markers.
+        colors: the colours from which the table was built.
+        table: the table of their markers.
     """
-    hsv = _hsv(table_colors())
+    hsv = hsv_of(table_colors())
     found = {}
     for label, name in enumerate(table.names, start=1):
         color = colors.markers.get(name)
@@ -73,7 +72,7 @@ def bounds_of(colors: ColorsFile, table: ColorTable) -> dict[Name, ColorBounds]:
 
 
 def with_bounds(colors: ColorsFile, bounds: Mapping[str, ColorBounds]) -> ColorsFile:
-    """Return colours in which bounds that are in force stand in place of what was there."""
+    """Return colours in which the bounds in force replace the learned colours."""
     ranges = {
         name: each.color(colors.markers[name].tolerance)
         for name, each in bounds.items()
@@ -89,9 +88,3 @@ def _around(hsv: FloatArray) -> ColorBounds:
     start, end = (float(np.round(middle + at) % 360.0) for at in np.percentile(offset, _ENDS))
     (low_s, low_v), (high_s, high_v) = np.round(np.percentile(hsv[:, 1:], _ENDS, axis=0), 2).tolist()
     return ColorBounds(hue_deg=(start, end), saturation=(low_s, high_s), value=(low_v, high_v))
-
-
-def _hsv(rgb: FloatArray) -> FloatArray:
-    """Return hue in degrees, saturation and value, 0 to 1, of (N, 3) colours."""
-    picture = (rgb / 255.0).astype(np.float32).reshape(1, -1, 3)
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2HSV)[0], dtype=np.float64)

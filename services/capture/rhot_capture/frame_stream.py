@@ -1,4 +1,4 @@
-"""A capture node's frames to whoever records them."""
+"""Publishes a camera's frames for recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rhot_capture.sources import Frame
 
 
 class FrameStream(PictureStream):
-    """Sends one camera's frames after they were looked at for markers."""
+    """Publishes one camera's frames after detection."""
 
     def __init__(self, camera: str, bus: Bus) -> None:
         """Declare `rhot/@pictures/<camera>`."""
@@ -20,7 +20,7 @@ class FrameStream(PictureStream):
         self._name = camera
 
     def offer(self, frame: Frame, t_first_row_ns: int) -> None:
-        """Send a frame if somebody listens; returns at once.
+        """Send a frame if there is a subscriber; does not block.
 
         Args:
             frame: its image is copied.

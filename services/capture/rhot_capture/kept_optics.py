@@ -1,8 +1,8 @@
-"""What was set with the sliders, kept: exposure, gain, whites and picture of one camera in its node's own `rig.toml`.
+"""Saves exposure, gain, white balance and picture settings of one camera in `rig.toml`.
 
-Each capture service keeps its own camera's, in the rig folder that it was started with, so that a camera on another
-machine comes up again as it was left, too. `rhot/keep/capture/<camera>` answers how things stand; with `?do=save` and
-`?do=undo` it changes them first. Two services that share a folder must be asked one after the other.
+Each capture service saves the settings of its own camera, in the rig folder that it was started with, so that a camera
+on another machine also restarts with them. `rhot/keep/capture/<camera>` answers with the state; `?do=save` and
+`?do=undo` change it first. Services that share a folder must be queried one after the other.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _DIGITS: Final = 6
 
 
 class Optics(FileModel):
-    """What is kept of a camera's settings; fields as in `CameraSettings`."""
+    """The saved settings of a camera; fields as in `CameraSettings`."""
 
     exposure_s: Positive
     gain: Positive
@@ -33,7 +33,7 @@ class Optics(FileModel):
 
     @classmethod
     def of(cls, settings: CameraSettings | CameraConfig) -> Optics:
-        """Return what is kept, rounded so that a slider's 4 ms are written as 0.004."""
+        """Return the saved part of some settings, rounded so that 4 ms are written as 0.004."""
         red, blue = settings.white_balance
         return cls(
             exposure_s=round(settings.exposure_s, _DIGITS),
@@ -46,12 +46,12 @@ class Optics(FileModel):
 
 
 class KeepState(FileModel):
-    """How a camera's settings stand to its `rig.toml`.
+    """State of a camera's settings relative to its `rig.toml`.
 
     Attributes:
-        saved: what the file says.
-        differs: the running camera is set otherwise.
-        can_undo: there is a former state to go back to.
+        saved: the settings in the file.
+        differs: whether the running camera has other settings.
+        can_undo: whether there is a previous state to restore.
     """
 
     saved: Optics
@@ -62,8 +62,8 @@ class KeepState(FileModel):
 class KeptOptics:
     """One camera's optics in a rig folder.
 
-    The values before the last saving are in `<camera>.optics.previous.json` beside `rig.toml`; comments and all other
-    values of `rig.toml` stay as they are, whatever was changed there meanwhile.
+    `<camera>.optics.previous.json` beside `rig.toml` holds the values before the last save; comments and all other
+    values of `rig.toml` are preserved.
     """
 
     def __init__(self, rig_path: Path, camera: str) -> None:
@@ -72,10 +72,10 @@ class KeptOptics:
         self._previous = rig_path / f"{camera}.optics.previous.json"
 
     def saved(self) -> Optics:
-        """Return what `rig.toml` says.
+        """Return the settings in `rig.toml`.
 
         Raises:
-            ConfigError: it cannot be used, or names this camera no longer.
+            ConfigError: the file is invalid, or no longer contains this camera.
         """
         camera = load_config(self._rig_path).cameras.get(self._camera)
         if camera is None:
@@ -83,7 +83,7 @@ class KeptOptics:
         return Optics.of(camera)
 
     def state(self, settings: CameraSettings) -> KeepState:
-        """Return how the running camera's settings stand to the file; raises as `saved`."""
+        """Return the state of the running camera's settings relative to the file; raises as `saved`."""
         saved = self.saved()
         return KeepState(saved=saved, differs=saved != Optics.of(settings), can_undo=self._previous.exists())
 
@@ -91,15 +91,15 @@ class KeptOptics:
         """Write settings into `rig.toml`.
 
         Raises:
-            ConfigError: it cannot be changed; nothing is.
+            ConfigError: the file cannot be changed; nothing is written.
         """
         self._write(Optics.of(settings))
 
     def undo(self) -> Optics:
-        """Bring back what was there before the last saving, and return it; twice brings the saved values back.
+        """Restore and return the values before the last save; a second call restores the saved values.
 
         Raises:
-            ConfigError: there is nothing to go back to, or `rig.toml` cannot be changed.
+            ConfigError: there is no previous state, or `rig.toml` cannot be changed.
         """
         if not self._previous.exists():
             raise ConfigError(f"camera {self._camera}: nothing was saved, so there is nothing to go back to")
@@ -109,7 +109,7 @@ class KeptOptics:
 
     def _write(self, optics: Optics) -> None:
         before = self.saved()
-        # Only what changes: a file that says nothing of a picture goes on saying nothing.
+        # Only changed values are written, so that defaults are not added to the file.
         there = before.model_dump()
         changes = {name: value for name, value in optics.model_dump().items() if value != there[name]}
         change_rig_file(self._rig_path, {("cameras", self._camera): changes})

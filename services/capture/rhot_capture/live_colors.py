@@ -1,4 +1,4 @@
-"""The colours of a running camera: `colors.json` as it changes, and what is set live beside it."""
+"""The colours of a running camera: `colors.json` as it changes, and the live settings."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ class LiveColors:
     """Colours of the markers of one camera.
 
     Attributes:
-        file: `colors.json` as it was read last; empty without one.
-        table: built from it alone.
+        file: `colors.json` as last read; empty if it is missing.
+        table: built from the file, without live settings.
     """
 
     def __init__(self, rig: Rig, names: Sequence[str], camera: str) -> None:
-        """Read `colors.json`; without one no marker is found, so that colours can be calibrated.
+        """Read `colors.json`; if it is missing, no marker is detected, so that colours can be calibrated.
 
         Args:
-            rig: whose colours they are.
+            rig: the loaded rig.
             names: markers in the order of their labels.
-            camera: of the rig.
+            camera: name of the camera.
 
         Raises:
-            CalibrationError: it is wrong.
+            CalibrationError: the file is invalid.
         """
         self._path = rig.colors_path
         self._names = tuple(names)
@@ -44,7 +44,7 @@ class LiveColors:
         self._shown = bounds_of(self.file, self.table)
 
     def has_changed(self) -> bool:
-        """Tell whether `colors.json` is another one than when this was asked last."""
+        """Return whether `colors.json` has changed since the last call."""
         before, self._stamp = self._stamp, file_stamp(self._path)
         return self._stamp != before
 
@@ -52,7 +52,7 @@ class LiveColors:
         """Read `colors.json` again.
 
         Raises:
-            RhotError: it is wrong; the colours before it stay.
+            RhotError: the file is invalid; the former colours stay in use.
         """
         file = self._read()
         self.table = build_color_table(file, self._names, self._camera)
@@ -60,16 +60,16 @@ class LiveColors:
         self.file = file
 
     def initial(self, settings: CameraSettings) -> CameraSettings:
-        """Return settings whose tolerances and bounds are what the file says."""
+        """Return settings with the tolerances and bounds of the file."""
         tolerances = {name: color.tolerance for name, color in self.file.markers.items()}
         return settings.model_copy(update={"tolerances": tolerances, "bounds": self._shown})
 
     def with_moved_bounds(self, settings: CameraSettings, before: CameraSettings) -> CameraSettings:
-        """Return settings whose moved bounds are in force, and whose released ones tell where the file's colours stand.
+        """Return settings with moved bounds in force, and released bounds reset to those of the file's colours.
 
         Args:
-            settings: asked for.
-            before: in force until now.
+            settings: the requested settings.
+            before: the settings in force until now.
         """
         bounds = dict(settings.bounds)
         for name, each in settings.bounds.items():
@@ -85,14 +85,14 @@ class LiveColors:
         return with_bounds(self.file, settings.bounds).with_tolerances(settings.tolerances)
 
     def table_of(self, settings: CameraSettings) -> ColorTable:
-        """Return the table of `in_force`; takes a fraction of a second."""
+        """Return the colour table of `in_force`; takes a fraction of a second."""
         return build_color_table(self.in_force(settings), self._names, self._camera)
 
     def save_bounds(self, settings: CameraSettings) -> None:
-        """Write the bounds in force into `colors.json`, where all cameras of the folder take them over.
+        """Write the bounds in force to `colors.json`, from which all cameras of the folder reload them.
 
         Raises:
-            ConfigError: none is in force, colours are on trial in the page, or the folder cannot be written.
+            ConfigError: no bounds are in force, the page is trying out colours, or the folder cannot be written.
         """
         if not any(each.in_force for each in settings.bounds.values()):
             raise ConfigError("no bounds are in force, so there is nothing to save; move a colour's bounds first")

@@ -1,4 +1,4 @@
-"""Recorded pictures or video through the very detector that runs live."""
+"""Detection in recorded images or video, with the same detector as live."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Progress = Callable[[int], None]
 
 
 def marker_frames(rig: Rig, recording: Recording, progress: Progress | None = None) -> Iterator[MarkerFrame]:
-    """Yield what capture would have published, all cameras merged in order of time.
+    """Yield the marker frames of all cameras, merged in order of time.
 
     Args:
         rig: with colours; its cameras are looked up by the recording's camera names.

@@ -1,4 +1,4 @@
-"""A picture for people: the last frame with what was found in it, or what one marker's colour takes in."""
+"""Preview images: the last frame with the detected markers, or the mask of one marker's colour."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LINE_PX: Final = 13
 
 
 _PNG_LEVEL: Final = 1
-"""Least compression: noise hardly compresses, and the camera's processor has other work."""
+"""Fastest compression, because noise hardly compresses and processor time is scarce."""
 
 
 def preview_jpeg(
@@ -48,7 +48,7 @@ def preview_png(
     detections: Mapping[str, Detection] | None = None,
     mask: ImageArray | None = None,
 ) -> bytes:
-    """Return a PNG of a frame, for those who measure in it: no grey level is changed; see `preview_jpeg`."""
+    """Return a lossless PNG of a frame, for measurements; see `preview_jpeg`."""
     return _coded(image, detections, mask, ".png", (cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL))
 
 

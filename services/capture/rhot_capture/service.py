@@ -38,14 +38,14 @@ _PREVIEW_WAIT_S: Final = 0.4
 _APPLY_LIMIT_S: Final = 1.5
 _KEEP_EVERY_S: Final = 1.0
 _LOOK_EVERY: Final = 32
-"""Frames between two looks at whether `colors.json` has changed."""
+"""Number of frames between two checks of `colors.json` for changes."""
 
 logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """A processed frame as the preview shows it; the image is our own copy."""
+    """A processed frame for the preview; the image is a copy."""
 
     image: ImageArray
     table: ColorTable
@@ -60,7 +60,7 @@ def _log_failure(building: Future[None]) -> None:
 
 
 class CaptureService:
-    """Finds the markers in one camera's pictures; see `rhot.service.Service` for the seam."""
+    """Detects the markers in one camera's images; implements `rhot.service.Service`."""
 
     name = "capture"
     owns_clock = False
@@ -70,8 +70,8 @@ class CaptureService:
 
         Args:
             camera: name of the camera in `rig.toml`.
-            rig: loaded; without colours the camera runs and no marker is found, so that they can be calibrated.
-            clock: the node's own clock, in which frames are timed.
+            rig: the loaded rig; without colours no marker is detected, so that colours can be calibrated.
+            clock: the node's clock, on which frames are timed.
 
         Raises:
             ConfigError: no such camera.
@@ -94,7 +94,7 @@ class CaptureService:
         self._frame_stream: FrameStream | None = None
         self._grabber: Grabber[Frame] | None = None
         self._source: Source | None = None
-        # Detection has a thread of its own: the event loop must stay free to answer clock and preview queries.
+        # Detection runs on its own thread, so that the event loop can answer clock and preview queries.
         self._detecting = ThreadPoolExecutor(1, thread_name_prefix="detect")
         self._building = ThreadPoolExecutor(1, thread_name_prefix="colors")
         self._seen: _Seen | None = None
@@ -109,14 +109,18 @@ class CaptureService:
         return self._settings
 
     def reconfigure(self, config: BaseModel) -> None:
-        """Change camera and colours while running; a ConfigError leaves all as it was."""
+        """Change camera and colours while running.
+
+        Raises:
+            ConfigError: a value is invalid, or the camera refuses it; all settings stay as they were.
+        """
         settings = self._settings.changed(config.model_dump(), self._rate_hz)
         if self._source is not None and not settings.same_optics(self._settings):
             try:
                 self._source.apply(settings)
             except ConfigError:
                 raise
-            except Exception as error:  # whatever the driver raises: a refused setting ends no service
+            except Exception as error:  # whatever the driver raises: a refused setting must not end the service
                 raise ConfigError(str(error) or type(error).__name__) from error
         settings = self._colors.with_moved_bounds(settings, self._settings)
         if (settings.tolerances, settings.bounds) != (self._settings.tolerances, self._settings.bounds):
@@ -128,7 +132,7 @@ class CaptureService:
         self._detector.table = self._colors.table_of(settings)
 
     def _reload(self, node: Node) -> None:
-        """Take over a new `colors.json`; a wrong one leaves the old colours in force."""
+        """Load the new `colors.json`; if it is invalid, the old colours stay in use."""
         try:
             self._colors.reload()
         except RhotError as error:
@@ -175,15 +179,15 @@ class CaptureService:
         try:
             await grabber.open(open_as_set)
             self._source, self._grabber, self._running = source, grabber, True
-            self._seen = None  # a picture of an earlier session shows what stands there no longer
+            self._seen = None  # a picture of an earlier session is out of date
             self._detector.reset()
             grabber.start()
             while (frame := await grabber.next_frame()) is not None:
                 await self._process(node, frame)
-                # Kept during the wait for the next one, it would hold one of the camera's own buffers.
+                # Released before the wait for the next frame, because it may occupy one of the camera's buffers.
                 del frame
         except DeviceError as error:
-            # Said before the device is closed, which takes its time and may hang.
+            # Reported before the device is closed, because closing may take long or hang.
             node.status.error(str(error))
             raise
         finally:
@@ -191,7 +195,7 @@ class CaptureService:
             await grabber.stop()
 
     def _follow_rig_file(self) -> None:
-        """Take over what the rig folder says of this camera now, where a running service can."""
+        """Apply changes of this camera in `rig.toml`, as far as a running service can."""
         latest = latest_rig(self._rig)
         camera = latest.config.cameras.get(self.instance)
         same = camera is not None and worn_paints(latest.config.markers) == self._worn
@@ -201,7 +205,7 @@ class CaptureService:
         before = CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors.file)
         after = CameraSettings.from_config(camera, self._colors.file)
         if not after.same_optics(before):
-            # What was written last counts: the file after the sliders.
+            # The last change wins: the file was written after the sliders were moved.
             self._settings = self._settings.with_optics_of(after)
         self._rig, self._rate_hz = latest, camera.rate_hz
 
@@ -212,7 +216,7 @@ class CaptureService:
         return CameraSettings.from_config(self._rig.config.cameras[self.instance], self._colors.file)
 
     def _apply_changes(self, node: Node, source: Source) -> None:
-        """Set a camera as it was set before it was opened; where it refuses, the rig's own values stay."""
+        """Apply settings changed before the camera was opened; if it refuses them, use those of the rig."""
         try:
             source.apply(self._settings)
         except ConfigError as error:
@@ -255,7 +259,7 @@ class CaptureService:
         detections = self._detector.detect(frame.image)
         seconds = time.perf_counter() - begun
         if self._wanted.is_set() or begun - self._seen_at > _KEEP_EVERY_S:
-            # Copied only for who looks: the image may be the camera's own memory.
+            # Copied, because the image may be the camera's memory; only while somebody requests previews.
             self._seen = _Seen(frame.image.copy(), self._detector.table, detections, frame.index)
             self._seen_at = begun
             self._wanted.clear()
@@ -263,7 +267,7 @@ class CaptureService:
         return detections, seconds
 
     def _answer_keep(self, loop: asyncio.AbstractEventLoop, request: Request) -> Answer:
-        """Save or undo the optics, or save colour bounds, and report how they stand; runs on a worker thread."""
+        """Save or undo the optics, or save colour bounds, and return their state; runs on a worker thread."""
         wanted = request.parameters.get("do")
         if wanted == "save":
             self._kept.save(self._settings)

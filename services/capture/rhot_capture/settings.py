@@ -1,4 +1,4 @@
-"""What may change while a camera runs: its locked settings and the width of each marker's colour."""
+"""The settings that may change while a camera runs: its optics and the width of each marker's colour."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from rhot.rig.picture_config import PICTURE_NEUTRAL, Brightness, Contrast, Satur
 from rhot_capture.color_bounds import ColorBounds
 
 OPTICS: Final = ("exposure_s", "gain", "white_balance", "focus_dioptres", *PICTURE_NEUTRAL)
-"""Fields of `CameraSettings` that rig.toml holds, too."""
+"""Fields of `CameraSettings` that are also in rig.toml."""
 
 
 class CameraSettings(FileModel):
     """Live settings of one camera node.
 
     Attributes:
-        exposure_s: exposure time; the only one of the first four that a V4L2 camera takes.
+        exposure_s: exposure time, seconds; a V4L2 camera supports only this one of the first four.
         gain: analogue gain.
         white_balance: red and blue gains.
-        focus_dioptres: lens position; None leaves the lens alone.
-        saturation, contrast, brightness: of the picture; 1, 1 and 0 leave it alone.
-        tolerances: marker name to the factor on the width of its colour; above 1 takes in more colours.
-        bounds: marker name to the bounds of its colour, to be seen and moved; see `ColorBounds`.
-        outlines: publish the outline of each marker.
+        focus_dioptres: lens position; None leaves it unchanged.
+        saturation, contrast, brightness: of the picture; 1, 1 and 0 leave it unchanged.
+        tolerances: marker name to the factor on the width of its colour; above 1 includes more colours.
+        bounds: marker name to the bounds of its colour; see `ColorBounds`.
+        outlines: whether the outline of each marker is published.
     """
 
     exposure_s: Annotated[float, Field(gt=0.0, le=1.0)]
@@ -46,7 +46,7 @@ class CameraSettings(FileModel):
 
     @classmethod
     def from_config(cls, camera: CameraConfig, colors: ColorsFile) -> CameraSettings:
-        """Return the settings that a camera starts with."""
+        """Return the initial settings of a camera."""
         return cls(
             exposure_s=camera.exposure_s,
             gain=camera.gain,
@@ -90,7 +90,7 @@ class CameraSettings(FileModel):
 
     @property
     def optics(self) -> dict[str, Any]:
-        """What of these settings is the camera's own, by field: exposure, gain, white balance, focus and picture."""
+        """Settings of the camera itself by field: exposure, gain, white balance, focus and picture."""
         return {name: getattr(self, name) for name in OPTICS}
 
     @property
@@ -99,13 +99,13 @@ class CameraSettings(FileModel):
         return {name: getattr(self, name) for name in PICTURE_NEUTRAL}
 
     def same_lens_and_sensor(self, other: CameraSettings) -> bool:
-        """Tell whether light falls on the sensor alike; picture and colours may differ."""
+        """Return whether exposure, gain, white balance and focus are equal; picture and colours may differ."""
         return all(getattr(self, name) == getattr(other, name) for name in OPTICS if name not in PICTURE_NEUTRAL)
 
     def same_optics(self, other: CameraSettings) -> bool:
-        """Tell whether the camera itself is set alike; colours may differ."""
+        """Return whether all settings of the camera itself are equal; colours may differ."""
         return self.optics == other.optics
 
     def with_optics_of(self, other: CameraSettings) -> CameraSettings:
-        """Return these settings with the camera set as in others."""
+        """Return these settings with the optics of others."""
         return self.model_copy(update=other.optics)

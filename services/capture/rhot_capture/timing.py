@@ -1,4 +1,4 @@
-"""When a marker was where it was seen: mid-exposure of its own image row (rolling shutter).
+"""Time stamps of markers: mid-exposure of the marker's image row (rolling shutter).
 
     t(v) = t_first_row + readout · v / (H − 1) + exposure / 2
 
@@ -41,7 +41,7 @@ def marker_frame(
 ) -> MarkerFrame:
     """Return the message of one frame.
 
-    The frame's own time is that of its middle row; each marker carries the time of its row where the shutter rolls.
+    The frame's time is that of its middle row; with a rolling shutter, each marker has the time of its own row.
 
     Args:
         camera: name of the camera.
@@ -63,7 +63,7 @@ def marker_frame(
         name: _marker(detection, time_of(detection.v) if readout_s > 0.0 else None, outlines)
         for name, detection in detections.items()
     }
-    # One validation of all takes about half as long as one for each marker and then the frame's.
+    # Validating all at once takes about half as long as validating each marker and then the frame.
     return MarkerFrame.model_validate(
         {
             "t_ns": time_of(0.5 * (height - 1)),

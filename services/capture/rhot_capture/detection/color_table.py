@@ -70,6 +70,12 @@ def table_colors() -> FloatArray:
     return np.column_stack([red * 8 + 3.5, green * 4 + 1.5, blue * 8 + 3.5])
 
 
+def hsv_of(rgb: FloatArray) -> FloatArray:
+    """Return hue in degrees, saturation and value, 0 to 1, of (N, 3) red, green, blue, 0 to 255."""
+    picture = (rgb / 255.0).astype(np.float32).reshape(1, -1, 3)
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2HSV)[0], dtype=np.float64)
+
+
 def in_balance(rgb: FloatArray, gains: Gains) -> FloatArray:
     """Return (..., 3) red, green, blue multiplied by a camera's gains, 0 to 255; clipped values remain clipped."""
     return np.asarray(np.minimum(rgb * gains, 255.0))
@@ -230,7 +236,7 @@ def _box_distance(color: RgbBoxColor, rgb: FloatArray) -> FloatArray:
 
 
 def _hsv_distance(color: HsvRangeColor, rgb: FloatArray) -> FloatArray:
-    hsv = cv2.cvtColor((rgb / 255.0).astype(np.float32).reshape(1, -1, 3), cv2.COLOR_RGB2HSV)[0].astype(np.float64)
+    hsv = hsv_of(rgb)
     start, end = color.hue_deg
     width = (end - start) % 360.0 if end - start != 360.0 else 360.0
     middle = start + 0.5 * width

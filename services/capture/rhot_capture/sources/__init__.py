@@ -1,4 +1,4 @@
-"""Where frames come from: every kind of camera behind one seam."""
+"""Frame sources: all kinds of cameras behind one Protocol."""
 
 from rhot_capture.sources.factory import grab, open_source
 from rhot_capture.sources.frame import Frame, ReportsProblem, Source

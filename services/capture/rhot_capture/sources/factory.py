@@ -1,4 +1,4 @@
-"""Choosing a source by its kind in `rig.toml`, each kind imported only when it is asked for, and reading it."""
+"""Creates the source that `rig.toml` names; the module of each kind is imported only when needed."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def open_source(name: str, rig: Rig, clock: NodeClock) -> Source:
     Args:
         name: of the camera.
         rig: the loaded rig.
-        clock: the node's own clock, in which frames are timed. A simulated camera needs a `rhot.clock.SkewedClock`
-            to be off by more than nothing; any other clock counts as true.
+        clock: the node's clock, on which frames are timed. A simulated camera has a clock error only with a
+            `rhot.clock.SkewedClock`.
 
     Raises:
         ConfigError: no such camera, or its recording cannot be used.
@@ -42,7 +42,7 @@ def open_source(name: str, rig: Rig, clock: NodeClock) -> Source:
 
 
 def grab(source: Source, name: str = "camera") -> Grabber[Frame]:
-    """Return a grabber of an opened source, which from its start on is read on the grabber's thread only.
+    """Return a grabber of a source, which is then read on the grabber's thread only.
 
     Args:
         source: to read.

@@ -1,4 +1,4 @@
-"""The seam between cameras of every kind and the rest of capture."""
+"""The interface between all kinds of cameras and the rest of capture."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from rhot_capture.settings import CameraSettings
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One picture.
+    """One frame.
 
-    The image may lie in the camera's own memory, which is given back when the last reference to it goes; keep a
-    frame no longer than its work takes.
+    The image may be in the camera's memory, which is released with the last reference to it; do not keep frames.
 
     Attributes:
         image: (H, W, 3) uint8 BGR.
-        index: the source's frame counter; a gap means frames that never arrived.
-        t_first_row_ns: start of the first row's exposure, the node's own clock.
+        index: the source's frame counter; a gap means lost frames.
+        t_first_row_ns: start of the first row's exposure, node's clock.
         exposure_s: exposure time of each row.
         readout_s: time between the read-out of the first and of the last row.
     """
@@ -32,19 +31,18 @@ class Frame:
 
 
 class Source(Protocol):
-    """Something that delivers frames: a camera, a recording or a simulation."""
+    """A source of frames: a camera, a recording or a simulation."""
 
     def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
-        """Prepare to deliver frames from a moment on; frames before it are not delivered.
+        """Open the source; frames before the start time are discarded.
 
         Args:
-            start_ns: the moment, the node's own clock. When it has passed already, recordings and simulations join
-                at what would be due now.
-            start_t_ns: the same moment on the rig clock, where it is known; the simulation counts its world's time
-                from it.
+            start_ns: start time, node's clock. If it has passed, recordings and simulations start at the frame that is
+                due now.
+            start_t_ns: the same time on the rig clock, if known; time 0 of a simulated world.
 
         Raises:
-            DeviceError: the camera is absent or refuses what the rig asks of it.
+            DeviceError: the camera is absent, or refuses the configured settings.
             ConfigError: the recording cannot be used.
         """
         ...
@@ -52,7 +50,7 @@ class Source(Protocol):
     def read(self) -> Frame | None:
         """Wait for the next frame and return it; None when there are no more.
 
-        Called on one thread, other than the one that calls `close` and `apply`. After `close` it returns None soon.
+        Called on one thread, while another may call `close` and `apply`. Returns None soon after `close`.
 
         Raises:
             DeviceError: the camera stopped delivering.
@@ -69,15 +67,15 @@ class Source(Protocol):
         ...
 
     def close(self) -> None:
-        """Stop and free the device; may be called repeatedly."""
+        """Stop and release the device; may be called repeatedly."""
         ...
 
 
 @runtime_checkable
 class ReportsProblem(Protocol):
-    """A source that delivers frames and yet is not as the rig wants it."""
+    """A source that can report a problem while it delivers frames."""
 
     @property
     def problem(self) -> str:
-        """What is wrong, for the status; empty when nothing is. Read on another thread than `read`."""
+        """The problem, one sentence for the status; empty when none. Accessed on another thread than `read`."""
         ...

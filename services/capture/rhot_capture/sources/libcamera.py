@@ -1,4 +1,4 @@
-"""What picamera2 and libcamera are told: the modules themselves, and the controls that lock a camera."""
+"""The modules picamera2 and libcamera, and the controls that lock a camera's settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rhot_capture.settings import CameraSettings
 logger = logging.getLogger(__name__)
 
 _TOLERANCE: Final = 0.05
-"""Sensors set time and gain in steps: a report this near, as a share, is what was asked for."""
+"""Relative tolerance of reported settings: sensors quantise exposure time and gain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ def import_picamera() -> PicameraModules:
     try:
         return PicameraModules(importlib.import_module("picamera2"), importlib.import_module("libcamera").controls)
     except Exception as error:
-        # Not only ImportError: beside numpy 2, the system's simplejpeg ends in a ValueError (docs/deploy.md).
+        # Not only ImportError: with numpy 2, the system's simplejpeg raises a ValueError (docs/deploy.md).
         raise DeviceError(
             f"picamera2 cannot be imported ({error}); on a Raspberry Pi: `sudo apt install -y python3-picamera2 "
             "--no-install-recommends`, with a virtual environment made by `python3 -m venv --system-site-packages`; "
@@ -56,7 +56,7 @@ def locked_controls(
     settings: CameraConfig | CameraSettings,
     offered: Container[str],
 ) -> dict[str, Any]:
-    """Return libcamera's controls with everything automatic switched off.
+    """Return libcamera's controls with all automatic functions switched off.
 
     Args:
         enums: `libcamera.controls`.
@@ -96,7 +96,7 @@ def locked_controls(
 
 
 def lacking_controls(settings: CameraConfig | CameraSettings, offered: Container[str], name: str) -> str:
-    """Return what is asked of the picture of a camera and cannot be had, one sentence; empty when nothing is."""
+    """Return a sentence with the requested picture settings that a camera does not support; empty when none."""
     lacking = [
         f"{field} = {value:g}"
         for field, neutral in PICTURE_NEUTRAL.items()
@@ -108,7 +108,7 @@ def lacking_controls(settings: CameraConfig | CameraSettings, offered: Container
 
 
 def differences(metadata: Mapping[str, Any], expected: Mapping[str, float]) -> list[str]:
-    """Return what a camera reports otherwise than it was asked for."""
+    """Return the settings that a camera reports differently than requested."""
     return [
         f"{key} {float(metadata[key]):g} instead of {value:g}"
         for key, value in expected.items()

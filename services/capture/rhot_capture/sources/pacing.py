@@ -1,4 +1,4 @@
-"""Delivering frames when they are due, wakeable by `close`."""
+"""Waiting for due times, interruptible by `close`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _CHUNK_S: Final = 0.5
 
 
 class Pacer:
-    """Waits for moments of a node's clock; a wait ends early when the pacer is stopped."""
+    """Waits until times of a node's clock; `stop` ends a wait early."""
 
     def __init__(self, clock: NodeClock) -> None:
         self._clock = clock
@@ -27,19 +27,19 @@ class Pacer:
         return self._clock.now_ns()
 
     def wait_until(self, due_ns: int) -> bool:
-        """Wait for a moment; return whether it came before the pacer was stopped."""
+        """Wait until a time; return False if the pacer was stopped before."""
         while not self._stopped.is_set():
             remaining_s = 1e-9 * (due_ns - self._clock.now_ns())
             if remaining_s <= 0.0:
                 return True
-            # In pieces, because the node's clock may run at another rate than the one that the wait uses.
+            # In steps, because the node's clock may run at another rate than the clock of the wait.
             self._stopped.wait(min(remaining_s, _CHUNK_S))
         return False
 
     def restart(self) -> None:
-        """Be ready for use again."""
+        """Reset after `stop`."""
         self._stopped.clear()
 
     def stop(self) -> None:
-        """End the present wait and all later ones."""
+        """End the current wait and all later ones at once."""
         self._stopped.set()

@@ -1,4 +1,4 @@
-"""Raspberry Pi cameras through picamera2, everything automatic switched off.
+"""Raspberry Pi cameras through picamera2, with all automatic functions switched off.
 
 Times: libcamera's `SensorTimestamp` (CLOCK_BOOTTIME) is taken when the first row arrives from the sensor, which is the
 end of that row's exposure (raspberrypi/picamera2 issue 821), so
@@ -41,13 +41,13 @@ _BUFFERS: Final = 4
 _WAIT_S: Final = 0.5
 _SILENCE_S: Final = 5.0
 _SYNC_WAIT_S: Final = 10.0
-"""So long are pictures held back for the other cameras in `sync`: chosen, time enough for a rig that starts."""
+"""Longest wait for synchronisation with the other cameras: chosen, enough for a rig that starts."""
 _SETTLE_FRAMES: Final = 8
 """Frames until new exposure and gain have passed through the sensor's pipeline."""
 
 
 class _Lease:
-    """Stands for the memory of one array; every view of it keeps the lease alive, the array itself does not."""
+    """Owner of an array's memory, kept alive by every view of it."""
 
     def __init__(self, array: np.ndarray[Any, np.dtype[np.uint8]]) -> None:
         self.__array_interface__ = array.__array_interface__
@@ -94,16 +94,16 @@ class Picamera2Source:
         self._problem = ""
         self._lacking, self._offered = "", frozenset[str]()
         self._closing = threading.Event()
-        # Nothing may enter picamera2's queue between its emptying and the stop.
+        # No request may enter picamera2's queue between emptying the queue and stopping the camera.
         self._queueing = threading.Lock()
 
     @property
     def problem(self) -> str:
-        """What is wrong while frames come, for the status; empty when nothing is."""
+        """Problem while frames arrive, for the status; empty when none."""
         return self._problem or self._lacking
 
     def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
-        """Open the camera, choose a sensor mode that is fast enough and lock everything.
+        """Open the camera, choose a sensor mode that is fast enough and lock all settings.
 
         Raises:
             DeviceError: picamera2 is missing, there is no such camera, it is in use, or it has no mode for what
@@ -150,8 +150,8 @@ class Picamera2Source:
 
     def _next_request(self, device: Any) -> Any:
         """Wait for one completed request; None after `close`."""
-        # One job is waited for in pieces, so that `close` from another thread is noticed. A job that is given up
-        # would still take a request later, which nobody would ever give back.
+        # The wait is split, so that `close` from another thread takes effect. An abandoned job would still obtain a
+        # request later, which would never be released.
         with self._queueing:
             if self._closing.is_set():
                 return None
@@ -189,12 +189,12 @@ class Picamera2Source:
         self._lacking = lacking
 
     def close(self) -> None:
-        """Stop and free the camera; may take for ever, as the driver's own stop may."""
+        """Stop and release the camera; may block without limit, like the driver's stop."""
         with self._queueing:
             self._closing.set()
         device, self._device = self._device, None
         if device is not None:
-            # A capture that was given up stays first in picamera2's queue, and `stop` waits behind it without a limit.
+            # `stop` would wait without limit for an abandoned capture in picamera2's queue.
             device.cancel_all_and_flush()
             try:
                 device.stop()
@@ -223,7 +223,7 @@ class Picamera2Source:
         camera = self._camera
         mode = choose_mode(self._device.sensor_modes, camera, self._name)
         if camera.readout_s == 0.0:
-            # At its highest rate a sensor reads row after row with hardly a pause, so one frame takes one read-out.
+            # At its highest rate a sensor reads out rows almost without pause: read-out takes the whole frame period.
             self._readout_s = 1.0 / float(mode["fps"])
         self._offered = frozenset(getattr(self._device, "camera_controls", {}))
         self._lacking = lacking_controls(camera, self._offered, self._name)
@@ -260,7 +260,7 @@ class Picamera2Source:
         return controls
 
     def _frame(self, request: Any) -> Frame | None:
-        """Return the frame of a request, or None (request given back) for one that nobody may use."""
+        """Return the frame of a request; None, with the request released, for a frame that is not used."""
         metadata = request.get_metadata()
         exposure_s = 1e-6 * float(metadata.get("ExposureTime", 1e6 * self._exposure_s))
         t_first_row_ns = int(metadata["SensorTimestamp"]) + self._offset_ns() - round(1e9 * exposure_s)
@@ -270,13 +270,13 @@ class Picamera2Source:
             return None
         if self._origin_ns is None:
             self._origin_ns = t_first_row_ns
-        # Counted by time, so that frames lost inside the camera stack leave a gap.
+        # The index follows from the time, so that frames lost in the camera stack leave a gap.
         number = round((t_first_row_ns - self._origin_ns) / self._frame_ns)
         self._index = max(self._index + 1, number)
         return Frame(self._image(request), self._index, t_first_row_ns, exposure_s, self._readout_s)
 
     def _awaits_server(self, metadata: Mapping[str, Any], t_ns: int) -> bool:
-        """Tell whether a frame of a camera in `sync` is held back; for ever it is not, and then it is said why."""
+        """Return whether to discard a frame until the camera is synchronised; after `_SYNC_WAIT_S` set `problem`."""
         if self._camera.sync == "off" or metadata.get("SyncReady", True):
             if self._problem:
                 logger.info("camera %s: is synchronised", self._name)
@@ -303,14 +303,14 @@ class Picamera2Source:
             mapped.__exit__(None, None, None)
             request.release()
 
-        # The buffer returns to the camera when the last view of the picture is gone; nothing is copied. The lease
-        # stands between, because numpy lets views skip arrays on the way to their memory, but no foreign object.
+        # The buffer is returned when the last view of the image is released; nothing is copied. The lease is needed,
+        # because numpy views may refer directly to the owner of the memory, which is then the lease.
         lease = _Lease(mapped.array)
         weakref.finalize(lease, give_back)
         return np.asarray(lease)
 
     def _check(self, metadata: Mapping[str, Any]) -> None:
-        """Compare once, when new settings have had time to arrive, what the camera reports with what was asked for."""
+        """Compare the reported with the requested settings, once, when new settings have taken effect."""
         if self._settling == 0:
             return
         self._settling -= 1

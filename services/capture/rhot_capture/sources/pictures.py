@@ -1,4 +1,4 @@
-"""Reading the pictures of a recording one after the other."""
+"""Reads the images of a recording in order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recorded pictures or video, delivered at the pace at which they were taken."""
+"""Recorded images or video, replayed at the original rate."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from rhot_capture.sources.pictures import read_pictures
 
 
 class RecordedSource:
-    """Replays one camera of a recording as if it were live.
+    """Replays one camera of a recording like a live camera.
 
-    The first frame's time becomes the start time; the distances between frames stay. A recording without times runs
-    at the rate in `rig.toml`.
+    The first frame is due at the start time; intervals between frames are preserved. A recording without times is
+    replayed at the rate in `rig.toml`.
     """
 
     def __init__(self, name: str, camera: CameraConfig, track: PictureTrack | VideoTrack, clock: NodeClock) -> None:
@@ -47,7 +47,7 @@ class RecordedSource:
         return cls(name, camera, track, clock)
 
     def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
-        """Start the recording at a moment of the node's clock; late, it joins at what is due now."""
+        """Start the replay at a time of the node's clock; if it has passed, start with the frame that is due now."""
         self._pacer.restart()
         self._frames = self._replay(start_ns)
 
@@ -82,7 +82,7 @@ class RecordedSource:
             pictures = read_pictures(self._track)
             for offset_ns in self._offsets_ns(period_ns):
                 due_ns = pass_start_ns + offset_ns + scan_ns
-                # Decoded half a period ahead: right after the last one, it would take the core from the search in it.
+                # Decoded half a period ahead: directly after the last frame, it would delay the detection in it.
                 if joined and not self._pacer.wait_until(due_ns - period_ns // 2):
                     return
                 if (image := next(pictures, None)) is None:
@@ -100,7 +100,7 @@ class RecordedSource:
             pass_start_ns = t_first_row_ns + period_ns
 
     def _offsets_ns(self, period_ns: int) -> Iterator[int]:
-        """Return each frame's distance from the first one."""
+        """Return each frame's time since the first one, nanoseconds."""
         if self._track.has_times:
             return iter((self._track.t_ns - self._track.t_ns[0]).tolist())
         offsets = itertools.count(0, period_ns)

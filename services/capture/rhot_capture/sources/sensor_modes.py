@@ -1,4 +1,4 @@
-"""Which of a sensor's modes to run."""
+"""Choice of a sensor mode."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ class Access:
         return hashlib.sha256(f"view {self.token}".encode()).hexdigest()[:32] if self.token else ""
 
     def knows(self, token: str) -> bool:
-        """Tell whether a token is one of the two."""
+        """Return whether a token is one of the two."""
         return bool(self.token) and (_equal(token, self.token) or _equal(token, self.view_token))
 
     def judge(self, request: PageRequest) -> Role | Refusal:

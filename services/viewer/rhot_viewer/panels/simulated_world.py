@@ -25,7 +25,7 @@ _CHOICES: Final = {
 
 
 def is_simulated(config: RigConfig) -> bool:
-    """Tell whether a rig has cameras and all of them are simulated."""
+    """Return whether a rig has cameras and all of them are simulated."""
     return bool(config.cameras) and all(camera.source == "simulated" for camera in config.cameras.values())
 
 

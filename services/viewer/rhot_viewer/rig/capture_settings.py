@@ -51,7 +51,7 @@ class CaptureSettings:
         self.ask(camera, {})
 
     def is_asked(self, camera: str) -> bool:
-        """Tell whether an answer is awaited."""
+        """Return whether an answer is awaited."""
         return camera in self._pending
 
     async def run(self, bus: Bus) -> None:

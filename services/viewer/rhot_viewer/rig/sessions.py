@@ -30,7 +30,7 @@ class Sessions:
         self._one_at_a_time = asyncio.Lock()
 
     def files_have_changed(self) -> bool:
-        """Tell whether a calibration file that is read at the start of a session has changed since the last look."""
+        """Return whether a calibration file that is read at the start of a session has changed since the last look."""
         before, self._stamps = self._stamps, self._now()
         return self._stamps != before
 

@@ -1,8 +1,8 @@
-"""What V4L2 says and OpenCV keeps to itself: what a frame's timestamp marks, its number, and a control's range.
+"""V4L2 queries that OpenCV does not offer: meaning of a frame's timestamp, frame number, range of a control.
 
-`VIDIOC_QUERYBUF` tells it of the device's buffers, on any handle of the device, also while another one streams ("anyone
-can query buffers": `vb2_ioctl_querybuf` in the kernel's videobuf2-v4l2.c). `struct v4l2_buffer` and its flags are from
-the kernel's `linux/videodev2.h`.
+`VIDIOC_QUERYBUF` works on any handle of the device, also while another one streams ("anyone can query buffers":
+`vb2_ioctl_querybuf` in the kernel's videobuf2-v4l2.c). `struct v4l2_buffer` and its flags are from the kernel's
+`linux/videodev2.h`.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class V4l2Buffer(ctypes.Structure):
 
 
 def stamps_arrival(device: str, sysfs: Path = Path("/sys")) -> bool:
-    """Tell whether a driver stamps a frame when its first packet arrives, whatever the buffer's label says.
+    """Return whether a driver stamps a frame when its first packet arrives, contrary to the buffer's flags.
 
     uvcvideo labels all its stamps as the start of the exposure, but computes that only with its parameter
     `hwtimestamps`, which is off by default (kernel, uvc_video.c: `uvc_video_decode_start`, `uvc_video_clock_update`).
@@ -80,7 +80,7 @@ Ioctl = Callable[[int, int, V4l2Buffer | V4l2QueryControl], object]
 
 
 class BufferQuery:
-    """Asks a device of its buffers and controls; answers None where the driver does not (multi-planar devices)."""
+    """Queries a device's buffers and controls; None if the driver does not answer (multi-planar devices)."""
 
     def __init__(self, device: str, ioctl: Ioctl = fcntl.ioctl) -> None:
         """Open a further handle of a device.
@@ -96,15 +96,15 @@ class BufferQuery:
         self._handle = os.open(device, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
 
     def stamps_mark_start(self) -> bool | None:
-        """Tell whether the driver's timestamps mark the start of the exposure; None where it does not say."""
+        """Return whether the driver's timestamps mark the start of the exposure; None if unknown."""
         buffer = self._query(0)
         return None if buffer is None else buffer.flags & SOURCE_MASK == START_OF_EXPOSURE
 
     def sequence(self, stamp_us: int) -> int | None:
-        """Return the driver's number of a frame that is grabbed and not yet given back; a gap is frames lost.
+        """Return the driver's number of a grabbed frame that is not yet returned; a gap means lost frames.
 
         Args:
-            stamp_us: the frame's timestamp, which tells its buffer from the others.
+            stamp_us: the frame's timestamp, which identifies its buffer.
         """
         for index in range(_MOST_BUFFERS):
             buffer = self._query(index)

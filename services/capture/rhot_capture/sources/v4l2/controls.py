@@ -1,9 +1,9 @@
-"""A driver's controls, each read back: drivers take a setting and quietly do something else.
+"""Sets a driver's controls and reads each back, because drivers may silently apply another value.
 
-V4L2 gives a unit to the exposure alone (`V4L2_CID_EXPOSURE_ABSOLUTE`: 100 µs). Gain has none, "the unit is undefined"
-for the focus, and the white balance is a colour temperature where it can be set at all (kernel documentation, "User
-Control Reference", "Camera Control Reference"). So `gain`, `white_balance` and `focus_dioptres` of a rig mean nothing
-to such a driver; its own values are named as its own: `v4l2_controls`.
+V4L2 defines a unit only for the exposure (`V4L2_CID_EXPOSURE_ABSOLUTE`: 100 µs). Gain has none, "the unit is undefined"
+for the focus, and white balance is a colour temperature, if it can be set at all (kernel documentation, "User Control
+Reference", "Camera Control Reference"). So `gain`, `white_balance` and `focus_dioptres` of a rig do not apply to such a
+driver; its own values are set in `v4l2_controls`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _MANUAL_EXPOSURE: Final = 1.0
 _EXPOSURE_UNIT_S: Final = 1e-4
 _TOLERANCE: Final = 0.1
 _ABSENT: Final = -1.0
-"""What OpenCV reads where the driver has no such control (`cap_v4l.cpp`, `getProperty`)."""
+"""Value that OpenCV returns for a control that the driver lacks (`cap_v4l.cpp`, `getProperty`)."""
 _PROPERTIES: Final = {
     "gain": "CAP_PROP_GAIN",
     "focus_absolute": "CAP_PROP_FOCUS",
@@ -43,10 +43,10 @@ class DriverControls:
         self._capture = capture
 
     def lock(self, camera: CameraConfig) -> list[str]:
-        """Switch off what is automatic, set what the rig says, and return what the driver refused."""
+        """Switch off automatic functions, set the rig's values, and return the refused settings."""
         refused = self.set_exposure(camera.exposure_s)
         for name, property_name in (("white balance", "CAP_PROP_AUTO_WB"), ("focus", "CAP_PROP_AUTOFOCUS")):
-            # A camera without a motor has no autofocus to switch off, and one without white balance keeps its colours.
+            # Skipped for cameras that lack the function.
             if self.value(property_name) not in (_ABSENT, 0.0):
                 refused += self.set(f"manual {name}", property_name, 0.0)
         for name, value in camera.v4l2_controls.items():
@@ -54,14 +54,14 @@ class DriverControls:
         return refused
 
     def set_exposure(self, exposure_s: float) -> list[str]:
-        """Set the exposure by hand, and return what the driver refused."""
+        """Set manual exposure, and return the refused settings."""
         return [
             *self.set("manual exposure", "CAP_PROP_AUTO_EXPOSURE", _MANUAL_EXPOSURE),
             *self.set(f"exposure_s = {exposure_s:g}", "CAP_PROP_EXPOSURE", exposure_s / _EXPOSURE_UNIT_S),
         ]
 
     def exposure_s(self, asked_s: float) -> float:
-        """Return the exposure that the driver runs with, or the one asked for where it does not tell."""
+        """Return the driver's exposure time, seconds; the requested one if the driver does not report it."""
         units = self.value("CAP_PROP_EXPOSURE")
         return units * _EXPOSURE_UNIT_S if units > 0.0 else asked_s
 
@@ -88,7 +88,7 @@ class DriverControls:
         return refused
 
     def unset(self, camera: CameraConfig) -> str:
-        """Say which values of the rig mean nothing to the driver, and what it runs with instead."""
+        """Return the rig's values that do not apply to the driver, with the driver's own values, as text."""
         own = [("gain", camera.gain), ("white_balance_temperature", camera.white_balance)]
         if camera.focus_dioptres is not None:
             own.append(("focus_absolute", camera.focus_dioptres))
@@ -99,7 +99,7 @@ class DriverControls:
         )
 
     def set(self, name: str, property_name: str, value: float) -> list[str]:
-        """Set one control; return its name, and the driver's own value, where the driver does otherwise."""
+        """Set one control; if the driver deviates, return the control's name and the driver's value."""
         accepted = bool(self._capture.set(getattr(self._cv, property_name), value))
         got = self.value(property_name)
         if accepted and abs(got - value) <= _TOLERANCE * max(abs(value), 1e-9):
@@ -107,5 +107,5 @@ class DriverControls:
         return [f"{name} (driver says {got:g})" if accepted else name]
 
     def value(self, property_name: str) -> float:
-        """Return what the driver says of a control."""
+        """Return the driver's value of a control."""
         return float(self._capture.get(getattr(self._cv, property_name)))

@@ -1,4 +1,4 @@
-"""Saturation, contrast and brightness of a V4L2 camera, whose driver counts them in units of its own.
+"""Conversion of saturation, contrast and brightness to the units of a V4L2 driver.
 
 The kernel gives these controls no unit ("User Control Reference"), only a range and a default
 (`VIDIOC_QUERYCTRL`, `struct v4l2_queryctrl` of `linux/videodev2.h`). A factor s of the rig is set in proportion between
@@ -46,11 +46,11 @@ class V4l2QueryControl(ctypes.Structure):
 
 @dataclass(frozen=True, slots=True)
 class ControlRange:
-    """What a driver says of one control, in its own units.
+    """Range of one control in the driver's units.
 
     Attributes:
-        low, high: least and greatest value.
-        default: value that the driver starts with.
+        low, high: smallest and largest value.
+        default: the driver's default.
     """
 
     low: int

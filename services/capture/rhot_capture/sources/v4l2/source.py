@@ -1,4 +1,4 @@
-"""USB and other Video4Linux cameras through OpenCV, locked as far as the driver lets itself be locked."""
+"""USB and other Video4Linux cameras through OpenCV, with settings locked as far as the driver allows."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from rhot_capture.sources.v4l2.picture import ControlRange
 _LOG = logging.getLogger(__name__)
 
 _SELECT_LIMIT: Final = ("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
-"""Seconds after which OpenCV gives up waiting for one frame; 10 if it is not told, and it asks the environment once."""
+"""Seconds after which OpenCV stops waiting for a frame (default 10); it reads this environment variable once."""
 _SILENCE_S: Final = 3.0
-"""Silence after which a camera counts as gone; the slowest useful one delivers five frames a second."""
+"""Time without a frame after which a camera counts as disconnected; useful cameras deliver at least 5 Hz."""
 _MAX_FAILED_READS: Final = 5
-"""Failures in a row that come at once, as of a camera that was pulled out."""
+"""Consecutive failed reads after which a camera counts as disconnected."""
 _MAX_TIMESTAMP_AGE_S: Final = 2.0
 
 
@@ -79,17 +79,17 @@ class V4l2Source:
         self._trusts_driver = True
         self._problem = ""
         self._closing = threading.Event()
-        # OpenCV frees its buffers in `release`: never below the feet of a `read` on another thread.
+        # `release` frees OpenCV's buffers, so it must not run during a `read` on another thread.
         self._reading = threading.Lock()
         self._setting = threading.Lock()
 
     @property
     def problem(self) -> str:
-        """What the driver refused, for the status; empty when nothing."""
+        """Settings that the driver refused, for the status; empty when none."""
         return self._problem
 
     def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
-        """Open and lock the camera; frames before `start_ns` are thrown away.
+        """Open and lock the camera; frames before `start_ns` are discarded.
 
         Raises:
             DeviceError: no such device, or it does not deliver the size in `rig.toml`.
@@ -165,7 +165,7 @@ class V4l2Source:
             self._exposure_s = controls.exposure_s(settings.exposure_s)
 
     def close(self) -> None:
-        """Free the device, after the read that is under way."""
+        """Release the device, after a read in progress has ended."""
         self._closing.set()
         with self._reading, self._setting:
             capture, self._capture = self._capture, None
@@ -203,7 +203,7 @@ class V4l2Source:
         asked = {name: getattr(camera, name) for name in PICTURE_NEUTRAL}
         for name, value in asked.items():
             refused += self._set_picture(controls, {**self._picture, name: value})
-        # Said once in the status; a later change of something else must not fail over it.
+        # Reported once in the status; later changes of other settings must not fail because of it.
         self._picture = asked
         self._exposure_s = controls.exposure_s(camera.exposure_s)
         if refused:
@@ -220,7 +220,7 @@ class V4l2Source:
             )  # fmt: skip
 
     def _set_picture(self, controls: DriverControls, picture: Mapping[str, float]) -> list[str]:
-        """Set what changes of the picture; return what the driver refused, which leaves the picture as it was."""
+        """Set the changed picture settings; return those that the driver refused, in which case none is changed."""
         ranges: Callable[[str], ControlRange | None] = (
             self._buffers.control_range if self._buffers is not None else lambda _: None
         )
@@ -243,12 +243,12 @@ class V4l2Source:
         self._stamps = "end of frame" if not marks_start else "arrival" if self._stamps_arrival(path) else "start"
 
     def _grab(self, capture: Any) -> Frame | None:
-        """Wait for a frame and take it; None when none came in OpenCV's time."""
+        """Wait for a frame and return it; None if none arrives within OpenCV's timeout."""
         if not capture.grab():
             return None
         arrived_ns = self._now_ns()
         stamp_ns = self._stamp_ns(capture, arrived_ns)
-        # Between grabbing and retrieving, the buffer is out of the driver's queue and keeps its number.
+        # Between grab and retrieve the buffer is not in the driver's queue and keeps its number.
         number = None if self._buffers is None or stamp_ns is None else self._buffers.sequence(stamp_ns // 1000)
         ok, image = capture.retrieve()
         if not ok:
@@ -265,7 +265,7 @@ class V4l2Source:
         )
 
     def _stamp_ns(self, capture: Any, arrived_ns: int) -> int | None:
-        """Return the driver's timestamp of the frame just grabbed, None for one that cannot be true."""
+        """Return the driver's timestamp of the grabbed frame; None if it is implausible."""
         stamp_ns = 1000 * round(1e3 * float(capture.get(self._cv.CAP_PROP_POS_MSEC)))
         age_s = 1e-9 * (arrived_ns - stamp_ns)
         if 0.0 <= age_s <= _MAX_TIMESTAMP_AGE_S:
@@ -280,7 +280,7 @@ class V4l2Source:
         return None
 
     def _count(self, number: int | None, stamp_ns: int | None) -> None:
-        """Count the frame so that lost ones leave a gap: by the driver's number, or else by the time between frames."""
+        """Update the frame index, from the driver's number or else from the time between frames."""
         last_number, last_ns = self._last
         self._last = number, stamp_ns
         if number is not None and last_number is not None:
