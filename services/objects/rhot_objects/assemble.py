@@ -1,4 +1,4 @@
-"""Which sources a rig needs for its objects."""
+"""Creates the pose sources of a rig's objects."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from rhot_objects.stage import ObjectStage
 
 @dataclass(frozen=True, slots=True)
 class SourcePlan:
-    """One source with the core that belongs to it; the service polls each on its own.
+    """One source and its stage; the service polls each source separately.
 
     Attributes:
         name: for status and logs: `steamvr`, `simulated` or `recorded.<object id>`.
-        rate_hz: how often to read, the highest rate among its objects.
+        rate_hz: rate of reading, the highest of its objects.
         source: not yet open.
-        stage: turns its readings into messages.
+        stage: converts its readings to messages.
     """
 
     name: str
@@ -74,7 +74,7 @@ def _plan(rig: Rig, name: str, source: PoseSource, configs: Mapping[str, ObjectC
 
 
 def source_kind(name: str) -> str:
-    """Return the kind of source, whose registration holds, of a plan's name: `recorded` of `recorded.cup`."""
+    """Return the kind of source, which selects the registration, from a plan's name: `recorded` for `recorded.cup`."""
     return name.partition(".")[0]
 
 

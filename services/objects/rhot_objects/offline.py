@@ -1,4 +1,4 @@
-"""Objects beside a recording of cameras, with the core that runs live."""
+"""Objects of a recording, with the same core as live."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from rhot_objects.assemble import SourcePlan, recorded_sources
 
 
 class PlayedObjects:
-    """Plays sources as their service does, each at its rate.
+    """Reads sources as the service does, each at its rate.
 
     Args:
         plans: the sources, not yet open.
-        start_ns: when they start; as in a live session with the first moment that is asked for when not given.
+        start_ns: start time, rig clock; by default the first time passed to `until`.
     """
 
     def __init__(self, plans: Sequence[SourcePlan], start_ns: int | None = None) -> None:
@@ -23,7 +23,7 @@ class PlayedObjects:
         self._next_ns: list[int] = []
 
     def until(self, t_ns: int) -> list[Output]:
-        """Return what was published up to a time; times do not go back.
+        """Return the messages up to a time; times must not decrease.
 
         Raises:
             ConfigError: a file cannot be read.
@@ -43,10 +43,10 @@ class PlayedObjects:
 
 
 class RecordedObjects(PlayedObjects):
-    """Plays the objects of a rig whose `source` is `recorded`.
+    """Reads the objects of a rig whose `source` is `recorded`.
 
     Args:
-        rig: whose objects.
+        rig: the loaded rig.
     """
 
     def __init__(self, rig: Rig) -> None:

@@ -19,7 +19,7 @@ from rhot.rig.calibration import RigidTransform
 _ROTATION_TOLERANCE = 1e-2
 _CONJUGATE = (-1.0, -1.0, -1.0, 1.0)
 _SLERP_LINEAR_ABOVE = 1.0 - 1e-10
-"""Cosine of the half angle above which slerp divides by a vanishing sine; the straight line is exact enough there."""
+"""Cosine of the half angle above which linear interpolation is used, because slerp would divide by a sine near 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class Pose:
 
 
 def interpolate(start: Pose, end: Pose, share: float) -> Pose:
-    """Return the pose between two: position on the straight line, orientation by slerp along the shorter way.
+    """Return an interpolated pose: linear in position, slerp along the shorter arc in orientation.
 
     Args:
         start: pose at share 0.
@@ -109,6 +109,6 @@ def interpolate(start: Pose, end: Pose, share: float) -> Pose:
 
 def angle_between(first: Pose, second: Pose) -> float:
     """Return the angle of the rotation from one pose to the other, radians, 0 to π."""
-    # atan2 keeps its precision at small angles, where arccos of the dot product loses half of the digits.
+    # atan2 is precise at small angles, where arccos of the dot product loses half of the digits.
     relative = product_matrix(*(first.orientation_xyzw * _CONJUGATE)) @ second.orientation_xyzw
     return float(2.0 * np.arctan2(np.linalg.norm(relative[:3]), abs(relative[3])))

@@ -1,8 +1,8 @@
-"""From the tracking system's space to the rig frame, and back.
+"""Transformation between the tracking system's space and the rig frame.
 
-T_rig_object = T_rig_tracker · T_space_device · T_device_object, where T_space_device is what the tracking system
-measures, T_rig_tracker places its space in the rig, and T_device_object (`T_tracker_object` in `registration.json`)
-places the object's own frame on the device that is fixed to it.
+T_rig_object = T_rig_tracker · T_space_device · T_device_object, where T_space_device is the tracking system's
+measurement, T_rig_tracker the pose of its space in the rig frame, and T_device_object (`T_tracker_object` in
+`registration.json`) the pose of the object in the frame of the device that is attached to it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Registration:
 
     Attributes:
         T_rig_tracker: maps the tracking system's space to the rig frame.
-        T_device_object: object id to the object's frame in the device's; an absent object coincides with its device.
+        T_device_object: pose of each object in its device's frame, by object id; identity if absent.
     """
 
     T_rig_tracker: Pose
@@ -28,7 +28,7 @@ class Registration:
 
     @classmethod
     def from_file(cls, file: RegistrationFile) -> Registration:
-        """Build it from the loaded file."""
+        """Return the registration of a loaded `registration.json`."""
         return cls(
             Pose.from_transform(file.T_rig_tracker),
             {name: Pose.from_transform(transform) for name, transform in file.T_tracker_object.items()},
@@ -41,7 +41,7 @@ class Registration:
         return T_rig_device if fixed is None else T_rig_device @ fixed
 
     def to_tracker(self, object_id: str, T_rig_object: Pose) -> Pose:
-        """Return T_space_device, what the tracking system would measure of an object at a pose in the rig."""
+        """Return T_space_device, the tracking system's measurement of an object at a pose in the rig frame."""
         fixed = self.T_device_object.get(object_id)
         T_rig_device = T_rig_object if fixed is None else T_rig_object @ fixed.inverse()
         return self.T_rig_tracker.inverse() @ T_rig_device

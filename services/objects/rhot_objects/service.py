@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 
 _RETRY_S: Final = 2.0
 _READ_LIMIT_S: Final = 5.0
-"""A tracking system answers within a millisecond; so long a silence is a hang."""
+"""Limit of one read; a tracking system normally answers within a millisecond."""
 
 
 class ObjectsConfig(FileModel):
@@ -37,14 +37,14 @@ class ObjectsConfig(FileModel):
 
 
 class ObjectsService:
-    """Publishes `rhot/object/<id>` and `rhot/head`; see `rhot.service.Service` for the seam."""
+    """Publishes `rhot/object/<id>` and `rhot/head`; implements `rhot.service.Service`."""
 
     name = "objects"
     instance = "main"
     owns_clock = False
 
     def __init__(self, rig: Rig) -> None:
-        """Prepare for the objects of a rig.
+        """Validate the objects of a rig.
 
         Raises:
             ConfigError: the rig has no objects, or two share a tracker.
@@ -55,7 +55,7 @@ class ObjectsService:
         self._rig = rig
         self._plans: dict[str, SourcePlan] = {}
         self._troubles: dict[str, str] = {}
-        # The registration that held when a source's space moved: until there is another one, its poses are wrong.
+        # Registration at the time at which a source's space moved: with it, the source's poses are wrong.
         self._outdated: dict[str, RegistrationFile] = {}
         self._config = ObjectsConfig(objects=rig.config.objects)
 
@@ -65,11 +65,15 @@ class ObjectsService:
         return self._config
 
     def reconfigure(self, config: BaseModel) -> None:
-        """Refuse: which tracker is which object is set in `rig.toml`."""
+        """Refuse all changes: objects are configured in `rig.toml`.
+
+        Raises:
+            ConfigError: always.
+        """
         raise ConfigError("objects are named in rig.toml; change it there and restart this service")
 
     def attach(self, node: Node) -> None:
-        """Show what is left out; an object's key appears with its first pose."""
+        """Add counts and problems to the status; an object's key is declared with its first pose."""
         node.status.include(self._counts)
         node.status.watch(self._figures)
 
@@ -80,7 +84,7 @@ class ObjectsService:
         return {}, "; ".join(self._troubles.values())
 
     async def run(self, node: Node, start: Control) -> None:
-        """Read all sources until cancelled; one that is absent does not hold up the others."""
+        """Read all sources until cancelled; a missing one does not delay the others."""
         rig = latest_rig(self._rig)
         self._troubles.clear()
         self._plans = {plan.name: plan for plan in plan_sources(rig)}
@@ -91,7 +95,7 @@ class ObjectsService:
     async def _follow(self, node: Node, start: Control, name: str, registration: RegistrationFile) -> None:
         device = DeviceThread(name)
         if self._outdated.get(name) == registration:
-            # Published nevertheless: registering again needs the poses.
+            # Poses are still published, because a new registration needs them.
             self._trouble(
                 name,
                 f"the space of {name} has moved since it was registered, so all its poses are wrong until it "
@@ -136,7 +140,7 @@ class ObjectsService:
         self._troubles[name] = text
 
     async def _reregistered(self, name: str, old: RegistrationFile) -> RegistrationFile:
-        """Wait for another registration, and use it."""
+        """Wait for a new registration of a source, and use it."""
         while True:
             new = (await asyncio.to_thread(latest_rig, self._rig)).registration_of(source_kind(name))
             if new != old:
@@ -159,6 +163,6 @@ class ObjectsService:
                 self._troubles.pop(name, None)
             for key, message in plan.stage.feed(samples, node.clock.now_ns()):
                 node.publish(key, message)
-            # Too slow for the rate: what is past is skipped instead of run after.
+            # If reading is slower than the rate, missed readings are skipped.
             due = max(due + period_s, loop.time())
             await asyncio.sleep(due - loop.time())

@@ -1,4 +1,4 @@
-"""The core of the objects service: samples of one source in, messages in the rig frame out."""
+"""The core of the objects service: converts samples of one source to messages in the rig frame."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from rhot_objects.sources import HEAD, PoseSample
 
 RIG_FRAME: Final = "rig"
 HOLD_S: Final = 0.2
-"""How long an object that lost tracking is published where it was last measured, state `predicted`."""
+"""How long a lost object is published at its last measured pose, in state `predicted`, seconds."""
 
 _MAX_DISTANCE_M: Final = 1e3
-"""What the message can carry; a tracking system that reports more has lost its way."""
+"""Limit of the message; a larger distance is an error of the tracking system."""
 
 
 class ObjectStage:
-    """Registers what one source reads and bridges short losses.
+    """Transforms the poses of one source to the rig frame, and holds poses during short losses.
 
-    One instance belongs to one source: an object that is absent from a reading counts as lost.
+    One instance per source: an object that is absent from a reading counts as lost.
     """
 
     def __init__(
@@ -39,29 +39,29 @@ class ObjectStage:
         Args:
             registration: tracker space to rig.
             hold_s: how long a lost object is held, seconds.
-            shapes: of objects, by their ids, as far as they are known.
+            shapes: known shapes by object id.
         """
         self._shapes = dict(shapes or {})
         self._registration = registration
         self._hold_ns = round(hold_s * 1e9)
         self._last: dict[str, tuple[int, Pose]] = {}
         self.unusable = 0
-        """Samples since the start that lay outside of what a message can carry."""
+        """Number of samples since the start that were beyond the limits of a message."""
 
     def registered(self, registration: Registration) -> ObjectStage:
-        """Return a stage with nothing tracked for the same objects by another registration."""
+        """Return a new stage for the same objects with another registration."""
         return ObjectStage(registration, self._hold_ns / 1e9, self._shapes)
 
     def feed(self, samples: Mapping[str, PoseSample], now_ns: int) -> list[Output]:
-        """Take one reading and return what to publish.
+        """Process one reading and return the messages to publish.
 
         Args:
-            samples: what the source tracks now, tracker space, by object id; what it lost is absent.
+            samples: tracked poses by object id, tracker space; lost objects are absent.
             now_ns: rig time of the reading.
 
         Returns:
-            Keys and messages: `measured` with the sample's own time for everything tracked, `predicted` with the last
-            pose and `now_ns` for what was lost less than `hold_s` ago.
+            Keys and messages: `measured` with the sample's time for each tracked object, `predicted` with the last pose
+            and `now_ns` for each object that was lost less than `hold_s` ago.
         """
         outputs = []
         for object_id, sample in samples.items():
@@ -92,5 +92,5 @@ class ObjectStage:
 
 
 def key_of(object_id: str) -> str:
-    """Return the key on which an object is published; the headset has its own."""
+    """Return the key of an object; the headset has its own."""
     return "rhot/head" if object_id == HEAD else f"rhot/object/{object_id}"

@@ -1,9 +1,9 @@
-"""Where poses come from: the seam between the objects service and a tracking system.
+"""The interface between the objects service and a tracking system.
 
-A source speaks in the *tracker's own space*; `rhot_objects.registration` brings its poses into the rig frame.
+A source returns poses in the *tracker's space*; `rhot_objects.registration` transforms them to the rig frame.
 
-`open` and `read` may block for a moment and come from one thread at a time; `close` may come from another thread while
-`read` still runs, because a thread cannot be cancelled.
+`open` and `read` may block briefly and are called from one thread at a time; `close` may be called from another thread
+during a `read`, because a thread cannot be cancelled.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ HEAD: Final = "head"
 
 @dataclass(frozen=True, slots=True)
 class PoseSample:
-    """One tracked device at one moment, backed by an observation of that moment.
+    """The measured pose of one device at one time.
 
     Attributes:
-        t_ns: the moment at which the pose is true, rig clock.
+        t_ns: time of the measurement, rig clock.
         pose: T_space_device; maps the device's coordinates to the tracker's space, metres.
     """
 
@@ -33,17 +33,17 @@ class PoseSample:
 
 
 class SpaceMovedError(DeviceError):
-    """The tracking system's space is not where it was registered any more; looking again does not help."""
+    """The tracking system's space has moved since its registration; retrying does not help."""
 
 
 class PoseSource(Protocol):
     """A tracking system, a recording of one, or a simulated one."""
 
     def open(self, start_ns: int) -> None:
-        """Connect and make ready.
+        """Connect to the tracking system.
 
         Args:
-            start_ns: rig time at which the session starts; recordings and the simulated world begin there.
+            start_ns: rig time at which the session, a recording or the simulated world starts.
 
         Raises:
             DeviceError: the tracking system is absent; calling `open` again later may succeed.
@@ -52,17 +52,17 @@ class PoseSource(Protocol):
         ...
 
     def read(self, now_ns: int) -> Mapping[str, PoseSample]:
-        """Return the poses at this moment by object id; what is not tracked right now is absent.
+        """Return the current poses by object id; an object that is not tracked is absent.
 
         Args:
             now_ns: rig time.
 
         Raises:
-            DeviceError: the tracking system went away; `close`, then `open` again.
-            SpaceMovedError: its space has moved since its first pose; register it again.
+            DeviceError: the connection is lost; call `close`, then `open` again.
+            SpaceMovedError: the space has moved since the first pose and has to be registered again.
         """
         ...
 
     def close(self) -> None:
-        """Let go of the device; closing twice does no harm."""
+        """Release the device; may be called repeatedly."""
         ...

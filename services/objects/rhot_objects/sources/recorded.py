@@ -1,4 +1,4 @@
-"""A tracked object out of a CSV file: `t_ns,x,y,z,qx,qy,qz,qw`, metres, tracker space."""
+"""A tracked object from a CSV file: `t_ns,x,y,z,qx,qy,qz,qw`, metres, tracker space."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ COLUMNS: Final = ("t_ns", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 class RecordedSource:
-    """Replays one object from the start of the session at the pace of the recording.
+    """Replays one object from the start of the session at the original rate.
 
-    Poses between two rows are interpolated (straight line and slerp), however far the rows lie apart. After the last
-    row nothing is tracked any more, unless the recording loops.
+    Poses between two rows are interpolated (linearly and by slerp), whatever their distance in time. After the last row
+    the object is not tracked, unless the recording loops.
     """
 
     def __init__(self, object_id: str, path: Path, *, loop: bool = False) -> None:
-        """Name the file; it is read by `open`.
+        """Set the file, which `open` reads.
 
         Args:
-            object_id: id under which the poses come out.
+            object_id: id of the object.
             path: the CSV file.
-            loop: start again at the end.
+            loop: whether to restart at the end.
         """
         self._object_id = object_id
         self._path = path
         self._loop = loop
         self._start_ns = 0
-        # Replaced as a whole, so that a reader on another thread sees the old recording or none.
+        # Replaced as a whole, so that another thread sees either the old recording or none.
         self._recording: tuple[NDArray[np.int64], list[Pose]] | None = None
 
     def open(self, start_ns: int) -> None:
         """Read the whole file.
 
         Raises:
-            ConfigError: unreadable or a wrong value; names file and line.
+            ConfigError: the file cannot be read, or has a wrong value; names file and line.
         """
         recording = read_poses(self._path)
         if len(recording[1]) == 1 and not self._loop:
@@ -55,7 +55,7 @@ class RecordedSource:
         self._start_ns, self._recording = start_ns, recording
 
     def read(self, now_ns: int) -> Mapping[str, PoseSample]:
-        """Return the pose at this moment; nothing before the start and after the end."""
+        """Return the pose at this time; nothing before the start and after the end."""
         recording, elapsed_ns = self._recording, now_ns - self._start_ns
         if recording is None or elapsed_ns < 0:
             return {}
@@ -68,7 +68,7 @@ class RecordedSource:
         return {self._object_id: PoseSample(now_ns, _pose_at(int(times_ns[0]) + elapsed_ns, times_ns, poses))}
 
     def close(self) -> None:
-        """Forget the recording."""
+        """Release the recording."""
         self._recording = None
 
 

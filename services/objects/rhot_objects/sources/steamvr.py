@@ -23,7 +23,7 @@ from rhot_objects.sources.tracking_space import MOVED_EVENTS, TrackingSpace, rea
 logger = logging.getLogger(__name__)
 
 _SILENCE_NS: Final = 5_000_000_000
-"""SteamVR that crashed raises no event: when no device at all has been connected for so long, connect afresh."""
+"""Time without any connected device after which to reconnect: a SteamVR that crashed sends no event."""
 
 
 def import_openvr() -> Any:
@@ -48,13 +48,13 @@ def import_openvr() -> Any:
 class SteamVrSource:
     """All trackers that SteamVR knows, by serial number, and the headset.
 
-    A device whose serial number is listed comes out under its object id, whatever kind of device it is; a tracker that
-    is not listed under its serial number, so that a new one can be found by looking at the bus; the headset as `head`.
-    Devices may appear and vanish at any time.
+    A device with a listed serial number, of any kind, is published under its object id. A tracker that is not listed is
+    published under its serial number, so that new ones can be found on the bus; the headset is `head`. Devices may
+    appear and disappear at any time.
     """
 
     def __init__(self, ids_by_serial: Mapping[str, str], load: Callable[[], Any] = import_openvr) -> None:
-        """Name the devices.
+        """Set the ids of the devices.
 
         Args:
             ids_by_serial: serial number to object id.
@@ -68,12 +68,12 @@ class SteamVrSource:
         self._event: Any = None
         self._ids_by_index: dict[int, str | None] = {}
         self._last_connected_ns: int | None = None
-        # Kept when SteamVR is restarted: its space may have been set up again, too.
+        # Kept when SteamVR restarts, to detect a new room setup in between.
         self._space: TrackingSpace | None = None
         self._has_tracked = False
         self._moved = ""
         self._asks_space = True
-        # `close` unloads SteamVR's library: never below the feet of a `read` on another thread.
+        # `close` unloads SteamVR's library, so it must not run during a `read` on another thread.
         self._lock = threading.RLock()
 
     def open(self, start_ns: int) -> None:
@@ -89,11 +89,11 @@ class SteamVrSource:
 
     def _connect(self, openvr: Any) -> None:
         try:
-            # A background application never starts SteamVR by itself and never keeps it from quitting.
+            # A background application neither starts SteamVR nor keeps it from quitting.
             self._system = openvr.init(openvr.VRApplication_Background)
         except (openvr.OpenVRError, KeyError) as error:
-            # KeyError: pyopenvr looks errors up in a table that newer versions of SteamVR outgrow.
-            # Most of pyopenvr's errors say it all in their name, such as InitError_Init_NoServerForBackgroundApp.
+            # KeyError: pyopenvr's table of errors lacks those of newer versions of SteamVR.
+            # Many of pyopenvr's errors have no text but their name, such as InitError_Init_NoServerForBackgroundApp.
             reason = f"{type(error).__name__} {error}".rstrip()
             raise DeviceError(
                 f"SteamVR does not answer ({reason}); start SteamVR on this machine and switch the trackers on"
@@ -106,11 +106,11 @@ class SteamVrSource:
         self._asks_space = True
 
     def read(self, now_ns: int) -> Mapping[str, PoseSample]:
-        """Return what SteamVR tracks at this moment.
+        """Return the current poses of all tracked devices.
 
         Raises:
-            DeviceError: SteamVR is quitting, or has no device any more.
-            SpaceMovedError: the standing space is not where it was at the first pose.
+            DeviceError: SteamVR is quitting, or has no connected device any more.
+            SpaceMovedError: the standing space has moved since the first pose.
         """
         with self._lock:
             if self._system is None:
@@ -152,7 +152,7 @@ class SteamVrSource:
     def _take_events(self) -> None:
         while self._system.pollNextEvent(self._event):
             if self._event.eventType == self._openvr.VREvent_Quit:
-                # Without the acknowledgement SteamVR would kill this whole process.
+                # Without the acknowledgement SteamVR would kill this process.
                 self._system.acknowledgeQuit_Exiting()
                 self.close()
                 raise DeviceError("SteamVR is quitting; start it again and tracking goes on by itself")
@@ -160,12 +160,12 @@ class SteamVrSource:
                 self._moved, self._asks_space = MOVED_EVENTS[self._event.eventType], True
 
     def _check_space(self) -> None:
-        """Compare where the standing space is with where it was; SteamVR's events alone come too often."""
+        """Compare the standing space with the former one, because SteamVR also sends events without a change."""
         space, before = read_space(self._openvr, self._system), self._space
         moved = self._moved
         if space is not None and before is not None:
             moved = space.moved_from(before)
-        # A known space that SteamVR does not report for the moment is kept, and compared as soon as it is reported.
+        # If SteamVR does not report its space, the known one is kept and compared at the next report.
         keeps = space is None and before is not None and not moved
         self._space, self._asks_space = (before, True) if keeps else (space, False)
         self._has_tracked, self._moved = True, ""
@@ -187,13 +187,13 @@ class SteamVrSource:
             )
 
     def _id_of(self, index: int) -> str | None:
-        """Return under which id a connected device comes out, None for one that does not."""
+        """Return the id of a connected device; None if it is not published."""
         if index not in self._ids_by_index:
             openvr = self._openvr
             try:
                 serial = self._system.getStringTrackedDeviceProperty(index, openvr.Prop_SerialNumber_String)
             except (openvr.OpenVRError, KeyError):
-                # A device that has just been plugged in has no properties yet; the next read asks again.
+                # A device that was just connected has no properties yet; the next read tries again.
                 return None
             if not serial:
                 return None
@@ -213,7 +213,7 @@ class SteamVrSource:
 
 
 def _pose_of(matrix: Any) -> Pose | None:
-    """Return the pose in a `HmdMatrix34_t`, None where SteamVR filled in something that is no pose."""
+    """Return the pose in a `HmdMatrix34_t`; None if it is not a rigid transform."""
     rows = [[float(matrix.m[row][column]) for column in range(4)] for row in range(3)]
     try:
         return Pose.from_matrix(np.array(rows))

@@ -1,9 +1,9 @@
-"""Where SteamVR's standing space lies: what a registration holds for.
+"""The pose of SteamVR's standing space, for which a registration is valid.
 
-The standing space is the raw space of the base stations, moved: `GetRawZeroPoseToStandingAbsoluteTrackingPose`.
-Resetting the standing position moves it (event `VREvent_StandingZeroPoseReset`, 808); with other base stations or a new
-room setup the raw space itself is another one, with another universe (`VREvent_ChaperoneUniverseHasChanged`, 801).
-Names and numbers are those of openvr.h.
+`GetRawZeroPoseToStandingAbsoluteTrackingPose` is the transform from the base stations' raw space to the standing space.
+Resetting the standing position changes it (event `VREvent_StandingZeroPoseReset`, 808); other base stations or a new
+room setup create another raw space with another universe (`VREvent_ChaperoneUniverseHasChanged`, 801). Names and
+numbers are from openvr.h.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _HEADSET: Final = 0
 """`k_unTrackedDeviceIndex_Hmd`."""
 _SAME_M: Final = 1e-3
 _SAME_RAD: Final = 1e-3
-"""The space stands still to the last bit; this is far below what a registration resolves (docs/tested.md: 1.4 mm)."""
+"""Tolerances for an unchanged space; far below the error of a registration (docs/tested.md: 1.4 mm)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class TrackingSpace:
     T_standing_raw: Pose
 
     def moved_from(self, other: TrackingSpace) -> str:
-        """Return how this space differs from an earlier one, empty when it does not."""
+        """Return a description of the difference from an earlier space; empty when there is none."""
         if self.universe != other.universe:
             return MOVED_EVENTS[801]
         first, second = self.T_standing_raw, other.T_standing_raw
@@ -49,7 +49,7 @@ class TrackingSpace:
 
 
 def read_space(openvr: Any, system: Any) -> TrackingSpace | None:
-    """Ask SteamVR where its standing space lies; None where it does not say."""
+    """Return SteamVR's standing space; None if SteamVR does not report it."""
     try:
         universe = int(system.getUint64TrackedDeviceProperty(_HEADSET, _CURRENT_UNIVERSE))
         matrix = system.getRawZeroPoseToStandingAbsoluteTrackingPose()
