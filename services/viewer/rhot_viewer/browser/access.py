@@ -1,11 +1,11 @@
-"""Who may open the page, and who may change anything with it: judged by what a browser cannot be made to forge.
+"""Access control of the page, based on headers that a website cannot forge in a user's browser.
 
-- Any website may open a WebSocket to this machine, and the browser says from where in `Origin` (RFC 6455, section
-  10.2). A page of ours has the origin that the browser asked for in `Host`; every other one is refused.
-- A website whose name is made to mean this machine ("DNS rebinding") has its own name in `Host`: only addresses, this
+- Any website may open a WebSocket to this machine; the browser states the website in `Origin` (RFC 6455, section 10.2).
+  Our pages have the same origin as `Host`; all others are refused.
+- A website whose name resolves to this machine ("DNS rebinding") has its own name in `Host`: only addresses, this
   machine's names and names that the operator allows are answered.
-- Other machines need a token, as a link brings it once and a cookie afterwards. One token lets a person look, another
-  lets them change things as well.
+- Other machines need a token, first from a link and then from a cookie. One token grants read-only access, another one
+  full access.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from typing import Final, Literal
 from urllib.parse import parse_qs, urlsplit
 
+from websockets import Headers
+
 Role = Literal["control", "view"]
 
 TOKEN_PARAMETER: Final = "token"
@@ -28,14 +30,14 @@ _LOCAL_NAMES: Final = frozenset({"localhost"})
 
 @dataclass(frozen=True, slots=True)
 class PageRequest:
-    """What a browser asks with.
+    """A browser's request.
 
     Attributes:
-        peer: its address.
-        host: its `Host` header; empty without one, or with several.
-        origin: its `Origin` header; empty without one, or with several.
-        is_websocket: whether it wants to talk, not only to fetch a file.
-        tokens: those that it brings.
+        peer: address of the browser.
+        host: `Host` header; empty if missing or repeated.
+        origin: `Origin` header; empty if missing or repeated.
+        is_websocket: whether the request opens a WebSocket rather than fetching a file.
+        tokens: tokens in the request.
     """
 
     peer: str
@@ -47,7 +49,7 @@ class PageRequest:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a browser is sent away: one sentence for who sits before it, with what to do."""
+    """A refused request, with the reason and the remedy as one sentence for people."""
 
     reason: str
 
@@ -57,9 +59,9 @@ class Access:
     """The rules of one page.
 
     Attributes:
-        token: lets its bearer change things; empty = nobody but this machine is let in.
-        hosts: further names that the page is reached under, lower case.
-        view_only: nobody may change anything, this machine neither.
+        token: grants full access; if empty, only this machine has access.
+        hosts: further host names of the page, lower case.
+        view_only: whether access is read-only for everybody, including this machine.
     """
 
     token: str = ""
@@ -68,7 +70,7 @@ class Access:
 
     @property
     def view_token(self) -> str:
-        """Lets its bearer look; made from `token`, which cannot be found from it. Empty when there is none."""
+        """Token for read-only access, a one-way function of `token`; empty without a token."""
         return hashlib.sha256(f"view {self.token}".encode()).hexdigest()[:32] if self.token else ""
 
     def knows(self, token: str) -> bool:
@@ -76,7 +78,7 @@ class Access:
         return bool(self.token) and (_equal(token, self.token) or _equal(token, self.view_token))
 
     def judge(self, request: PageRequest) -> Role | Refusal:
-        """Return what a browser may do."""
+        """Return the role of a request, or why it is refused."""
         name = _name_of(request.host)
         if not name or not (_is_address(name) or name in _LOCAL_NAMES or name in self.hosts):
             return Refusal(
@@ -100,8 +102,27 @@ class Access:
         return "view" if self.view_only else role
 
 
+def is_websocket(headers: Headers) -> bool:
+    """Return whether request headers ask for a WebSocket; any mention of an upgrade counts."""
+    return bool(headers.get_all("Upgrade") or headers.get_all("Sec-WebSocket-Key"))
+
+
+def page_address(host: str, port: int, scheme: str = "http") -> str:
+    """Return the URL of a page that listens on `host`, as opened on this machine."""
+    shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::", "localhost") else host
+    return f"{scheme}://{shown}:{port}"
+
+
+def cannot_listen(host: str, port: int) -> str:
+    """Return the error message for a page that cannot be opened."""
+    return (
+        f"the page cannot be opened on {host} port {port}: another program, perhaps another viewer, has it, or the "
+        "address is not this machine's; choose another with --port or --host"
+    )
+
+
 def own_names() -> frozenset[str]:
-    """Return the names under which other machines know this one."""
+    """Return this machine's names in the network."""
     name = socket.gethostname().lower()
     short = name.partition(".")[0]
     return frozenset({name, short, f"{short}.local"} - {""})

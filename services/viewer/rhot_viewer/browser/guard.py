@@ -1,10 +1,10 @@
-"""The guard before viser's server: every request is judged by `access`, and every message of a browser is checked.
+"""Access control of viser's server: checks every request by `access`, and every message of a browser.
 
-viser (1.1) makes its server with `websockets.asyncio.server.serve` and offers no place for checks of one's own. While a
-`ViserServer` is being made, the guard stands in for that function: it adds a check before viser's own
-(`process_request`, https://websockets.readthedocs.io/en/stable/reference/asyncio/server.html) and a class of
-connections whose `recv` drops messages that their browser may not send. A viser that no longer calls that function
-would be unguarded: `Guard.standing` says so, and the page is not opened.
+viser (1.1) creates its server with `websockets.asyncio.server.serve` and has no hook for additional checks. While a
+`ViserServer` is created, the guard replaces that function: it adds a check before viser's own
+(`process_request`, https://websockets.readthedocs.io/en/stable/reference/asyncio/server.html) and a connection class
+whose `recv` drops messages that the browser may not send. A viser that does not call that function would be unguarded:
+`Guard.standing` is then False, and the page is not opened.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from websockets.http11 import Request, Response
 from websockets.typing import Data
 
 from rhot.text import printable
-from rhot_viewer.browser.access import Access, PageRequest, Refusal, Role, token_in_link, tokens_in
+from rhot_viewer.browser.access import Access, PageRequest, Refusal, Role, is_websocket, token_in_link, tokens_in
 
 logger = logging.getLogger(__name__)
 
 _MOST_BYTES: Final = 1 << 20
-"""Of a message from a browser; clicks and sliders have some hundred. viser's own limit is 50 MB."""
+"""Largest message from a browser; clicks and sliders send some hundred bytes. viser's own limit is 50 MB."""
 _MOST_BROWSERS: Final = 32
 _COOKIE_S: Final = 30 * 24 * 3600
 _LOOKING: Final = frozenset({"ViewerCameraMessage"})
 _CHANGING: Final = _LOOKING | {"GuiUpdateMessage", "SceneNodeClickMessage", "ScenePointerMessage"}
-"""What the page of ours sends. viser understands more, such as a request to publish the page through a server of its
-makers (`ShareUrlRequest`): nobody may send that."""
+"""Messages that our page sends. Others are refused, such as a request to publish the page through a server of viser's
+makers (`ShareUrlRequest`)."""
 _HEADERS: Final = {
     # No website may show the page in a frame and let people click what they do not see.
     "X-Frame-Options": "DENY",
@@ -50,12 +50,12 @@ Check = Callable[[ServerConnection, Request], Response | None]
 
 
 class Guard:
-    """Stands before one page's server.
+    """Access control of one page's server.
 
     Attributes:
-        standing: whether the server that was made within `standing_in` has it.
-        refused: requests and messages that were turned away, by kind.
-        elements: identifiers of elements of the page that change nothing for others: who only looks may use them.
+        standing: whether the server created within `standing_in` is guarded.
+        refused: number of refused requests and messages by kind.
+        elements: identifiers of page elements that affect only the user's own view; usable with read-only access.
     """
 
     def __init__(self, access: Access) -> None:
@@ -67,7 +67,7 @@ class Guard:
 
     @contextlib.contextmanager
     def standing_in(self) -> Iterator[None]:
-        """Guard the server that is made within the block."""
+        """Guard the server that is created within the block."""
         real = websockets.asyncio.server.serve
         guard = self
 
@@ -94,7 +94,7 @@ class Guard:
 
     @property
     def connection_kind(self) -> type[ServerConnection]:
-        """The connections of a server with this guard: each is forgotten when it ends, however early."""
+        """Connection class of a server with this guard; removes a connection from the guard when it ends."""
         guard = self
 
         class Connection(ServerConnection):
@@ -105,7 +105,7 @@ class Guard:
         return Connection
 
     def role_of(self, connection: ServerConnection) -> Role:
-        """Return what a connected browser may do."""
+        """Return the role of a connected browser."""
         return self._roles.get(connection, "view")
 
     def forget(self, connection: ServerConnection) -> None:
@@ -127,11 +127,11 @@ class Guard:
         return False
 
     def check(self, connection: ServerConnection, request: Request, server: Check | None) -> Response | None:
-        """Judge a request, for `process_request` of websockets; None lets a WebSocket begin.
+        """Check a request, for `process_request` of websockets; None accepts a WebSocket.
 
         Args:
-            connection: which asks.
-            request: as it came.
+            connection: the connection.
+            request: the request.
             server: answers requests for files, and returns None for a WebSocket.
         """
         port = connection.local_address[1]
@@ -141,8 +141,7 @@ class Guard:
             peer=str(connection.remote_address[0]),
             host=_only(headers, "Host"),
             origin=_only(headers, "Origin"),
-            # Whatever names an upgrade is judged as one, however it is spelt.
-            is_websocket=bool(headers.get_all("Upgrade") or headers.get_all("Sec-WebSocket-Key")),
+            is_websocket=is_websocket(headers),
             tokens=tokens_in(request.path, headers.get_all("Cookie"), cookie),
         )
         role = self._access.judge(asked)
@@ -171,7 +170,7 @@ class Guard:
     def _log_refusal(self, asked: PageRequest, refusal: Refusal) -> None:
         kind = "connection" if asked.is_websocket else "page"
         if not self.refused[kind]:
-            # The first of its kind; how many follow is in the status.
+            # Only the first of its kind is logged; the status has the number.
             logger.warning(
                 "refused %s from %s (Host %s, Origin %s): %s",
                 f"a {kind}",

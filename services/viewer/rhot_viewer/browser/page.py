@@ -1,7 +1,7 @@
-"""The web page's server: opened on a port of its own choice or not at all, and who is looking.
+"""The web page's server, and the connected browsers.
 
-viser serves page, script and data from one process and one port, nothing comes from elsewhere, and the browser's side
-reconnects by itself. Its callbacks run on threads of its own; `Page.on_loop` brings them to our event loop.
+viser serves page, script and data from one process and one port, without other servers, and its client reconnects by
+itself. Its callbacks run on its own threads; `Page.on_loop` moves them to our event loop.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any, Final, TypeVar
 import viser
 
 from rhot.errors import DeviceError
-from rhot_viewer.browser.access import Access
+from rhot_viewer.browser.access import Access, cannot_listen, page_address
 from rhot_viewer.browser.guard import Guard
 from rhot_viewer.browser.waking import wake_senders_safely
 
@@ -34,21 +34,22 @@ E = TypeVar("E")
 
 
 class Page:
-    """One page, looked at by any number of browsers.
+    """One page for any number of browsers.
 
     Attributes:
         server: viser's server: `scene` for 3D, `gui` for the panel.
-        guard: before the server.
-        url: where it is; `port` of it.
+        guard: access control of the server.
+        url: address of the page on this machine.
+        port: of the page.
     """
 
     def __init__(self, host: str, port: int, access: Access | None = None) -> None:
-        """Open the page; call it on the event loop that will feed it.
+        """Open the page; to be called on the event loop that updates it.
 
         Args:
             host: address to listen on.
-            port: of it; 0 = any.
-            access: who may open it; without, only who sits at this machine.
+            port: to listen on; 0 for any.
+            access: access rules; by default only this machine has access.
 
         Raises:
             DeviceError: the port is taken, the address is not this machine's, or viser cannot be guarded.
@@ -71,11 +72,10 @@ class Page:
             )
         found = self.server.get_port()
         if port not in (0, found):
-            # viser looks for the next free port by itself; a page that is not where it should be helps nobody.
+            # viser silently uses the next free port, where users would not find the page.
             self.close()
-            raise DeviceError(_taken(host, port))
-        shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::", "localhost") else host
-        self.url = f"http://{shown}:{found}"
+            raise DeviceError(cannot_listen(host, port))
+        self.url = page_address(host, found)
         self.port = found
         self._set_theme()
         self.server.on_client_connect(self._greet)
@@ -96,7 +96,7 @@ class Page:
         self._soon(self._came, client.client_id)
 
     def for_everyone(self, element: viser.GuiButtonHandle) -> None:
-        """Let those use a button, too, who may only look: it changes nothing for others."""
+        """Enable a button that affects only the user's own view for browsers with read-only access."""
         self.guard.elements.add(element._impl.uuid)
 
     def _came(self, browser: int) -> None:
@@ -114,7 +114,7 @@ class Page:
 
     @property
     def browsers(self) -> int:
-        """How many browsers are connected."""
+        """Number of connected browsers."""
         return len(self._browsers)
 
     async def looked_at(self) -> None:
@@ -126,7 +126,7 @@ class Page:
         await self._alone.wait()
 
     def on_loop(self, work: Callable[[E], None]) -> Callable[[E], None]:
-        """Return a callback for viser that does its work on our event loop."""
+        """Return a callback for viser that runs `work` on our event loop."""
         return lambda event: self._soon(work, event)
 
     def _soon(self, work: Callable[..., None], *arguments: Any) -> None:
@@ -134,10 +134,10 @@ class Page:
             self._loop.call_soon_threadsafe(work, *arguments)
 
     def close(self) -> None:
-        """Close the page; browsers show that they wait for it.
+        """Close the page; browsers show that they are disconnected.
 
-        viser waits up to six seconds for browsers to say goodbye, which one on a busy machine does not do in time: what
-        is not closed soon ends with the process.
+        viser waits up to six seconds for the closing handshakes of browsers. This method waits for `_CLOSE_LIMIT_S`
+        only; the rest ends with the process.
         """
         closing = threading.Thread(target=self.server.stop, name="close page", daemon=True)
         with _quiet():
@@ -146,7 +146,7 @@ class Page:
 
 
 def _quiet() -> contextlib.redirect_stdout[io.StringIO]:
-    """Keep viser from printing where `rhot up` shares a terminal."""
+    """Suppress viser's output, because `rhot up` shares the terminal."""
     return contextlib.redirect_stdout(io.StringIO())
 
 
@@ -156,12 +156,5 @@ def _check_free(host: str, port: int) -> None:
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
-    except (OSError, UnicodeError) as error:  # UnicodeError: no name can be like this
-        raise DeviceError(f"{_taken(host, port)} ({getattr(error, 'strerror', None) or error})") from error
-
-
-def _taken(host: str, port: int) -> str:
-    return (
-        f"the page cannot be opened on {host} port {port}: another program, perhaps another viewer, has it, or the "
-        "address is not this machine's; choose another with --port or --host"
-    )
+    except (OSError, UnicodeError) as error:  # UnicodeError: not a valid host name
+        raise DeviceError(f"{cannot_listen(host, port)} ({getattr(error, 'strerror', None) or error})") from error

@@ -1,4 +1,4 @@
-"""The first message to the page: the hand that it draws, the desk, colours, where the working page is; pure."""
+"""The first message to the page: hand model, desk, colours, address of the viewer page."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from rhot.anatomy.hand import HandModel
-from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.geometry.transforms import rigid
@@ -18,15 +18,14 @@ from rhot.object_mesh import ObjectMesh, known_mesh
 from rhot.rig import Rig
 from rhot.rig.folder import registration_path
 from rhot_viewer.grasp.text import space_text
+from rhot_viewer.scene.instances import Rgb
 from rhot_viewer.scene.viewpoint import desk_middle, up_direction
 
-Rgb = tuple[int, int, int]
-
 _SPREAD_DEG: Final = {"thumb": 25.0, "index": 15.0, "middle": 2.0, "ring": -12.0, "little": -15.0}
-"""Abduction of the hand in which the skin is made: fingers as far apart as they go, so that it does not grow together
-between them; nearly the limits of `ANGLE_LIMITS_DEG`."""
+"""Abduction of the rest pose in which the skin is created: fingers spread, so that their skin does not merge; close to
+the limits of `ANGLE_LIMITS_DEG`."""
 _UNKNOWN_HEIGHT_M: Final = 0.74
-"""Of a desk whose height nobody has measured: a usual one (DIN EN 527-1 has 740 mm for desks that do not move)."""
+"""Height of a desk that was not measured (DIN EN 527-1: 740 mm for desks of fixed height)."""
 
 
 def hello_text(rig: Rig, colors: Mapping[str, Rgb], other_page: str, may_publish: bool, devices: list[str]) -> str:
@@ -35,9 +34,9 @@ def hello_text(rig: Rig, colors: Mapping[str, Rgb], other_page: str, may_publish
     Args:
         rig: loaded.
         colors: of the markers.
-        other_page: address of the working page; empty without one.
-        may_publish: whether this browser's headset counts.
-        devices: of the headset that `rig.toml` wants published.
+        other_page: address of the viewer page; empty without one.
+        may_publish: whether this browser may publish its headset's poses.
+        devices: objects of the headset that `rig.toml` defines.
     """
     sides: tuple[Side, ...] = ("left", "right")
     T_rig_stage, source = stage_of(rig)
@@ -74,16 +73,16 @@ def hello_text(rig: Rig, colors: Mapping[str, Rgb], other_page: str, may_publish
 
 
 def meshes_of(rig: Rig) -> dict[str, ObjectMesh]:
-    """Return the surfaces of the rig's objects, by their names, as far as their files can be used here."""
+    """Return the usable surfaces of the rig's objects by name."""
     found = {name: known_mesh(rig, name) for name in rig.config.objects}
     return {name: mesh for name, mesh in found.items() if mesh is not None}
 
 
 def stage_of(rig: Rig) -> tuple[FloatArray, str]:
-    """Return T_rig_stage (4, 4), metres, and where it is from.
+    """Return T_rig_stage (4, 4), metres, and its source.
 
-    Without a `stage.json` the floor is guessed: below the desk, forward as the person looks who sits at the pictures'
-    upper edge.
+    Without a `stage.json` the floor is assumed below the desk, and forward is the viewing direction of a person at the
+    upper edge of the images.
     """
     if rig.stage is not None:
         return np.array(rig.stage.T_rig_stage.matrix), rig.stage.source
@@ -99,7 +98,7 @@ def stage_of(rig: Rig) -> tuple[FloatArray, str]:
 def webxr_of(rig: Rig) -> list[float] | None:
     """Return T_rig_webxr, 16 numbers row by row, metres; None while no headset is registered.
 
-    `registration.json` tells where another system's space lies, unless the headset is the only one.
+    `registration.json` is for another system's space, unless the headset is the only source of objects.
     """
     sources = {thing.source for thing in rig.config.objects.values()}
     own = "webxr" in rig.registrations
@@ -110,7 +109,7 @@ def webxr_of(rig: Rig) -> list[float] | None:
 
 
 def rest_hand(rig: Rig, side: Side) -> dict[str, Any]:
-    """Return the hand in which its skin is made: fingers straight and spread, wrist frame."""
+    """Return the rest pose of a hand, fingers straight and spread: joints (26 x 7), wrist frame, and radii, metres."""
     model = HandModel.from_file(rig.hand, side)
     angles = np.zeros((len(FINGERS), 4))
     angles[:, 1] = np.radians([_SPREAD_DEG[finger] for finger in FINGERS])
@@ -125,7 +124,7 @@ def rest_hand(rig: Rig, side: Side) -> dict[str, Any]:
 
 def _paint(rig: Rig, colors: Mapping[str, Rgb], side: Side) -> dict[str, Rgb]:
     """Return the colour of each painted fingertip of a hand."""
-    tips = {JOINTS[JOINTS.index(f"{finger}_tip")]: finger for finger in FINGERS}
+    tips = {f"{finger}_tip": finger for finger in FINGERS}
     return {
         tips[marker.joint]: colors[name]
         for name, marker in rig.config.markers.items()

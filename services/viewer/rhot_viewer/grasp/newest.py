@@ -1,4 +1,4 @@
-"""The newest text of each key, and what each browser has not been sent yet; pure."""
+"""The newest text of each key, and the rate control of each browser; reads no clock."""
 
 from __future__ import annotations
 
@@ -8,41 +8,41 @@ from dataclasses import dataclass, field
 from typing import Final
 
 MOST_KEYS: Final = 64
-"""Of each kind (`hand`, `object`, …): the last part of a key is an outsider's choice, and must neither make the table
-grow nor take another kind's room."""
+"""Largest number of keys of each kind (`hand`, `object`, …): any sender may choose the last part of a key, which must
+neither let the table grow nor displace other kinds."""
 _HAND: Final = "rhot/hand/"
 
 
 class Newest:
-    """Newest wins, per key; `version` counts what has come."""
+    """The newest text of each key; `version` counts the texts stored."""
 
     def __init__(self) -> None:
         self.version = 0
         self._texts: dict[str, dict[str, tuple[int, str, float]]] = {}
 
     def put(self, key: str, text: str, bus_ms: float = math.nan) -> None:
-        """Keep a text in place of the key's last one.
+        """Store a text in place of the key's last one.
 
         Args:
             key: on the bus.
             text: JSON.
-            bus_ms: when the bus handed it over, rig clock; NaN where nobody waits for it.
+            bus_ms: time of arrival from the bus, rig clock, milliseconds; NaN if its latency is not measured.
         """
         self.version += 1
         texts = self._texts.setdefault(key.split("/", 2)[1], {})
-        # Taken out first, so that the first is the one that has been silent longest.
+        # Removed and added again, so that the dict is ordered by arrival, oldest first.
         if texts.pop(key, None) is None and len(texts) >= MOST_KEYS:
             del texts[next(iter(texts))]
         texts[key] = (self.version, text, bus_ms)
 
     def since(self, version: int, without: tuple[str, ...] = ()) -> str:
-        """Return a frame of what has changed since a version, JSON; empty when nothing has.
+        """Return a frame, JSON, with the texts stored after a version; empty if there are none.
 
-        Its `bus` is when the bus handed over the hand in it, the older one of two; without a hand, the newest of all.
+        Its `bus` is the arrival time of the older hand in it; without a hand, the newest arrival time.
 
         Args:
-            version: what a browser has been sent last.
-            without: keys that it does not want.
+            version: last version that a browser was sent.
+            without: keys to omit.
         """
         changed = {
             key: (text, bus_ms)
@@ -62,16 +62,16 @@ class Newest:
 
 @dataclass(slots=True)
 class Pace:
-    """When one browser is sent the next frame: no faster than it wishes, and not before it has taken the last ones.
+    """Rate control of one browser, by its requested rate and its acknowledgements.
 
-    A browser says when it has taken a frame. Without that, frames would pile up in the network's buffers, and a slow
-    browser would see the past.
+    A browser acknowledges each frame. Otherwise frames would accumulate in network buffers, and a slow browser would
+    show old poses.
 
     Attributes:
         rate_hz: most frames per second.
-        ahead: most frames that are under way: two are one that is drawn and one on its way, as over Wi-Fi a round trip
-            takes some milliseconds; a browser that asks for each by itself wants one.
-        version: of what it has been sent.
+        ahead: most unacknowledged frames: with two, one is drawn while the next is in transit, which takes some
+            milliseconds over Wi-Fi; a browser that requests each frame uses one.
+        version: last version sent.
     """
 
     rate_hz: float = 90.0
@@ -81,16 +81,16 @@ class Pace:
     _due_s: float = field(default=0.0, init=False)
 
     def wait_s(self, now_s: float) -> float | None:
-        """Return how long until the next frame may go; None when the browser has to take one first."""
+        """Return the time until the next frame may be sent, seconds; None while an acknowledgement is awaited."""
         return None if self._under_way >= self.ahead else max(0.0, self._due_s - now_s)
 
     def sent(self, now_s: float, version: int) -> None:
-        """A frame has gone."""
+        """Note that a frame was sent."""
         self.version = version
         self._under_way += 1
-        # A quarter of a period early is early enough: poses do not come in exact steps.
+        # May be sent a quarter of a period early, because poses do not arrive at exact intervals.
         self._due_s = max(self._due_s + 1.0 / self.rate_hz, now_s + 0.75 / self.rate_hz)
 
     def taken(self) -> None:
-        """The browser has taken one."""
+        """Note that the browser has acknowledged a frame."""
         self._under_way = max(0, self._under_way - 1)

@@ -1,4 +1,4 @@
-"""The server of the page *Grasp*: its files, and one WebSocket a browser, on which the newest wins."""
+"""The server of the page *Grasp*: its files, and one WebSocket per browser that sends the newest samples."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rhot.errors import ConfigError, DeviceError, WireError
 from rhot.keys.folder import certificate_file, key_file
 from rhot.keys.roles import ROUTER
 from rhot.rig import BusConfig
-from rhot_viewer.browser.access import Role
+from rhot_viewer.browser.access import Role, cannot_listen, is_websocket
 from rhot_viewer.browser.guard import Guard
 from rhot_viewer.grasp import files
 from rhot_viewer.grasp.newest import Newest, Pace
@@ -37,14 +37,14 @@ _TRUTH: Final = "rhot/truth"
 
 
 class Browser:
-    """One browser.
+    """One connected browser.
 
     Attributes:
-        role: what it may do.
-        pace: of what it is sent.
-        wished_hz: most frames per second that it asked for.
-        wants_truth: whether it shows the truth.
-        shown: what it drew last; None until it has said so.
+        role: its access rights.
+        pace: rate control of the frames sent to it.
+        wished_hz: most frames per second that it requested.
+        wants_truth: whether it shows the ground truth.
+        shown: its latest drawing figures; None before the first.
     """
 
     def __init__(self, connection: ServerConnection, role: Role) -> None:
@@ -57,7 +57,7 @@ class Browser:
         self._something = asyncio.Event()
 
     def wake(self) -> None:
-        """Something is new, or the last frame was taken."""
+        """Wake `feed`: there are new samples, or the browser has received a frame."""
         self._something.set()
 
     async def send(self, text: str) -> None:
@@ -65,7 +65,7 @@ class Browser:
         await self._connection.send(text, text=True)
 
     async def feed(self, newest: Newest) -> None:
-        """Send what is new until cancelled or gone."""
+        """Send new samples until cancelled or disconnected."""
         loop = asyncio.get_running_loop()
         while True:
             await self._something.wait()
@@ -84,9 +84,9 @@ class GraspServer:
     """Serves the page to any number of browsers.
 
     Attributes:
-        browsers: who looks.
-        rate_hz: most frames per second for each.
-        audience_changed: set whenever a browser comes, goes, or wishes for something else.
+        browsers: connected browsers.
+        rate_hz: most frames per second for each browser.
+        audience_changed: set whenever a browser connects, disconnects or changes its preferences.
     """
 
     def __init__(
@@ -99,16 +99,16 @@ class GraspServer:
         gone: Callable[[Browser], None],
         meshes: Callable[[str], bytes | None],
     ) -> None:
-        """Prepare.
+        """Create the server; `open` starts it.
 
         Args:
-            guard: before it.
-            newest: what is sent.
-            hello: the first message to whoever may do so much.
-            now_ms: rig clock; NaN while it is not known.
-            heard: called with what a browser tells beyond what concerns its own frames.
-            gone: called when a browser has left.
-            meshes: the surface of an object, glTF, by its name.
+            guard: access control.
+            newest: the samples to send.
+            hello: returns the first message for a role.
+            now_ms: returns the rig time, milliseconds; NaN while unknown.
+            heard: called with messages of a browser that do not concern its own frames.
+            gone: called when a browser has disconnected.
+            meshes: returns an object's surface, glTF, by the object's name.
         """
         self.browsers: set[Browser] = set()
         self.rate_hz = 120.0
@@ -123,10 +123,10 @@ class GraspServer:
         self._server: Server | None = None
 
     async def open(self, host: str, port: int, tls: ssl.SSLContext | None) -> int:
-        """Listen, and return the port.
+        """Start listening, and return the port.
 
         Raises:
-            DeviceError: the port or the address cannot be had.
+            DeviceError: the port is in use, or the address is not this machine's.
         """
         logging.getLogger(_SOCKET_LOGGER).setLevel(logging.ERROR)
         try:
@@ -136,43 +136,38 @@ class GraspServer:
                 port,
                 ssl=tls,
                 process_request=self._request,
-                # A handshake that fails after it was let in never comes to `_stay`.
+                # Also removes connections whose handshake fails after the check, which never reach `_stay`.
                 create_connection=self._guard.connection_kind,
-                # Small texts at 90 Hz: packing them costs more time than it saves.
+                # Compressing small texts at 90 Hz costs more time than it saves.
                 compression=None,
                 max_size=MOST_BYTES,
                 close_timeout=0.3,
                 logger=logging.getLogger(_SOCKET_LOGGER),
             )
         except (OSError, UnicodeError) as error:  # UnicodeError: no name can be like this
-            raise DeviceError(
-                f"the page cannot be opened on {host} port {port}: another program, perhaps another viewer, has it, or "
-                f"the address is not this machine's; choose another with --port or --host "
-                f"({getattr(error, 'strerror', None) or error})"
-            ) from error
+            raise DeviceError(f"{cannot_listen(host, port)} ({getattr(error, 'strerror', None) or error})") from error
         return int(next(iter(self._server.sockets)).getsockname()[1])
 
     def wake(self) -> None:
-        """Something is new."""
+        """Wake all browsers' `feed`: there are new samples."""
         for browser in self.browsers:
             browser.wake()
 
     def limit(self, rate_hz: float) -> None:
-        """Send no browser more frames per second than this."""
+        """Limit the frames per second of every browser."""
         self.rate_hz = rate_hz
         for browser in self.browsers:
             browser.pace.rate_hz = min(browser.wished_hz, rate_hz)
 
     async def send_hello(self) -> None:
-        """Send every browser the first message again: the rig has changed."""
+        """Send the first message to every browser again, because the rig has changed."""
         for browser in list(self.browsers):
             with contextlib.suppress(ConnectionClosed):
                 await browser.send(self._hello(browser.role))
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
         def file(_: ServerConnection, asked: Request) -> Response | None:
-            is_websocket = bool(asked.headers.get_all("Upgrade") or asked.headers.get_all("Sec-WebSocket-Key"))
-            return None if is_websocket else files.answer(asked, self._meshes)
+            return None if is_websocket(asked.headers) else files.answer(asked, self._meshes)
 
         return self._guard.check(connection, request, file)
 
@@ -223,7 +218,7 @@ class GraspServer:
             self._heard(browser, message)
 
     async def close(self) -> None:
-        """Say goodbye to all and stop listening."""
+        """Close all connections and stop listening."""
         if self._server is not None:
             self._server.close()
             with contextlib.suppress(TimeoutError):
@@ -235,10 +230,10 @@ def _number(value: float) -> str:
 
 
 def page_tls(bus: BusConfig) -> ssl.SSLContext | None:
-    """Return what the page is served with over HTTPS: the rig's own certificate; None where there is none.
+    """Return the TLS context for HTTPS with the rig's certificate; None if the rig has none.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: the certificate or its key cannot be read.
     """
     folder = Path(bus.keys)
     certificate, key = certificate_file(folder, ROUTER), key_file(folder, ROUTER)

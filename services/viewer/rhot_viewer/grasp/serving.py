@@ -11,7 +11,7 @@ from typing import Final
 from rhot.clock import SystemClock
 from rhot.rig import BusConfig, Rig
 from rhot.service.runner import serve
-from rhot_viewer.browser.access import Access
+from rhot_viewer.browser.access import Access, page_address
 from rhot_viewer.grasp import files
 from rhot_viewer.grasp.service import GraspService
 from rhot_viewer.page_token import links
@@ -20,8 +20,8 @@ from rhot_viewer.process_priority import end_within, lower_priority
 logger = logging.getLogger(__name__)
 
 _NICE: Final = 3
-"""Passing a pose on takes half a millisecond: half of a tracker's share of a busy processor is plenty. With the working
-page's 10 levels it would wait behind everything else where two cores are kept busy."""
+"""Forwarding a pose takes half a millisecond, so half of a tracker's share of a busy processor is enough. With the
+viewer page's 10 levels, it would wait behind all other processes on two busy cores."""
 
 
 async def serve_grasp(
@@ -51,8 +51,7 @@ async def serve_grasp(
     found = await service.server.open(host, port, tls)
     scheme = "http" if tls is None else "https"
     try:
-        shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::", "localhost") else host
-        logger.info("Grasp is at %s://%s:%d", scheme, shown, found)
+        logger.info("Grasp is at %s", page_address(host, found, scheme))
         if not files.is_built():
             logger.warning("the page is not built: run `make web` (needs node and npm)")
         if token_file is not None:
@@ -67,5 +66,5 @@ async def serve_grasp(
                 )
         return await serve(service, bus_config, SystemClock(), on_stop=end_within)
     finally:
-        # Where the bus was never reached, nobody else does.
+        # Needed if the bus was never reached; otherwise the service has closed the server.
         await service.server.close()
