@@ -1,8 +1,7 @@
-"""The core of the feet service: pictures, inertial samples and the head's poses in, poses of the feet out.
+"""The core of the feet service: computes poses of the feet from images, inertial samples and poses of the head.
 
-It reads no clock. `process` does everything with a picture at once. A service that must go on meanwhile calls its three
-parts: `predict` and `update` touch the filters and are quick; `detect` touches the picture alone and may run on a
-thread of its own.
+It reads no clock. `process` does all work of an image at once. A service that must not block calls its three parts:
+`predict` and `update` access the filters and are fast; `detect` accesses only the image and may run on another thread.
 """
 
 from __future__ import annotations
@@ -39,22 +38,22 @@ RIG_FRAME: Final = "rig"
 
 @dataclass(frozen=True, slots=True)
 class FootStageSettings:
-    """When a foot is known, published and searched for; chosen on `rhot evaluate feet` with false and hidden markers.
+    """When a foot is known, published and searched; chosen on `rhot evaluate feet` with false and hidden markers.
 
     Sigmas are roots of the sum of the three variances.
 
     Attributes:
-        known_rotation_rad: an orientation known worse than this was never observed.
-        measured_m: a position known worse than this is not called measured any more.
-        lost_m, lost_moving_m: a foot whose position is known worse is searched for everywhere and not published; the
-            second holds while its sensor works, for then it moved.
-        published_moving_m: the sigma up to which it is published while its sensor works; without one, `measured_m`.
-        sensor_ns: a sensor works for so long after its last sample.
-        contradicted_s: after markers were refused for so long because of the prediction, the prediction is dropped.
-        model_error_m, drift_m_s: by how much a foot carried by its sensor is farther off than its filter states, and
-            how much more per second unseen: tilt and bias are no white noise. The gates leave room for it.
-        model_every: the blob models are updated in one of so many pictures that show a marker.
-        silent_ns: without measurements poses go on as of so long ago.
+        known_rotation_rad: largest sigma of an orientation that counts as observed.
+        measured_m: largest sigma of a position in state `measured`.
+        lost_m, lost_moving_m: a foot with a larger sigma is searched in the whole image and not published; the second
+            applies while its sensor works.
+        published_moving_m: largest sigma at which it is published while its sensor works; without one, `measured_m`.
+        sensor_ns: time after its last sample for which a sensor counts as working.
+        contradicted_s: if markers are rejected by the prediction for this long, the prediction is discarded.
+        model_error_m, drift_m_s: error of the inertial filter beyond its covariance, and its growth per second unseen,
+            because tilt and bias are not white noise; added to the gates.
+        model_every: the blob models are updated in one of this many images that show a marker.
+        silent_ns: without new measurements, poses are published for the present time minus this.
     """
 
     known_rotation_rad: float = math.radians(120.0)

@@ -1,4 +1,4 @@
-"""The headset's last second: where the camera was when a picture was taken."""
+"""The head's poses of the last second, interpolated to the times of images."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from rhot.messages import HeadPose
 
 _KEPT_NS: Final = 1_000_000_000
 _GAP_NS: Final = 100_000_000
-"""Between poses farther apart than this the head may have gone anywhere."""
+"""Longest gap between two poses that is interpolated."""
 _AHEAD_NS: Final = 30_000_000
-"""So far beyond the newest pose the head is taken to go on as it did."""
+"""Longest extrapolation beyond the newest pose."""
 
 
 class HeadTrack:
-    """Keeps measured poses of the head and gives the one of any moment in between."""
+    """Stores measured poses of the head and interpolates between them."""
 
     def __init__(self) -> None:
         self._times: list[int] = []
         self._poses: dict[int, FloatArray] = {}
 
     def add(self, pose: HeadPose) -> None:
-        """Add a pose; a predicted one is left out, because a camera's rotation has to be known to a degree."""
+        """Add a pose; predicted ones are ignored, because the camera's rotation has to be accurate to a degree."""
         if pose.state != "measured" or pose.t_ns in self._poses:
             return
         insort(self._times, pose.t_ns)
@@ -37,11 +37,11 @@ class HeadTrack:
             del self._poses[self._times.pop(0)]
 
     def awaits(self, t_ns: int) -> bool:
-        """Return whether poses come, but none yet that is late enough for a moment."""
+        """Return whether poses are arriving, but not yet up to a time."""
         return bool(self._times) and _AHEAD_NS < t_ns - self._times[-1] < _KEPT_NS
 
     def at(self, t_ns: int) -> FloatArray | None:
-        """Return T_rig_head (4, 4) at a moment; None where no pose is near enough."""
+        """Return T_rig_head (4, 4), metres, at a time; None if no pose is close enough."""
         times = self._times
         if len(times) < 2 or t_ns < times[0] or t_ns - times[-1] > _AHEAD_NS:
             return None

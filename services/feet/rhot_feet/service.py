@@ -38,18 +38,18 @@ logger = logging.getLogger(__name__)
 HEAD_KEY: Final = "rhot/head"
 _RETRY_S: Final = 2.0
 _HEAD_LATE_S: Final = 0.15
-"""So long does a picture wait for the head's pose."""
+"""Longest wait of an image for the head's pose."""
 _HEADLESS_S: Final = 2.0
-"""After so long without one it is said that it is missing."""
+"""Time without a head pose after which it is reported as missing."""
 _CLOCK_SET_NS: Final = 500_000_000
-"""A rig clock that moves by more than this at once was set. What is known of the feet and the head is of other times
-then, and would keep out all that comes; after a smaller step that is over as soon."""
+"""A larger step of the rig clock resets the tracking, because older state would reject all new measurements for as long
+as the step."""
 _PERIOD_S: Final = 0.01
-"""Between two looks at the ankle sensors, and between two poses of a foot."""
+"""Interval of reading the ankle sensors and of publishing poses."""
 
 
 class FeetService:
-    """Publishes `rhot/foot/<side>`; see `rhot.service.Service` for the seam."""
+    """Publishes `rhot/foot/<side>`; implements `rhot.service.Service`."""
 
     name = "feet"
     instance = "main"
@@ -61,12 +61,12 @@ class FeetService:
         open_camera: Callable[[Rig, Callable[[], int]], DepthSource] = open_depth_source,
         sensors: Callable[[Rig, FeetConfig], dict[Side, ImuSource]] = plan_sensors,
     ) -> None:
-        """Prepare for the feet of a rig.
+        """Create the tracking core.
 
         Args:
-            rig: loaded.
-            open_camera: gives the depth camera, not yet open, from the rig and a reader of the rig clock.
-            sensors: gives the inertial sensors by foot, not yet open.
+            rig: the loaded rig.
+            open_camera: returns the depth camera, not yet open, given the rig and a function that returns the rig time.
+            sensors: returns the inertial sensors by foot, not yet open.
 
         Raises:
             ConfigError: the rig has no feet, or they cannot be tracked as it says.
@@ -77,7 +77,7 @@ class FeetService:
         self._config = rig.config.feet
         self._open_camera = open_camera
         self._plan_sensors = sensors
-        # Without hands there is no fusion, whose clock is the rig's otherwise.
+        # A rig without hands has no fusion service, which owns the rig clock otherwise.
         self.owns_clock = not rig.config.cameras
         self._T_head_camera = rig.T_head_camera
         self._stage = FootStage(self._config, self._T_head_camera)
@@ -91,7 +91,7 @@ class FeetService:
         self._preview = FeetPreview()
         self._head_came = asyncio.Event()
         self._head_known_s = 0.0
-        # A picture takes some milliseconds, in which samples must go on.
+        # Detection takes some milliseconds, during which samples must still be processed.
         self._looking = ThreadPoolExecutor(1, thread_name_prefix="look")
 
     @property
@@ -100,11 +100,15 @@ class FeetService:
         return self._config
 
     def reconfigure(self, config: BaseModel) -> None:
-        """Refuse: what the feet wear is set in `rig.toml`."""
+        """Refuse all changes: feet are configured in `rig.toml`.
+
+        Raises:
+            ConfigError: always.
+        """
         raise ConfigError("feet are described in rig.toml; change it there and restart this service")
 
     def attach(self, node: Node) -> None:
-        """Listen to the head, declare what is recorded; a foot's key appears with its first pose."""
+        """Subscribe to the head, declare the recorded inputs; a foot's key is declared with its first pose."""
         self._heads = node.bus.events(HEAD_KEY)
         self._inputs = InputStream(node.bus, self._config.feet)
         node.bus.queryable(f"rhot/preview/{CAMERA}", self._preview.answer, slow=True)
@@ -125,12 +129,12 @@ class FeetService:
 
     def _figures(self) -> tuple[Mapping[str, float], str]:
         grabber_s = 0.0 if self._grabber is None else self._grabber.busy_s
-        # Both only ever grow: their rise over a span of time is the cores taken.
+        # Both are cumulative: their increase per second is the number of cores in use.
         figures = {"processor_s": time.process_time(), "camera_processor_s": grabber_s}
         return figures, "; ".join(self._troubles.values())
 
     async def run(self, node: Node, start: Control) -> None:
-        """Read camera and sensors until cancelled; one that is absent does not hold up the others."""
+        """Read camera and sensors until cancelled; a missing device does not delay the others."""
         if self._heads is None:
             raise RuntimeError("run before attach")
         self._T_head_camera = latest_rig(self._rig).T_head_camera
@@ -150,7 +154,7 @@ class FeetService:
         while True:
             try:
                 await use()
-                # A recording is over: nothing more will come.
+                # The end of a recording.
                 return
             except DeviceError as error:
                 node.status.count("device_errors")
@@ -171,7 +175,7 @@ class FeetService:
             self._head_came.set()
 
     async def _await_head(self, t_ns: int) -> None:
-        """Wait until the head's poses reach a moment, if they come at all."""
+        """Wait for the head's pose at a time, as long as poses are arriving."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_HEAD_LATE_S):
                 while self._stage.awaits_head(t_ns):
@@ -179,7 +183,7 @@ class FeetService:
                     await self._head_came.wait()
 
     def _knows_head(self, *, known: bool) -> None:
-        """Note whether a picture's head pose was known; say so when none is for long."""
+        """Record whether an image's head pose was known; report it when it has been missing for long."""
         now_s = asyncio.get_running_loop().time()
         if known:
             self._head_known_s = now_s
@@ -231,7 +235,7 @@ class FeetService:
         try:
             await device.call("open", partial(source.open, start.start_t_ns), OPEN_LIMIT_S)
             self._sensors[side] = source
-            # It is read where poses are made, so that these are of its newest samples; failures are waited for here.
+            # `_publish` reads the sensor, so that poses use its newest samples; here only failures are awaited.
             failed = self._failures[side] = asyncio.get_running_loop().create_future()
             await failed
         finally:
@@ -285,12 +289,12 @@ class FeetService:
                 node.publish(key, message)
                 if isinstance(message, FootPose):
                     node.status.tick(f"{message.side}_{message.stage}")
-            # Too slow for the rate: what is past is skipped instead of run after.
+            # If processing is slower than the rate, missed cycles are skipped.
             due = max(due + _PERIOD_S, loop.time())
             await asyncio.sleep(due - loop.time())
 
     def _failed(self, node: Node, error: Exception) -> None:
-        """Begin afresh: what the core cannot digest costs its memory, never the service."""
+        """Count an error of the core and reset it, so that the service continues."""
         node.failed(error)
         self._start_over()
 

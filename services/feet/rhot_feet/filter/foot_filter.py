@@ -1,12 +1,12 @@
 """The filter of one foot: marker, depth image and inertial sensor, each measurement at its own time.
 
-Without a sensor, and until its alignment is known (`rhot_feet.imu.alignment.estimator`), the foot is a body that
-accelerates at random (`kinematic`); the sensor then only detects zero velocity. Afterwards the sensor carries the foot,
-and pictures and zero velocity correct it (`inertial`). When a sensor falls silent the kinematic model takes over; when
-it comes back, the marker's orientation aligns it again through the mounting that was estimated before.
+Without a sensor, and until its alignment is known (`rhot_feet.imu.alignment.estimator`), the foot has a random
+acceleration (`kinematic`); the sensor then only detects zero velocity. Afterwards the motion is predicted from the
+sensor, and corrected by images and zero velocity (`inertial`). During a dropout of the sensor the kinematic model is
+used; afterwards the marker's orientation aligns the sensor again through the mounting that was estimated before.
 
-Every observation passes a gate on its innovation. Refused ones are remembered: when several in a row agree with each
-other, the foot is there and the filter was wrong, and it restarts at that position.
+Every observation passes a gate on its innovation. If several consecutive rejected observations agree with each other,
+the filter was wrong, and it restarts at their position.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class FootFilter:
 
     @property
     def aligned(self) -> bool:
-        """Whether the inertial sensor carries the foot."""
+        """Whether the sensor is aligned, so that the foot's motion is predicted from it."""
         return self._inertial_history is not None
 
     def add_imu_samples(self, samples: ImuSamples) -> None:
@@ -115,7 +115,7 @@ class FootFilter:
         )
 
     def state(self, t_ns: int) -> FootState | None:
-        """Return the foot at a moment, usually now; None before it was first observed."""
+        """Return the foot's state at a time, rig clock; None before the first observation."""
         self._handle_dropout(t_ns)
         motion = self._motion(t_ns)
         if motion is None:
@@ -139,7 +139,7 @@ class FootFilter:
         )
 
     def _add_imu_sample(self, t_ns: int, force: FloatArray, rate: FloatArray, R_world: FloatArray) -> bool:
-        """Add a sample; return whether it shows zero velocity, if only as briefly as in a fast walk."""
+        """Add a sample; return whether it shows zero velocity, even as briefly as in a fast walk."""
         interval = self._imu.add(t_ns, force, rate, R_world)
         if interval is None:
             self._stood_ns = None
@@ -172,7 +172,6 @@ class FootFilter:
             return self._refuse(observation)
         self._outliers.clear()
         if rotation_nis > self.settings.gate_nis:
-            self.counts.rotations_gated += 1
             observation = replace(observation, rotation=None)
         if observation.stage == "depth" and self._inertial_history is not None:
             observation = self._decorrelated(observation)
@@ -191,13 +190,13 @@ class FootFilter:
         return 0.0, 0.0
 
     def _decorrelated(self, observation: Observation) -> Observation:
-        """Return a depth observation with its noise raised, for it repeats the error of the one before."""
+        """Return a depth observation with its noise increased, because its error correlates with the previous one's."""
         since_s = 1e-9 * (observation.t_ns - self._observed_ns.get("depth", 0))
         factor = max(1.0, 2.0 * self.settings.depth_correlation_s / max(since_s, 1e-3))
         return replace(observation, covariance=factor * observation.covariance)
 
     def _accept(self, observation: Observation) -> None:
-        """Note an accepted observation; while the sensor is not aligned, let it say something about the alignment."""
+        """Record an accepted observation; while the sensor is not aligned, use it for the alignment."""
         self.counts.accepted += 1
         self._stood_ns = observation.t_ns
         self._observed_ns[observation.stage] = max(observation.t_ns, self._observed_ns.get(observation.stage, 0))
@@ -217,7 +216,7 @@ class FootFilter:
         self._try_alignment(observation)
 
     def _refuse(self, observation: Observation) -> bool:
-        """Remember an outlier; restart, and return True, when enough of them agree."""
+        """Record an outlier; if enough of them agree, restart and return True."""
         settings = self.settings
         self.counts.gated += 1
         if not self._outliers.add(observation):
@@ -235,7 +234,7 @@ class FootFilter:
             )
         else:
             if self._inertial_history is not None:
-                # The sensor led astray again and again: its alignment is wrong.
+                # After repeated restarts, the sensor's alignment is assumed to be wrong.
                 self._alignment.reset()
                 self._previous_alignment = None
             self._start(observation)
@@ -261,7 +260,7 @@ class FootFilter:
         return history
 
     def _try_alignment(self, observation: Observation) -> None:
-        """Let the sensor carry the foot as soon as its alignment is known."""
+        """Start the inertial model as soon as the sensor's alignment is known."""
         in_sight = observation.stage == "marker"
         alignment = self._alignment.solve(at_once=not in_sight) or self._realigned(observation)
         interval = self._imu.at(observation.t_ns)
@@ -276,7 +275,7 @@ class FootFilter:
         self._inertial_history, self._kinematic_history = self._replayed(history), None
 
     def _realigned(self, observation: Observation) -> Alignment | None:
-        """Return the alignment of a sensor that was away, with the yaw that the marker's orientation gives it now."""
+        """Return the former alignment of a reconnected sensor, with the yaw from the marker's orientation."""
         known, interval = self._previous_alignment, self._imu.at(observation.t_ns)
         if known is None or not known.mounting_known or observation.rotation is None or interval is None:
             return None
@@ -285,7 +284,7 @@ class FootFilter:
         return replace(known, yaw_rad=yaw, yaw_sigma_rad=self.settings.return_yaw_rad)
 
     def _handle_dropout(self, t_ns: int) -> None:
-        """Go on without the sensor when it has been silent for too long at a moment."""
+        """Switch to the kinematic model if the sensor's dropout is too long at this time."""
         history = self._inertial_history
         if history is None or not self._imu.is_silent(t_ns):
             return
@@ -306,7 +305,7 @@ class FootFilter:
         return None
 
     def _seen_motion(self, history: StateHistory[KinematicState], t_ns: int) -> FootMotion:
-        """Return the foot at a moment by what was seen of it alone."""
+        """Return the foot's motion at a time from image observations alone."""
         return self._kinematic.motion(history.at(t_ns), _NO_RATE)
 
     def _stage(self, t_ns: int, *, stands: bool) -> Stage:
@@ -314,5 +313,5 @@ class FootFilter:
             return "marker"
         if t_ns - self._observed_ns.get("depth", 0) <= self.settings.fresh_ns:
             return "depth"
-        # A sensor that is not aligned yet still detects that the foot stands where it was seen.
+        # A sensor that is not aligned yet still detects that the foot stands.
         return "inertial" if self._inertial_history is not None or stands else "lost"

@@ -1,4 +1,4 @@
-"""What a filter of one foot takes in and gives out, and the seam between its kinds and the history they run in."""
+"""Inputs and outputs of the filters of one foot, and the interface between filter models and their history."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class FootFilterSettings:
         horizon_ns: how late a measurement may be.
         gate_nis: squared normalised innovation (NIS, 3 degrees of freedom) up to which an observation is accepted: 5
             standard deviations.
-        agreeing: so many refused observations in a row that agree restart the filter.
-        fresh_ns: so long after an observation its stage holds.
-        position_floor_m, rotation_floor_rad: added to every observation's noise, per axis: no picture is better.
-        marker_rotation_rad: noise of a marker's orientation, per axis, where the caller states none.
-        depth_correlation_s: time in which the errors of depth positions are alike: a shoe shows the same side.
-        moving_yaw_rad: a foot that swings in sight does better without a sensor whose yaw is known worse than this.
-        return_yaw_rad: yaw error of a sensor that comes back, taken from one orientation of the marker.
-        restarts, restarts_ns: so many restarts within so long discard the alignment.
+        agreeing: number of consecutive rejected observations that agree with each other and restart the filter.
+        fresh_ns: time after an observation for which its stage is reported.
+        position_floor_m, rotation_floor_rad: added to every observation's noise, per axis.
+        marker_rotation_rad: noise of a marker's orientation, per axis, if the caller gives none.
+        depth_correlation_s: correlation time of the errors of depth positions.
+        moving_yaw_rad: a sensor with a larger yaw uncertainty is not used for a foot that swings in sight.
+        return_yaw_rad: yaw error of a reconnected sensor, taken from one orientation of the marker.
+        restarts, restarts_ns: number of restarts within this time that discards the alignment.
     """
 
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
@@ -59,20 +59,20 @@ class FootFilterSettings:
 
 @dataclass(frozen=True, slots=True)
 class FootState:
-    """Where a foot is at one moment.
+    """The state of a foot at one time.
 
     Attributes:
-        t_ns: the moment, rig clock.
+        t_ns: the time, rig clock.
         position: (3,) of the foot's origin, metres, rig frame.
         velocity: (3,) m/s, rig frame.
         orientation_xyzw: (4,) foot to rig.
         covariance: (3, 3) of the position, m².
         orientation_covariance: (3, 3) of the orientation's error as a rotation vector in the rig frame, rad².
-        stage: the best evidence of the last moment.
-        stationary: the foot stands.
-        measured_ns: when it was last seen, or until when it has stood since.
-        set_off_m: how far it may have set off since, one sigma over all axes; nothing where a sensor would tell.
-        followed: a sensor has followed it since, aligned or not.
+        stage: best recent measurement.
+        stationary: whether the foot stands.
+        measured_ns: when it was last seen, or until when it has stood since, rig clock.
+        set_off_m: standard deviation of its motion since, if it has started to move, over all axes; 0 with a sensor.
+        followed: whether a sensor, aligned or not, has measured its motion since.
     """
 
     t_ns: int
@@ -89,13 +89,13 @@ class FootState:
 
     @property
     def sigma_m(self) -> float:
-        """Root of the sum of the three variances of the position, metres, and what it may have set off."""
+        """Root of the sum of the three variances of the position and of `set_off_m` squared, metres."""
         return math.sqrt(max(float(np.trace(self.covariance)), 0.0) + self.set_off_m**2)
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """A position of the foot's origin out of a picture.
+    """An observation of the foot's origin in one image.
 
     Attributes:
         t_ns: middle of the exposure, rig clock.
@@ -116,7 +116,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class FootMotion:
-    """A foot at one moment, whatever the filter.
+    """The motion of a foot at one time, for all filter models.
 
     Attributes:
         position: (3,) of the foot's origin, metres, rig frame.
@@ -139,19 +139,17 @@ class FootMotion:
 
 @dataclass(slots=True)
 class FilterCounts:
-    """What happened to the measurements.
+    """Counts of observations.
 
     Attributes:
         accepted: observations that updated the filter.
-        gated: refused by the outlier gate.
-        rotations_gated: accepted without their orientation.
+        gated: rejected by the outlier gate.
         late: older than the horizon.
-        restarts: times the filter restarted at an observed position.
+        restarts: restarts of the filter at an observed position.
     """
 
     accepted: int = 0
     gated: int = 0
-    rotations_gated: int = 0
     late: int = 0
     restarts: int = 0
 

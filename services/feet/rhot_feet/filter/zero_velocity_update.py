@@ -1,9 +1,9 @@
 """The zero-velocity update (ZUPT) of a foot: while its sensor stands, its velocity is measured to be zero.
 
-The detector (`rhot_feet.imu.zero_velocity_detector`) says with each sample whether the sensor stands and how surely;
-here a filter of any kind is corrected by it. A foot that rolls from heel to toes in the middle of a step does not
-stand, but it turns about where it touches the floor, which tells its velocity as well. After a longer stand the angular
-rate is known to be the gyroscope's bias (zero-angular-rate update).
+For each sample, the detector (`rhot_feet.imu.zero_velocity_detector`) reports whether the sensor stands, and the
+standard deviation of its velocity; this module updates a filter with it. A foot that rolls from heel to toes does not
+stand, but it rotates about its contact with the floor, which also determines its velocity. After a longer stand the
+measured angular rate is the gyroscope's bias (zero-angular-rate update).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final, TypeVar
 
 from rhot.arrays import FloatArray
 from rhot_feet.filter.model import FootModel
-from rhot_feet.imu.zero_velocity_detector import ZeroVelocity
+from rhot_feet.imu.zero_velocity_detector import SAMPLE_S, ZeroVelocity
 
 State = TypeVar("State")
 
@@ -23,13 +23,13 @@ class ZeroVelocityUpdateSettings:
     """How zero velocity enters the filter; values chosen on the dev trials of PyShoe (`rhot evaluate steps`).
 
     Attributes:
-        sample_s: spacing of the samples that `ZeroVelocity.speed_sigma` is meant for, seconds.
+        sample_s: sample interval to which `ZeroVelocity.speed_sigma` refers, seconds.
         gate_nis: squared normalised innovation (3 degrees of freedom) above which an update is refused while the foot
             is seen. A foot that is not seen is always updated: then the filter is wrong, not the detector.
-        seen_ns: so long after an observation a foot counts as seen.
+        seen_ns: time after an observation for which a foot counts as seen.
     """
 
-    sample_s: float = 0.005
+    sample_s: float = SAMPLE_S
     gate_nis: float = 25.0
     seen_ns: int = 300_000_000
 
@@ -46,15 +46,15 @@ def zero_velocity_update(
     *,
     gated: bool,
 ) -> State:
-    """Return the state after what a sample says about standing still; as it is while the sensor moves.
+    """Return the state after the zero-velocity update of a sample; unchanged while the sensor moves.
 
     Args:
         model: the filter.
         state: before the update.
-        measured: by the detector.
+        measured: result of the detector.
         angular_rate: (3,) rad/s, sensor frame.
-        duration_s: since the sample before: samples that follow each other faster say less each.
-        gated: refuse the update where it contradicts the filter.
+        duration_s: time since the previous sample, seconds; the weight of a sample is proportional to it.
+        gated: whether to reject an update that contradicts the filter.
     """
     if measured.speed_sigma is None:
         return state

@@ -28,20 +28,21 @@ RATE_NOISE: Final = float(np.radians(0.1))
 """σ_ω, rad/s: the scale of the angular rates in the test."""
 
 
-_SAMPLE_S: Final = 0.005
-"""Spacing of the samples that `ZeroVelocity.speed_sigma` is meant for."""
+SAMPLE_S: Final = 0.005
+"""Sample interval to which `ZeroVelocity.speed_sigma` refers, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class ZeroVelocity:
-    """What a sample says about standing still.
+    """Result of the detector for one sample.
 
     Attributes:
         still: the sensor stands.
         speed_sigma: standard deviation of the sensor's velocity about zero, m/s, for one sample of 5 ms; None while it
             moves.
-        rate: (3,) rad/s, mean over the window, when the sensor has stood so long and evenly that this may be its bias.
-        rolls_m: the sensor does not stand: its foot rolls, about a point so far below it, so that it moves at ω x r.
+        rate: (3,) rad/s, mean over the window, once the sensor has stood long and evenly enough for it to be the bias.
+        rolls_m: distance from the sensor down to the point about which the foot rolls, so that it moves at ω x r; 0
+            while it stands.
     """
 
     still: bool
@@ -111,7 +112,7 @@ class ZeroVelocityDetector:
         self._even_s = self._beyond_s = self._still_s = 0.0
 
     def reset(self) -> None:
-        """Forget the samples: there was a gap."""
+        """Discard the samples, after a gap."""
         self._window.clear()
         self._mean = self._even_s = self._beyond_s = self._still_s = 0.0
 
@@ -122,7 +123,7 @@ class ZeroVelocityDetector:
         angular_rate: FloatArray,
         acceleration: FloatArray | None = None,
     ) -> ZeroVelocity:
-        """Add the next sample and return what it says about standing still.
+        """Add the next sample and return whether the sensor stands.
 
         Args:
             duration_s: since the sample before.
@@ -144,10 +145,10 @@ class ZeroVelocityDetector:
         if len(window) < 3 or statistic > threshold:
             self._still_s = 0.0
             return MOVING
-        # Above the lowest threshold the velocity is corrected, softly, though nobody would call that standing.
+        # Above the lowest threshold the velocity is still corrected, with a larger sigma, but not counted as standing.
         stands = statistic <= settings.lowest and accelerates == 0.0
         self._still_s = self._still_s + duration_s if stands else 0.0
-        rolls = settings.lever_m * RATE_NOISE * math.sqrt(statistic * settings.alike_s / _SAMPLE_S)
+        rolls = settings.lever_m * RATE_NOISE * math.sqrt(statistic * settings.alike_s / SAMPLE_S)
         sigma = math.hypot(settings.speed_sigma, rolls) + settings.noticed_s * accelerates
         even = self._still_s >= settings.bias_s and unevenness < self._settings.even_rad_s
         rolls_m = settings.lever_m if statistic > settings.lowest else 0.0

@@ -1,6 +1,6 @@
-"""What a detected marker has to pass before it is believed.
+"""Gates that a detected marker has to pass before it is used.
 
-A misread square moves a foot by metres; a marker that is not believed costs one sixtieth of a second.
+A misread square moves a foot by metres; rejecting a marker only loses one frame.
 """
 
 from __future__ import annotations
@@ -27,18 +27,19 @@ Refusal = Literal["border", "shape", "size", "depth", "tilt", "floor", "other", 
 
 @dataclass(frozen=True, slots=True)
 class MarkerGateSettings:
-    """What a marker has to pass; chosen on `rhot evaluate feet`, tasks with false markers.
+    """Limits of the gates; chosen on `rhot evaluate feet`, tasks with false markers.
 
     Attributes:
-        border_px: corners closer to the picture's edge are refined on pixels that are not there. most_reprojection: of
-        the corners, as a share of the side: a square bent so far is none. most_aspect: longest side over shortest.
-        depth_share, depth_sigmas: how far the depth image and the marker's size may disagree, as a share of the
-        distance
-            and beside the noise: a printout at 97 % does as much.
-        least_height_m: an instep stands higher over the floor; paper that lies on it does not.
-        other_foot_m: two feet's markers cannot be closer: what sits on the other foot is misread or stuck there.
-        most_rotation_rad, rotation_sigmas: a marker rotated against its foot by both of these is not on it.
-        most_tilt_rad: of its normal from up.
+        border_px: smallest distance of a corner from the image border; closer ones cannot be refined.
+        most_reprojection: largest reprojection error of the corners, as a share of the side.
+        most_aspect: largest ratio of the longest to the shortest side.
+        depth_share, depth_sigmas: largest difference between the depth image and the distance from the marker's size,
+            as a share of the distance plus a number of standard deviations; a printout at 97 % differs by as much.
+        least_height_m: smallest height above the floor; excludes printed markers that lie on the floor.
+        other_foot_m: smallest distance from the other foot's marker; a closer one is misread, or is on the other foot.
+        most_rotation_rad, rotation_sigmas: a marker is rejected if its orientation differs from the foot's by more than
+            both of these.
+        most_tilt_rad: largest angle between its normal and up.
     """
 
     border_px: float = 3.0
@@ -57,7 +58,7 @@ SETTINGS: Final = MarkerGateSettings()
 
 
 def refuse_detection(detection: MarkerDetection, camera: CameraModel) -> Refusal | None:
-    """Return why corners are not worth a pose, None when they are."""
+    """Return why a detection is rejected by its corners alone; None if it is not."""
     corners = detection.corners
     highest = np.array([camera.width, camera.height]) - 1.0 - SETTINGS.border_px
     if (corners < SETTINGS.border_px).any() or (corners > highest).any():
@@ -78,19 +79,19 @@ def refuse_pose(
     other: FootPrediction | None,
     prior: OrientationPrior | None,
 ) -> Refusal | None:
-    """Return why a marker is not believed, None when it is.
+    """Return why a marker is rejected; None if it is accepted.
 
     Args:
         pose: the chosen pose.
-        view: what the corners alone suggest, for comparison with the depth.
-        detection: what it was made from.
-        plane: of the depths inside the marker, if there are any.
-        depth_range_m: nearest and farthest believable marker.
-        up_camera: (3,) unit vector against gravity, camera frame, where it is known.
-        floor: the floor, where it is known.
-        expected: the filter's prediction, where there is one.
-        other: the same of the other foot.
-        prior: the predicted orientation, where it is known.
+        view: the poses from the corners alone, for comparison with the depth.
+        detection: the detected marker.
+        plane: fitted to the depths inside the marker, if there are any.
+        depth_range_m: smallest and largest plausible distance.
+        up_camera: (3,) unit vector against gravity, camera frame, if known.
+        floor: the floor, if known.
+        expected: the filter's prediction, if there is one.
+        other: prediction of the other foot, if there is one.
+        prior: the predicted orientation, if known.
     """
     position = pose.t_camera_marker
     wrong: dict[Refusal, bool] = {
@@ -114,7 +115,7 @@ def _is_rotated(pose: MarkerPose, prior: OrientationPrior) -> bool:
 
 
 def _is_nearer(position: FloatArray, other: FootPrediction, own: FootPrediction | None) -> bool:
-    """Return whether a position is that of the other foot, and rather its than one's own."""
+    """Return whether a position (3,) coincides with the other foot, and is closer to it than to the own foot."""
     to_other = float(np.linalg.norm(position - other.position))
     return to_other < SETTINGS.other_foot_m and (
         own is None or to_other < float(np.linalg.norm(position - own.position))
