@@ -1,4 +1,4 @@
-"""The viewer service: messages of the running rig in, a web page out."""
+"""The viewer service: shows the running rig as a web page."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ class ViewerConfig(FileModel):
     """What `rhot/config/viewer/<instance>` shows.
 
     Attributes:
-        rate_hz: how often moving things are sent to the browsers, at most.
-        picture_rate_hz: how often each camera is asked for its picture while somebody looks.
+        rate_hz: highest rate at which moving things are sent to the browsers.
+        picture_rate_hz: rate at which each camera's image is queried while a browser is connected.
     """
 
     rate_hz: Annotated[float, Field(ge=1.0, le=120.0)] = 60.0
@@ -65,10 +65,10 @@ class ViewerConfig(FileModel):
 
 
 class ViewerService:
-    """Shows a rig; see `rhot.service.Service` for the seam.
+    """Shows a rig; implements `rhot.service.Service`.
 
-    The page shows whatever is there, also before the rig is started and after it has stopped: `show` runs beside the
-    sessions, `run` only marks them.
+    The page also works before the rig is started and after it has stopped: `show` runs independently of sessions, and
+    `run` only marks them.
     """
 
     name = "viewer"
@@ -133,13 +133,17 @@ class ViewerService:
         return self._config
 
     def reconfigure(self, config: BaseModel) -> None:
-        """Take other rates."""
+        """Change the rates.
+
+        Raises:
+            ConfigError: not a ViewerConfig.
+        """
         if not isinstance(config, ViewerConfig):
             raise ConfigError(f"{type(config).__name__} is not a ViewerConfig")
         self._config = config
 
     def attach(self, node: Node) -> None:
-        """Take the bus."""
+        """Connect the page to the bus."""
         node.status.watch(self._figures)
         self._node.set_result(node)
 
@@ -148,13 +152,13 @@ class ViewerService:
         return {"browsers": float(self._page.browsers), **refused}, ""
 
     async def run(self, node: Node, start: Control) -> None:
-        """Begin new trails and show the rig as its folder holds it now; the page goes on by itself."""
+        """Clear the trails and reload the rig folder at the start of a session."""
         self._rig = latest_rig(self._rig)
         self._scene.new_session(self._rig, marker_colors(self._rig))
         await asyncio.Event().wait()
 
     async def show(self) -> None:
-        """Feed the page until cancelled."""
+        """Update the page until cancelled."""
         node = await self._node
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._inbox.run(node, self._page))
@@ -178,7 +182,7 @@ class ViewerService:
             self._scene.frame()
             node.status.tick("output")
             node.status.latency("compute", time.perf_counter() - begun)
-            # Too slow for the rate: what is past is skipped instead of run after.
+            # If drawing is slower than the rate, missed frames are skipped.
             due = max(due + 1.0 / self._config.rate_hz, loop.time())
             await asyncio.sleep(due - loop.time())
 
@@ -190,7 +194,7 @@ class ViewerService:
             await asyncio.sleep(_PANEL_INTERVAL_S)
 
     async def _keep_history(self) -> None:
-        """Keep the figures also while nobody looks, so that the charts are full when somebody comes."""
+        """Record the figures also without a browser, so that the charts are complete when one connects."""
         while True:
             statuses = self._inbox.all_newest("rhot/status/", ServiceStatus, STATUS_AGE_S)
             self._problems.add(time.strftime("%H:%M:%S"), statuses)
@@ -198,9 +202,9 @@ class ViewerService:
             await asyncio.sleep(_HISTORY_INTERVAL_S)
 
     def _errors_mm(self) -> dict[str, float]:
-        """Return how far fingertips are from the truth (simulation), and how well markers fit the hand.
+        """Return the fingertips' errors (simulation) and the markers' residuals, median, millimetres.
 
-        Hands are decoded only while somebody looks.
+        Empty without a browser, because hands are decoded only while one is connected.
         """
         if not self._page.browsers:
             return {}

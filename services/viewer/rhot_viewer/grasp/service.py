@@ -1,4 +1,4 @@
-"""The page *Grasp* on the bus: poses of the running rig to browsers, a headset's own poses to the rig."""
+"""The service of the page *Grasp*: sends the rig's poses to browsers, and publishes a headset's poses."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ _HAND: Final = "rhot/hand/"
 _TRUTH: Final = "rhot/truth"
 _SPACES: Final = "rhot/space/*"
 _LEAD_S: Final = 0.1
-"""So long after a hand, only hands make a frame go: what else is new goes with them."""
+"""Time after a hand in which only hands trigger a frame; other new samples are sent with them."""
 _LOOK_S: Final = 0.5
-"""How often the rig folder is looked at."""
+"""Interval at which the rig folder is checked for changes."""
 _REPEAT_S: Final = 1.0
 _FILES: Final = (RIG_FILE, HAND_FILE, STAGE_FILE, REGISTRATION_FILE, registration_name(WEBXR))
 
@@ -74,7 +74,7 @@ class GraspConfig(FileModel):
 
 
 class GraspService:
-    """Serves the page; see `rhot.service.Service` for the seam. It goes on with and without a session."""
+    """Serves the page, with and without a session; implements `rhot.service.Service`."""
 
     name = "viewer"
     instance = "grasp"
@@ -107,14 +107,18 @@ class GraspService:
         return self._config
 
     def reconfigure(self, config: BaseModel) -> None:
-        """Take another rate."""
+        """Change the rate.
+
+        Raises:
+            ConfigError: not a GraspConfig.
+        """
         if not isinstance(config, GraspConfig):
             raise ConfigError(f"{type(config).__name__} is not a GraspConfig")
         self._config = config
         self.server.limit(config.rate_hz)
 
     def attach(self, node: Node) -> None:
-        """Take the bus."""
+        """Start the work that runs with and without a session."""
         self._node = node
         node.status.watch(self._figures)
         node.beside(lambda: self._follow_as_wanted(node))
@@ -139,11 +143,11 @@ class GraspService:
         return figures, problem
 
     async def run(self, node: Node, start: Control) -> None:
-        """Nothing begins or ends with a session."""
+        """Wait until cancelled: a session changes nothing."""
         await asyncio.Event().wait()
 
     async def _follow_as_wanted(self, node: Node) -> None:
-        """Subscribe to what browsers want while they want it: unread poses cost 5 % of a core here."""
+        """Subscribe to the keys that browsers show, while they show them: unread poses take 5 % of a core."""
         followed: dict[str, LatestSubscriber] = {}
         async with asyncio.TaskGroup() as tasks:
             while True:
@@ -188,14 +192,14 @@ class GraspService:
         self.server.wake()
 
     async def _close_server_before_bus(self) -> None:
-        """Close the server when the process ends: a headset that is still connected would publish on a closed bus."""
+        """Close the server before the bus, because a connected headset would publish on a closed bus."""
         try:
             await asyncio.Event().wait()
         finally:
             await self.server.close()
 
     async def _ask_for_spaces(self, node: Node) -> None:
-        """Ask for the floor, which may have been published before this process was there."""
+        """Query the spaces, which may have been published before this process started."""
         with contextlib.suppress(BusError):
             for reply in await node.bus.get(_SPACES, timeout_s=_REPEAT_S):
                 if not reply.error:
@@ -203,7 +207,7 @@ class GraspService:
                         self._take(reply.key, decode(reply.payload, Space))
 
     async def _follow_folder(self) -> None:
-        """Use the rig folder as it is now: a new hand, floor or registration shows at once."""
+        """Reload the rig folder when it changes, so that a new hand, floor or registration is shown at once."""
         stamps = None
         while True:
             now = tuple(file_stamp(self._rig.path / name) for name in _FILES)

@@ -18,12 +18,12 @@ _KEEP_S: Final = 3.0
 
 @dataclass(frozen=True, slots=True)
 class CameraState:
-    """What is known of one camera's settings.
+    """The known settings of one camera.
 
     Attributes:
-        settings: fields of `CameraSettings`; empty until the camera has answered.
-        refusal: why the last change was refused; empty when it was not.
-        version: counts the answers.
+        settings: fields of `CameraSettings`; empty before the first answer.
+        refusal: why the last change was refused; empty otherwise.
+        version: number of answers.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -32,7 +32,7 @@ class CameraState:
 
 
 class CaptureSettings:
-    """Settings of all cameras; changes that come faster than a camera answers are put together."""
+    """Settings of all cameras; changes are merged until the camera answers."""
 
     def __init__(self, cameras: Iterable[str]) -> None:
         self.cameras = {name: CameraState() for name in cameras}

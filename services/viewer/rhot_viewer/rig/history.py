@@ -14,11 +14,11 @@ from rhot.messages import ServiceStatus
 
 SECONDS: Final = 120
 _LOST: Final = ("dropped_late", "missed", "invalid", "overwritten", "failed")
-"""Counts of what did not get through: late, lost by the source, refused, replaced unread, not digested."""
+"""Counts of lost samples: late, lost by the source, invalid, overwritten unread, failed in processing."""
 MOST_ROWS: Final = 64
-"""Of one chart. Names are an outsider's choice; a row whose service has gone makes room after `SECONDS`."""
+"""Rows of one chart; any sender may choose names. The row of a stopped service is removed after `SECONDS`."""
 OWN_FIGURES: Final = "viewer"
-"""The viewer's rows are left out of the charts: it looks, it does not track."""
+"""Service that the charts omit, because it does not track."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Chart:
 
     Attributes:
         x_s: (n,) seconds before now, negative.
-        rows: name to (n,) values; 0 = nothing was heard.
+        rows: (n,) values by name; 0 without a status.
     """
 
     x_s: FloatArray
@@ -35,22 +35,22 @@ class Chart:
 
 
 def rate_hz(status: ServiceStatus) -> float:
-    """Return how many messages a service puts out per second."""
+    """Return the messages per second that a service publishes; NaN if unknown."""
     return status.rates.get("output", status.rates.get("frames", float("nan")))
 
 
 def latency_ms(status: ServiceStatus, percentile: str = "p99") -> float:
-    """Return how old a service's output is when it leaves, milliseconds."""
+    """Return a percentile of the age of a service's output when it is published, milliseconds; NaN if unknown."""
     return 1e3 * status.latency_s.get("output_age", {}).get(percentile, float("nan"))
 
 
 def lost(status: ServiceStatus) -> int:
-    """Return how many samples have not got through a service since it started."""
+    """Return the number of samples lost in a service since it started."""
     return sum(status.counts.get(name, 0) for name in _LOST)
 
 
 class History:
-    """Figures once a second, for as long as the charts reach back."""
+    """Figures of the last `SECONDS` seconds, one per second."""
 
     def __init__(self) -> None:
         self._rows: dict[str, dict[str, deque[float]]] = {kind: {} for kind in ("rate", "latency", "lost", "error")}
@@ -58,17 +58,17 @@ class History:
         self._count = 0
 
     def add(self, statuses: Mapping[str, ServiceStatus], errors_mm: Mapping[str, float]) -> None:
-        """Take the figures of one second.
+        """Add the figures of one second.
 
         Args:
-            statuses: by `service/instance`, those heard of in the last seconds.
+            statuses: recent statuses by `service/instance`.
             errors_mm: errors by name, millimetres.
         """
         self._count = min(self._count + 1, SECONDS)
         shown = {name: s for name, s in statuses.items() if s.service != OWN_FIGURES}
         self._append("rate", {name: rate_hz(s) for name, s in shown.items()})
         self._append("latency", {name: latency_ms(s) for name, s in shown.items()})
-        # A count that falls is that of a service that was started again.
+        # A count decreases when a service restarts.
         self._append("lost", {n: max(0, lost(s) - self._lost_before.get(n, lost(s))) for n, s in shown.items()})
         totals = self._lost_before | {name: lost(s) for name, s in shown.items()}
         self._lost_before = {name: total for name, total in totals.items() if name in self._rows["lost"]}

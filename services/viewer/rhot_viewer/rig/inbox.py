@@ -1,4 +1,4 @@
-"""The newest sample of every key that the page shows, decoded only when somebody looks."""
+"""The newest sample of every key that the page shows, decoded on access."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ MOVING_KEYS: Final = (
     "rhot/body",
     "rhot/truth",
 )
-"""What moves: taken as soon as it comes."""
+"""Keys of moving things, received without delay."""
 MARKER_KEYS: Final = "rhot/markers/*"
 STATUS_KEYS: Final = "rhot/status/*/*"
 ALIVE_KEYS: Final = "rhot/alive/*/*"
 _IDLE_S: Final = 0.1
 _MAX_KEYS: Final = 1024
-"""The last part of a key is an outsider's choice: the table must not grow with it."""
+"""Largest number of keys: any sender may choose the last part of a key."""
 
 
 @dataclass(slots=True)
 class _Slot:
-    """The newest sample of a key; `message` is None until it is decoded, and stays so where it is invalid.
+    """The newest sample of a key; `message` is None until it is decoded, and if it is invalid.
 
     Attributes:
-        mailbox: that brought it.
-        trusted: whether a message of this key has been valid.
+        mailbox: its subscriber.
+        trusted: whether any message of this key has been valid.
     """
 
     sample: Sample
@@ -51,7 +51,7 @@ class _Slot:
 
 
 class Audience(Protocol):
-    """Who looks at a page."""
+    """The connected browsers of a page."""
 
     async def looked_at(self) -> None:
         """Return once a browser is connected."""
@@ -61,7 +61,7 @@ class Audience(Protocol):
 
 
 class Inbox:
-    """Newest wins, per key; who is alive."""
+    """The newest sample of each key, and the services that are alive."""
 
     def __init__(self) -> None:
         self._refuse: Callable[[str, WireError], None] = lambda key, error: None
@@ -69,13 +69,13 @@ class Inbox:
         self.alive: set[str] = set()
 
     async def run(self, node: Node, audience: Audience) -> None:
-        """Receive until cancelled; what is invalid is counted in the service's status.
+        """Receive until cancelled; invalid messages are counted in the service's status.
 
-        Only statuses are subscribed to while nobody looks: what moves, unread, cost 7 % of a core in this process.
+        Without a browser only statuses are subscribed: unread samples of moving things take 7 % of a core.
 
         Args:
-            node: where messages come from.
-            audience: who looks at the page.
+            node: connection to the bus.
+            audience: the connected browsers.
         """
         self._refuse = node.refuse
         async with asyncio.TaskGroup() as tasks:
@@ -95,23 +95,23 @@ class Inbox:
                 await bus.unsubscribe(markers)
 
     async def _receive(self, mailbox: LatestSubscriber, rest_s: float) -> None:
-        """Keep the newest sample of each key; with a rest, newer ones meanwhile replace older ones unread."""
+        """Store the newest sample of each key; during a pause of `rest_s`, newer samples replace unread older ones."""
         rested_s = -math.inf
         async for sample in mailbox:
             if time.monotonic() - rested_s >= rest_s > 0.0:
-                # All that wait then are taken at once: one rest for each would keep a status back for seconds.
+                # One pause for all waiting samples: one for each would delay a status by seconds.
                 await asyncio.sleep(rest_s)
                 rested_s = time.monotonic()
             if sample.deleted:
                 continue
-            # Taken out first, so that the table is in the order of arrival.
+            # Removed and added again, so that the dict is ordered by arrival.
             before = self._slots.pop(sample.key, None)
             if len(self._slots) >= _MAX_KEYS:
                 self._make_room()
             self._slots[sample.key] = _Slot(sample, mailbox, trusted=before is not None and before.trusted)
 
     def _make_room(self) -> None:
-        """Forget the keys that have brought nothing valid; where all have, the quarter that has been silent longest."""
+        """Discard the keys without a valid message; if there are none, the least recent quarter."""
         trusted = {key: slot for key, slot in self._slots.items() if slot.trusted}
         if len(trusted) == len(self._slots):
             trusted = dict(list(trusted.items())[len(trusted) // 4 :])
@@ -126,7 +126,7 @@ class Inbox:
                 self.alive.add(name)
 
     def newest(self, key: str, model: type[M], max_age_s: float) -> M | None:
-        """Return the newest message of a key; None when there is none, it is older, or it is invalid (counted)."""
+        """Return the newest message of a key; None if there is none, it is too old, or invalid (which is counted)."""
         slot = self._slots.get(key)
         if slot is None or time.monotonic_ns() - slot.sample.arrived_ns > max_age_s * 1e9:
             return None
@@ -141,7 +141,7 @@ class Inbox:
         return slot.message if isinstance(slot.message, model) else None
 
     def all_newest(self, prefix: str, model: type[M], max_age_s: float) -> dict[str, M]:
-        """Return the newest messages of all keys that begin with `prefix`, by what follows it."""
+        """Return the newest messages of all keys with a prefix, by the rest of the key."""
         found = {
             key[len(prefix) :]: self.newest(key, model, max_age_s) for key in self._slots if key.startswith(prefix)
         }

@@ -1,4 +1,4 @@
-"""Recording the running rig from the page, over the functions of `rhot record`, and explaining a moment of it."""
+"""Recording the running rig from the page with the functions of `rhot record`, and running `rhot explain`."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ _MIN_ELAPSED_S: Final = 1e-3
 
 
 class LiveRecording:
-    """Records into one file after the other.
+    """Records sessions to files.
 
     Attributes:
-        folder: nothing is written outside of it.
-        file: written now or last; None before the first.
-        megabytes: written into it.
-        tally: of its messages.
-        problem: why the last one could not begin or ended; empty otherwise.
+        folder: folder of all recordings.
+        file: current or last file; None before the first.
+        megabytes: size of the file.
+        tally: counts of its messages.
+        problem: why the last recording could not start or ended early; empty otherwise.
     """
 
     def __init__(self, bus: BusConfig, rig_path: Path, folder: Path) -> None:
         """Prepare; nothing is recorded yet.
 
         Args:
-            bus: how the running rig is reached.
-            rig_path: its settings are attached.
-            folder: nothing is written outside of it.
+            bus: connection to the running rig.
+            rig_path: rig folder, whose files are attached.
+            folder: folder of all recordings.
         """
         self.file: Path | None = None
         self.megabytes = 0.0
@@ -58,7 +58,7 @@ class LiveRecording:
 
     @property
     def seconds(self) -> float:
-        """How long it has recorded into `file`."""
+        """Duration of the recording in `file`."""
         return self._lasted_s if self._begun is None else time.monotonic() - self._begun
 
     @property
@@ -67,7 +67,7 @@ class LiveRecording:
         return self.tally.messages / max(self.seconds, _MIN_ELAPSED_S)
 
     def start(self, below: str = "") -> None:
-        """Begin a file named after date and time, in a folder below the folder of recordings."""
+        """Start a file named after date and time, in a subfolder of the folder of recordings."""
         if self.running or not self._asked.empty():
             return
         try:
@@ -133,10 +133,10 @@ class LiveRecording:
 
 
 def folder_below(folder: Path, name: str) -> Path:
-    """Return a folder inside another, as a person has typed it.
+    """Return a subfolder by the name that a user has typed.
 
     Raises:
-        ConfigError: it is elsewhere, or its name is none.
+        ConfigError: the name is not valid, or leads out of the folder.
     """
     below = Path(name.strip())
     plain = name.isprintable() and len(name) <= _LONGEST_NAME
@@ -160,7 +160,7 @@ async def explain(recording: Path, at: str, rig_path: Path) -> Path:
         rig_path: the rig folder.
 
     Raises:
-        ConfigError: it cannot be explained; says what the command says.
+        ConfigError: the command failed; has its error message.
     """
     try:
         float(at)
@@ -168,7 +168,7 @@ async def explain(recording: Path, at: str, rig_path: Path) -> Path:
         raise ConfigError(f"{printable(at, _LONGEST_NAME)}: not a number of seconds, such as 12.5") from error
     page = recording.with_suffix(".html")
     words = ["explain", str(recording), "--at", at, "--out", str(page), "--rig", str(rig_path)]
-    # A process of its own: it tracks ten seconds again, and the page must go on meanwhile.
+    # In a separate process, because it tracks ten seconds again while the page must respond.
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "rhot", "-q", *words),
         stdout=asyncio.subprocess.DEVNULL,

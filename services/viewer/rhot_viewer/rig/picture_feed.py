@@ -1,4 +1,4 @@
-"""The cameras' live pictures, asked for a few times a second while somebody looks."""
+"""The cameras' live images, queried a few times a second while a browser is connected."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _TIMEOUT_S: Final = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """What a camera answered.
+    """A camera's answer.
 
     Attributes:
-        jpeg: the picture; empty without one.
-        problem: why there is none; empty otherwise.
+        jpeg: the image; empty without one.
+        problem: why there is no image; empty otherwise.
     """
 
     jpeg: bytes = b""
@@ -29,11 +29,11 @@ class Picture:
 
 
 class PictureFeed:
-    """Asks every camera for its picture, with markers drawn in or with the mask of one marker.
+    """Queries every camera's image, with the detected markers or the mask of one marker.
 
     Attributes:
-        mask: marker whose mask is shown; None shows the markers. The feet's camera always shows its own.
-        held: camera to a JPEG that stands still instead of the live picture.
+        mask: marker whose mask is shown; None shows all markers, as always for the feet's camera.
+        held: by camera, a JPEG that is shown instead of the live image.
     """
 
     def __init__(self, cameras: Iterable[str], show: Callable[[str, Picture], None]) -> None:
@@ -61,11 +61,11 @@ class PictureFeed:
             self._now.set()
 
     async def run(self, bus: Bus, interval_s: Callable[[], float], looked_at: Callable[[], Awaitable[object]]) -> None:
-        """Ask until cancelled.
+        """Query until cancelled.
 
         Args:
-            bus: where the cameras are.
-            interval_s: seconds between two rounds.
+            bus: connection to the cameras.
+            interval_s: returns the interval of the queries, seconds.
             looked_at: returns once a browser is connected.
         """
         while True:

@@ -21,7 +21,7 @@ _DELAY_S: Final = 0.5
 
 
 class Sessions:
-    """Begins sessions of the running rig, and knows when its folder holds something that only a new one takes over."""
+    """Restarts the session, and detects changed files that only a new session reads."""
 
     def __init__(self, context: StepContext) -> None:
         self._context = context
@@ -35,14 +35,14 @@ class Sessions:
         return self._stamps != before
 
     async def restart(self) -> str:
-        """Begin a new session and return its name.
+        """Start a new session and return its id.
 
         Raises:
-            BusError: no router, or nobody owns the rig clock.
+            BusError: there is no router, or no service owns the rig clock.
         """
         async with self._one_at_a_time, await Bus.open(self._context.bus, timeout_s=_CONNECT_S) as bus:
             self._begun += 1
-            # Two within a second would bear one name, and services would take them for the same session.
+            # Distinguishes two sessions within a second, which would otherwise have the same id.
             name = f"{new_session()}-{self._begun}"
             control = await broadcast(bus, "start", name, _DELAY_S, _CLOCK_S)
         return control.session

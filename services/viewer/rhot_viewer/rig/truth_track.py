@@ -1,4 +1,4 @@
-"""How far a tracked hand is from the truth of the same moment, in simulation."""
+"""Errors of a tracked hand against the ground truth at the same time, in simulation."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _TIPS: Final = tuple(f"{finger}_tip" for finger in FINGERS)
 
 
 class TruthTrack:
-    """The true fingertips of the last second, read at any moment in between."""
+    """The true fingertips of the last second, interpolated in time."""
 
     def __init__(self) -> None:
         self._samples: dict[str, deque[tuple[int, FloatArray]]] = {}
 
     def add(self, truth: Truth) -> None:
-        """Take a truth; one that is not newer than the last is left out."""
+        """Add a sample of the ground truth; one that is not newer than the last is ignored."""
         for side, joints in truth.hands.items():
             samples = self._samples.setdefault(side, deque(maxlen=_KEPT))
             if samples and truth.t_ns <= samples[-1][0]:
@@ -35,9 +35,9 @@ class TruthTrack:
                 samples.append((truth.t_ns, np.array([joints[tip].position for tip in _TIPS])))
 
     def fingertip_errors(self, pose: HandPose) -> FloatArray | None:
-        """Return the distances (5,) of a hand's fingertips from the true ones at its own time stamp, metres.
+        """Return the errors (5,) of a hand's fingertips at its time stamp, metres.
 
-        None when the truth around that moment is not known, or a tip is missing.
+        None if the ground truth around that time is unknown, or a tip is missing.
         """
         if any(tip not in pose.joints for tip in _TIPS):
             return None
