@@ -1,4 +1,4 @@
-"""What a depth camera delivers, and the seam between cameras of every kind and the rest of feet."""
+"""Frames of a depth camera, and the interface between all kinds of depth cameras and the rest of feet."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class DepthSource(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the device; closing twice does no harm."""
+        """Release the device; may be called repeatedly."""
         ...
 
 

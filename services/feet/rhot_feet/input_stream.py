@@ -1,6 +1,6 @@
-"""What the feet are tracked from, to whoever records it: pictures with depth, and the ankles' samples.
+"""Publishes the inputs of feet tracking for recording: images with depth, and the ankles' samples.
 
-Both are made only while somebody listens.
+Both are encoded only while there is a subscriber.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A picture for people: what the depth camera saw, what was found in it, and where the feet were expected."""
+"""Preview of the depth camera with the detected feet and their predictions."""
 
 from __future__ import annotations
 

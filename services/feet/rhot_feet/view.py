@@ -1,4 +1,4 @@
-"""A picture of the feet, where its camera was, and what it showed."""
+"""An image of the feet with its camera's pose, the predictions and the detections."""
 
 from __future__ import annotations
 

@@ -24,16 +24,18 @@ class BlobModelSettings:
     """How a foot's blob is averaged and checked; values chosen on `rhot evaluate feet --runs depth`.
 
     Attributes:
-        forgetting: least weight of a new picture in the averages.
-        first_sigma_m, least_sigma_m: of an offset seen once, and of the best one, per axis.
-        area_ratio: a blob that shows less or more of its usual surface is half hidden, or more than a foot.
-        area_sigma, hidden_sigma: how much the noise grows per e-fold of that ratio, and with the hidden share.
-        most_cut: share of the outline at the picture's edge up to which a blob is used.
-        least_visible: share of the foot's surface; from less the rest cannot be inferred.
-        whole_share: an observation of nearly the most surface ever seen renews the shape.
-        level_share: part of an error of the predicted height that remains in the found one: the blob is cut off there.
-        other_foot_m: two feet's markers cannot be closer; it is one foot, and the other one's.
-        beside_m, both_share: feet this close that show less surface together, each one's usual being 1, are one foot.
+        forgetting: smallest weight of a new image in the averages.
+        first_sigma_m, least_sigma_m: standard deviation of an offset seen once, and its lower bound, per axis.
+        area_ratio: accepted range of the visible surface relative to the usual one.
+        area_sigma, hidden_sigma: growth of the noise per e-fold of that ratio, and with the hidden share.
+        most_cut: largest share of the outline at the image border.
+        least_visible: smallest visible share of the foot's surface.
+        whole_share: the shape is updated by a blob with at least this share of the largest surface seen.
+        level_share: part of an error of the predicted height that remains in the result, because the blob is cut off at
+            the predicted height.
+        other_foot_m: smallest distance of two feet's markers; closer blobs are the same foot.
+        beside_m, both_share: closer feet whose surfaces together are below `both_share` (usual surface of each: 1) are
+            the same foot.
     """
 
     forgetting: float = 0.03
@@ -56,33 +58,33 @@ SETTINGS: Final = BlobModelSettings()
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """Another foot in the same picture.
+    """Another foot in the same image.
 
     Attributes:
         position: (3,) of its marker, metres, camera frame.
-        share: how much of its usual surface it shows.
+        share: visible share of its usual surface.
     """
 
     position: FloatArray
     share: float
 
     def excludes(self, position: FloatArray, share: float) -> bool:
-        """Return whether a blob at a position (3,), which shows such a share of a foot, is this foot or part of it."""
+        """Return whether a blob at a position (3,), with this share of a foot's surface, belongs to this foot."""
         distance = float(np.linalg.norm(position - self.position))
         return distance < (SETTINGS.beside_m if self.share + share < SETTINGS.both_share else SETTINGS.other_foot_m)
 
 
 @dataclass(frozen=True, slots=True)
 class BlobModel:
-    """From a blob's centroid to the marker, and how much of a foot is usually seen.
+    """The offset from a blob's centroid to the marker, and the usual surface of a foot.
 
     Attributes:
         mean: (3,) metres, foot frame, or camera frame while the foot's orientation is unknown.
         variance: (3,) about the mean.
         area: usual `FootBlob.area` of the whole foot.
-        count: sightings.
+        count: number of observations.
         shape: the foot's surface, in the frame of `mean`.
-        in_foot: that is the foot's frame.
+        in_foot: whether this is the foot's frame.
     """
 
     mean: FloatArray
@@ -93,22 +95,22 @@ class BlobModel:
     in_foot: bool
 
     def serves(self, foot: FootPrediction) -> bool:
-        """Return whether it holds in the axes in which a foot is expected."""
+        """Return whether the model's frame is available in a prediction."""
         return self.in_foot == (foot.R_camera_foot is not None)
 
     def share(self, blob: FootBlob) -> float:
-        """Return how much of the surface that should be in sight a blob shows."""
+        """Return the ratio of a blob's surface to the expected visible surface."""
         return blob.area / (max(blob.in_sight, SETTINGS.least_visible) * self.area)
 
     def check(
         self, foot: FootPrediction, blob: FootBlob, others: Sequence[Neighbour], up: FloatArray
     ) -> FloatArray | BlobRefusal:
-        """Return the covariance (3, 3) of a blob's position, m², camera frame, or why it is not believed.
+        """Return the covariance (3, 3) of a blob's position, m², camera frame, or why it is rejected.
 
         Args:
-            foot: what the filter predicts.
-            blob: what was found.
-            others: other feet in the same picture.
+            foot: the filter's prediction.
+            blob: the blob.
+            others: other feet in the same image.
             up: (3,) unit vector against gravity, camera frame.
         """
         ratio = self.share(blob)
@@ -142,14 +144,14 @@ class BlobModel:
 def update_blob_model(
     foot: FootPrediction, blob: FootBlob, grid: PointGrid, camera: CameraModel, known: BlobModel | None
 ) -> BlobModel | None:
-    """Return what is known of a foot after one more sighting of marker and blob; as before where it shows too little.
+    """Return the model after one more observation of marker and blob; unchanged if too little of the foot is visible.
 
     Args:
-        foot: as the marker shows it.
-        blob: its blob in the same picture.
-        grid: the points of that picture.
-        camera: its lens.
-        known: what was known before, in the same axes.
+        foot: pose of the marker.
+        blob: its blob in the same image.
+        grid: the points of that image.
+        camera: the camera's model.
+        known: the former model, in the same axes; None at first.
     """
     if blob.cut > SETTINGS.most_cut or blob.in_sight < SETTINGS.least_visible:
         return known

@@ -1,7 +1,7 @@
-"""The depth stage: where a foot is while its marker is hidden, from its blob in the depth image.
+"""The depth stage: position of a foot with an occluded marker, from its blob in the depth image.
 
-While marker and blob are both seen, the offset from the blob's centroid to the marker is averaged in the foot's frame,
-together with how much it varies; that variation is what the depth stage can promise later.
+While marker and blob are both visible, the mean and variance of the offset from the blob's centroid to the marker are
+estimated in the foot's frame; the variance becomes the covariance of later positions.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from rhot_feet.prediction import OTHER_FOOT, FootPrediction, Region, predicted_r
 DepthRefusal = Literal["unknown", "vague"] | BlobRefusal
 
 _VAGUE_M: Final = 0.06
-"""A foot that is worse expected than this, in any direction, may be taken for the other one, unless it is known where
-that is."""
+"""Largest standard deviation of a prediction, in any direction, with which a blob is assigned to a foot while the other
+foot's position is unknown."""
 _FLOOR_NS: Final = 60_000_000
-"""The floor is measured this often; in between it is carried along by the head's pose."""
+"""Interval at which the floor is measured; in between it is transformed by the head's pose."""
 _REACH_M: Final = RADIUS_M + 0.06
 _UPRIGHT: Final = np.array([0.0, -1.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True)
 class FootDepth:
-    """A foot in one depth image, believed.
+    """An accepted observation of a foot in one depth image.
 
     Attributes:
         t_ns: time of the picture, rig clock.
-        position: (3,) where its marker has to be, metres, camera frame.
+        position: (3,) of its marker, metres, camera frame.
         covariance: (3, 3) of the position.
         points: number of depth points behind it.
     """
@@ -53,13 +53,13 @@ class FootDepth:
 
 @dataclass(frozen=True, slots=True)
 class DepthObservations:
-    """What the depth stage made of one picture.
+    """The depth stage's results for one image.
 
     Attributes:
-        feet: foot to where it is.
-        refused: foot to the reason why its blob was not believed.
-        floor: the floor, where it is in sight.
-        points: foot to the points (N, 3) of its blob, metres, camera frame, believed or not.
+        feet: accepted observations by foot.
+        refused: reason by foot why its blob was rejected.
+        floor: the floor, if visible.
+        points: by foot, the points (N, 3) of its blob, metres, camera frame, accepted or not.
     """
 
     feet: dict[Side, FootDepth]
@@ -103,12 +103,12 @@ class DepthTracker:
     def find_floor(
         self, frame: DepthFrame, up_camera: FloatArray | None = None, T_rig_camera: FloatArray | None = None
     ) -> FloorPlane | None:
-        """Return the floor in a picture, which the marker stage wants to know too; found once a picture.
+        """Return the floor in an image, computed once per image; None if it is not visible.
 
         Args:
-            frame: the picture with its depth.
-            up_camera: (3,) unit vector against gravity, camera frame, where the head's pose is known.
-            T_rig_camera: (4, 4) likewise; the floor stays where it is and is measured only now and then.
+            frame: the image with its depth.
+            up_camera: (3,) unit vector against gravity, camera frame, if the head's pose is known.
+            T_rig_camera: (4, 4) if the head's pose is known; the floor is then measured only every `_FLOOR_NS`.
         """
         if frame.depth_mm is None:
             self._floor, self._floor_t_ns = None, None
@@ -137,14 +137,14 @@ class DepthTracker:
         *,
         update_models: bool = True,
     ) -> DepthObservations:
-        """Take one picture: learn from the feet that are seen, find those that are not.
+        """Process one image: update the models of feet with a visible marker, and find the other feet.
 
         Args:
-            frame: the picture with its depth.
-            expected: foot to what the filter predicts, of those whose marker is hidden.
-            seen: foot to its marker's position and orientation in this very picture.
-            up_camera: (3,) unit vector against gravity, camera frame, where the head's pose is known.
-            update_models: update the models of the feet that are seen; else these only claim their points.
+            frame: the image with its depth.
+            expected: predictions of the feet whose marker is occluded.
+            seen: poses of the visible markers in this image.
+            up_camera: (3,) unit vector against gravity, camera frame, if the head's pose is known.
+            update_models: whether to update the models; otherwise feet with a visible marker only claim their points.
         """
         hidden = {side: foot for side, foot in expected.items() if side not in seen}
         present = hidden | dict(seen)
@@ -194,7 +194,7 @@ class DepthTracker:
 
 
 def _seed(foot: FootPrediction, known: BlobModel | None, *, fixed: bool) -> BlobSeed:
-    """Return where the blob of a foot is looked for; what is not known of its shape is left open."""
+    """Return the start of the search for a foot's blob; without a model, the position is fixed."""
     if known is None:
         return BlobSeed(foot.position, np.zeros(3), fixed=True)
     R = axes(foot)
@@ -207,7 +207,7 @@ def _verdicts(
     models: Mapping[Side, BlobModel],
     up: FloatArray,
 ) -> dict[Side, FloatArray | BlobRefusal]:
-    """Return for each hidden foot the covariance (3, 3) of its blob's position, or why it is not believed."""
+    """Return for each occluded foot the covariance (3, 3) of its blob's position, or why the blob is rejected."""
     neighbours = {
         side: Neighbour(blob.position, models[side].share(blob) if side in models else 1.0)
         for side, blob in blobs.items()

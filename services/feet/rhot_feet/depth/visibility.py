@@ -1,12 +1,12 @@
-"""Which part of a foot's surface is in sight: the other leg's knee and its own shank often stand before it.
+"""Visible part of a foot's surface, which the other knee and the foot's own shank often occlude.
 
-The centroid of what remains lies elsewhere in the foot than that of the whole. So the surface is remembered as points;
-those before which the depth image shows something nearer, or nothing, are hidden, and the others' mean is what the
-blob's centroid has to be compared with.
+The centroid of the visible part differs from that of the whole foot. So the surface is stored as points. Points with
+something nearer, or no depth, in the depth image are occluded, and the blob's centroid is compared with the mean of the
+others.
 
-The other way round, a foot that turns shows a side that was hidden when its surface was recorded: the shank stands
-before the heel until that is lifted. So the depth image of that moment is remembered, too, and a point that would have
-lain behind something in it is not compared.
+Conversely, a rotating foot shows a side that was occluded when its surface was recorded: the shank occludes the heel
+until that is lifted. So the depth image of the recording is stored as well, and points that would have been occluded in
+it are not compared.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from rhot.geometry.camera import CameraModel
 from rhot_feet.depth.points import FINE_PX, Mask, PointGrid
 
 _POINTS: Final = 150
-"""Of a foot's model that are looked for in a picture; chosen."""
+"""Number of points of a foot's model that are compared with an image; chosen."""
 _NEARER_M: Final = 0.04
-"""What is nearer than a point by more than this stands before it."""
+"""Smallest difference in depth of an occluding object."""
 _NEARER_THEN_M: Final = 0.02
-"""The same of what was there when the model was made: the shank meets the instep without a gap."""
+"""The same in the image of the recording; smaller, because the shank meets the instep without a gap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class SurfaceView:
     R: FloatArray
 
     def revealed(self, points: FloatArray) -> Mask:
-        """Tell of which points (N, 3) from the marker, axes of the shape, it showed whether there was something."""
+        """Return which points (N, 3), relative to the marker, metres, axes of the shape, were not occluded in it."""
         return _visible(points @ self.R.T + self.position, self.grid, self.camera, _NEARER_THEN_M)
 
 
@@ -86,7 +86,7 @@ def sample_shape(points: FloatArray, weights: FloatArray, area: float, view: Sur
 def visible_part(
     shape: SurfaceShape, position: FloatArray, grid: PointGrid, camera: CameraModel
 ) -> tuple[float, FloatArray]:
-    """Return the share of a foot's surface that is in sight, and from the mean of that part to the mean of all.
+    """Return the visible share of a foot's surface, and the offset from the mean of that part to the mean of all.
 
     Args:
         shape: in the camera's axes.
@@ -95,7 +95,7 @@ def visible_part(
         camera: the lens.
 
     Returns:
-        0 to 1; (3,) metres, camera frame, zero where nothing is in sight.
+        0 to 1; (3,) metres, camera frame, zero if nothing is visible.
     """
     clear = _visible(shape.points + position, grid, camera, _NEARER_M)
     weights = np.where(clear, shape.weights, 0.0)
@@ -106,7 +106,7 @@ def visible_part(
 
 
 def _visible(points: FloatArray, grid: PointGrid, camera: CameraModel, nearer_m: float) -> Mask:
-    """Return before which points (N, 3), camera frame, nothing stands in a depth image that is nearer by so much."""
+    """Return which points (N, 3), camera frame, metres, have nothing nearer by `nearer_m` in a depth image."""
     pixels = camera.project(points)
     columns = np.rint((pixels[:, 0] - grid.region.left) / FINE_PX).astype(np.intp)
     rows = np.rint((pixels[:, 1] - grid.region.top) / FINE_PX).astype(np.intp)

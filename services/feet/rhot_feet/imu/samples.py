@@ -1,4 +1,4 @@
-"""Inertial samples, however a sensor speaks, and the seam to what delivers them."""
+"""Inertial samples, independent of the sensor's protocol, and the interface of their sources."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from rhot.arrays import FloatArray, IntArray
 
 GRAVITY_M_S2: Final = 9.81
-"""What sensors scale to, wherever they are."""
+"""Standard gravity that sensors are scaled to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class ImuSamples:
 
     @classmethod
     def joined(cls, parts: Sequence[ImuSamples]) -> ImuSamples:
-        """Return batches one after the other."""
+        """Return concatenated batches."""
         if not parts:
             return cls.none()
         return cls(
@@ -88,5 +88,5 @@ class ImuSource(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the device; closing twice does no harm."""
+        """Release the device; may be called repeatedly."""
         ...

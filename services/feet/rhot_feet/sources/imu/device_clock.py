@@ -1,8 +1,8 @@
 """The clock of a sensor on a wire, mapped to the rig clock.
 
-A sensor stamps its samples with a counter of 32 bits that wraps around, and they arrive some time later. A delay is
-never negative, so of all offsets arrival − stamp the smallest is nearest to the truth; it is kept, and rises slowly,
-because two quartzes never run alike:
+A sensor stamps its samples with a 32-bit counter that wraps around, and they arrive some time later. A delay is never
+negative, so the smallest offset arrival − stamp is closest to the true one; it is kept, and rises slowly to allow for
+the drift between two oscillators:
 
     offset ← min(offset + drift · elapsed, arrival − stamp).
 
@@ -15,12 +15,12 @@ from typing import Final
 
 _WRAP: Final = 1 << 32
 _DRIFT: Final = 100e-6
-"""How far two quartzes may run apart."""
+"""Largest relative drift between two oscillators."""
 _LONGEST_NS: Final = 1_000_000_000
-"""A stamp that jumps further, or backwards, is doubted. A sample that arrives so much earlier or later than it should
-shows that the rig clock was set: no serial line holds a second's samples back."""
+"""A stamp that jumps by more, or backwards, is suspect. A sample that arrives this much earlier or later than expected
+means that the rig clock was set, because no serial line delays samples by a second."""
 _CONFIRMED: Final = 5
-"""So many doubted stamps in a row that follow each other show that the sensor was restarted."""
+"""Number of consecutive suspect stamps, consistent with each other, that mean that the sensor has restarted."""
 
 
 class DeviceClock:
@@ -37,10 +37,10 @@ class DeviceClock:
         self._last_ns = 0
 
     def to_rig_ns(self, stamp: int, arrival_ns: int) -> int | None:
-        """Return the rig time of a sample; None when its stamp cannot be believed or it came out before another.
+        """Return the rig time of a sample, nanoseconds; None if its stamp is suspect or would precede the last one.
 
-        The offset may fall a lot when the first samples were read late; what then would lie before its predecessor is
-        dropped.
+        If the first samples were read late, the offset decreases by much; samples whose time would then precede their
+        predecessor are dropped.
 
         Args:
             stamp: the sensor's counter, in [0, 2^32).
@@ -71,7 +71,7 @@ class DeviceClock:
         return t_ns
 
     def _begin(self, stamp: int, arrival_ns: int) -> None:
-        # Offsets count from the beginning: those since the epoch have no room in a float.
+        # Offsets are relative to the start, because a float cannot represent nanoseconds since the epoch.
         self._stamp, self._start_ns, self._device_ns, self._offset_ns = stamp, arrival_ns, 0, 0.0
 
     def _step_ns(self, before: int, after: int) -> int | None:
