@@ -1,4 +1,4 @@
-"""Bounds of colours: where learned ones stand, and what moved ones take in."""
+"""Bounds of colours: those of learned colours, and the effect of moving them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames to a recorder: none coded while nobody asks, all of them in order when somebody does."""
+"""Frames for recording: encoded only with a subscriber, and then all in order."""
 
 from __future__ import annotations
 

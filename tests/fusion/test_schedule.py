@@ -41,7 +41,7 @@ def test_camera_that_fell_silent_is_not_waited_for_twice() -> None:
     assert moments[4] == pytest.approx(3 * PERIOD)
 
 
-def test_cameras_out_of_step_are_carried_on_within_reach() -> None:
+def test_unsynchronised_cameras_are_extrapolated_within_limits() -> None:
     arrivals = sorted(
         [(0, n * PERIOD) for n in range(8)] + [(1, n * PERIOD + 0.007) for n in range(8)], key=lambda one: one[1]
     )
@@ -50,7 +50,7 @@ def test_cameras_out_of_step_are_carried_on_within_reach() -> None:
     assert late == pytest.approx([t_s for _, t_s in arrivals[4:]])
     bounded = play(arrivals, 0.5)[4:]
     for (camera, t_s), moment in zip(arrivals[4:], bounded, strict=True):
-        # The other camera's frame lies 9.7 ms before camera 0's and may be carried on by 8.3 ms.
+        # The other camera's frame lies 9.7 ms before camera 0's and may be extrapolated by 8.3 ms.
         expected = t_s if camera == 1 else t_s - (PERIOD - 0.007) + 0.5 * PERIOD
         assert moment == pytest.approx(expected)
 

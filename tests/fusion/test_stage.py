@@ -116,7 +116,7 @@ def test_still_marker_is_quiet_and_true(make_rig: MakeRig) -> None:
 
 
 @pytest.mark.parametrize(("method", "low_m", "high_m"), [("triangulate", 0.004, 0.010), ("filter", 0.003, 0.009)])
-def test_sigma_tells_the_size_of_the_error(make_rig: MakeRig, method: str, low_m: float, high_m: float) -> None:
+def test_sigma_matches_the_error(make_rig: MakeRig, method: str, low_m: float, high_m: float) -> None:
     rig = make_rig(fusion=f'method = "{method}"')
     points = run(FusionStage(rig), watch(rig, STILL, 2.0, noise_px=0.3, phase_s=0.0))[-1].points["index"]
     assert points.views == 2
@@ -183,13 +183,13 @@ def test_glitches_of_hundreds_of_pixels_leave_no_trace(make_rig: MakeRig) -> Non
     assert figures.p95_mm < 12.0
 
 
-def test_real_jump_is_believed_once_it_repeats(make_rig: MakeRig) -> None:
+def test_real_jump_is_accepted_once_it_repeats(make_rig: MakeRig) -> None:
     rig = make_rig()
     # 60 px in both pictures: 90 mm to the side within one frame, beyond what the gate lets through.
     seen = [moved(one, "index", 60.0) if one.arrival_s > 1.0 else one for one in watch(rig, STILL, 1.6, phase_s=0.0)]
     sets = run(FusionStage(rig), seen)
     target = STILL.at(0.0)[0, 1] + np.array([60.0 / 530.3 * 0.8, 0.0, 0.0])
-    # Until it is believed again the marker is nowhere.
+    # The marker is absent until it is accepted again.
     at = {round((points.t_ns - EPOCH_NS) * 1e-6): place(points, "index") for points in sets if "index" in points.points}
     times = sorted(at)
     first = next(t for t in times if t > 1000)
@@ -200,7 +200,7 @@ def test_real_jump_is_believed_once_it_repeats(make_rig: MakeRig) -> None:
     assert any(b - a > 30 for a, b in pairwise(times))
 
 
-def test_swapped_cameras_are_refused_and_named(make_rig: MakeRig) -> None:
+def test_swapped_cameras_are_rejected_and_named(make_rig: MakeRig) -> None:
     for method in ("triangulate", "disparity"):
         rig = make_rig(fusion=f'method = "{method}"')
         other = {"left": "right", "right": "left"}
@@ -214,7 +214,7 @@ def test_swapped_cameras_are_refused_and_named(make_rig: MakeRig) -> None:
         assert "left and right are probably swapped" in stage.problem
 
 
-def test_drifted_mount_is_learnt_and_shown(make_rig: MakeRig) -> None:
+def test_drift_of_a_mount_is_estimated_and_reported(make_rig: MakeRig) -> None:
     rig = make_rig()
     stage = FusionStage(rig)
     seen = watch(rig, SLOW, 4.0)
@@ -249,7 +249,7 @@ def test_settings_change_while_running(make_rig: MakeRig) -> None:
     assert again[-1].points["index"].position[2] == pytest.approx(0.8, abs=0.05)
 
 
-def test_refused_settings_leave_the_old_ones(make_rig: MakeRig) -> None:
+def test_rejected_settings_leave_the_old_ones(make_rig: MakeRig) -> None:
     rig = make_rig(places={"left": 0.0, "right": 0.0})
     stage = FusionStage(rig)
     with pytest.raises(ConfigError):

@@ -17,7 +17,7 @@ from rhot_capture.service import CaptureService
 
 
 def node_clock(rig: Rig, camera: str) -> NodeClock:
-    """Return the clock of a camera's node: the machine's, or for a simulated camera one that is off on purpose."""
+    """Return the clock of a camera's node: the machine's, or for a simulated camera one with a deliberate offset."""
     if rig.config.cameras[camera].source != "simulated":
         return SystemClock()
     clock: NodeClock = load_simulated("node_clock")(rig.config.sim, camera)
@@ -29,15 +29,15 @@ def node_clock(rig: Rig, camera: str) -> NodeClock:
 @rig_option
 @bus_options
 def capture(camera: str, rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> int:
-    """Find the markers in one camera's pictures, until Ctrl-C.
+    """Detect the markers in one camera's pictures, until Ctrl-C.
 
-    Waits for `rhot start`, then publishes rhot/markers/CAMERA; look through the camera with
+    Waits for `rhot start`, then publishes rhot/markers/CAMERA. To see a picture of the camera:
     rhot get --raw 'rhot/preview/CAMERA?overlay=markers' > picture.jpg
     """
     rig = load_rig(rig_path)
     if camera not in rig.config.cameras:
         raise ConfigError(f"no camera {camera} in {rig_path / 'rig.toml'}; it has {', '.join(rig.config.cameras)}")
-    # One core a camera is the budget; OpenCV's own threads would take it from the others and jitter more.
+    # The budget is one core per camera; OpenCV's threads would use the cores of others and increase jitter.
     cv2.setNumThreads(1)
     clock = node_clock(rig, camera)
     bus = tool_bus(rig_path, connect, namespace)

@@ -1,4 +1,4 @@
-"""Preview images: the last frame with the detected markers, or the mask of one marker's colour."""
+"""Preview pictures: the last frame with its detections, or with the mask of one marker's colour."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _SHADOW: Final = (0, 0, 0)
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _FONT_SCALE: Final = 0.45
 _LINE_PX: Final = 13
-"""Least distance between two lines of text."""
+"""Smallest distance between two lines of text."""
 
 
 _PNG_LEVEL: Final = 1
-"""Fastest compression, because noise hardly compresses and processor time is scarce."""
+"""Lowest compression level: noise hardly compresses, and the camera's CPU is busy."""
 
 
 def preview_jpeg(
@@ -33,12 +33,12 @@ def preview_jpeg(
     """Return a JPEG of a frame.
 
     Args:
-        image: (H, W, 3) uint8 BGR; is left as it is.
-        detections: draw these markers: outline, centre and name.
+        image: (H, W, 3) uint8 BGR; not modified.
+        detections: markers to draw: outline, centre and name.
         mask: (H, W) uint8; pixels that are 0 are darkened.
 
     Raises:
-        ConfigError: the picture cannot be coded.
+        ConfigError: the picture cannot be encoded.
     """
     return _coded(image, detections, mask, ".jpg", (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
 
@@ -48,7 +48,7 @@ def preview_png(
     detections: Mapping[str, Detection] | None = None,
     mask: ImageArray | None = None,
 ) -> bytes:
-    """Return a lossless PNG of a frame, for measurements; see `preview_jpeg`."""
+    """Return a PNG of a frame, lossless for measurements; see `preview_jpeg`."""
     return _coded(image, detections, mask, ".png", (cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL))
 
 
@@ -67,12 +67,12 @@ def _coded(
     mark_positions(canvas, {f"{name} {each.score:.2f}": (each.u, each.v) for name, each in (detections or {}).items()})
     ok, data = cv2.imencode(suffix, canvas, options)
     if not ok:
-        raise ConfigError(f"preview: a frame of shape {image.shape} cannot be coded as a picture")
+        raise ConfigError(f"preview: a frame of shape {image.shape} cannot be encoded as a picture")
     return bytes(data)
 
 
 def mark_positions(canvas: ImageArray, positions: Mapping[str, tuple[float, float]]) -> None:
-    """Draw a cross at each position (u, v) and its text beside it; texts that would cover one another move down."""
+    """Draw a cross at each position (u, v) with its text beside it; overlapping texts are moved down."""
     taken: list[tuple[int, int, int]] = []
     for text, (u, v) in sorted(positions.items(), key=lambda each: each[1][1]):
         centre = (round(u), round(v))

@@ -80,7 +80,7 @@ def test_window_stays_inside_the_image_and_border_is_noticed(labels: ImageArray)
     assert labels[inner.window].shape == inner.mask.shape
 
 
-def test_solidity_tells_a_disc_from_a_crescent(labels: ImageArray) -> None:
+def test_solidity_distinguishes_a_disc_from_a_crescent(labels: ImageArray) -> None:
     ellipse(labels, (40, 60), (20, 20), 1)
     ellipse(labels, (48, 60), (20, 20), 0)
     ellipse(labels, (110, 60), (20, 20), 1)

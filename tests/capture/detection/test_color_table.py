@@ -46,7 +46,7 @@ def test_paints_are_recognised_in_more_and_less_light(table: ColorTable, paints:
 
 
 @pytest.mark.parametrize("rgb", [(30, 30, 32), (215, 170, 140), (255, 255, 255), (128, 128, 128), (0, 0, 0)])
-def test_unknown_colours_stay_nobodys(table: ColorTable, rgb: RgbColor) -> None:
+def test_unknown_colours_get_no_label(table: ColorTable, rgb: RgbColor) -> None:
     assert label_of(table, rgb) == ""
 
 

@@ -111,7 +111,9 @@ def test_a_marker_cut_by_the_border_is_its_visible_part_with_a_lower_score(
     assert found.score < 0.5 * whole.score
 
 
-def test_touching_markers_of_different_colours_are_told_apart(detector: MarkerDetector, scene: Any, shape: Any) -> None:
+def test_touching_markers_of_different_colours_are_distinguished(
+    detector: MarkerDetector, scene: Any, shape: Any
+) -> None:
     drawn = scene([shape("ring", 300, 240), shape("index", 315.5, 240), shape("middle", 331, 240)])
     found = detector.detect(drawn.image)
     assert set(found) == {"ring", "index", "middle"}
@@ -165,7 +167,7 @@ def test_the_mixed_rim_of_another_marker_is_no_marker(
     assert refused == {"mixed colours"}
 
 
-def test_decisions_hold_what_was_taken_and_what_was_not(detector: MarkerDetector, scene: Any, shape: Any) -> None:
+def test_decisions_contain_accepted_and_rejected_blobs(detector: MarkerDetector, scene: Any, shape: Any) -> None:
     shapes = [shape("ring", 300, 240), shape("ring", 60, 60, radius=2.0, on_skin=False)]
     found = detector.detect(scene(shapes).image)["ring"]
     judged = [each for name, each in detector.decisions.judged if name == "ring"]
@@ -285,7 +287,7 @@ def test_followed_and_searched_markers_are_the_same(scene: Any, shape: Any, mark
 def test_a_better_marker_elsewhere_is_found_within_half_a_second(
     detector: MarkerDetector, scene: Any, shape: Any, paints: Any
 ) -> None:
-    """While all are followed the rest of the picture is not looked at, but for a survey now and then."""
+    """While all markers are tracked, the rest of the picture is searched only in periodic surveys."""
     names = list(paints)
     spot = [shape(name, 60 + 50 * index, 60, radius=7, on_skin=False) for index, name in enumerate(names[:-1])]
     spot.append(shape(names[-1], 310, 60, radius=2.7, on_skin=False))

@@ -60,7 +60,7 @@ def test_a_strip_of_paint_beside_the_other_markers_is_found_at_its_middle(marker
 
 
 @pytest.mark.parametrize(("strip", "others"), [(FAR, 4), ((50, 70), 2), ((50, 70), 0)])
-def test_nothing_faint_is_believed_far_from_a_hand_or_without_one(
+def test_faint_colours_are_rejected_far_from_a_hand_or_without_one(
     markers: dict[str, MarkerConfig], strip: tuple[int, int], others: int
 ) -> None:
     found = detector(markers, table_of()).detect(picture(strip, others))

@@ -69,7 +69,7 @@ def test_paint_beside_other_paint_is_none(strip: str, patch: str) -> None:
     assert not mixed(image, labels, 2)
 
 
-def test_without_surroundings_nothing_is_told() -> None:
+def test_without_surroundings_no_mixture_is_detected() -> None:
     labels = np.full((20, 20), 2, np.uint8)
     labels[5:15, 5:10] = 1
     assert not mixed(np.full((20, 20, 3), 128, np.uint8), labels, 1)

@@ -1,4 +1,4 @@
-"""Blobs of paints that both hands wear: named by where they are expected, never by chance."""
+"""Blobs of paints of both hands are assigned by predicted positions; ambiguous ones are not assigned."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Camera:
         return found
 
 
-def test_hands_that_are_apart_are_told_by_their_patches() -> None:
+def test_separate_hands_are_identified_by_their_patches() -> None:
     spots = [tip(420.0, 280.0), tip(190.0, 290.0)]
     assert Camera().see(spots, APART) == {"ring": 1, "left_index": 0}
     assert Camera().see(spots[:1], APART) == {"left_index": 0}

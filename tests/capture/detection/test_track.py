@@ -10,11 +10,11 @@ def moving_track(frames: int = 3, step: float = 10.0) -> MarkerTrack:
     return track
 
 
-def test_without_a_track_all_places_are_alike() -> None:
+def test_without_a_track_all_positions_are_equal() -> None:
     assert MarkerTrack().preference(5.0, 5.0, 10.0) == 1.0
 
 
-def test_the_predicted_place_is_preferred() -> None:
+def test_the_predicted_position_is_preferred() -> None:
     track = moving_track()
     assert track.preference(130.0, 50.0, 200.0) == 1.0
     assert track.preference(130.0, 50.0, 200.0) > track.preference(90.0, 50.0, 200.0)

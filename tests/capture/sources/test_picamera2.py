@@ -182,7 +182,7 @@ def test_read_out_of_the_rig_goes_before_the_estimate() -> None:
     assert frame.readout_s == 0.009
 
 
-def test_the_picture_is_the_cameras_memory_until_nobody_looks_at_it() -> None:
+def test_the_image_is_in_the_cameras_memory_until_it_is_released() -> None:
     source, device = opened(CameraConfig())
     first = request(BOOT_NS)
     device.outcome.append(first)

@@ -1,4 +1,4 @@
-"""Cameras that were bumped are told; well calibrated ones are not accused."""
+"""Bumped cameras are reported; well calibrated ones are not."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def problem_after(rig: Rig, seen: list[Seen]) -> str:
     return stage.problem
 
 
-def test_a_bumped_camera_is_told(make_rig: MakeRig) -> None:
+def test_a_bumped_camera_is_reported(make_rig: MakeRig) -> None:
     rig = make_rig(pinhole_cameras(2))
     assert rig.calibrated
     seen = [lowered(one, "camera1", 6.0) for one in watch(rig, Motion(), 12.0)]

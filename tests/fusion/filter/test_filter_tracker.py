@@ -70,7 +70,7 @@ def test_stated_sigma_covers_the_error(make_rig: MakeRig) -> None:
     relative = []
     for points in run(FusionStage(rig), watch(rig, SLOW, 3.0))[120:]:
         truth = SLOW.at((points.t_ns - EPOCH_NS) * 1e-9)[0]
-        # A patch; caps that nobody knows the direction of are stated to be less sure.
+        # A patch; caps of unknown direction have larger standard deviations.
         point = points.points["base"]
         relative.append(np.linalg.norm(np.array(point.position) - truth[-1]) / point.sigma)
         assert points.points["index"].sigma > 0.003
@@ -210,7 +210,7 @@ def test_a_marker_found_where_it_was_expected_is_measured_at_once(make_rig: Make
     assert [states[number] for number in (59, 60, 61, 62)] == ["measured", "one_view", "measured", "measured"]
 
 
-def test_places_that_a_camera_holds_are_not_measured(make_rig: MakeRig) -> None:
+def test_positions_that_a_camera_repeats_are_not_measured(make_rig: MakeRig) -> None:
     """Some capture programs repeat the last place of a marker that they lost."""
     rig = make_rig(fusion=FILTER)
     frames = []

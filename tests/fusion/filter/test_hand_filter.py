@@ -126,7 +126,7 @@ def test_a_hidden_marker_goes_with_its_hand() -> None:
     assert np.linalg.norm(hand.velocity[0]) < 0.2
 
 
-def test_an_outlier_is_refused_and_leaves_no_trace() -> None:
+def test_an_outlier_is_rejected_and_does_not_change_the_state() -> None:
     hand = JointFilter(COUNT, DEFAULT.motion, DEFAULT.track.gate)
     for marker in range(COUNT):
         hand.begin(marker, np.concatenate([truth(0.0)[marker], np.zeros(3)]), np.diag([1e-8] * 3 + [1e-4] * 3), 0.0)
@@ -168,7 +168,7 @@ def test_two_views_begin_a_marker_where_it_is() -> None:
 
 
 @pytest.mark.parametrize("variance", [1e9, 1e10, 1e11])
-def test_a_view_that_tells_nothing_begins_no_marker_with_another(variance: float) -> None:
+def test_an_uninformative_view_does_not_initialise_a_marker(variance: float) -> None:
     views = [
         View(one, 0.002 * k, np.array([0.1 - 0.17 * k, 0.1 + 0.001 * k]), [1e-7, variance][k])
         for k, one in enumerate(CAMERAS)
@@ -245,7 +245,7 @@ def _swung(t_s: float) -> FloatArray:
     return moved
 
 
-def test_noise_is_learnt_from_innovations() -> None:
+def test_noise_is_estimated_from_innovations() -> None:
     noise = CameraNoise(CAMERAS, DEFAULT.noise, np.zeros(2), calibrated=True)
     rng = np.random.default_rng(1)
     for _ in range(400):
@@ -260,7 +260,7 @@ def test_noise_is_learnt_from_innovations() -> None:
     assert stated_px(["left", "right"], quality, DEFAULT.noise) == pytest.approx([0.1414, 0.1414], abs=1e-3)
 
 
-def test_what_comes_back_elsewhere_is_believed_rather_than_foretold() -> None:
+def test_views_of_a_reappearing_marker_outweigh_its_prediction() -> None:
     """A marker is 15 px, three sigma, from where it was expected after it had been hidden: its prediction was wrong."""
     errors = []
     for back in (False, True):

@@ -1,4 +1,4 @@
-"""What hides paint, and which side of a finger is seen: how far the middle of a marker is beside that of its paint."""
+"""Occluded paint and the visible side of a finger: offset between the centres of a marker and of its visible paint."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_a_camera_that_looks_along_a_finger_misses_no_paint_for_that() -> None:
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.6, 0.0), (0.8, 0.5), (1.0, 1.0)])
-def test_the_more_a_finger_curls_the_less_its_paint_tells_of_its_direction(share: float, told: float) -> None:
+def test_paint_of_a_curled_finger_indicates_its_direction_less(share: float, told: float) -> None:
     paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
     tip, base = (0.0, -0.05, 0.8), (0.0, 0.05, 0.8)
     (unknown,) = paint.along(0, [0], [100.0], [tip], [base], [0.0])
@@ -136,7 +136,7 @@ def test_the_more_a_finger_curls_the_less_its_paint_tells_of_its_direction(share
 
 
 def test_a_patch_that_is_half_hidden_is_where_it_is_seen() -> None:
-    """Nobody knows from which side a sleeve covers it: the middle may be 7.5 of its 30 px off."""
+    """A sleeve covers it on an unknown side: the centre may be off by 7.5 of its 30 px."""
     paint, period_s = Paint(CAMERAS, np.zeros(1), DEFAULT.paint), 1.0 / 60.0
     for number in range(20):
         paint.correct(0, [0], number * period_s, [900.0], [0.8], period_s, [True])
@@ -145,7 +145,7 @@ def test_a_patch_that_is_half_hidden_is_where_it_is_seen() -> None:
     assert 5.0 < doubt[0] * FOCAL_PX < 10.0
 
 
-def test_a_patch_of_unknown_distance_is_doubted_by_no_more_than_its_own_size() -> None:
+def test_uncertainty_of_a_patch_of_unknown_distance_is_limited_by_its_size() -> None:
     """One camera sees more of it than the other before anything tells how large it is."""
     paint = Paint(CAMERAS, np.zeros(1), DEFAULT.paint)
     paint.correct(1, [0], 0.0, [173.0], [0.75], 1.0 / 60.0, [False])

@@ -72,7 +72,7 @@ def test_a_view_that_is_off_for_what_hides_it_still_shows_its_marker(slack_px: f
     assert nodes[21].shown[0]
 
 
-def test_a_marker_is_carried_back_to_the_views_that_began_it_and_to_those_before_that_fit() -> None:
+def test_a_marker_is_smoothed_back_to_its_first_consistent_views() -> None:
     nodes = watched({8: 30.0}, seen_from=6)
     carried = [n for n, node in enumerate(nodes) if np.isfinite(node.position[0, 0])]
     # Frame 11 began it, though its row came after its moment; frame 8 shows something else.
@@ -87,7 +87,7 @@ def test_views_that_are_long_ago_are_left_alone() -> None:
     assert (BEGUN - 1 - early) * PERIOD_S <= DEFAULT.track.pair_s + 1e-9
 
 
-def test_a_marker_that_was_put_anew_live_goes_on() -> None:
+def test_a_marker_that_was_reinitialised_live_is_smoothed_across() -> None:
     nodes = watched({}, moved_m=0.05)
     assert max(np.abs(node.position[0] - PLACE).max() for node in nodes[BEGUN:]) < 2e-3
 

@@ -26,7 +26,7 @@ def published(shown: list[list[bool]]) -> tuple[list[Vector], list[Upper]]:
     return places, covariances
 
 
-def test_what_one_camera_sees_is_about_as_far_away_as_its_hand() -> None:
+def test_a_marker_of_one_camera_gets_the_depth_of_its_hand() -> None:
     places, covariances = published([BOTH, BOTH, ONE])
     # The mean of 1.0 with 80 mm and of 0.8 with 37 mm and the error of a middle of two.
     prior = 1.5 * EXTENT_M**2

@@ -19,13 +19,13 @@ STILL = Motion(amplitude_m=(0.0, 0.0, 0.0))
 FAST_RATE = 10.0
 
 
-def test_each_camera_and_marker_has_its_own() -> None:
+def test_each_camera_and_marker_has_its_own_filter() -> None:
     filters = PixelFilters([500.0, 500.0], 3, PIXELS)
     both, one = np.array([0, 2]), np.array([2])
     filters.smoothed(0, both, np.array([0.0, 0.0]), np.array([[0.1, 0.2], [0.3, 0.4]]), FAST_RATE)
     later = filters.smoothed(0, one, np.array([0.02]), np.array([[0.301, 0.4]]), FAST_RATE)
     assert 0.3 < later[0, 0] < 0.301
-    # The other camera knows nothing of this marker yet: its first view is believed as it is.
+    # The first view of the other camera is not filtered.
     first = filters.smoothed(1, one, np.array([0.02]), np.array([[0.9, 0.4]]), FAST_RATE)
     assert first.tolist() == [[0.9, 0.4]]
 

@@ -152,7 +152,7 @@ def test_a_poor_calibration_is_held_to_its_own_figure() -> None:
     assert report.pairs[0].limit_px == pytest.approx(6.0)
 
 
-def test_nothing_in_common_is_refused() -> None:
+def test_cameras_without_common_views_are_rejected() -> None:
     cameras = pinhole_cameras(2)
     frames = [frame for frame in seen_by(cameras, 2.0) if frame.camera == "camera0"]
     with pytest.raises(CalibrationError, match="no two cameras saw the same markers"):
@@ -181,7 +181,7 @@ def test_a_fit_knows_that_residuals_of_one_second_are_alike() -> None:
     assert np.mean(np.abs(errors) < 2.0) > 0.85
 
 
-def test_half_a_second_of_data_is_not_taken_for_certain() -> None:
+def test_half_a_second_of_data_is_not_significant() -> None:
     rng = np.random.default_rng(4)
     t = np.linspace(0.0, 0.5, 60)
     fit = fit_linear(np.ones((60, 1)), rng.normal(0.0, 0.5, 60), t, np.array([10.0]))
@@ -201,7 +201,7 @@ def test_figures_of_a_record() -> None:
     assert figures_with_units(quality) == {"rms_px": 0.2}
 
 
-def test_fusion_tells_how_much_it_corrects(make_rig: Callable[..., Rig]) -> None:
+def test_fusion_reports_its_correction(make_rig: Callable[..., Rig]) -> None:
     from rhot_fusion.stage import FusionStage
 
     cameras = pinhole_cameras(2)

@@ -37,7 +37,7 @@ def test_true_views_have_no_residual(make_rig: Callable[..., Rig]) -> None:
         np.testing.assert_allclose(residual[1:], 0.0, atol=1e-12)
 
 
-def test_offset_and_roll_are_learnt_among_outliers(make_rig: Callable[..., Rig]) -> None:
+def test_offset_and_roll_are_estimated_among_outliers(make_rig: Callable[..., Rig]) -> None:
     cameras = models(make_rig())
     rng = np.random.default_rng(2)
     model = EpipolarModel(cameras, 15.0)
@@ -56,7 +56,7 @@ def test_offset_and_roll_are_learnt_among_outliers(make_rig: Callable[..., Rig])
     assert p95 > mean
 
 
-def test_correction_leaves_the_place_along_the_epipolar_line(make_rig: Callable[..., Rig]) -> None:
+def test_correction_does_not_move_points_along_the_epipolar_line(make_rig: Callable[..., Rig]) -> None:
     cameras = models(make_rig())
     rng = np.random.default_rng(3)
     model = EpipolarModel(cameras, 15.0)

@@ -41,7 +41,7 @@ def test_ordinary_stream_passes(guard: StreamGuard) -> None:
         (frame(-1e9), "wrong_time"),
     ],
 )
-def test_absurd_frames_are_refused_and_counted(guard: StreamGuard, bad: MarkerFrame, reason: str) -> None:
+def test_implausible_frames_are_rejected_and_counted(guard: StreamGuard, bad: MarkerFrame, reason: str) -> None:
     assert guard.judge(frame(0.0)) == guard.judge(frame(33.0)) == "accept"
     assert guard.judge(bad) == "refuse"
     assert guard.counts == {reason: 1}
@@ -55,7 +55,7 @@ def test_garbage_among_good_frames_never_takes_over(guard: StreamGuard) -> None:
     assert guard.counts == {"wrong_time": 100}
 
 
-def test_paused_stream_goes_on_after_three_frames(guard: StreamGuard) -> None:
+def test_paused_stream_resumes_after_three_frames(guard: StreamGuard) -> None:
     guard.judge(frame(0.0))
     assert [guard.judge(frame(5000.0 + 33.0 * number)) for number in range(4)] == [
         "refuse",

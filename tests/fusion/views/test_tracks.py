@@ -28,7 +28,7 @@ def test_at_its_own_time_an_observation_is_itself() -> None:
     np.testing.assert_array_equal(shot.xy[0, 0], [0.2, -0.2])
 
 
-def test_steady_motion_is_carried_on_exactly_and_bounded_in_time() -> None:
+def test_steady_motion_is_extrapolated_exactly_and_for_a_bounded_time() -> None:
     tracks = filled([0.0, 0.02, 0.04], [0.1, 0.2, 0.3])
     np.testing.assert_allclose(tracks.at(0.05, 0.011, 0.1).xy[0, 0], [0.35, -0.35])
     assert not tracks.at(0.052, 0.011, 0.1).valid.any()
@@ -43,7 +43,7 @@ def test_acceleration_is_followed_by_half() -> None:
 
 def test_jump_cuts_the_track() -> None:
     tracks = filled([0.0, 0.02, 0.04], [0.1, 0.1, 0.9], max_rate=10.0)
-    # Neither interpolated across nor carried on at the jump's speed.
+    # Neither interpolated nor extrapolated with the jump's speed.
     assert not tracks.at(0.03, 0.01, 0.1).valid.any()
     np.testing.assert_allclose(tracks.at(0.05, 0.011, 0.1).xy[0, 0], [0.9, -0.9])
     np.testing.assert_allclose(tracks.at(0.01, 0.01, 0.1).xy[0, 0], [0.1, -0.1])

@@ -90,14 +90,14 @@ def test_more_views_lower_the_error() -> None:
     assert errors[0] < 6.0
 
 
-def test_single_view_keeps_the_depth_that_was_believed() -> None:
+def test_single_view_keeps_the_prior_depth() -> None:
     models = cameras(2)
     truth = np.array([[0.05, -0.02, 0.8]])
     believed = truth + np.array([[0.01, 0.01, 0.0]])
     xy = seen(models, truth)
     used = np.array([[True], [False]])
     solution = Triangulation(models).solve(Views(xy, used), Prior(believed, np.array([0.03])), SIGMA)
-    # On the ray of the view, as near to what was believed as that allows.
+    # The point on the ray of the view nearest to the prior.
     reprojected = Triangulation(models).project(solution.position)[0]
     np.testing.assert_allclose(reprojected, xy[0], atol=1e-4)
     assert abs(solution.position[0, 2] - 0.8) < 2e-3
