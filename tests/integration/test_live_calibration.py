@@ -58,7 +58,7 @@ async def test_collects_views_of_a_board(
         took_s = time.monotonic() - begun
         # A lonely camera is named, at once and in the end.
         monkeypatch.setattr("rhot_calibration.cameras.live.live._ALL_THERE_S", 1.0)
-        with pytest.raises(BusError, match="third: nobody answers"):
+        with pytest.raises(BusError, match="third: no answer"):
             await collect(config, ["left", "third"], BOARD, tmp_path / "other", Console(file=said), enough=1)
     finally:
         await processes.supervisor.stop()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -255,6 +256,6 @@ def _distances(text: str) -> Sequence[float]:
         found = [float(part) for part in text.split(",")]
     except ValueError:
         found = []
-    if len(found) < 3 or min(found) <= 0.0:
+    if len(found) < 3 or not all(0.0 < each < math.inf for each in found):
         raise ConfigError(f"--distances {text}: give three or more in centimetres, such as 40,60,80")
     return found

@@ -63,7 +63,7 @@ async def _picture(bus: Bus, name: str, silent: dict[str, str]) -> bytes:
     replies = await bus.get(f"rhot/preview/{name}?format=png", timeout_s=_ANSWER_S)
     reply = next((reply for reply in replies if not reply.error), None)
     if reply is None:
-        silent[name] = replies[0].error if replies else "nobody answers its preview"
+        silent[name] = replies[0].error if replies else "no answer to the query for its image"
         return b""
     return reply.payload
 

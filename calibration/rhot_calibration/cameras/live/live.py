@@ -165,7 +165,7 @@ class Collector:
         )
         reply = next((reply for reply in replies if not reply.error), None)
         if reply is None:
-            self.silent[name] = replies[0].error if replies else "nobody answers its preview"
+            self.silent[name] = replies[0].error if replies else "no answer to the query for its image"
             return None
         if self.newest.get(name) == reply.payload:
             # A camera that has stopped would look like a board held perfectly still.
