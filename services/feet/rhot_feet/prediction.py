@@ -11,42 +11,13 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.covariances import squared_distance
+from rhot.geometry.region import Region
 from rhot.messages import Side
 
 OTHER_FOOT: Final[dict[Side, Side]] = {"left": "right", "right": "left"}
 GATE_SIGMAS = 4.0
 """A position that lies farther from the expected one than this is somebody else's."""
 _MARGIN_PX = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class Region:
-    """A part of a picture: columns left to right − 1 and rows top to bottom − 1, pixels."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
-
-    @property
-    def area(self) -> int:
-        """Number of its pixels."""
-        return (self.right - self.left) * (self.bottom - self.top)
-
-    def overlaps(self, other: Region) -> bool:
-        """Return whether two regions share pixels."""
-        return (
-            self.left < other.right and other.left < self.right and self.top < other.bottom and other.top < self.bottom
-        )
-
-    def joined(self, other: Region) -> Region:
-        """Return the smallest region that holds both."""
-        return Region(
-            min(self.left, other.left),
-            min(self.top, other.top),
-            max(self.right, other.right),
-            max(self.bottom, other.bottom),
-        )
 
 
 @dataclass(frozen=True, slots=True)

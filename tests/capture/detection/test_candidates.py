@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rhot.geometry.region import Region
 from rhot_capture.detection.blob import blobs_of
 from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, judge
 from rhot_capture.detection.color_table import ColorTable
-from rhot_capture.detection.cutouts import Cutouts, Region
+from rhot_capture.detection.cutouts import Cutouts
 from rhot_capture.detection.track import MarkerTrack
 
 

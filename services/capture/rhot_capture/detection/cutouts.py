@@ -14,35 +14,13 @@ import numpy as np
 
 from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
+from rhot.geometry.region import Region
 from rhot_capture.detection.color_table import ColorTable
 
 _GAP_PX: Final = 2
 """Gap between regions, so that outlines do not connect."""
 _MAJORITY: Final = 5
 """Majority of the nine pixels of a 3x3 neighbourhood."""
-
-
-class Region(NamedTuple):
-    """Rectangle of an image, pixels; right and bottom are exclusive."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
-
-    def overlaps(self, other: Region) -> bool:
-        """Return whether the regions have common pixels."""
-        across = self.left < other.right and other.left < self.right
-        return across and self.top < other.bottom and other.top < self.bottom
-
-    def joined(self, other: Region) -> Region:
-        """Return the smallest region that contains both."""
-        return Region(
-            min(self.left, other.left),
-            min(self.top, other.top),
-            max(self.right, other.right),
-            max(self.bottom, other.bottom),
-        )
 
 
 class Cutout(NamedTuple):

@@ -15,13 +15,14 @@ import numpy as np
 
 from rhot.arrays import FloatArray, ImageArray
 from rhot.errors import ConfigError
+from rhot.geometry.region import Region
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import own_paints, worn_paints
 from rhot_capture.detection.blob import Blob, Outsized, blobs_of
 from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Reason, Refusal, judge, likeliest
 from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.corners import find_corners
-from rhot_capture.detection.cutouts import Cutouts, Region
+from rhot_capture.detection.cutouts import Cutouts
 from rhot_capture.detection.hand_scale import HandScale
 from rhot_capture.detection.reach import HandReach
 from rhot_capture.detection.score import probability

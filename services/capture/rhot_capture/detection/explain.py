@@ -14,6 +14,7 @@ from typing import Final
 from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
 from rhot.explain import Explanation, ExplanationRow, Outline, PictureExplanation, Verdict
+from rhot.geometry.region import Region
 from rhot.recording import PictureTrack, VideoTrack
 from rhot.recording.camera_picture import jpeg_of
 from rhot.rig import MarkerConfig, Rig
@@ -22,7 +23,6 @@ from rhot.rig.marker_config import own_paints
 from rhot_capture.detection.blob import Blob
 from rhot_capture.detection.candidates import MIN_FILL, MIN_PLAUSIBILITY, MIN_SOLIDITY, Candidate, Reason, Refusal
 from rhot_capture.detection.color_table import build_color_table
-from rhot_capture.detection.cutouts import Region
 from rhot_capture.detection.detector import Detection, MarkerDetector
 from rhot_capture.sources.pictures import read_pictures
 

@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import ImageArray
+from rhot.geometry.region import Region
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import unshared_paints
 from rhot_capture.detection.candidates import Candidate
 from rhot_capture.detection.color_table import ColorTable
-from rhot_capture.detection.cutouts import Region
 from rhot_capture.detection.search import find_regions
 
 _FEWEST: Final = 3

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from rhot.arrays import ImageArray
-from rhot_capture.detection.cutouts import Region
+from rhot.geometry.region import Region
 
 _STEP: Final = 3
 _FIRST: Final = 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from rhot_capture.detection.cutouts import Region
+from rhot.geometry.region import Region
 
 _MEMORY_FRAMES: Final = 10
 """Frames without the marker after which the track is dropped; chosen: a sixth of a second at 60 Hz."""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
+from rhot.geometry.region import Region
 from rhot_feet.frames import DepthImage
-from rhot_feet.prediction import Region
 
 Mask = NDArray[np.bool_]
 

@@ -15,13 +15,14 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
+from rhot.geometry.region import Region
 from rhot.messages import Side
 from rhot_feet.depth.blob_model import BlobModel, BlobRefusal, Neighbour, axes, update_blob_model
 from rhot_feet.depth.floor import FloorPlane, find_floor
 from rhot_feet.depth.points import COARSE_PX, FINE_PX, PixelRays
 from rhot_feet.depth.segmentation import RADIUS_M, BlobSeed, FootBlob, find_blobs
 from rhot_feet.frames import DepthFrame
-from rhot_feet.prediction import OTHER_FOOT, FootPrediction, Region, predicted_region
+from rhot_feet.prediction import OTHER_FOOT, FootPrediction, predicted_region
 
 DepthRefusal = Literal["unknown", "vague"] | BlobRefusal
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray, ImageArray
+from rhot.geometry.region import Region
 from rhot_feet.marker.edges import refine_corners, sample_picture
-from rhot_feet.prediction import Region
 
 MIN_SIDE_PX: Final = 10.0
 """Of a marker's black square: below two pixels a cell (3x3 bits and their border) its bits cannot be told any more."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import R_FOOT_MARKER
+from rhot.geometry.region import Region
 from rhot.messages import Side
 from rhot_feet.depth.floor import FloorPlane
 from rhot_feet.depth.plane import DepthPlane, fit_depth_plane
@@ -20,7 +21,7 @@ from rhot_feet.marker.gates import Refusal, refuse_detection, refuse_pose
 from rhot_feet.marker.orientation_track import OrientationTrack
 from rhot_feet.marker.pose import MarkerPose, marker_poses, view_square
 from rhot_feet.marker.pose_choice import OrientationPrior, PoseChoice, choose_pose
-from rhot_feet.prediction import OTHER_FOOT, FootPrediction, Region, predicted_region
+from rhot_feet.prediction import OTHER_FOOT, FootPrediction, predicted_region
 
 _CONFIRM: Final = 3
 """Pictures in which a marker that nobody expects has to be seen before it is believed."""
