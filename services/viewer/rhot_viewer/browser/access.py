@@ -113,11 +113,12 @@ def page_address(host: str, port: int, scheme: str = "http") -> str:
     return f"{scheme}://{shown}:{port}"
 
 
-def cannot_listen(host: str, port: int) -> str:
-    """Return the error message for a page that cannot be opened."""
+def cannot_listen(host: str, port: int, error: Exception | None = None) -> str:
+    """Return the error message for a page that cannot be opened, with the system's error if there is one."""
+    said = f" ({getattr(error, 'strerror', None) or error})" if error else ""
     return (
         f"the page cannot be opened on {host} port {port}: another program, perhaps another viewer, has it, or the "
-        "address is not this machine's; choose another with --port or --host"
+        f"address is not this machine's; choose another with --port or --host{said}"
     )
 
 

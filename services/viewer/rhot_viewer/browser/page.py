@@ -157,4 +157,4 @@ def _check_free(host: str, port: int) -> None:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except (OSError, UnicodeError) as error:  # UnicodeError: not a valid host name
-        raise DeviceError(f"{cannot_listen(host, port)} ({getattr(error, 'strerror', None) or error})") from error
+        raise DeviceError(cannot_listen(host, port, error)) from error

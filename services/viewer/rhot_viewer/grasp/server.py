@@ -145,7 +145,7 @@ class GraspServer:
                 logger=logging.getLogger(_SOCKET_LOGGER),
             )
         except (OSError, UnicodeError) as error:  # UnicodeError: no name can be like this
-            raise DeviceError(f"{cannot_listen(host, port)} ({getattr(error, 'strerror', None) or error})") from error
+            raise DeviceError(cannot_listen(host, port, error)) from error
         return int(next(iter(self._server.sockets)).getsockname()[1])
 
     def wake(self) -> None:
