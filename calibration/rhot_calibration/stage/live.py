@@ -13,6 +13,7 @@ import numpy as np
 from rhot.bus import Bus
 from rhot.errors import BusError
 from rhot_calibration.cameras.board.detect import detect_board
+from rhot_calibration.cameras.live.preview import preview_of
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 
 LOOKS: Final = 3
@@ -60,12 +61,10 @@ async def _answering(bus: Bus, cameras: Sequence[str], silent: dict[str, str]) -
 
 
 async def _picture(bus: Bus, name: str, silent: dict[str, str]) -> bytes:
-    replies = await bus.get(f"rhot/preview/{name}?format=png", timeout_s=_ANSWER_S)
-    reply = next((reply for reply in replies if not reply.error), None)
-    if reply is None:
-        silent[name] = replies[0].error if replies else "no answer to the query for its image"
-        return b""
-    return reply.payload
+    payload, reason = await preview_of(bus, name, "png", _ANSWER_S)
+    if payload is None:
+        silent[name] = reason
+    return payload or b""
 
 
 def _examined(payload: bytes, board: Board) -> tuple[tuple[int, int], BoardView | None]:

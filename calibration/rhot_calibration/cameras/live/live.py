@@ -23,6 +23,7 @@ from rhot.rig import BusConfig
 from rhot.service.stop import install_stop
 from rhot_calibration.cameras.board.detect import detect_board
 from rhot_calibration.cameras.live.display import session_display, state_line
+from rhot_calibration.cameras.live.preview import preview_of
 from rhot_calibration.cameras.live.session import Session, label
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 from rhot_calibration.keyboard import keyboard
@@ -160,19 +161,16 @@ class Collector:
         return {name: look for name, look in zip(self._cameras, answers, strict=True) if look is not None}
 
     async def _look(self, name: str, lossless: bool) -> _Look | None:
-        replies = await self._bus.get(
-            f"rhot/preview/{name}?format={'png' if lossless else 'jpeg'}", timeout_s=_ANSWER_S
-        )
-        reply = next((reply for reply in replies if not reply.error), None)
-        if reply is None:
-            self.silent[name] = replies[0].error if replies else "no answer to the query for its image"
+        payload, reason = await preview_of(self._bus, name, "png" if lossless else "jpeg", _ANSWER_S)
+        if payload is None:
+            self.silent[name] = reason
             return None
-        if self.newest.get(name) == reply.payload:
+        if self.newest.get(name) == payload:
             # A camera that has stopped would look like a board held perfectly still.
             self.silent[name] = "its picture does not change"
             return None
-        self.newest[name] = reply.payload
-        look = await asyncio.to_thread(_examined, reply.payload, lossless, self._board)
+        self.newest[name] = payload
+        look = await asyncio.to_thread(_examined, payload, lossless, self._board)
         if look is None:
             self.silent[name] = "its answer is not a picture"
             return None
