@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from rhot.bus import Publisher
 from rhot.cli.group import MainGroup
-from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
+from rhot.cli.options import Finite, bus_options, rig_option, tool_bus
 from rhot.clock import SkewedClock
 from rhot.errors import ConfigError
 from rhot.messages import Control, Marker, MarkerFrame
@@ -162,8 +162,8 @@ def write_played_rig(folder: Path, endpoint: str, rate_hz: float = 60.0) -> Rig:
 
 @click.command()
 @click.option("--camera", required=True)
-@click.option("--offset", "clock_offset_s", type=FiniteRange(), default=0.0, help="Of its clock, seconds.")
-@click.option("--drift", "drift_ppm", type=FiniteRange(), default=0.0, help="Of its clock, parts per million.")
+@click.option("--offset", "clock_offset_s", type=Finite(), default=0.0, help="Of its clock, seconds.")
+@click.option("--drift", "drift_ppm", type=Finite(), default=0.0, help="Of its clock, parts per million.")
 @rig_option
 @bus_options
 def play(

@@ -12,7 +12,7 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
+from rhot.cli.options import Finite, FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.rig import CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import CAMERAS_FILE, nominal_camera
@@ -33,8 +33,8 @@ _UNITS_M: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 @click.command()
 @click.argument("recording", required=False, type=click.Path(path_type=Path))
 @click.option("--board", "counts", metavar="CxR", help="Inner corners along and across, such as 9x6.")
-@click.option("--square-mm", type=FiniteRange(), help="Side of a square, measured on the print.")
-@click.option("--marker-mm", type=FiniteRange(), help="Side of the markers of a ChArUco board.")
+@click.option("--square-mm", type=Finite(), help="Side of a square, measured on the print.")
+@click.option("--marker-mm", type=Finite(), help="Side of the markers of a ChArUco board.")
 @click.option("--dictionary", default=DEFAULT_DICTIONARY, show_default=True, help="Markers of a ChArUco board.")
 @click.option("--baseline-mm", type=FiniteRange(min=1.0), help="Measured distance of the first two lenses; checked.")
 @click.option("--live", is_flag=True, help="Take the pictures now, from the running capture services.")

@@ -11,7 +11,7 @@ import click
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
+from rhot.cli.options import Finite, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.messages import PointSet, Side
 from rhot.recording import load_recording
@@ -54,11 +54,9 @@ class _Stretch(click.ParamType[Window]):
     type=_Stretch(),
     help="When straight fingers bend at the knuckles only.  [default: found]",
 )
+@click.option("--length-mm", type=Finite(), help="By a ruler: wrist crease to middle tip; alone or beside a recording.")
 @click.option(
-    "--length-mm", type=FiniteRange(), help="By a ruler: wrist crease to middle tip; alone or beside a recording."
-)
-@click.option(
-    "--width-mm", type=FiniteRange(), help="By a ruler: across the knuckles of the four fingers; without a recording."
+    "--width-mm", type=Finite(), help="By a ruler: across the knuckles of the four fingers; without a recording."
 )
 @click.option("--side", type=click.Choice(["left", "right"]), help="Which hand, where rig.toml has two.")
 @rig_option

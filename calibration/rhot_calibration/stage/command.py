@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from rhot.bus import Bus
-from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
+from rhot.cli.options import Finite, FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.rig import Rig, StageFile, load_rig
@@ -31,8 +31,8 @@ from rhot_calibration.writing import write_found
 @click.option("--live", is_flag=True, help="Take the pictures now, from the running capture services.")
 @click.option("--registration", is_flag=True, help="Take the floor of the registered tracking system (SteamVR).")
 @click.option("--board", "counts", metavar="CxR", help="Inner corners of the board along and across, such as 9x6.")
-@click.option("--square-mm", type=FiniteRange(), help="Side of a square, measured on the print.")
-@click.option("--marker-mm", type=FiniteRange(), help="Side of the markers of a ChArUco board.")
+@click.option("--square-mm", type=Finite(), help="Side of a square, measured on the print.")
+@click.option("--marker-mm", type=Finite(), help="Side of the markers of a ChArUco board.")
 @click.option("--dictionary", default=DEFAULT_DICTIONARY, show_default=True, help="Markers of a ChArUco board.")
 @click.option(
     "--desk-mm",

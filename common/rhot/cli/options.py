@@ -24,8 +24,8 @@ _WITH_PORT: Final = ("tcp", "udp", "tls", "quic", "ws")
 """Zenoh's links that reach a machine by address and port."""
 
 
-class FiniteRange(click.FloatRange):
-    """A number between two bounds. Of click's own, `nan` is between any two: no comparison refuses it."""
+class Finite(click.types.FloatParamType):
+    """A number. Unlike click's own type, it rejects `nan` and `inf`."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number."""
@@ -33,6 +33,10 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{number:g} is no number to compute with", param, ctx)
         return number
+
+
+class FiniteRange(Finite, click.FloatRange):
+    """A number between two bounds. Between click's own bounds is `nan`, too, because no comparison rejects it."""
 
 
 def rig_option(command: F) -> F:

@@ -147,11 +147,16 @@ def every_command(group: click.Group, name: str = "rhot") -> Iterator[tuple[str,
 def test_no_option_takes_what_is_not_a_number_for_one() -> None:
     for name, command in every_command(main):
         for option in command.params:
-            if isinstance(option.type, click.FloatRange | type(click.FLOAT)):
+            if isinstance(option.type, click.types.FloatParamType):
                 for text in ("nan", "inf", "-inf"):
                     with pytest.raises(click.BadParameter):
                         option.type(text, option, None)
                         pytest.fail(f"{name} {option.opts[0]} {text} is taken")
+
+
+def test_no_help_states_a_range_without_bounds() -> None:
+    texts = {name: command.get_help(click.Context(command)) for name, command in every_command(main)}
+    assert [name for name, text in texts.items() if "<=None" in text.replace(" ", "")] == []
 
 
 def test_a_service_whose_packages_are_missing_says_what_to_install() -> None:

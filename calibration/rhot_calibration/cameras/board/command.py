@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from rhot.cli.options import FiniteRange
+from rhot.cli.options import Finite
 from rhot.errors import ConfigError
 from rhot_calibration.cameras.board.boards import DEFAULT_DICTIONARY, half_turn_ambiguous, parse_board
 from rhot_calibration.cameras.board.printing import PAPERS, board_sheet, write_sheet
@@ -16,12 +16,10 @@ from rhot_calibration.cameras.board.printing import PAPERS, board_sheet, write_s
 @click.command()
 @click.argument("file", metavar="FILE.pdf|FILE.svg", type=click.Path(path_type=Path, dir_okay=False))
 @click.option("--board", "counts", default="9x6", show_default=True, help="Inner corners along and across.")
-@click.option("--square-mm", type=FiniteRange(), default=25.0, show_default=True, help="Side of a square.")
+@click.option("--square-mm", type=Finite(), default=25.0, show_default=True, help="Side of a square.")
 @click.option("--paper", type=click.Choice(list(PAPERS), case_sensitive=False), default="a4", show_default=True)
 @click.option("--charuco", is_flag=True, help="With ArUco markers: found even when partly hidden.")
-@click.option(
-    "--marker-mm", type=FiniteRange(), help="Side of the markers of a ChArUco board; default 0.7 of a square."
-)
+@click.option("--marker-mm", type=Finite(), help="Side of the markers of a ChArUco board; default 0.7 of a square.")
 @click.option("--dictionary", help=f"Markers of a ChArUco board; default {DEFAULT_DICTIONARY}.")
 def board(
     file: Path,
