@@ -32,6 +32,7 @@ def capture(camera: str, rig_path: Path, connect: tuple[str, ...], namespace: st
     """Detect the markers in one camera's pictures, until Ctrl-C.
 
     Waits for `rhot start`, then publishes rhot/markers/CAMERA. To see a picture of the camera:
+
     rhot get --raw 'rhot/preview/CAMERA?overlay=markers' > picture.jpg
     """
     rig = load_rig(rig_path)
