@@ -126,10 +126,8 @@ class _Drawing(NamedTuple):
     has_holes: bool
 
 
-def find_blobs(
-    labels: ImageArray, label: int, min_area: float, max_area: float, region: Region | None = None
-) -> list[Blob]:
-    """Return the blobs of one label, largest first.
+def find_blobs(labels: ImageArray, label: int, min_area: float, max_area: float) -> list[Blob]:
+    """Return the blobs of one label in an image, largest first.
 
     Parts separated by a highlight or a nail's reflection are merged if they are near each other and jointly compact.
 
@@ -138,12 +136,10 @@ def find_blobs(
         label: of the marker.
         min_area: smallest area of a merged blob, square pixels.
         max_area: largest area of a merged blob, square pixels.
-        region: to search; by default the whole image.
     """
-    region = region or Region(0, 0, labels.shape[1], labels.shape[0])
-    own = labels[region.top : region.bottom, region.left : region.right] == label
-    shape = labels.shape[0], labels.shape[1]
-    return blobs_of(own.view(np.uint8), [Cutout(label, region, 0)], [(min_area, max_area)], shape)[0]
+    height, width = labels.shape
+    whole = Cutout(label, Region(0, 0, width, height), 0)
+    return blobs_of((labels == label).view(np.uint8), [whole], [(min_area, max_area)], (height, width))[0]
 
 
 class Outsized(NamedTuple):
