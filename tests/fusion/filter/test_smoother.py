@@ -107,3 +107,35 @@ def test_views_are_understood_anew_by_the_path() -> None:
     nodes = watched({}, correct=nearer)
     assert told == [pytest.approx(0.7, abs=1e-3)]
     assert nodes[-1].position[0, 2] == pytest.approx(0.63, abs=1e-3)
+
+
+def test_markers_of_unknown_depth_that_were_reinitialised_live_are_not_smoothed_across() -> None:
+    """One camera loses the tips while they bend away from the patch; then both cameras see them again."""
+    count, lost, found, bent_m = 4, 10, 80, 0.12
+    rest = PLACE + np.array([[-0.03, -0.05, 0.0], [0.0, -0.06, 0.0], [0.03, -0.05, 0.0], [0.0, 0.0, 0.0]])
+    variance = ROUND[None].repeat(count, axis=0) * (NOISE_PX / FOCAL_PX) ** 2
+    everything, rng = np.arange(count), np.random.default_rng(1)
+    tips = everything < count - 1
+    frames: list[Frame] = []
+    for number in range(160):
+        camera, t_s = number % 2, number * PERIOD_S
+        there = rest.copy()
+        there[tips, 2] += bent_m * np.clip((number - lost) / (found - lost), 0.0, 1.0)
+        local = CAMERAS[camera].to_camera(there)
+        xy: FloatArray = local[:, :2] / local[:, 2:] + rng.normal(0.0, NOISE_PX / FOCAL_PX, (count, 2))
+        views = Views(CAMERAS[camera], everything, np.zeros(count), xy, variance, np.zeros(count))
+        if camera == 1 and lost <= number < found:
+            views = views.chosen(~tips)
+        events = []
+        if number in (1, found + 1):
+            for marker in everything[tips] if number > 1 else everything:
+                mean = np.concatenate([there[marker], np.zeros(3)])
+                initial = InitialState(mean, np.diag([1e-5] * 3 + [1e-2] * 3), t_s)
+                events.append(Event(t_s, int(marker), initial, frames[-1], continues=number > 1))
+        taken = np.full(len(views.index), True)
+        frames.append(Frame(t_s, camera, views, taken, events, views.xy, np.zeros(len(views.index))))
+    nodes = smooth(frames, count, DEFAULT, as_they_are)
+    spread_m = [np.sqrt(np.trace(node.covariance[0, :3, :3])) for node in nodes]
+    assert spread_m[found - 2] > DEFAULT.track.loose_m, "the path before does not go through the new position"
+    assert max(spread_m[found + 2 : -5]) < 5e-3
+    assert max(np.abs(node.position - there).max() for node in nodes[found + 2 : -5]) < 5e-3

@@ -150,9 +150,12 @@ def _forward(
     for number, (frame, own, scale) in enumerate(zip(frames, variance, scale2, strict=True)):
         new = np.zeros(count, dtype=bool)
         for event in begins.get(number, ()):
-            if not (event.continues and hand.state.alive[event.marker]):
+            k = event.marker
+            # Like live: depth that is nearly unknown is not linear in the views. Their innovations would be taken for
+            # accelerations of the whole hand, and the paths of all its markers would diverge.
+            if not (event.continues and hand.state.alive[k] and hand.state.spread_m2[k] <= loose_m2):
                 _begin(hand, event, frame.t_s, settings)
-                new[event.marker] = True
+                new[k] = True
         alive = hand.state.alive[frame.views.index] & frame.taken
         # Markers with a large covariance are not inflated further: an outlier would make the path diverge.
         certain = np.where(hand.state.spread_m2[frame.views.index] <= loose_m2, settings.track.inflation_gate, np.inf)
