@@ -202,3 +202,16 @@ def test_pictures_without_markers_show_none(
         image = read(thesis_rig, f"../chessboard/left/{number:06d}.jpg")
         sure = {name: each for name, each in detect(image, colors, markers).items() if each.score > 0.7}
         assert not sure, number
+
+
+@pytest.mark.parametrize("gloss", [-30, 30])
+def test_a_patch_is_found_whole_with_more_or_less_gloss(gloss: int, scene: Any, six_shapes: Any, markers: Any) -> None:
+    drawn = scene(six_shapes(1), noise=2.0)
+    result = calibrate([drawn.image], [{name: (u, v) for name, (u, v, _) in drawn.truth.items()}], markers)
+    (patch,) = (name for name, marker in markers.items() if marker.kind == "patch")
+    image = drawn.image.astype(np.int16)
+    image[result.regions[0][patch]] += gloss
+    found = detect(np.clip(image, 0, 255).astype(np.uint8), result.colors, markers)[patch]
+    u, v, area = drawn.truth[patch]
+    assert np.hypot(found.u - u, found.v - v) < 0.5
+    assert found.area == pytest.approx(area, rel=0.15)

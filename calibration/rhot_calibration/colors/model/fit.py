@@ -13,6 +13,11 @@ from rhot.rig.colors import DARK_OFFSET, ColorComponent, log_ratio
 MARKER_FLOOR: Final = (0.06, 0.06, 0.22)
 """Least σ of a marker's class: light changes between calibration and use, mostly its strength."""
 COUNTER_FLOOR: Final = (0.05, 0.05, 0.10)
+_GLOSS: Final = 12.0
+"""Standard deviation of the white light that a surface reflects in addition to its own colour, grey levels. It differs
+between calibration and use, because it depends on the angle. Over eleven rendered worlds, 12 finds 1.2 % more of the
+visible markers than 0 and leaves the errors of their centres as they are; from 25 on, two dark paints of one world are
+confused."""
 _CEILING: Final = (0.30, 0.30, 0.60)
 _MAX_CORRELATION: Final = 0.95
 _CLUSTER_SCALE: Final = (0.10, 0.10, 0.40)
@@ -48,6 +53,22 @@ def fit_component(samples: FloatArray, floor: tuple[float, float, float], weight
         correlation=(first, second, third),
         weight=weight,
     )
+
+
+def with_gloss(component: ColorComponent) -> ColorComponent:
+    """Widen a component by more or less gloss than in the samples.
+
+    Gloss adds white light to the colour of a surface (S. A. Shafer, "Using color to separate reflection components",
+    Color Research and Application 10(4), 1985), so the component becomes wider in this direction only.
+    """
+    rgb = np.array(component.rgb)
+    step = 0.5 * (log_ratio(np.minimum(rgb + _GLOSS, 255.0)) - log_ratio(np.maximum(rgb - _GLOSS, 0.0)))
+    covariance = component.covariance() + np.outer(step, step)
+    sigma = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sigma, sigma)
+    sigma_1, sigma_2, sigma_3 = (round(float(value), 4) for value in np.minimum(sigma, _CEILING))
+    first, second, third = (round(float(correlation[k]), 3) for k in ((0, 1), (0, 2), (1, 2)))
+    return component.model_copy(update={"sigma": (sigma_1, sigma_2, sigma_3), "correlation": (first, second, third)})
 
 
 def _moments(samples: FloatArray, floor: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
