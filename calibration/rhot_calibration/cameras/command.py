@@ -10,7 +10,7 @@ from typing import Final
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rhot.cli.options import Finite, FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
@@ -134,7 +134,8 @@ def _board(counts: str | None, square_mm: float | None, marker_mm: float | None,
 
 def _read(rig: Rig, recording: Path, board: Board) -> PictureReading:
     sizes = {name: (camera.width, camera.height) for name, camera in rig.config.cameras.items()}
-    columns = (TextColumn("looking for the board"), BarColumn(), MofNCompleteColumn(), TextColumn("pictures"))
+    count = MofNCompleteColumn(), TextColumn("pictures")
+    columns = TextColumn("searching for the board"), BarColumn(), *count, TimeRemainingColumn()
     with Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task("")
         return read_pictures(
@@ -143,6 +144,7 @@ def _read(rig: Rig, recording: Path, board: Board) -> PictureReading:
             list(rig.cameras),
             lambda done, total: progress.update(task, completed=done, total=total),
             sizes,
+            lambda text: progress.console.print(f"warning: {text}", markup=False, highlight=False, soft_wrap=True),
         )
 
 

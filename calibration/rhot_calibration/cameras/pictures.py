@@ -3,39 +3,35 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Final
 
-import cv2
-import numpy as np
-
 from rhot.errors import CalibrationError, ConfigError
-from rhot.recording import MarkerTrack, PictureTrack, Recording, VideoTrack, load_recording
+from rhot.recording import MarkerTrack, Recording, load_recording
 from rhot_calibration.cameras.board.detect import detect_board, looks_mirrored, wrong_count_hint
-from rhot_calibration.cameras.board.grid import GrayImage
+from rhot_calibration.cameras.picture_order import SAMPLED, Key, Picture, count_pictures, spread_pictures
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 
-MAX_VIDEO_PICTURES: Final = 60
 _MAX_EXPLAINED: Final = 4
 _ENOUGH_FOUND: Final = 0.5
 """Where this share of the pictures shows the stated board, it is the right one."""
 _THREADS: Final = 2
 _FIRST: Final = 6
-"""Without the board, one after the other, until some of them are asked for another count: looking for a board that is
-not there takes a second a picture, and a wrong --board is told by the first few."""
+"""Number of pictures without the board after which some of them are searched for a board of another size: searching for
+a board that is not there takes a second per picture."""
 _FIRST_EXPLAINED: Final = 2
 
-Key = tuple[str, int]
 Progress = Callable[[int, int], None]
+Warn = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class PictureReading:
-    """What came of the pictures.
+    """Boards found in pictures, and reasons where none was found.
 
     Attributes:
         views: where the board was found.
@@ -57,20 +53,10 @@ class PictureReading:
 
 
 @dataclass(frozen=True, slots=True)
-class _Picture:
-    """A picture to look at: from a file, or already decoded from a video."""
-
-    key: Key
-    label: str
-    file: Path | None
-    gray: GrayImage | None
-
-
-@dataclass(frozen=True, slots=True)
 class _Looked:
     """What one picture gave; `size` is None when it could not be read."""
 
-    picture: _Picture
+    picture: Picture
     size: tuple[int, int] | None
     view: BoardView | None
 
@@ -92,6 +78,7 @@ def read_pictures(
     cameras: Sequence[str],
     progress: Progress | None = None,
     sizes: dict[str, tuple[int, int]] | None = None,
+    warn: Warn | None = None,
 ) -> PictureReading:
     """Find the board in every picture of a recording.
 
@@ -102,6 +89,7 @@ def read_pictures(
         cameras: of the rig, in the order of `rig.toml`.
         progress: called with the number of pictures looked at and of all.
         sizes: camera name to the (width, height) that `rig.toml` states; None = whatever the pictures have.
+        warn: called with one sentence if none of the first pictures shows the board.
 
     Raises:
         ConfigError: the recording cannot be used (no such folder, marker tracks, an empty or broken video).
@@ -109,16 +97,16 @@ def read_pictures(
     """
     loaded = load_recording(recording) if isinstance(recording, Path) else recording
     _require_same_cameras(loaded, cameras)
-    total = sum(_count(loaded, name) for name in cameras)
+    total = sum(count_pictures(loaded, name) for name in cameras)
     views: dict[Key, BoardView] = {}
     labels: dict[Key, str] = {}
     problems: dict[str, str] = {}
     seen: dict[str, dict[tuple[int, int], list[str]]] = {name: {} for name in cameras}
-    without: list[_Picture] = []
-    first: list[_Picture] = []
+    without: list[Picture] = []
+    first: list[Picture] = []
     # Two at a time: OpenCV releases the interpreter, and videos must not be decoded far ahead.
     with ThreadPoolExecutor(_THREADS) as pool:
-        pictures = (picture for name in cameras for picture in _pictures(loaded, name))
+        pictures = spread_pictures(loaded, cameras)
         done = 0
         while batch := list(islice(pictures, 2 * _THREADS)):
             for looked in pool.map(lambda picture: _look(picture, board), batch):
@@ -136,6 +124,11 @@ def read_pictures(
                     seen[picture.key[0]].setdefault(looked.size, []).append(picture.label)
                 if progress is not None:
                     progress(done, max(done, total))
+            if warn is not None and not views and done - len(batch) < SAMPLED <= done < total:
+                warn(
+                    f"{done} pictures of all cameras do not show {board}; if the board is another one, stop with "
+                    "Ctrl-C and state --board CxR"
+                )
             if not views and not first and len(without) >= _FIRST:
                 first = without[:: len(without) // _FIRST_EXPLAINED][:_FIRST_EXPLAINED]
                 counts, _ = _explain(first, board, problems)
@@ -144,6 +137,11 @@ def read_pictures(
                     return PictureReading(
                         ViewSet(board, _sizes(loaded.path, so_far, sizes), {}, labels), problems, counts
                     )
+    order = sorted(labels, key=lambda key: (cameras.index(key[0]), key[1]))
+    labels = {key: labels[key] for key in order}
+    views = {key: views[key] for key in order if key in views}
+    problems = {label: problems[label] for label in labels.values() if label in problems}
+    without.sort(key=lambda picture: order.index(picture.key))
     view_sizes = _sizes(loaded.path, seen, sizes)
     # Explaining takes seconds a picture; a board that is merely not wholly in view needs no explanation. A mirrored
     # ChArUco board is told quickly, and one picture may be mirrored alone.
@@ -153,48 +151,21 @@ def read_pictures(
     return PictureReading(ViewSet(board, view_sizes, views, labels), problems, counts, mirrored)
 
 
-def read_gray(file: Path) -> GrayImage | None:
-    """Return a picture file (height, width) in grey as its pixels lie in the file, or None when it is no picture.
-
-    A camera's own orientation tag is not obeyed: calibration speaks of raw pixels.
-    """
-    try:
-        data = np.fromfile(file, dtype=np.uint8)
-    except OSError:
-        return None
-    if not data.size or _cut_off(data):
-        return None
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    return None if image is None else np.asarray(image, dtype=np.uint8)
-
-
-def _cut_off(data: GrayImage) -> bool:
-    """Tell whether a JPEG or PNG lacks its end; OpenCV would return the missing part in grey without a word."""
-    tail = data[-4096:].tobytes()
-    if data[:2].tobytes() == b"\xff\xd8":
-        return b"\xff\xd9" not in tail
-    return data[:4].tobytes() == b"\x89PNG" and b"IEND" not in tail
-
-
-def _look(picture: _Picture, board: Board) -> _Looked:
-    gray = _gray(picture)
+def _look(picture: Picture, board: Board) -> _Looked:
+    gray = picture.pixels()
     if gray is None:
         return _Looked(picture, None, None)
     return _Looked(picture, (gray.shape[1], gray.shape[0]), detect_board(gray, board))
 
 
-def _gray(picture: _Picture) -> GrayImage | None:
-    return picture.gray if picture.file is None else read_gray(picture.file)
-
-
 def _explain(
-    without: list[_Picture], board: Board, problems: dict[str, str]
+    without: list[Picture], board: Board, problems: dict[str, str]
 ) -> tuple[dict[str, tuple[int, int]], tuple[str, ...]]:
     """Look in a few pictures without the board, spread over all, for a mirrored one or one of another count."""
     counts: dict[str, tuple[int, int]] = {}
     mirrored: list[str] = []
     for picture in without[:: max(1, -(-len(without) // _MAX_EXPLAINED))]:
-        gray = _gray(picture)
+        gray = picture.pixels()
         if gray is None:
             continue
         if looks_mirrored(gray, board):
@@ -227,44 +198,6 @@ def _require_same_cameras(recording: Recording, cameras: Sequence[str]) -> None:
                 f"{recording.path / name}: holds 2D marker tracks; a calibration needs pictures of a board, "
                 f"{name}/000001.jpg and so on, or a video {name}.mp4"
             )
-
-
-def _count(recording: Recording, name: str) -> int:
-    track = recording.cameras[name]
-    return MAX_VIDEO_PICTURES if isinstance(track, VideoTrack) else len(track.frames)
-
-
-def _pictures(recording: Recording, name: str) -> Iterator[_Picture]:
-    track = recording.cameras[name]
-    if isinstance(track, PictureTrack):
-        for number, file in zip(track.frames.tolist(), track.files, strict=True):
-            yield _Picture((name, number), f"{name}/{file.name}", file, None)
-    elif isinstance(track, VideoTrack):
-        yield from _video_pictures(track)
-
-
-def _video_pictures(track: VideoTrack) -> Iterator[_Picture]:
-    """Yield evenly spaced frames of a video, the same numbers in videos of the same length to within a few frames."""
-    capture = cv2.VideoCapture(str(track.file))
-    try:
-        length = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) if capture.isOpened() else 0
-        if length <= 0:
-            raise ConfigError(f"{track.file}: cannot be read as a video, or holds no frame; record it again")
-        # A power of two, so that videos of nearly the same length give the same frame numbers.
-        step = 1
-        while length > step * MAX_VIDEO_PICTURES:
-            step *= 2
-        for number in range(length):
-            if not capture.grab():
-                return
-            if number % step:
-                continue
-            decoded, image = capture.retrieve()
-            if decoded:
-                gray = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-                yield _Picture((track.name, number), f"{track.file.name} frame {number}", None, gray)
-    finally:
-        capture.release()
 
 
 def _sizes(

@@ -73,6 +73,39 @@ def test_unusable_recordings_are_refused(recording: Path) -> None:
         read_pictures(recording, BOARD, ("left", "right"))
 
 
+def test_a_large_set_without_the_board_warns_early(tmp_path: Path) -> None:
+    nothing, (shown, _) = np.full((120, 160), 60, np.uint8), board_picture(BOARD)
+    for camera in ("left", "right"):
+        (tmp_path / camera).mkdir()
+        for number in range(40):
+            cv2.imwrite(str(tmp_path / camera / f"{number:06d}.png"), cv2.resize(nothing, shown.shape[::-1]))
+    done, warnings = [0], []
+    read_pictures(
+        tmp_path,
+        BOARD,
+        ("left", "right"),
+        lambda number, _: done.append(number),
+        warn=lambda text: warnings.append((done[-1], text)),
+    )
+    assert done[-1] == 80
+    ((at, text),) = warnings
+    assert at <= 24
+    assert "do not show chessboard of 9x6" in text
+    assert "--board CxR" in text
+
+
+def test_a_board_late_in_the_set_is_found_without_a_warning(tmp_path: Path) -> None:
+    shown, _ = board_picture(BOARD, tilt_deg=(5.0, 10.0, 0.0))
+    for camera in ("left", "right"):
+        (tmp_path / camera).mkdir()
+        for number in range(40):
+            picture = shown if camera == "right" and number >= 30 else np.full_like(shown, 60)
+            cv2.imwrite(str(tmp_path / camera / f"{number:06d}.png"), picture)
+    reading = read_pictures(tmp_path, BOARD, ("left", "right"), warn=pytest.fail)
+    assert list(reading.views.views) == [("right", number) for number in range(30, 40)]
+    assert next(iter(reading.problems)) == "left/000000.png"
+
+
 def test_marker_tracks_are_refused(shared_data: Path) -> None:
     with pytest.raises(ConfigError, match="2D marker tracks"):
         read_pictures(shared_data / "thesis_rig" / "recordings" / "hand_recovered", BOARD, ("left", "right"))
