@@ -44,6 +44,11 @@ class Jitter:
     off_pixels: Mapping[str, Mapping[str, float]]
     wandered: Mapping[str, float]
 
+    @property
+    def moved(self) -> bool:
+        """Whether the hand moved: then the deviations are its motion and no jitter."""
+        return max(self.wandered.values(), default=0.0) > REST_PX
+
 
 def still_jitter(heard: Heard, *, rests_only: bool, cameras: Mapping[str, CameraModel] | None = None) -> Jitter:
     """Return the jitter of all markers.
@@ -97,7 +102,10 @@ def still_jitter(heard: Heard, *, rests_only: bool, cameras: Mapping[str, Camera
 
 
 def jitter_sections(jitter: Jitter) -> list[Section]:
-    """Return the tables, the truth beside them where it is known."""
+    """Return the tables, compared with the truth where it is known; of a hand that moved, only by how much."""
+    still = [Section("Was it still?", tuple(_wander_row(*each) for each in jitter.wandered.items()))]
+    if jitter.moved:
+        return still
     sections = [
         Section(
             f"Jitter in the pictures of camera {camera}",
@@ -107,7 +115,7 @@ def jitter_sections(jitter: Jitter) -> list[Section]:
         if markers
     ]
     if jitter.wandered:
-        sections.append(Section("Was it still?", tuple(_wander_row(*each) for each in jitter.wandered.items())))
+        sections += still
     rows: list[Row] = []
     for name in jitter.sideways:
         rows.append(figure_row(f"{name}, sideways", jitter.sideways[name].scaled(_MM), "mm"))
@@ -129,7 +137,12 @@ def jitter_sections(jitter: Jitter) -> list[Section]:
 
 
 def jitter_plots(jitter: Jitter) -> list[str]:
-    """Return bar charts, as the thesis's figure 6.7: a group a marker, a bar a camera; and one in millimetres."""
+    """Return bar charts as in the thesis's figure 6.7, grouped by marker, in pixels and in millimetres.
+
+    There are none of a hand that moved.
+    """
+    if jitter.moved:
+        return []
     names = sorted({name for markers in jitter.pixels.values() for name in markers})
     in_pixels = {
         name: {camera: _bar(markers[name]) for camera, markers in jitter.pixels.items() if name in markers}
@@ -144,7 +157,9 @@ def jitter_plots(jitter: Jitter) -> list[str]:
 
 
 def _wander_row(camera: str, wandered_px: float) -> Row:
-    note = "between the means of whole seconds; more, and the jitter is how the hand moved: rest it on something"
+    note = "between the means of whole seconds"
+    if wandered_px > REST_PX:
+        note += "; the hand moved, so its jitter is unknown: rest it on something (simulated: rhot sim --motion still)"
     return Row(f"{camera}, a marker wandered by at most", wandered_px, "px", most=REST_PX, note=note)
 
 

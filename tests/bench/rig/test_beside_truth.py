@@ -16,7 +16,7 @@ from rhot_bench.measures.rows import Row, Section
 from rhot_bench.rig.depth import depth_sections, rows_by_truth
 from rhot_bench.rig.grasps import drift_figure, grasps, hand_deviations
 from rhot_bench.rig.heard import Heard
-from rhot_bench.rig.jitter import jitter_sections, still_jitter
+from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
 from rhot_bench.rig.simulated import simulated_truth
 from rhot_bench.rig.stages import stage_sections, stage_times
 from rhot_bench.rig.statistics import Figure
@@ -114,7 +114,9 @@ def test_a_still_hand_and_one_that_is_not(rig: Rig, moving: Heard) -> None:
     assert sum("pictures" in row.name for row in rows) >= 10
     assert wrong(rows) == []
     assert max(jitter.wandered.values()) < 0.5
-    (moved,) = [
-        part for part in jitter_sections(still_jitter(moving, rests_only=False)) if part.title == "Was it still?"
-    ]
+    in_motion = still_jitter(moving, rests_only=False)
+    (moved,) = jitter_sections(in_motion)
+    assert moved.title == "Was it still?"
     assert {row.verdict for row in moved.rows} == {"missed"}
+    assert all("rhot sim --motion still" in row.note for row in moved.rows)
+    assert jitter_plots(in_motion) == []
