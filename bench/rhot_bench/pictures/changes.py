@@ -96,19 +96,19 @@ def _rounded(image: NDArray[np.float32]) -> Image:
 
 
 CHANGES: Final[Mapping[str, Change]] = {
-    "mirrored": Change("a left hand, cameras changed sides", mirrored=True),
+    "mirrored": Change("a left hand, with the cameras exchanged", mirrored=True),
     "smaller": Change("three quarters of the size", scale=0.75),
     "larger": Change("one and a half times the size", scale=1.5),
     "half-rate": Change("every second picture", every=2),
-    "blurred": Change("out of focus: 1.2 px", picture=_blurred),
+    "blurred": Change("out of focus, by 1.2 px", picture=_blurred),
     "pale": Change("paint and skin of about half the saturation", picture=_pale),
-    "warm": Change("light of an evening: red x 1.25, blue x 0.75", picture=_gained(0.75, 0.95, 1.25)),
+    "warm": Change("evening light, red x 1.25, blue x 0.75", picture=_gained(0.75, 0.95, 1.25)),
     "dark": Change("half the light", picture=_gained(0.5, 0.5, 0.5)),
-    "overexposed": Change("1.45 times the light, what is too bright cut off", picture=_gained(1.45, 1.45, 1.45)),
+    "overexposed": Change("1.45 times the light, clipped at white", picture=_gained(1.45, 1.45, 1.45)),
     "compressed": Change("JPEG quality 60", picture=_compressed),
     "noisy": Change("noise of a small sensor in poor light", picture=_noisy),
     "unbalanced": Change(
-        "cameras of unlike white balance",
+        "cameras with different white balance",
         picture=_gained(0.8, 1.0, 1.15),
         right_picture=_gained(1.15, 1.0, 0.85),
     ),

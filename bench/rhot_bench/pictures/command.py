@@ -68,22 +68,22 @@ _OFFSET: Final = "after one constant offset per marker, along its bone and along
     "--keep",
     "keep_path",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Keep the calibrated rig and the markers found in this folder, and use what an earlier run left there: fusion "
-    "and ik are then measured again in seconds. Empty it when capture or a calibration changed.",
+    help="Folder for the calibrated rig and the detected markers. A later run with the same folder uses them again and "
+    "takes seconds. Delete it after changes to detection or calibration.",
 )
 @click.option(
     "--changed",
     "change",
     type=click.Choice(list(CHANGES)),
-    help="Look at a changed copy of the pictures instead, made and calibrated for the run: "
+    help="Evaluate a changed copy of the pictures, with its own calibration: "
     + "; ".join(f"{name}: {change.about}" for name, change in CHANGES.items())
-    + ". What holds for one set of pictures alone shows here.",
+    + ".",
 )
 @click.option(
     "--width-mm",
     type=FiniteRange(40.0, 130.0),
-    help="Width of the hand across the knuckles, by a ruler; pictures state its length alone.  [default: 74 for a hand "
-    "of 172, and in proportion]",
+    help="Width of the hand across the knuckles, measured with a ruler; DATA states only its length.  [default: 74 for "
+    "a hand of 172, and in proportion]",
 )
 @click.option("--left", "is_left", is_flag=True, help="The pictures show a left hand.")
 @json_option
@@ -95,12 +95,12 @@ def pictures(
     is_left: bool,
     json_path: Path | None,
 ) -> None:
-    """Track photo-real pictures of another rig and another hand, and score them with their own scorer.
+    """Track photo-real pictures of another rig and hand, and compare with their ground truth.
 
-    DATA is the folder of the rendered pictures, or the one that holds it. Cameras and colours are calibrated from its
-    chessboards and its colour reference by `rhot calibrate`, the hand by two ruler measurements. For comparison, two
-    references run on the same detections: a plain filter per marker (causal) and a cubic spline per camera and marker
-    (offline).
+    DATA is the folder of the rendered pictures, or its parent. Cameras and colours are calibrated with `rhot calibrate`
+    from its chessboards and colour reference, the hand by two ruler measurements. Two references run on the same
+    detections for comparison: a plain Kalman filter per marker (causal) and a cubic spline per camera and marker
+    (offline). The errors are computed by the scorer in DATA.
     """
     check_output("--json", json_path)
     data = require_pictures(data_path)

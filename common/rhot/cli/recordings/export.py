@@ -97,7 +97,8 @@ def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
     "--fps",
     "rate_hz",
     type=FiniteRange(1, 1000),
-    help="Frames per second of BVH, TRC, MOT and C3D, interpolated.  [default: the recorded rate]",
+    help="Frames per second of BVH, TRC, MOT and C3D, interpolated.  [default: the recorded rate; BVH: one frame per "
+    "recorded pose]",
 )
 @click.option("--measured", is_flag=True, help="Leave out poses that are only predicted; not with tables and viewers.")
 @click.option(
