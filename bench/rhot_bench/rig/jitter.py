@@ -103,7 +103,8 @@ def still_jitter(heard: Heard, *, rests_only: bool, cameras: Mapping[str, Camera
 
 def jitter_sections(jitter: Jitter) -> list[Section]:
     """Return the tables, compared with the truth where it is known; of a hand that moved, only by how much."""
-    still = [Section("Was it still?", tuple(_wander_row(*each) for each in jitter.wandered.items()))]
+    wandered = tuple(_wander_row(*each) for each in jitter.wandered.items())
+    still = [Section("Was it still?", wandered)] if wandered else []
     if jitter.moved:
         return still
     sections = [
@@ -114,8 +115,7 @@ def jitter_sections(jitter: Jitter) -> list[Section]:
         for camera, markers in jitter.pixels.items()
         if markers
     ]
-    if jitter.wandered:
-        sections += still
+    sections += still
     rows: list[Row] = []
     for name in jitter.sideways:
         rows.append(figure_row(f"{name}, sideways", jitter.sideways[name].scaled(_MM), "mm"))

@@ -126,7 +126,7 @@ def read_pictures(
                     progress(done, max(done, total))
             if warn is not None and not views and done - len(batch) < SAMPLED <= done < total:
                 warn(
-                    f"{done} pictures of all cameras do not show {board}; if the board is another one, stop with "
+                    f"{done} pictures do not show {board}; if the board is another one, stop with "
                     "Ctrl-C and state --board CxR"
                 )
             if not views and not first and len(without) >= _FIRST:
@@ -137,11 +137,14 @@ def read_pictures(
                     return PictureReading(
                         ViewSet(board, _sizes(loaded.path, so_far, sizes), {}, labels), problems, counts
                     )
-    order = sorted(labels, key=lambda key: (cameras.index(key[0]), key[1]))
-    labels = {key: labels[key] for key in order}
-    views = {key: views[key] for key in order if key in views}
+
+    def place(key: Key) -> tuple[int, int]:
+        return cameras.index(key[0]), key[1]
+
+    labels = {key: labels[key] for key in sorted(labels, key=place)}
+    views = {key: views[key] for key in labels if key in views}
     problems = {label: problems[label] for label in labels.values() if label in problems}
-    without.sort(key=lambda picture: order.index(picture.key))
+    without.sort(key=lambda picture: place(picture.key))
     view_sizes = _sizes(loaded.path, seen, sizes)
     # Explaining takes seconds a picture; a board that is merely not wholly in view needs no explanation. A mirrored
     # ChArUco board is told quickly, and one picture may be mirrored alone.

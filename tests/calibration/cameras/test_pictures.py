@@ -74,11 +74,11 @@ def test_unusable_recordings_are_refused(recording: Path) -> None:
 
 
 def test_a_large_set_without_the_board_warns_early(tmp_path: Path) -> None:
-    nothing, (shown, _) = np.full((120, 160), 60, np.uint8), board_picture(BOARD)
+    nothing = np.full((480, 640), 60, np.uint8)
     for camera in ("left", "right"):
         (tmp_path / camera).mkdir()
         for number in range(40):
-            cv2.imwrite(str(tmp_path / camera / f"{number:06d}.png"), cv2.resize(nothing, shown.shape[::-1]))
+            cv2.imwrite(str(tmp_path / camera / f"{number:06d}.png"), nothing)
     done, warnings = [0], []
     read_pictures(
         tmp_path,
