@@ -5,7 +5,7 @@ import pytest
 
 from rhot.messages import MarkerFrame, decode, encode
 from rhot_capture.detection.blob import Blob
-from rhot_capture.detection.detector import Detection
+from rhot_capture.detection.result import Detection
 from rhot_capture.timing import marker_frame, row_time_ns
 
 CORNERS = np.array([[1.0, 2.0], [5.0, 2.0], [5.0, 6.0], [1.0, 6.0]])

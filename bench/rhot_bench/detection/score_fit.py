@@ -23,7 +23,8 @@ from scipy.optimize import minimize
 from rhot.arrays import FloatArray
 from rhot_bench.detection.true_frames import BURST, rig_colors, simulated_rig, true_frames
 from rhot_capture.detection.color_table import build_color_table
-from rhot_capture.detection.detector import Detection, MarkerDetector
+from rhot_capture.detection.detector import MarkerDetector
+from rhot_capture.detection.result import Detection
 from rhot_capture.detection.score import BIAS, RIGHT_PX, WEIGHTS, Evidence
 from rhot_sim.rendering.coverage import MarkerView
 

@@ -19,7 +19,8 @@ from rhot_calibration.colors.picking.picks import Places
 from rhot_calibration.colors.report.console import suggestions, warnings
 from rhot_calibration.colors.report.picture import overlay_picture
 from rhot_capture.detection.color_table import ColorTable, camera_tables
-from rhot_capture.detection.detector import Detection, MarkerDetector
+from rhot_capture.detection.detector import MarkerDetector
+from rhot_capture.detection.result import Detection
 from rhot_capture.preview import preview_jpeg
 
 _OVERLAY_WIDTH: Final = 480

@@ -25,6 +25,7 @@ Pixel = Annotated[float, Field(ge=-1e5, le=1e5)]
 Metres = Annotated[float, Field(ge=-1e3, le=1e3)]
 Seconds = Annotated[float, Field(ge=-1e6, le=1e6)]
 Unit = Annotated[float, Field(ge=0.0, le=1.0)]
+SignedUnit = Annotated[float, Field(ge=-1.0, le=1.0)]
 
 
 def _shown(most: int, text: str) -> str:

@@ -15,6 +15,7 @@ from rhot.messages.base import (
     PointState,
     Position,
     Seconds,
+    SignedUnit,
     TimeNs,
     Unit,
     WireModel,
@@ -34,6 +35,9 @@ class Marker(WireModel):
         t_ns: mid-exposure of the marker's image row, if it differs from the frame's `t_ns`.
         corners: the four corners of a rectangular patch in cyclic order, pixels.
         outline: closed outline, pixels.
+        skin_side: where skin adjoins the paint, in the image: mean over a ring around the blob of the unit vectors from
+            the centre, those to other than skin counting 0. Its length is 0 where none adjoins, or on all sides alike,
+            and 0.32 where it does along half of the ring. Absent if the colour of the skin is not known.
     """
 
     u: Pixel
@@ -43,6 +47,7 @@ class Marker(WireModel):
     t_ns: TimeNs | None = None
     corners: tuple[PixelPoint, PixelPoint, PixelPoint, PixelPoint] | None = None
     outline: Annotated[tuple[PixelPoint, ...], Field(max_length=512)] | None = None
+    skin_side: tuple[SignedUnit, SignedUnit] | None = None
 
 
 class MarkerFrame(Message):

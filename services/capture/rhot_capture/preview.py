@@ -10,7 +10,7 @@ import numpy as np
 
 from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
-from rhot_capture.detection.detector import Detection
+from rhot_capture.detection.result import Detection
 
 _QUALITY: Final = 85
 _LINE: Final = (255, 255, 255)

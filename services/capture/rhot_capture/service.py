@@ -24,7 +24,8 @@ from rhot.service import Node
 from rhot.service.grabber import Grabber
 from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.cutouts import marker_mask
-from rhot_capture.detection.detector import Detection, MarkerDetector
+from rhot_capture.detection.detector import MarkerDetector
+from rhot_capture.detection.result import Detection
 from rhot_capture.frame_stream import FrameStream
 from rhot_capture.kept_optics import KeptOptics
 from rhot_capture.live_colors import LiveColors

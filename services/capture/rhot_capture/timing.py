@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rhot.messages import MarkerFrame
-from rhot_capture.detection.detector import Detection
+from rhot_capture.detection.result import Detection
 
 
 def row_time_ns(t_first_row_ns: int, row: float, height: int, exposure_s: float, readout_s: float) -> int:
@@ -93,4 +93,5 @@ def _marker(detection: Detection, t_ns: int | None, with_outline: bool) -> dict[
         "t_ns": t_ns,
         "corners": None if detection.corners is None else tuple(map(tuple, detection.corners.tolist())),
         "outline": outline,
+        "skin_side": detection.skin_side,
     }

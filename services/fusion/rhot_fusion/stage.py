@@ -167,6 +167,7 @@ class FusionStage:
         uv: list[tuple[float, float]] = []
         times: list[float] = []
         areas: list[float] = []
+        skin: list[tuple[float, float]] = []
         is_near = False
         known = 0
         for index, name in enumerate(self._markers):
@@ -184,6 +185,7 @@ class FusionStage:
                 uv.append((marker.u, marker.v))
                 times.append(t_s)
                 areas.append(marker.area)
+                skin.append(marker.skin_side or (0.0, 0.0))
                 away_px = min(marker.u, marker.v, frame.width - 1 - marker.u, frame.height - 1 - marker.v) + 0.5
                 is_near |= away_px**2 < marker.area
         if known < len(frame.markers):
@@ -204,7 +206,8 @@ class FusionStage:
         middle_s = median(times) if times else frame_s
         border = None if borders is None else np.array(borders) / (self._models[camera].K[0, 0], 1.0, 1.0)
         markers = np.array(indices, dtype=np.intp)
-        seen = Sightings(camera, middle_s, markers, np.array(times), xy[:count], np.array(areas), border)
+        sides = np.array(skin).reshape(count, 2)
+        seen = Sightings(camera, middle_s, markers, np.array(times), xy[:count], np.array(areas), border, sides)
         return seen if math.isfinite(seen.xy.sum()) else self._inside_lens(seen)
 
     def _inside_lens(self, seen: Sightings) -> Sightings:

@@ -14,7 +14,8 @@ from rhot.rig.colors import ColorsFile, RgbColor
 from rhot_calibration.colors.calibration import calibrate
 from rhot_calibration.colors.model.fit import bhattacharyya, fit_component, fit_mixture
 from rhot_capture.detection.color_table import build_color_table
-from rhot_capture.detection.detector import Detection, MarkerDetector
+from rhot_capture.detection.detector import MarkerDetector
+from rhot_capture.detection.result import Detection
 
 FLOOR = (1e-3, 1e-3, 1e-3)
 

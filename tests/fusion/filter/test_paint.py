@@ -180,3 +180,30 @@ def test_a_finger_that_curls_hides_nothing_from_the_camera_that_looks_later(rate
             if t_s > 0.5 + 1.3 * period_s:
                 shifts_px.append(abs(shift[0, 0]) * FOCAL_PX)
     assert max(shifts_px) < 0.5, "three quarters of a pixel and more, were areas of different moments compared"
+
+
+def test_skin_beside_a_curled_finger_tells_where_its_middle_is() -> None:
+    """From its knuckle nothing is known of the end of a curled finger; skin above it shows that it points down."""
+    paint, tip, base = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), (0.0, 0.0, 0.8), (0.02, -0.02, 0.78)
+    reach_m, settings = 0.1, DEFAULT.paint
+    assert paint.along(0, [0], [50.0], [tip], [base], [reach_m]) == [(0.0, 0.0)]
+    for number in range(30):
+        paint.correct(0, [0], number / 60.0, [100.0], [0.8], 1.0 / 60.0, [True], None, np.array([[0.0, -0.2]]))
+    paint.bend[0] = -0.6
+    ((x, y),) = paint.along(0, [0], [50.0], [tip], [base], [reach_m])
+    assert y * 0.8 == pytest.approx(-settings.side * 0.0065 * 0.6, rel=0.15)
+    assert abs(x) < 0.2 * abs(y)
+
+
+def test_of_a_small_rest_cameras_see_different_parts() -> None:
+    paint, period_s = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), 1.0 / 60.0
+    for number in range(30):
+        for camera in (0, 1):
+            paint.correct(camera, [0], number * period_s, [150.0], [0.8], period_s, [True])
+    doubts = []
+    for area in (150.0, 75.0, 30.0, 15.0):
+        for camera in (0, 1):
+            _, doubt = paint.correct(camera, [0], 1.0, [area], [0.8], period_s, [True])
+        doubts.append(float(doubt[0]))
+    assert doubts[0] < 1e-4
+    assert doubts[0] <= doubts[1] < doubts[2] < doubts[3]

@@ -11,7 +11,7 @@ from rhot_calibration.colors.calibration import ColorCalibration
 from rhot_calibration.colors.model.paints import Illumination, Suggestion, estimate_illumination, suggest
 from rhot_calibration.colors.model.separability import BACKGROUND, CONFUSABLE, Separability
 from rhot_calibration.colors.report.plot import share_text
-from rhot_capture.detection.detector import Detection
+from rhot_capture.detection.result import Detection
 
 
 def marker_table(

@@ -12,7 +12,7 @@ from rhot.arrays import ImageArray
 from rhot_calibration.colors.calibration import ColorCalibration
 from rhot_calibration.colors.report.plot import INK, PAPER, matrix_picture, ratio_plot, text_width, write
 from rhot_capture.detection.color_table import ColorTable
-from rhot_capture.detection.detector import Detection
+from rhot_capture.detection.result import Detection
 
 _WIDTH: Final = 1280
 _OVERLAYS: Final = 4

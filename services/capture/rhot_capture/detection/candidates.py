@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
 import cv2
@@ -43,11 +43,22 @@ _BOX_3: Final = np.ones((3, 3), np.uint8)
 
 
 Reason = Literal[
-    "too small", "too large", "irregular", "mixed colours", "thin", "edge", "unlikely", "clipped", "too large for hand"
+    "too small",
+    "too large",
+    "irregular",
+    "mixed colours",
+    "thin",
+    "edge",
+    "unlikely",
+    "clipped",
+    "too large for hand",
+    "apart from skin",
+    "behind the wrist",
 ]
 """Why a blob is no candidate: area outside the marker's limits; low solidity; few pixels of the marker's own colour; no
 core; edge of a larger blob of another marker, or mixture of that one with its surroundings; plausibility 0; not
-completely inside the searched region; much larger than the hand's scale permits."""
+completely inside the searched region; much larger than the hand's scale permits; no skin around it, though the hand's
+other fingertips adjoin skin; further behind the patch than the wrist."""
 
 
 class Candidate(NamedTuple):
@@ -78,6 +89,23 @@ class Refusal(NamedTuple):
     blob: Blob
     reason: Reason
     fill: float = math.nan
+
+
+def without(
+    refused: Sequence[Candidate],
+    candidates: Mapping[str, list[Candidate]],
+    judged: list[tuple[str, Candidate | Refusal]],
+    reason: Reason,
+) -> Mapping[str, list[Candidate]]:
+    """Return the candidates without some of them, which become refusals in `judged`; empty markers are left out."""
+    if not refused:
+        return candidates
+    blobs = {id(one.blob) for one in refused}
+    for number, (name, one) in enumerate(judged):
+        if isinstance(one, Candidate) and id(one.blob) in blobs:
+            judged[number] = name, Refusal(one.blob, reason, one.fill)
+    fits = {name: [one for one in each if id(one.blob) not in blobs] for name, each in candidates.items()}
+    return {name: each for name, each in fits.items() if each}
 
 
 def judge(

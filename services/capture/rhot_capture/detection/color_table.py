@@ -42,12 +42,15 @@ class ColorTable:
             at its limit.
         faint: (65536,) uint8, as `labels`, with faint colours in addition; without statistics of skin, background or
             the paint there are none.
+        skin: (65536,) uint8, 1 for colours that are likelier skin than background or paint; None without statistics of
+            skin and background.
     """
 
     names: tuple[str, ...]
     labels: ImageArray
     likelihoods: ImageArray
     faint: ImageArray
+    skin: ImageArray | None = None
 
     def classify(self, image: ImageArray) -> tuple[ImageArray, NDArray[np.uint16]]:
         """Return the label and the 5-6-5 colour of every pixel.
@@ -99,13 +102,13 @@ def build_color_table(colors: ColorsFile, names: Sequence[str], camera: str | No
     distances = np.full(TABLE_SIZE, np.inf)
     faint = np.zeros(TABLE_SIZE, np.uint8)
     gains = colors.gains.get(camera or "", _NO_GAINS)
-    _assign_statistical(colors, names, in_balance(rgb, gains), labels, distances, faint)
+    skin = _assign_statistical(colors, names, in_balance(rgb, gains), labels, distances, faint)
     _assign_boxes(colors, names, rgb, labels, distances)
     likelihoods = np.where(labels > 0, np.round(255.0 * np.exp(-0.5 * distances**2)), 0.0).astype(np.uint8)
     faint = np.where(labels > 0, labels, faint)
-    for table in (labels, likelihoods, faint):
+    for table in (labels, likelihoods, faint, *(() if skin is None else (skin,))):
         table.setflags(write=False)
-    return ColorTable(tuple(names), labels, likelihoods, faint)
+    return ColorTable(tuple(names), labels, likelihoods, faint, skin)
 
 
 def _assign_statistical(
@@ -115,7 +118,8 @@ def _assign_statistical(
     labels: ImageArray,
     distances: FloatArray,
     faint: ImageArray,
-) -> None:
+) -> ImageArray | None:
+    """Assign the labels of colours with statistics; return which colours are skin, None if that is not known."""
     features = log_ratio(rgb)
     best = np.full(TABLE_SIZE, -np.inf)
     likeliest = np.full(TABLE_SIZE, -np.inf)
@@ -133,11 +137,17 @@ def _assign_statistical(
         near = (squared <= (reach * limit) ** 2) & (log_likelihood > likeliest)
         faint[near] = label
         likeliest[near] = log_likelihood[near]
+    counters = []
     for counter in (colors.skin, colors.background):
         if counter is not None:
             log_likelihood, _ = mixture_fit(counter, features)
             labels[log_likelihood > best] = 0
             faint[log_likelihood > likeliest] = 0
+            counters.append(log_likelihood)
+    if len(counters) < 2:
+        return None
+    skin, background = counters
+    return ((skin > background) & (skin > likeliest)).astype(np.uint8)
 
 
 def camera_tables(

@@ -9,11 +9,11 @@ the other markers of their hand (`reach`). All windows are classified together a
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from rhot.arrays import FloatArray, ImageArray
+from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
 from rhot.geometry.region import Region
 from rhot.rig.config import MarkerConfig
@@ -23,56 +23,20 @@ from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Reaso
 from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.corners import find_corners
 from rhot_capture.detection.cutouts import Cutouts
-from rhot_capture.detection.hand_scale import HandScale
-from rhot_capture.detection.reach import HandReach
+from rhot_capture.detection.hand.axis import HandAxis
+from rhot_capture.detection.hand.reach import HandReach
+from rhot_capture.detection.hand.scale import HandScale
+from rhot_capture.detection.hand.sharing import SharedPaints, spot_of
+from rhot_capture.detection.hand.skin_contact import SkinContact
+from rhot_capture.detection.result import Decisions, Detection
 from rhot_capture.detection.score import probability
 from rhot_capture.detection.search import find_regions
-from rhot_capture.detection.sharing import SharedPaints, spot_of
 from rhot_capture.detection.subpixel.centers import find_centres
 from rhot_capture.detection.subpixel.windows import Window
 from rhot_capture.detection.track import MarkerTrack
 
 _SURVEY_FRAMES: Final = 30
 """Interval at which the whole frame is searched even if no marker is missing: half a second at 60 Hz. Chosen."""
-
-
-class Detection(NamedTuple):
-    """One marker in one frame; a tuple because it is created in a quarter of the time of a dataclass.
-
-    Attributes:
-        u, v: sub-pixel centre of the visible painted area, pixels, pixel centres on integers.
-        area: visible painted area, square pixels.
-        score: probability that this is the marker and its centre is within a pixel of the truth; see
-            `rhot_capture.detection.score`.
-        corners: (4, 2) of a patch, pixels, clockwise in the image; None if they were not found.
-        blob: its blob.
-    """
-
-    u: float
-    v: float
-    area: float
-    score: float
-    corners: FloatArray | None
-    blob: Blob
-
-    @property
-    def outline(self) -> FloatArray:
-        """(n, 2) points of the blob's outline, pixels."""
-        return self.blob.rim
-
-
-class Decisions(NamedTuple):
-    """Decisions about the blobs of one frame.
-
-    Attributes:
-        looks: label and region of every searched part of the frame.
-        judged: marker name, and candidate or refusal, of every blob of a marker's colour in them.
-        chosen: the accepted candidate of each marker, with complete evidence.
-    """
-
-    looks: Sequence[tuple[int, Region]]
-    judged: Sequence[tuple[str, Candidate | Refusal]]
-    chosen: Mapping[str, Candidate]
 
 
 class MarkerDetector:
@@ -97,6 +61,7 @@ class MarkerDetector:
         self._sharing = SharedPaints(markers)
         self._reach = HandReach(markers)
         self._scale = HandScale(markers)
+        self._contact, self._axis = SkinContact(markers), HandAxis(markers)
         self._size = (height, width)
         self._tracks = {name: MarkerTrack() for name in markers}
         # Corners of patches in the last frame, relative to their centres.
@@ -138,7 +103,7 @@ class MarkerDetector:
 
     def reset(self) -> None:
         """Discard all tracks."""
-        for memory in (self._shapes, self._sharing, self._reach, self._scale):
+        for memory in (self._shapes, self._sharing, self._reach, self._scale, self._contact, self._axis):
             memory.clear()
         self._tracks = {name: MarkerTrack() for name in self._markers}
 
@@ -211,7 +176,7 @@ class MarkerDetector:
         chosen = self._best((self._candidates(looks, every=False) or {}) if looks else {})
         missing = {name: label for name, label in self._labels.items() if name not in chosen}
         if looks := self._reach.looks(self._image, self._table, missing, chosen):
-            found = self._candidates(looks, every=False, faint=True) or {}
+            found = self._on_hand(self._candidates(looks, every=False, faint=True) or {})
             self._chosen = chosen = chosen | self._likeliest(found, missing)
         return chosen
 
@@ -262,10 +227,15 @@ class MarkerDetector:
 
     def _best(self, candidates: Mapping[str, list[Candidate]]) -> dict[str, Candidate]:
         """Return the most plausible candidate of each marker; markers without a plausible one are absent."""
-        candidates = self._scale.fitting(candidates, self._tracks, self._judged)
+        candidates = self._on_hand(self._scale.fitting(candidates, self._tracks, self._judged))
         chosen = self._likeliest(candidates, self._names)
         self._chosen = chosen = chosen | self._share(candidates, chosen)
         return chosen
+
+    def _on_hand(self, candidates: Mapping[str, list[Candidate]]) -> Mapping[str, list[Candidate]]:
+        """Return those candidates that can be on the hand: not apart from its skin, and not behind its wrist."""
+        candidates = self._axis.fitting(candidates, self._judged)
+        return self._contact.fitting(candidates, self._tracks, self._judged, self._image, self._table.skin)
 
     def _likeliest(self, candidates: Mapping[str, list[Candidate]], names: Iterable[str]) -> dict[str, Candidate]:
         """Return the same for those of the paints that only one hand has."""
@@ -297,8 +267,8 @@ class MarkerDetector:
             blob, is_cap = one.blob, self._markers[name].kind == "cap"
             whole = blob.border_share == 0.0
             windows.append(Window(image[blob.window], blob.mask, is_cap and whole, not is_cap and whole))
-        found = {}
-        for (name, one), centre in zip(chosen.items(), find_centres(windows), strict=True):
+        found, shares = {}, {}
+        for (name, one), centre in zip(chosen.items(), find_centres(windows, self._table.skin), strict=True):
             blob = one.blob
             corners = None
             u, v = blob.x0 + centre.u, blob.y0 + centre.v
@@ -313,7 +283,10 @@ class MarkerDetector:
                     self._shapes[name] = (corners - (centre.u, centre.v)).tolist()
                     corners += (blob.x0, blob.y0)
                     corners.setflags(write=False)
-            found[name] = Detection(u, v, centre.area, probability(one.evidence), corners, blob)
+            score, shares[name] = probability(one.evidence), centre.skin_share
+            found[name] = Detection(u, v, centre.area, score, corners, blob, centre.skin_side)
             self._tracks[name].update(u, v, centre.area, (0.5 * blob.box[2], 0.5 * blob.box[3]))
+        self._contact.update(shares)
+        self._axis.update({name: (one.u, one.v, one.area) for name, one in found.items()}, self._shapes)
         self._sharing.remember({name: one.blob.middle for name, one in chosen.items()})
         return found

@@ -23,7 +23,8 @@ from rhot.rig.marker_config import own_paints
 from rhot_capture.detection.blob import Blob
 from rhot_capture.detection.candidates import MIN_FILL, MIN_PLAUSIBILITY, MIN_SOLIDITY, Candidate, Reason, Refusal
 from rhot_capture.detection.color_table import build_color_table
-from rhot_capture.detection.detector import Detection, MarkerDetector
+from rhot_capture.detection.detector import MarkerDetector
+from rhot_capture.detection.result import Detection
 from rhot_capture.sources.pictures import read_pictures
 
 _MOST_SHOWN: Final = 6
@@ -48,6 +49,8 @@ _REASONS: Final[dict[Reason, str]] = {
     "edge": "edge of another marker: connected to a larger blob of that marker's colour",
     "unlikely": "unlikely: hardly any pixels of the typical colour, or the whole outline at the image border",
     "too large for hand": "too large for hand: {area:.0f} px², several times the size implied by the other markers",
+    "apart from skin": "apart from skin: other fingertips adjoin skin, and this is not at the marker's last position",
+    "behind the wrist": "behind the wrist: no fingertip is that far behind the patch",
     "clipped": "clipped: extends beyond the searched region",
 }
 

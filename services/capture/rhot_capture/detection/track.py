@@ -39,6 +39,11 @@ class MarkerTrack:
         self._missed = _MEMORY_FRAMES
 
     @property
+    def is_recent(self) -> bool:
+        """Whether the marker was seen recently, so that its position is predicted."""
+        return self._missed < _MEMORY_FRAMES
+
+    @property
     def margin_px(self) -> float:
         """Margin around the predicted position; grows with the speed."""
         return _MARGIN_PX + _MARGIN_PER_MOTION * max(abs(self._motion_u), abs(self._motion_v))
@@ -72,7 +77,7 @@ class MarkerTrack:
             v: centre of the blob, pixels down.
             area: of the blob, square pixels.
         """
-        if self._missed >= _MEMORY_FRAMES:
+        if not self.is_recent:
             return 1.0
         frames = self._missed + 1
         gate = max(_GATE_MIN_PX, _GATE_RATIO * math.sqrt(self._area)) * (1.0 + _GATE_GROWTH * self._missed)

@@ -1,20 +1,8 @@
 """Correction from the centre of the visible paint to the centre of the marker.
 
-**Visible side.** A fingertip is round, and a camera sees only the paint on the side facing it. For a finger along d and
-the direction u to the camera, with c = d·u, the centroid of this side lies off the finger's axis. In the image it is
-displaced by
-
-    −(π/4) ρ r c        along the finger,
-
-where r is the radius of the finger and ρ ≈ 0.85 the share of the paint on its shaft, as opposed to its round end. The
-direction of the finger across the view is estimated from its knuckle, beside the patch on the back of the hand, to its
-tip. Its angle to the camera follows from the visible area A, relative to the largest one observed:
-
-    A(c) / A(0) = (2 λ √(1 − c²) + (π/2) (1 + c)) / (2 λ + π/2)        for c ≤ 0,
-
-where λ r is the length of the painted shaft. Both estimates become unreliable as the finger curls: its end points in
-another direction, and the hand may occlude some of the paint. Cameras far apart view a finger at different angles;
-with the same ratio, areas are compared as if seen from the centroid of the cameras.
+**Visible side.** See `visible_side`. The bend of each finger is estimated from the largest of its visible areas,
+relative to the largest one observed. Cameras far apart view a finger at different angles; with the same model, areas
+are compared as if seen from the centroid of the cameras.
 
 **Occlusion.** An occluder is nearer than the marker, so it hides more of the marker from the camera on its own side. Of
 two cameras, the one that sees less paint sees a centroid displaced towards the other camera by half the width of the
@@ -35,10 +23,8 @@ from rhot.anatomy.hand import CAP_LENGTH_M
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.settings import PaintSettings
-from rhot_fusion.views.vectors import Vector, across, dot, interpolated, unit, vector
-
-_STRAIGHT_AWAY = -0.95
-"""Below this c, 18 degrees from the line of sight, only a rim of paint is visible, and the ratio is meaningless."""
+from rhot_fusion.filter.visible_side import SkinSides, VisibleArea, visible_side
+from rhot_fusion.views.vectors import Vector, vector
 
 
 @dataclass(slots=True)
@@ -81,11 +67,8 @@ class Paint:
         """Initialise with the fingertips' radii (M,), metres; 0 for other markers."""
         self._settings = settings
         self._radius_m: list[float] = radius_m.tolist()
-        self._cosine: list[float] = np.linspace(_STRAIGHT_AWAY, 0.0, 64).tolist()
-        self._share = [self._seen(c) for c in self._cosine]
-        self._least_share = self._seen(settings.most_bend)
-        # Relative width of a relaxed finger compared with one seen from the side.
-        self._usual = math.sqrt(self._seen(settings.first_bend))
+        self._area = VisibleArea(settings)
+        self._skin = SkinSides(cameras, len(radius_m), settings)
         # Square root of the area of a tip seen from the side, painted over `CAP_LENGTH_M`, as far as it is detected:
         # pixels at the rim are mixed with the background.
         flat = 2.0 * radius_m * np.maximum(CAP_LENGTH_M - radius_m, 0.0) + 0.5 * np.pi * radius_m**2
@@ -104,6 +87,7 @@ class Paint:
         markers = range(len(self._radius_m))
         self._shown = [[_Shown() for _ in self._cameras] for _ in markers]
         self._largest_m = [0.0 for _ in markers]
+        self._skin.clear()
         self.bend = [self._settings.first_bend for _ in markers]
 
     def along(
@@ -128,32 +112,21 @@ class Paint:
         settings, middle = self._settings, self._middle[camera]
         shifts = []
         for marker, area, tip, base, reach in zip(markers, areas_px, tips, bases, reaches_m, strict=True):
-            told = self._told(tip, base, reach)
-            shown = self._shown[marker][camera]
-            if area <= 0.0 or self._radius_m[marker] <= 0.0 or told <= 0.0:
+            told, shown = self._told(tip, base, reach), self._shown[marker][camera]
+            finger = [(told, (tip[0] - base[0], tip[1] - base[1], tip[2] - base[2]))]
+            if (from_skin := self._skin.direction(camera, marker, shown.t_s)) is not None:
+                finger.append((1.0, from_skin))
+            elif told <= 0.0:
+                finger.clear()
+            if area <= 0.0 or self._radius_m[marker] <= 0.0 or not finger:
                 shown.wider = 1.0
                 shifts.append((0.0, 0.0))
                 continue
             c = max(self.bend[marker], settings.most_bend)
-            sight = unit((middle[0] - tip[0], middle[1] - tip[1], middle[2] - tip[2]))
-            finger = (tip[0] - base[0], tip[1] - base[1], tip[2] - base[2])
-            sideways = unit(across(finger, sight))
-            s = math.sqrt(1.0 - c * c)
-            d = (c * sight[0] + s * sideways[0], c * sight[1] + s * sideways[1], c * sight[2] + s * sideways[2])
-            # The camera stands at the origin.
-            own = unit((-tip[0], -tip[1], -tip[2]))
-            x, y, z = unit(across(d, own))
-            bent = dot(d, own)
-            shown.wider = (self._seen(bent) / self._seen(c)) ** (0.5 * told)
-            size = told * settings.side * self._radius_m[marker] * bent
-            depth = max(tip[2], 0.05)
+            bent, (x, y, z), shown.wider = visible_side(finger, tip, middle, c, self._area)
+            size, depth = settings.side * self._radius_m[marker] * bent, max(tip[2], 0.05)
             shifts.append((size * (x - tip[0] / depth * z) / depth, size * (y - tip[1] / depth * z) / depth))
         return shifts
-
-    def _seen(self, c: float) -> float:
-        """Return A(c) / A(0)."""
-        shaft, end, c = 2.0 * self._settings.shaft, 0.5 * math.pi, max(c, _STRAIGHT_AWAY)
-        return (shaft * math.sqrt(max(1.0 - c * c, 0.0)) + end * (1.0 + c)) / (shaft + end)
 
     def _told(self, tip: Vector, base: Vector, reach_m: float) -> float:
         """Return the weight, 0 to 1, of the direction from knuckle to tip as the direction of the finger's end."""
@@ -172,6 +145,7 @@ class Paint:
         period_s: float,
         known: Sequence[bool],
         border: FloatArray | None = None,
+        skin: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Return the occlusion correction of a camera's views, and its standard deviation.
 
@@ -184,10 +158,13 @@ class Paint:
             period_s: frame period of the camera.
             known: (N,) whether a marker's own depth is accurate; only then its size is learnt.
             border: (N, 3) distance to the image border as in `Sightings`; None = far away.
+            skin: (N, 2) where skin adjoins the markers as in `Sightings`; None = unknown.
 
         Returns:
             (N, 2) corrections to add to the views and (N,) their standard deviations, normalised units.
         """
+        if skin is not None:
+            self._skin.observe(camera, t_s, markers, skin)
         sizes, doubts = [], []
         for marker, area, depth, well_known in zip(markers, areas_px, depths_m, known, strict=True):
             if math.isinf(depth):
@@ -240,14 +217,14 @@ class Paint:
         # that of the nominal paint length. Widths computed with the hand's depth serve until the marker's is known.
         told_full = told_full or full
         largest = self._largest_m[marker] or (
-            (told_full / self._usual) ** settings.seen_first * self._flat_m[marker] ** (1.0 - settings.seen_first)
+            (told_full / self._area.usual) ** settings.seen_first * self._flat_m[marker] ** (1.0 - settings.seen_first)
         )
         largest = max(told_full, largest)
         if known:
             self._largest_m[marker] = largest
             if area_px > 0.0:
                 share = (told_full / max(largest, 1e-9)) ** 2
-                self.bend[marker] = interpolated(share, self._share, self._cosine)
+                self.bend[marker] = self._area.bend(share)
         if area_px <= 0.0:
             return 0.0, 0.0
         width = every[camera].width_m
@@ -257,7 +234,10 @@ class Paint:
         hidden = less**3 / (less * less + uneven * uneven)
         if tip:
             strip = hidden * full / depth_m
-            return strip, settings.doubt * strip
+            # Of a small rest, cameras see different parts, whether or not they see equally much of it.
+            lost = 1.0 - (width / largest) ** 2 / settings.sliver
+            rest = settings.sliver_doubt * lost * largest / depth_m if lost > 0.0 else 0.0
+            return strip, math.hypot(settings.doubt * strip, rest)
         # Area lost beyond what turning explains is hidden, on an unknown side: the centre is uniformly distributed
         # within half of that strip to either side.
         strip = hidden * full**2 / max(largest, 1e-9) / depth_m
@@ -297,7 +277,7 @@ class Paint:
         for shown in every:
             if shown.t_s >= since_s and shown.width_m > full:
                 full = shown.width_m
-        lost = 1.0 - (full / largest) ** 2 / self._least_share
+        lost = 1.0 - (full / largest) ** 2 / self._area.least
         return (self._settings.hidden * lost * largest) ** 2 if lost > 0.0 and full > 0.0 else 0.0
 
     def doubt_back(self, marker: int, depth_m: float) -> float:

@@ -243,7 +243,7 @@ class FilterTracker:
             places = [hand.place_of[marker] for marker in markers]
             known, well_known = [alive[k] for k in places], [alive[k] and spread_m2[k] <= loose_m2 for k in places]
             areas_px = mine.area_px.tolist()
-            of_paint = areas_px, depths, period_s, well_known, mine.border
+            of_paint = areas_px, depths, period_s, well_known, mine.border, mine.skin
             shift, doubt = self._paint.correct(camera, markers, t_s, *of_paint)
             if hand.record is not None and not again:
                 hand.record.add(mine, shift, self._paint.slack(camera, areas_px), doubt * doubt)

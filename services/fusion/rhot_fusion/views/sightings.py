@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -37,6 +37,7 @@ class Sightings:
         area_px: (N,) visible painted area, square pixels.
         border: (N, 3) distance of the nearest image border, normalised units, and its outward normal (2,); None if no
             marker is near the border.
+        skin: (N, 2) where skin adjoins the paint, see `rhot.messages.Marker`; 0 = not known.
     """
 
     camera: int
@@ -46,16 +47,17 @@ class Sightings:
     xy: FloatArray
     area_px: FloatArray
     border: FloatArray | None = None
+    skin: FloatArray | None = None
 
     def at(self, xy: FloatArray) -> Sightings:
         """Return the observations with other normalised image coordinates (N, 2)."""
-        return Sightings(self.camera, self.t_s, self.index, self.times_s, xy, self.area_px, self.border)
+        return replace(self, xy=xy)
 
     def chosen(self, rows: BoolArray | IndexArray) -> Sightings:
         """Return some of the observations, selected by a mask (N,) or by rows."""
-        border = None if self.border is None else self.border[rows]
+        border, skin = (None if each is None else each[rows] for each in (self.border, self.skin))
         parts = self.index[rows], self.times_s[rows], self.xy[rows], self.area_px[rows]
-        return Sightings(self.camera, self.t_s, *parts, border)
+        return Sightings(self.camera, self.t_s, *parts, border, skin)
 
 
 def nearest_border(u: float, v: float, width: int, height: int) -> tuple[float, float, float]:

@@ -71,6 +71,7 @@ class Batch:
             self._known[k, :rows, :columns] = 1
             pixels[k, :rows, :columns] = grid.image
         self._inside &= 1
+        self._pixels = pixels
         size = height * width
         self.colours: CoverageArray = np.empty((count, 4, size), np.float32)
         self.colours[:, 3] = 1.0
@@ -129,6 +130,39 @@ class Batch:
     def insides(self) -> CoverageArray:
         """(N, H·W) float32, 1 inside the blobs."""
         return self._inside.reshape(self.shape[0], -1).astype(np.float32)
+
+    def skin_sides(self, skin: ImageArray, centres: CoverageArray) -> CoverageArray:
+        """Return where skin adjoins each blob, see `rhot.messages.Marker`.
+
+        Unit vectors are approximated by vectors divided by the root mean square of their lengths, which makes all sums
+        matrix products.
+
+        Args:
+            skin: (65536,) uint8, 1 for 5-6-5 colours of skin.
+            centres: (N, 2) relative to the middle.
+
+        Returns:
+            (N, 3) x and y, and the share of the ring that is skin.
+        """
+        count, height, width = self.shape
+        packed = cv2.cvtColor(self._pixels.reshape(-1, width, 3), cv2.COLOR_BGR2BGR565)
+        colours = np.asarray(cv2.LUT(packed.view(np.uint16), skin), dtype=np.uint8).reshape(self.shape)
+        near = self._near.copy()
+        for k, is_coarse in enumerate(self._is_coarse):
+            if is_coarse:
+                # The margin of a window is only three cells of the coarse grid wide.
+                cv2.dilate(self._inside[k], _CROSS, dst=near[k])
+        around = np.asarray(cv2.dilate(near.reshape(-1, width), _TWO_STEPS), dtype=np.uint8).reshape(self.shape)
+        ring = (around ^ near) & self._known
+        planes: CoverageArray = np.array([ring, ring & colours], np.float32).reshape(2, count, height * width)
+        ring_sums, skin_sums = planes @ self.monomials.T
+        number = np.maximum(ring_sums[:, 0], 1.0)
+        squares = ring_sums[:, 3] + ring_sums[:, 5] - 2.0 * np.vecdot(centres, ring_sums[:, 1:3])
+        radius = np.sqrt(np.maximum(squares / number + np.vecdot(centres, centres), 1.0))
+        sides: CoverageArray = np.empty((count, 3), np.float32)
+        sides[:, :2] = (skin_sums[:, 1:3] - skin_sums[:, :1] * centres) / (number * radius)[:, None]
+        sides[:, 2] = skin_sums[:, 0] / number
+        return sides
 
     def color_sums(self) -> CoverageArray:
         """Return the sums for `rhot_capture.detection.subpixel.unmixing.projections`.
@@ -225,6 +259,12 @@ class Batch:
         np.minimum(counted, self._most, out=counted)
         sums = cast(list[Sums], (counted @ self.monomials[:3].T).tolist())
         return list(zip((share @ self.monomials[0]).tolist(), sums, strict=True))
+
+
+def skin_ring(mask: ImageArray) -> ImageArray:
+    """Return the ring around a mask (H, W), 0 or 1, in which skin is looked for: 2.5 to 4.5 pixels outside."""
+    near = np.asarray(cv2.dilate(mask, _WITHIN_2_5), dtype=np.uint8)
+    return np.asarray(cv2.dilate(near, _TWO_STEPS), dtype=np.uint8) ^ near
 
 
 def _eroded(mask: ImageArray, kernel: ImageArray) -> ImageArray:

@@ -23,6 +23,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+
+from rhot.arrays import ImageArray
 from rhot_capture.detection.subpixel import unmixing
 from rhot_capture.detection.subpixel.batch import Batch
 from rhot_capture.detection.subpixel.shares import Shares, local_share
@@ -39,12 +42,16 @@ _MIN_SHARE_OF_MASK: Final = 0.5
 the mask is used."""
 
 
-def find_centres(windows: Sequence[Window]) -> list[Centre]:
+def find_centres(windows: Sequence[Window], skin: ImageArray | None = None) -> list[Centre]:
     """Return the centres of blobs, in the order of the windows.
 
     Round surfaces are darker towards their edge, so that paint there looks like a mixture with a dark background, and
     the shaded side would get less weight. Shares of 1 / `ROUND_GAIN` and more therefore count as 1. This corrects most
     of the bias, and moves the rim outwards by the same small amount on all sides.
+
+    Args:
+        windows: with a blob each.
+        skin: (65536,) uint8, 1 for 5-6-5 colours of skin; None = not known.
     """
     if not windows:
         return []
@@ -52,14 +59,14 @@ def find_centres(windows: Sequence[Window]) -> list[Centre]:
     sizes = [grid.mask.size for grid in grids]
     limit = _ALIKE * min(sizes)
     if max(sizes) <= limit:
-        return _measure(grids)
+        return _measure(grids, skin)
     alike = [size <= limit for size in sizes]
-    small = iter(find_centres([window for window, is_small in zip(windows, alike, strict=True) if is_small]))
-    large = iter(find_centres([window for window, is_small in zip(windows, alike, strict=True) if not is_small]))
+    small = iter(find_centres([window for window, is_small in zip(windows, alike, strict=True) if is_small], skin))
+    large = iter(find_centres([window for window, is_small in zip(windows, alike, strict=True) if not is_small], skin))
     return [next(small if is_small else large) for is_small in alike]
 
 
-def _measure(grids: Sequence[Grid]) -> list[Centre]:
+def _measure(grids: Sequence[Grid], skin: ImageArray | None) -> list[Centre]:
     """Return the centres of the blobs on grids of similar size."""
     batch = Batch(grids)
     lines, usable = unmixing.projections(batch.color_sums())
@@ -87,20 +94,25 @@ def _measure(grids: Sequence[Grid]) -> list[Centre]:
     if invalid:
         share[invalid] = batch.insides[invalid]
         totals = batch.totals(share)
+    middles = [(m10 / m00, m01 / m00) for _, (m00, m10, m01) in totals]
+    sides: list[tuple[tuple[float, float] | None, float]] = [(None, 0.0)] * len(grids)
+    if skin is not None:
+        found = batch.skin_sides(skin, np.array(middles, np.float32)).tolist()
+        sides = [((to_right, down), part) for to_right, down, part in found]
     centres = []
-    for k, (grid, (painted, (m00, m10, m01))) in enumerate(zip(grids, totals, strict=True)):
+    for k, (grid, (painted, _)) in enumerate(zip(grids, totals, strict=True)):
         window, scale, left, top = grid[:4]
         shares: Shares | None = None
         if window.shared:
             height, width = grid.mask.shape
             own = share[k].reshape(batch.shape[1:])[:height, :width]
             shares = Shares(own, scale, left, top)
-        u = left + scale * (m10 / m00 + x + 0.5) - 0.5
-        v = top + scale * (m01 / m00 + y + 0.5) - 0.5
-        centres.append(Centre(u, v, painted * scale**2, shares))
+        u = left + scale * (middles[k][0] + x + 0.5) - 0.5
+        v = top + scale * (middles[k][1] + y + 0.5) - 0.5
+        centres.append(Centre(u, v, painted * scale**2, shares, *sides[k]))
     for k in finer:
         # Local means extend over a few pixels, which is too far on a coarser grid.
-        (centres[k],) = _measure([grid_of(grids[k].window, coarse=False)])
+        (centres[k],) = _measure([grid_of(grids[k].window, coarse=False)], skin)
     return centres
 
 

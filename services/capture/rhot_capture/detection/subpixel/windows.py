@@ -42,12 +42,16 @@ class Centre(NamedTuple):
         u, v: pixels, in the coordinates of the window.
         area: painted area, square pixels.
         shares: painted shares of the window's pixels; None if they were not requested.
+        skin_side: see `rhot.messages.Marker`; None without a table of skin.
+        skin_share: share of the ring around the blob that is skin.
     """
 
     u: float
     v: float
     area: float
     shares: Shares | None
+    skin_side: tuple[float, float] | None = None
+    skin_share: float = 0.0
 
 
 class Grid(NamedTuple):

@@ -72,7 +72,7 @@ class PaintCorrection:
         well_known = (state.alive & (state.spread_m2 <= self.loose_m**2))[views.index].tolist()
         markers, areas_px = [self.hand.markers[k] for k in local], frame.area_px.tolist()
         period_s = self.periods_s[frame.camera]
-        of_paint = areas_px, depths, period_s, well_known, frame.border
+        of_paint = areas_px, depths, period_s, well_known, frame.border, frame.skin
         shift, doubt = self.paint.correct(frame.camera, markers, frame.t_s, *of_paint)
         if self.hand.base >= 0 and alive[self.hand.base]:
             roots = self.hand.roots(tips, alive)

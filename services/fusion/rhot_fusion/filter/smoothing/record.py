@@ -60,7 +60,7 @@ class HandRecord:
             slack,
         )
         nothing, seen = np.zeros(count, dtype=bool), sightings.xy.copy()
-        of_paint = seen, sightings.area_px, sightings.border
+        of_paint = seen, sightings.area_px, sightings.border, sightings.skin
         self._frames.append(Frame(sightings.t_s, sightings.camera, views, nothing, [], *of_paint))
 
     def add_innovation(self, views: Views, innovation: Innovation, camera_variance: float) -> None:

@@ -63,6 +63,7 @@ class Frame:
         seen_xy: (N, 2) uncorrected coordinates, normalised units.
         area_px: (N,) visible areas, square pixels; 0 = unknown.
         border: (N, 3) distance to the image border as in `Sightings`.
+        skin: (N, 2) where skin adjoins the markers as in `Sightings`.
         hidden_m2: (M,) variance, each axis, of the hand's markers for paint hidden from all cameras, square metres;
             None until it is computed.
     """
@@ -75,6 +76,7 @@ class Frame:
     seen_xy: FloatArray
     area_px: FloatArray
     border: FloatArray | None = None
+    skin: FloatArray | None = None
     hidden_m2: FloatArray | None = None
 
 

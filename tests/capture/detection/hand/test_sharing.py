@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rhot.rig import MarkerConfig
-from rhot_capture.detection.sharing import SharedPaints, Spot
+from rhot_capture.detection.hand.sharing import SharedPaints, Spot
 
 MARKERS = {
     "ring": MarkerConfig(hand="right", joint="ring_tip"),

@@ -12,7 +12,7 @@ from typing import Final
 
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import unshared_paints
-from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Refusal, track_plausibility
+from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Refusal, track_plausibility, without
 from rhot_capture.detection.track import MarkerTrack
 
 _CAP_M2: Final = 2.7e-4
@@ -69,14 +69,8 @@ class HandScale:
         """
         self._update(candidates, tracks)
         most_px = {name: _MOST * self.usual_px(name) for name in candidates}
-        # True in most frames.
-        if all(one.blob.area <= most_px[name] for name, each in candidates.items() for one in each):
-            return candidates
-        for number, (name, one) in enumerate(judged):
-            if isinstance(one, Candidate) and one.blob.area > most_px[name]:
-                judged[number] = name, Refusal(one.blob, "too large for hand", one.fill)
-        fits = {name: [one for one in each if one.blob.area <= most_px[name]] for name, each in candidates.items()}
-        return {name: each for name, each in fits.items() if each}
+        large = [one for name, each in candidates.items() for one in each if one.blob.area > most_px[name]]
+        return without(large, candidates, judged, "too large for hand")
 
     def usual_px(self, name: str) -> float:
         """Return the area of a completely visible marker, square pixels; infinite if unknown."""

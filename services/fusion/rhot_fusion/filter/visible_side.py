@@ -1,0 +1,140 @@
+"""Offset of the centroid of a fingertip's visible side from the middle of its paint.
+
+A fingertip is round, and a camera sees only the paint on the side facing it. For a finger along d and the direction u
+to the camera, with c = d·u, the centroid of this side lies off the finger's axis. In the image it is displaced by
+
+    −(π/4) ρ r c        along the finger,
+
+where r is the radius of the finger and ρ ≈ 0.85 the share of the paint on its shaft, as opposed to its round end. c
+follows from the visible area, which is
+
+    A(c) / A(0) = (2 λ √(1 − c²) + (π/2) (1 + c)) / (2 λ + π/2)        for c ≤ 0
+
+of that seen from the side, where λ r is the length of the painted shaft.
+
+Two independent observations give the direction of the finger across the view. One is the line from its knuckle, beside
+the patch on the back of the hand, to its tip; it says less the more the finger is curled, because the end then points
+elsewhere. The other is where skin adjoins the paint in the images: the finger comes from there, and what a hand hides
+of a tip lies there, too. Their weighted mean is the direction, and its length, which is 1 where they agree, scales the
+offset.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from rhot.arrays import FloatArray
+from rhot.geometry.camera import CameraModel
+from rhot_fusion.filter.settings import PaintSettings
+from rhot_fusion.views.vectors import Vector, across, dot, interpolated, unit, vector
+
+_STRAIGHT_AWAY = -0.95
+"""Below this c, 18 degrees from the line of sight, only a rim of paint is visible, and the ratio is meaningless."""
+
+
+class VisibleArea:
+    """Visible area of a fingertip's paint as a function of its angle to the line of sight.
+
+    Attributes:
+        least: relative area at `most_bend`.
+        usual: square root of that of a relaxed finger.
+    """
+
+    def __init__(self, settings: PaintSettings) -> None:
+        self._shaft = 2.0 * settings.shaft
+        self._cosine: list[float] = np.linspace(_STRAIGHT_AWAY, 0.0, 64).tolist()
+        self._share = [self.seen(c) for c in self._cosine]
+        self.least = self.seen(settings.most_bend)
+        self.usual = math.sqrt(self.seen(settings.first_bend))
+
+    def seen(self, c: float) -> float:
+        """Return A(c) / A(0)."""
+        shaft, end, c = self._shaft, 0.5 * math.pi, max(c, _STRAIGHT_AWAY)
+        return (shaft * math.sqrt(max(1.0 - c * c, 0.0)) + end * (1.0 + c)) / (shaft + end)
+
+    def bend(self, share: float) -> float:
+        """Return c from A(c) / A(0)."""
+        return interpolated(share, self._share, self._cosine)
+
+
+class SkinSides:
+    """Where skin adjoins the paint of M markers in C cameras, low-pass filtered.
+
+    Args:
+        cameras: of the rig.
+        markers: M.
+        settings: `skin_s`, `skin_lasts_s` and `least_skin`.
+    """
+
+    def __init__(self, cameras: Sequence[CameraModel], markers: int, settings: PaintSettings) -> None:
+        self._rotations = [camera.R_camera_rig for camera in cameras]
+        self._settings = settings
+        self._seen: list[list[tuple[float, float, float, float] | None]] = [
+            [None] * len(self._rotations) for _ in range(markers)
+        ]
+
+    def clear(self) -> None:
+        """Discard all observations."""
+        for cameras in self._seen:
+            cameras[:] = [None] * len(cameras)
+
+    def observe(self, camera: int, t_s: float, markers: Sequence[int], sides: FloatArray) -> None:
+        """Store where skin adjoins markers (N,) in a camera's frame at a time, sides (N, 2) in the image."""
+        settings = self._settings
+        for marker, (x, y, z) in zip(markers, (sides @ self._rotations[camera][:2]).tolist(), strict=True):
+            before, keep = self._seen[marker][camera], 0.0
+            if before is not None and 0.0 <= t_s - before[0] < settings.skin_lasts_s:
+                keep = math.exp((before[0] - t_s) / settings.skin_s)
+            _, old_x, old_y, old_z = before or (t_s, x, y, z)
+            mean = x + keep * (old_x - x), y + keep * (old_y - y), z + keep * (old_z - z)
+            self._seen[marker][camera] = t_s, *mean
+
+    def direction(self, camera: int, marker: int, t_s: float) -> Vector | None:
+        """Return the direction of the finger in a camera's frame, away from the skin, as a unit vector.
+
+        It is the mean over all cameras that saw the marker shortly before or at a time, which makes it the same for
+        all, so that its error changes the depth only little. None = no camera sees skin on one side of it.
+        """
+        settings = self._settings
+        since_s = t_s - settings.skin_lasts_s
+        recent = [seen[1:] for seen in self._seen[marker] if seen is not None and seen[0] > since_s]
+        if not recent:
+            return None
+        x, y, z = (sum(column) for column in zip(*recent, strict=True))
+        length = math.sqrt(x * x + y * y + z * z)
+        if length < settings.least_skin * len(recent):
+            return None
+        return unit(vector(self._rotations[camera] @ np.array((-x, -y, -z))))
+
+
+def visible_side(
+    finger: Sequence[tuple[float, Vector]], tip: Vector, middle: Vector, c: float, area: VisibleArea
+) -> tuple[float, Vector, float]:
+    """Return bend and direction of a finger in one camera, and how much of it this camera sees.
+
+    Args:
+        finger: weights and directions of the finger from knuckle to tip as observed in different ways, camera frame.
+        tip: position, metres, camera frame; the camera is at the origin.
+        middle: centroid of all cameras, camera frame; `c` is the bend as seen from there.
+        c: −1 to 0.
+        area: the model of visible areas.
+
+    Returns:
+        The displacement in units of (π/4) ρ r, the unit direction perpendicular to the line of sight along which it
+        acts, and the width of the whole marker relative to that seen from the middle.
+    """
+    sight = unit((middle[0] - tip[0], middle[1] - tip[1], middle[2] - tip[2]))
+    total, x, y, z = 0.0, 0.0, 0.0, 0.0
+    for weight, direction in finger:
+        one = unit(across(direction, sight))
+        total, x, y, z = total + weight, x + weight * one[0], y + weight * one[1], z + weight * one[2]
+    agreement = math.sqrt(x * x + y * y + z * z) / max(total, 1.0)
+    sideways, s = unit((x, y, z)), math.sqrt(1.0 - c * c)
+    d = (c * sight[0] + s * sideways[0], c * sight[1] + s * sideways[1], c * sight[2] + s * sideways[2])
+    own = unit((-tip[0], -tip[1], -tip[2]))
+    bent = dot(d, own)
+    wider = (area.seen(bent) / area.seen(c)) ** (0.5 * agreement)
+    return agreement * bent, unit(across(d, own)), wider
