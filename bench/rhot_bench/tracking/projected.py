@@ -22,7 +22,7 @@ from rhot.rig import Rig
 from rhot.rig.marker_config import worn_paints
 from rhot_bench.measures.hands import START_NS
 from rhot_bench.speed.simulated import Moment, moments
-from rhot_capture.detection.sharing import SharedPaints, Spot
+from rhot_capture.detection.hand.sharing import SharedPaints, Spot
 from rhot_capture.detection.track import MarkerTrack
 from rhot_capture.timing import row_time_ns
 from rhot_sim.rig.folder import true_cameras
