@@ -9,7 +9,7 @@ READY := $(VENV)/.ready
 # Without compiled modules every process that a test starts, and every worker, would compile all of them again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help sim foreign test faults lint web page holder format clean
+.PHONY: help sim foreign test faults lint web page holder worlds format clean
 
 help:
 	@echo "make sim      set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
@@ -19,6 +19,7 @@ help:
 	@echo "make lint     only lint, types and layers"
 	@echo "make web      build the page Grasp (node and npm); sim and test do it where these are there"
 	@echo "make holder   write the printable camera holder, build/holder/*.stl (docs/build.md)"
+	@echo "make worlds   render photo-real pictures of random rigs and hands with Blender (SEEDS=\"1 2\" SCORER=…/score.py)"
 	@echo "make clean    remove the environment and caches"
 
 # pip would compile every module of every package; python compiles the few that are used when it first loads them.
@@ -67,6 +68,20 @@ $(BUNDLE): $(SOURCES)
 
 holder: $(READY)
 	@$(BIN)/python docs/make_holder.py $(HOLDER)
+
+# Photo-real sets for `rhot evaluate pictures`: half an hour of one core each (docs/data.md).
+BLENDER := .foreign/blender/.ready
+SEEDS ?= 1
+WORLDS ?= worlds
+SCORER ?= ../shared/data/rendered/score.py
+
+$(BLENDER): bench/rhot_bench/rendering/requirements.txt
+	@$(PYTHON) -m venv $(@D)
+	@$(@D)/bin/python -m pip install $(QUICKLY) --requirement $<
+	@touch $@
+
+worlds: $(BLENDER)
+	@PYTHONPATH=bench nice $(dir $(BLENDER))bin/python -m rhot_bench.rendering $(SEEDS) --out $(WORLDS) --scorer $(SCORER)
 
 page:
 	@$(MAKE) --no-print-directory web || echo "going on without the page Grasp"

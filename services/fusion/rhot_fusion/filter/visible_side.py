@@ -70,10 +70,11 @@ class SkinSides:
     """
 
     def __init__(self, cameras: Sequence[CameraModel], markers: int, settings: PaintSettings) -> None:
-        self._rotations = [camera.R_camera_rig for camera in cameras]
+        # Rows of each camera's rotation: its axes in the rig frame.
+        self._axes: list[list[Vector]] = [[vector(row) for row in camera.R_camera_rig] for camera in cameras]
         self._settings = settings
         self._seen: list[list[tuple[float, float, float, float] | None]] = [
-            [None] * len(self._rotations) for _ in range(markers)
+            [None] * len(self._axes) for _ in range(markers)
         ]
 
     def clear(self) -> None:
@@ -83,14 +84,16 @@ class SkinSides:
 
     def observe(self, camera: int, t_s: float, markers: Sequence[int], sides: FloatArray) -> None:
         """Store where skin adjoins markers (N,) in a camera's frame at a time, sides (N, 2) in the image."""
-        settings = self._settings
-        for marker, (x, y, z) in zip(markers, (sides @ self._rotations[camera][:2]).tolist(), strict=True):
-            before, keep = self._seen[marker][camera], 0.0
+        settings, (right, down, _) = self._settings, self._axes[camera]
+        for marker, (u, v) in zip(markers, sides.tolist(), strict=True):
+            x, y, z = u * right[0] + v * down[0], u * right[1] + v * down[1], u * right[2] + v * down[2]
+            cameras = self._seen[marker]
+            before = cameras[camera]
             if before is not None and 0.0 <= t_s - before[0] < settings.skin_lasts_s:
                 keep = math.exp((before[0] - t_s) / settings.skin_s)
-            _, old_x, old_y, old_z = before or (t_s, x, y, z)
-            mean = x + keep * (old_x - x), y + keep * (old_y - y), z + keep * (old_z - z)
-            self._seen[marker][camera] = t_s, *mean
+                _, old_x, old_y, old_z = before
+                x, y, z = x + keep * (old_x - x), y + keep * (old_y - y), z + keep * (old_z - z)
+            cameras[camera] = t_s, x, y, z
 
     def direction(self, camera: int, marker: int, t_s: float) -> Vector | None:
         """Return the direction of the finger in a camera's frame, away from the skin, as a unit vector.
@@ -99,15 +102,16 @@ class SkinSides:
         all, so that its error changes the depth only little. None = no camera sees skin on one side of it.
         """
         settings = self._settings
-        since_s = t_s - settings.skin_lasts_s
-        recent = [seen[1:] for seen in self._seen[marker] if seen is not None and seen[0] > since_s]
-        if not recent:
-            return None
-        x, y, z = (sum(column) for column in zip(*recent, strict=True))
+        since_s, count, x, y, z = t_s - settings.skin_lasts_s, 0, 0.0, 0.0, 0.0
+        for seen in self._seen[marker]:
+            if seen is not None and seen[0] > since_s:
+                count, x, y, z = count + 1, x - seen[1], y - seen[2], z - seen[3]
         length = math.sqrt(x * x + y * y + z * z)
-        if length < settings.least_skin * len(recent):
+        if count == 0 or length < settings.least_skin * count:
             return None
-        return unit(vector(self._rotations[camera] @ np.array((-x, -y, -z))))
+        away = x / length, y / length, z / length
+        right, down, forward = self._axes[camera]
+        return dot(right, away), dot(down, away), dot(forward, away)
 
 
 def visible_side(

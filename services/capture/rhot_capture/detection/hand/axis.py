@@ -81,20 +81,22 @@ class HandAxis:
             candidates: by marker.
             judged: name and verdict of every blob; rejected candidates are replaced by refusals.
         """
+        limits: dict[str, tuple[float, float, float]] = {}
+        for patch, (x, y) in self._axis.items():
+            u, v, size = self._last[patch]
+            if patch in candidates:
+                base = max(candidates[patch], key=lambda one: one.plausibility).blob
+                (u, v), size = base.middle, math.sqrt(base.area)
+            limits[patch] = x, y, x * u + y * v - _BEHIND * size
         behind: list[Candidate] = []
-        for name in self._patch_of.keys() & candidates.keys():
-            patch = self._patch_of[name]
-            if patch in self._axis:
-                (x, y), (u, v, size) = self._axis[patch], self._last[patch]
-                if patch in candidates:
-                    base = max(candidates[patch], key=lambda one: one.plausibility).blob
-                    (u, v), size = base.middle, math.sqrt(base.area)
-                most = -_BEHIND * size
-                behind += [
-                    one
-                    for one in candidates[name]
-                    if x * (one.blob.middle[0] - u) + y * (one.blob.middle[1] - v) < most
-                ]
+        for name, each in candidates.items():
+            limit = limits.get(self._patch_of.get(name, ""))
+            if limit is not None:
+                x, y, least = limit
+                for one in each:
+                    u, v = one.blob.middle
+                    if x * u + y * v < least:
+                        behind.append(one)
         return without(behind, candidates, judged, "behind the wrist")
 
 

@@ -8,6 +8,7 @@ skin, so that gloves and skin of an unusual colour do not matter.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Final
 
@@ -71,25 +72,25 @@ class SkinContact:
         """
         if skin is None:
             return candidates
-        apart = [
-            one
-            for name, each in candidates.items()
-            for one in each
-            if self._is_doubtful(name, one, tracks) and _skin_share(one, image, skin) < _APART
-        ]
+        adjoining = Counter(self._hand_of[name] for name, since in self._since.items() if since < _LASTS_FRAMES)
+        apart = []
+        for name in self._hand_of.keys() & candidates.keys():
+            is_known = self._since[name] < _LASTS_FRAMES
+            if adjoining[self._hand_of[name]] - is_known >= _FEWEST:
+                apart += [
+                    one
+                    for one in candidates[name]
+                    if not (is_known and _is_near(one, tracks[name]))
+                    and one.blob.border_share == 0.0
+                    and _skin_share(one, image, skin) < _APART
+                ]
         return without(apart, candidates, judged, "apart from skin")
 
-    def _is_doubtful(self, name: str, candidate: Candidate, tracks: Mapping[str, MarkerTrack]) -> bool:
-        """Return whether a candidate must adjoin skin."""
-        if name not in self._hand_of or candidate.blob.border_share > 0.0:
-            return False
-        others = [self._since[other] for other, hand in self._hand_of.items() if hand == self._hand_of[name]]
-        others.remove(self._since[name])
-        if sum(since < _LASTS_FRAMES for since in others) < _FEWEST:
-            return False
-        track, blob = tracks[name], candidate.blob
-        near = track.is_recent and track.preference(*blob.middle, blob.area) >= _NEAR
-        return self._since[name] >= _LASTS_FRAMES or not near
+
+def _is_near(candidate: Candidate, track: MarkerTrack) -> bool:
+    """Return whether a candidate is where its marker just was."""
+    blob = candidate.blob
+    return track.is_recent and track.preference(*blob.middle, blob.area) >= _NEAR
 
 
 def _skin_share(candidate: Candidate, image: ImageArray, skin: ImageArray) -> float:

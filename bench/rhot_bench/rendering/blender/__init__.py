@@ -1,0 +1,1 @@
+"""Worlds as Blender scenes and their pictures; these modules need `bpy`, `exr` alone does not."""
