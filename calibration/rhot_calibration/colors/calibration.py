@@ -6,7 +6,6 @@ same pictures joins the background as a class of its own, so that a look-alike i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -24,6 +23,7 @@ from rhot_calibration.colors.model.fit import COUNTER_FLOOR, MARKER_FLOOR, fit_c
 from rhot_calibration.colors.model.quality import MarkerQuality, class_pixels, marker_quality, quality_as_plain
 from rhot_calibration.colors.model.samples import ClassPixels, marker_pixels
 from rhot_calibration.colors.model.separability import Separability, separability
+from rhot_calibration.colors.model.skin import are_skin
 from rhot_calibration.colors.picking.checks import check_places, check_quality, check_regions
 from rhot_calibration.colors.picking.picks import Places
 from rhot_calibration.colors.picking.regions import regions
@@ -43,9 +43,6 @@ _MAX_LOOKALIKES: Final = 64
 _LOOKALIKE_WEIGHT: Final = 0.02
 _LOOKALIKE_AREA_SHARE: Final = 0.5
 _CLEARANCE: Final = np.ones((7, 7), np.uint8)
-_SKIN_HUE: Final = ((0.02, 0.90), (-1.60, -0.02))
-"""Bounds of ln(R/G) and ln(B/G) of skin in any ordinary light: more red than green, more green than blue."""
-_SKIN_BRIGHTNESS: Final = math.log(85.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +102,7 @@ def calibrate(
     others = np.concatenate([each[where] for each, where in zip(features, free, strict=True)])
     background = fit_mixture(others, _BACKGROUND_COMPONENTS, COUNTER_FLOOR)
     limits = {name: _PATCH_LIMIT if markers[name].kind == "patch" else _LIMIT for name in names}
-    colors = _assemble(fitted, limits, background, [])
+    colors = _assemble(fitted, limits, background, features, found)
     lookalikes: list[ColorComponent] = []
     for _ in range(_LOOKALIKE_ROUNDS):
         new = _lookalikes(colors, names, images, features, found, markers)
@@ -113,7 +110,7 @@ def calibrate(
         if not new or room <= 0:
             break
         lookalikes += new[:room]
-        colors = _assemble(fitted, limits, background, lookalikes)
+        colors = _assemble(fitted, limits, [*background, *lookalikes], features, found)
     table = build_color_table(colors, names)
     quality = marker_quality(table, images, found, free)
     check_quality(quality)
@@ -149,24 +146,19 @@ def _free(chosen: Mapping[str, BoolArray], shape: tuple[int, ...]) -> BoolArray:
 def _assemble(
     fitted: Mapping[str, Sequence[ColorComponent]],
     limits: Mapping[str, float],
-    background: Sequence[ColorComponent],
-    lookalikes: Sequence[ColorComponent],
+    counters: Sequence[ColorComponent],
+    features: Sequence[FloatArray],
+    found: Sequence[Mapping[str, BoolArray]],
 ) -> ColorsFile:
-    counters = [*background, *lookalikes]
-    skin = [component for component in counters if _is_skin(component)]
-    counter = [component for component in counters if not _is_skin(component)]
+    told = are_skin(counters, features, found)
+    skin = [component for component, is_skin in zip(counters, told, strict=True) if is_skin]
+    counter = [component for component, is_skin in zip(counters, told, strict=True) if not is_skin]
     return ColorsFile(
         date=today(),
         markers={name: GaussianColor(components=tuple(parts), limit=limits[name]) for name, parts in fitted.items()},
         skin=GaussianColor(components=tuple(skin)) if skin else None,
         background=GaussianColor(components=tuple(counter)) if counter else None,
     )
-
-
-def _is_skin(component: ColorComponent) -> bool:
-    red, blue, brightness = component.mean()
-    (red_low, red_high), (blue_low, blue_high) = _SKIN_HUE
-    return bool(red_low <= red <= red_high and blue_low <= blue <= blue_high and brightness >= _SKIN_BRIGHTNESS)
 
 
 def _lookalikes(

@@ -171,9 +171,8 @@ def mixture_fit(color: GaussianColor, features: FloatArray) -> tuple[FloatArray,
         (N,) logarithm of the mixture's density, normalised to an integral of 1 (all classes have the same prior); (N,)
         squared Mahalanobis distance to the nearest component.
     """
-    form, constants = _quadratic_forms(color.components)
-    # One row per component: numpy reduces over rows several times as fast as over short columns.
-    squared = np.maximum(form @ _monomials(features), 0.0)
+    _, constants = _quadratic_forms(color.components)
+    squared = component_distances(color, features)
     densities = constants[:, None] - 0.5 * squared
     if len(squared) == 1:
         return densities[0], squared[0]
@@ -181,6 +180,14 @@ def mixture_fit(color: GaussianColor, features: FloatArray) -> tuple[FloatArray,
     # The same as `np.logaddexp.reduce` in a third of the time.
     density: FloatArray = highest + np.log(np.exp(densities - highest).sum(axis=0))
     return density, squared.min(axis=0)
+
+
+def component_distances(color: GaussianColor, features: FloatArray) -> FloatArray:
+    """Return the squared Mahalanobis distances (C, N) of colours (N, 3) to the components of a class."""
+    form, _ = _quadratic_forms(color.components)
+    # One row per component: numpy reduces over rows several times as fast as over short columns.
+    squared: FloatArray = np.maximum(form @ _monomials(features), 0.0)
+    return squared
 
 
 def _quadratic_forms(components: Sequence[ColorComponent]) -> tuple[FloatArray, FloatArray]:
