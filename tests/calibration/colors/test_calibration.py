@@ -205,7 +205,7 @@ def test_pictures_without_markers_show_none(
         assert not sure, number
 
 
-@pytest.mark.parametrize("gloss", [-30, 30])
+@pytest.mark.parametrize("gloss", [-30, 30, 80])
 def test_a_patch_is_found_whole_with_more_or_less_gloss(gloss: int, scene: Any, six_shapes: Any, markers: Any) -> None:
     drawn = scene(six_shapes(1), noise=2.0)
     result = calibrate([drawn.image], [{name: (u, v) for name, (u, v, _) in drawn.truth.items()}], markers)

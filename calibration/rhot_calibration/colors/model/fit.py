@@ -42,14 +42,18 @@ def fit_component(samples: FloatArray, floor: tuple[float, float, float], weight
     return _component((red, green, blue), covariance, weight)
 
 
-def with_gloss(component: ColorComponent) -> ColorComponent:
+def with_gloss(component: ColorComponent, gloss: float = _GLOSS) -> ColorComponent:
     """Widen a component by more or less gloss than in the samples.
 
     Gloss adds white light to the colour of a surface (S. A. Shafer, "Using color to separate reflection components",
     Color Research and Application 10(4), 1985), so the component becomes wider in this direction only.
+
+    Args:
+        component: to widen.
+        gloss: standard deviation of the white light, grey levels.
     """
     rgb = np.array(component.rgb)
-    step = 0.5 * (log_ratio(np.minimum(rgb + _GLOSS, 255.0)) - log_ratio(np.maximum(rgb - _GLOSS, 0.0)))
+    step = 0.5 * (log_ratio(np.minimum(rgb + gloss, 255.0)) - log_ratio(np.maximum(rgb - gloss, 0.0)))
     covariance = component.covariance() + np.outer(step, step)
     return _component(component.rgb, covariance, component.weight)
 
