@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import cv2
 import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.messages import Point
+
+_ROUNDING_M2: Final = 1e-8
+"""A standard deviation of 0.1 mm, added before a covariance is judged."""
 
 
 def symmetric_inverse(M: FloatArray) -> FloatArray:
@@ -51,6 +56,14 @@ def stated_covariance(point: Point) -> tuple[float, ...]:
         return (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
     xx, xy, xz, yy, yz, zz = point.covariance
     return (xx, xy, xz, xy, yy, yz, xz, yz, zz)
+
+
+def has_covariance(point: Point) -> bool:
+    """Return whether what a point states can be a covariance: positive (Sylvester's criterion) but for rounding."""
+    (a, b, c), (_, d, e), (_, _, f) = np.reshape(stated_covariance(point), (3, 3)).tolist()
+    a, d, f = a + _ROUNDING_M2, d + _ROUNDING_M2, f + _ROUNDING_M2
+    two = a * d - b * b
+    return bool(a > 0.0 and two > 0.0 and f * two > a * e * e - 2.0 * b * c * e + c * c * d)
 
 
 def squared_distance(vector: FloatArray, covariance: FloatArray) -> float:

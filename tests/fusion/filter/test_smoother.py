@@ -139,3 +139,24 @@ def test_markers_of_unknown_depth_that_were_reinitialised_live_are_not_smoothed_
     assert spread_m[found - 2] > DEFAULT.track.loose_m, "the path before does not go through the new position"
     assert max(spread_m[found + 2 : -5]) < 5e-3
     assert max(np.abs(node.position - there).max() for node in nodes[found + 2 : -5]) < 5e-3
+
+
+def test_covariances_stay_positive_where_one_marker_starts_anew_among_others() -> None:
+    """Depths that are hardly known before: what is removed of the marker's old state must not be subtracted twice."""
+    places = PLACE + 0.08 * np.array([[0.0, 0.0, 0.0], [1.0, 0.2, 0.1], [-0.5, 1.0, -0.2]])
+    wide = np.diag([1e-4, 1e-4, 1e-2, 1e-1, 1e-1, 1.0])
+    frames: list[Frame] = []
+    for number in range(16):
+        camera = number % 2
+        local = CAMERAS[camera].to_camera(places)
+        variance = np.tile(ROUND[None] * (NOISE_PX / FOCAL_PX) ** 2, (3, 1))
+        views = Views(CAMERAS[camera], np.arange(3), np.zeros(3), local[:, :2] / local[:, 2:], variance, np.zeros(3))
+        starting = {0: (0, 1, 2), 6: (0,), 7: (0,)}.get(number, ())
+        events = [
+            Event(number * PERIOD_S, k, InitialState(np.concatenate([places[k], np.zeros(3)]), wide, 0.0), None)
+            for k in starting
+        ]
+        nothing = np.zeros(3, dtype=bool)
+        frames.append(Frame(number * PERIOD_S, camera, views, ~nothing, events, views.xy.copy(), np.zeros(3)))
+    for node in smooth(frames, 3, DEFAULT, as_they_are):
+        assert np.linalg.eigvalsh(node.covariance).min() > 0.0

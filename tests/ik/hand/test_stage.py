@@ -161,6 +161,25 @@ def test_a_point_where_it_cannot_be_counts_as_not_seen(
     assert stage.counts["outside"] + stage.counts["not_of_this_hand"] == 20
 
 
+@pytest.mark.parametrize("covariance", [(1e-4, 0, 0, -2e-3, 0, 1e-2), (1e-4, 2e-4, 0, 1e-4, 0, 1e-4)])
+def test_a_point_without_a_possible_covariance_counts_as_not_seen(
+    right_rig: Rig,
+    right_hand: HandModel,
+    make_points: MakePoints,
+    wrist: Wrist,
+    covariance: tuple[float, ...],
+) -> None:
+    stage, without = HandStage(right_rig), HandStage(right_rig)
+    joints = right_hand.forward(wrist(), EASE)
+    for k in range(10):
+        points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0)
+        hidden = make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=("ring",))
+        wild = points.points | {"ring": points.points["ring"].model_copy(update={"covariance": covariance})}
+        seen = points.model_copy(update={"points": wild})
+        assert np.allclose(positions(only_pose(stage, seen)), positions(only_pose(without, hidden)))
+    assert stage.counts["no_covariance"] == 10
+
+
 def test_two_hands_mirror_each_other(two_hands_rig: Rig, make_points: MakePoints, wrist: Wrist) -> None:
     stage = HandStage(two_hands_rig)
     mirror = np.diag([-1.0, 1.0, 1.0])

@@ -10,6 +10,7 @@ import numpy as np
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.explain import Explanation
+from rhot.geometry.covariances import has_covariance
 from rhot.messages import FingerAngles, HandPose, ObjectPose, ObjectShape, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
 from rhot.stage import Output
@@ -40,7 +41,7 @@ class HandStage:
         self._markers: Mapping[str, MarkerConfig] = rig.config.markers
         self._solvers: dict[Side, HandSolver] = {}
         self._bases: dict[Side, str] = {}
-        self._counts = {"hands": 0, "no_hand": 0, "outside": 0, "not_of_this_hand": 0}
+        self._counts = {"hands": 0, "no_hand": 0, "outside": 0, "not_of_this_hand": 0, "no_covariance": 0}
         self._volume_m = rig.config.fusion.volume_m
         self._problems: list[str] = []
         self._hold_s = rig.config.ik.hold_s
@@ -80,7 +81,8 @@ class HandStage:
         """What became of the samples.
 
         `hands` solved and published; `no_hand`: too little of a hand was seen. Points left out: `outside` of where
-        markers can be, or `not_of_this_hand` because they are too far from its palm.
+        markers can be, `not_of_this_hand` because they are too far from its palm, or `no_covariance` because what they
+        state as one is not positive.
         """
         return self._counts
 
@@ -166,6 +168,9 @@ class HandStage:
         """Return a point of a set if it lies where markers can be; fusion sends no others, but the bus may."""
         point = points.points.get(name)
         if point is None:
+            return None
+        if not has_covariance(point):
+            self._counts["no_covariance"] += 1
             return None
         x, y, z = point.position
         (low_x, low_y, low_z), (high_x, high_y, high_z) = self._volume_m

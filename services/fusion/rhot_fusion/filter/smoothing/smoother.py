@@ -229,10 +229,11 @@ def _backward(steps: list[tuple[Step, BoolArray]]) -> list[State]:
         both = own.alive & following.before.alive & later.alive & ~new
         if not both.any():
             continue
-        rows, every = _rows(both), _rows(own.alive)
+        rows, every, kept = _rows(both), _rows(own.alive), _rows(own.alive & ~new)
         before = following.before.P[np.ix_(rows, rows)]
         before[np.diag_indices(len(rows))] += _JITTER
-        moved = following.transition[rows] @ own.P[:, every]
+        # The shared rotation makes the other markers depend on one that starts anew, but not on where it was before.
+        moved = following.transition[np.ix_(rows, kept)] @ own.P[np.ix_(kept, every)]
         gain = np.linalg.solve(before, moved).T
         x, S = own.x.copy(), own.P.copy()
         x[every] += gain @ (later.x - following.before.x)[rows]
