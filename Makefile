@@ -81,7 +81,7 @@ $(BLENDER): bench/rhot_bench/rendering/requirements.txt
 	@touch $@
 
 worlds: $(BLENDER)
-	@PYTHONPATH=bench nice $(dir $(BLENDER))bin/python -m rhot_bench.rendering $(SEEDS) --out $(WORLDS) --scorer $(SCORER)
+	@PYTHONPATH=bench:common nice $(dir $(BLENDER))bin/python -m rhot_bench.rendering $(SEEDS) --out $(WORLDS) --scorer $(SCORER)
 
 page:
 	@$(MAKE) --no-print-directory web || echo "going on without the page Grasp"

@@ -77,6 +77,7 @@ _TYPE_NAMES: Final = {
     "Metres": "m",
     "Seconds": "s",
     "Unit": "0 to 1",
+    "SignedUnit": "-1 to 1",
     "Position": "(x, y, z) m",
     "Quaternion": "(x, y, z, w)",
     "State": '"measured" or "predicted"',

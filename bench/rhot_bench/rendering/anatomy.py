@@ -6,7 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from rhot_bench.rendering.hand import MARKERS, Array, Hand, rotation_xyz
+from rhot.geometry.rotations import nearest_rotation
+from rhot_bench.rendering.hand import MARKERS, Hand, rotation_xyz
 
 # Proportions of a hand of length 1, wrist to the tip of the middle finger; each hand varies about them.
 _LENGTHS: Final = {
@@ -60,7 +61,7 @@ def random_hand(rng: np.random.Generator) -> Hand:
         lengths=lengths,
         mcp=mcp,
         cmc=scale * np.array(_CMC) + rng.uniform(-2.5, 2.5, 3),
-        thumb_base=rotation_xyz(turn) @ _orthonormal(np.array(_THUMB_BASE)),
+        thumb_base=rotation_xyz(turn) @ nearest_rotation(np.array(_THUMB_BASE)),
         fan_deg=fan,
         radii=radii,
         painted=painted,
@@ -68,8 +69,3 @@ def random_hand(rng: np.random.Generator) -> Hand:
         patch=(float(rng.integers(28, 43)), float(rng.integers(20, 31)), 0.5),
         T_hand_patch=np.eye(4),
     )
-
-
-def _orthonormal(matrix: Array) -> Array:
-    u, _, vt = np.linalg.svd(matrix)
-    return np.asarray(u @ vt)

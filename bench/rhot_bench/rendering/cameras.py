@@ -12,7 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhot_bench.rendering.hand import Array, rotation_xyz
+from rhot.arrays import FloatArray
+from rhot.geometry.distortion import distorted
+from rhot_bench.rendering.hand import rotation_xyz
 
 SIZE: Final = (640, 480)
 """Width and height of a picture, pixels."""
@@ -29,14 +31,18 @@ class Camera:
         T_camera_world: (4, 4), millimetres.
     """
 
-    K: Array
-    D: Array
-    T_camera_world: Array
+    K: FloatArray
+    D: FloatArray
+    T_camera_world: FloatArray
 
-    def project(self, points: Array) -> Array:
-        """Return (..., 2) pixels in the distorted picture of (..., 3) world points in mm."""
+    def normalized(self, points: FloatArray) -> FloatArray:
+        """Return (..., 2) image points of (..., 3) world points in mm, as without a lens."""
         seen = points @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]
-        return distort(seen[..., :2] / seen[..., 2:], self.K, self.D)
+        return np.asarray(seen[..., :2] / seen[..., 2:])
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """Return (..., 2) pixels in the distorted picture of (..., 3) world points in mm."""
+        return distort(self.normalized(points), self.K, self.D)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,17 +78,13 @@ class Timing:
         return self.t_ns("right", self.count - 1) + int((self.readout_s + self.exposure_s) * 1e9)
 
 
-def distort(normalized: Array, K: Array, D: Array) -> Array:
-    """Return pixels of (..., 2) normalized image points (Brown 1966, as OpenCV)."""
-    x, y = normalized[..., 0], normalized[..., 1]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (D[0] + r2 * (D[1] + r2 * D[4]))
-    u = x * radial + 2.0 * D[2] * x * y + D[3] * (r2 + 2.0 * x * x)
-    v = y * radial + D[2] * (r2 + 2.0 * y * y) + 2.0 * D[3] * x * y
-    return np.stack([K[0, 0] * u + K[0, 2], K[1, 1] * v + K[1, 2]], axis=-1)
+def distort(normalized: FloatArray, K: FloatArray, D: FloatArray) -> FloatArray:
+    """Return pixels of (..., 2) normalized image points."""
+    bent = distorted(normalized[..., 0], normalized[..., 1], D.tolist()).xy
+    return np.asarray(bent * K[[0, 1], [0, 1]] + K[[0, 1], [2, 2]])
 
 
-def undistort(pixels: Array, K: Array, D: Array) -> Array:
+def undistort(pixels: FloatArray, K: FloatArray, D: FloatArray) -> FloatArray:
     """Return the normalized image points of (..., 2) pixels, by fixed-point iteration."""
     aim = (pixels - K[[0, 1], [2, 2]]) / K[[0, 1], [0, 1]]
     guess = aim.copy()
@@ -92,8 +94,8 @@ def undistort(pixels: Array, K: Array, D: Array) -> Array:
 
 
 def shutter_projection(
-    camera: Camera, timing: Timing, start_ns: int, position: Callable[[float], Array]
-) -> tuple[float, Array, Array]:
+    camera: Camera, timing: Timing, start_ns: int, position: Callable[[float], FloatArray]
+) -> tuple[float, FloatArray, FloatArray]:
     """Return instant (ns), pixel (2,) and world position (3,) of a moving point as a rolling shutter images it.
 
     Args:

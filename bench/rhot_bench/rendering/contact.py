@@ -7,7 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhot_bench.rendering.hand import FINGERS, MARKERS, Array, Hand
+from rhot.arrays import FloatArray
+from rhot_bench.rendering.hand import FINGERS, MARKERS, Hand
 from rhot_bench.rendering.motion import States
 
 _SAMPLES: Final = 5
@@ -23,9 +24,9 @@ class Solid:
     """
 
     kind: str
-    half: Array
+    half: FloatArray
 
-    def distance(self, points: Array) -> Array:
+    def distance(self, points: FloatArray) -> FloatArray:
         """Return the signed distance of (..., 3) points in the object's frame."""
         if self.kind == "ball":
             return np.asarray(np.linalg.norm(points, axis=-1) - self.half[0])
@@ -57,7 +58,7 @@ EDGE_MM: Final = 2.0
 """Radius of the object's rounded edges in the picture; `distance` takes them as sharp."""
 
 
-def finger_points(hand: Hand, bones: Array) -> tuple[Array, Array]:
+def finger_points(hand: Hand, bones: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return points along the axes of the fingers and their radii.
 
     Args:
@@ -102,7 +103,7 @@ def least_gap(hand: Hand, motion: States) -> float:
     return min(least, float(palm.min()))
 
 
-def object_gap(hand: Hand, motion: States, solid: Solid, T_world_object: Array) -> Array:
+def object_gap(hand: Hand, motion: States, solid: Solid, T_world_object: FloatArray) -> FloatArray:
     """Return (N, 6) least distances of thumb, fingers and palm to an object, mm."""
     points, radii = finger_points(hand, motion.bones)
     inverse = np.linalg.inv(np.broadcast_to(T_world_object, motion.T_world_hand.shape))
@@ -121,7 +122,7 @@ def desk_gap(hand: Hand, motion: States) -> float:
     return float((points[..., 2] - radii).min())
 
 
-def _palm_points(hand: Hand) -> Array:
+def _palm_points(hand: Hand) -> FloatArray:
     """Return (K, 4) spheres, centre and radius, that fill the palm and the ball of the thumb; hand frame."""
     size = hand.length_mm / 172.0
     rows = []
@@ -132,7 +133,7 @@ def _palm_points(hand: Hand) -> Array:
     return np.array(rows)
 
 
-def _palm_gap(hand: Hand, local: Array) -> Array:
+def _palm_gap(hand: Hand, local: FloatArray) -> FloatArray:
     palm = _palm_points(hand)
     gaps = np.linalg.norm(local[..., None, :] - palm[:, :3], axis=-1) - palm[:, 3]
     return np.asarray(gaps.min(axis=-1))

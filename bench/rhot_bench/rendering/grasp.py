@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot_bench.rendering.contact import Solid, finger_points, object_gap
-from rhot_bench.rendering.hand import FINGERS, MARKERS, Array, Hand, rotation_xyz
+from rhot_bench.rendering.hand import FINGERS, MARKERS, Hand, rotation_xyz
 from rhot_bench.rendering.motion import PALM_DOWN, POSE, States, Track, random_rest, states
 
 _CONTACT_MM: Final = 0.4
@@ -28,10 +29,10 @@ class Grasp:
 
     track: Track
     solid: Solid
-    T_world_start: Array
+    T_world_start: FloatArray
     held_s: tuple[float, float]
 
-    def states(self, hand: Hand, t_s: Array) -> States:
+    def states(self, hand: Hand, t_s: FloatArray) -> States:
         """Return hand and object at times (N,)."""
         moved = states(hand, self.track, t_s)
         held = states(hand, self.track, np.clip(t_s, *self.held_s)).T_world_hand
@@ -125,9 +126,9 @@ def _close(
 class _Sampled:
     """Values given at the very times that are asked for."""
 
-    values: dict[str, Array]
+    values: dict[str, FloatArray]
 
-    def __call__(self, t_s: Array) -> dict[str, Array]:
+    def __call__(self, t_s: FloatArray) -> dict[str, FloatArray]:
         return dict(self.values)
 
 
@@ -164,11 +165,7 @@ def _scheduled(
     above = at["z"] + rng.uniform(20.0, 35.0)
     track.to("z", 0.0, 0.18 * T, above)
     track.to("z", 0.16 * T, 0.16 * T, at["z"])
-    for finger in MARKERS[:5]:
-        late = rng.uniform(0.0, 0.025) * T
-        for name, value in closed.items():
-            if name.startswith(finger):
-                track.to(name, 0.31 * T + late, 0.13 * T, value)
+    _move_fingers(rng, track, closed, 0.31 * T, 0.13 * T, 0.025 * T)
     lifted = at["z"] + rng.uniform(30.0, 55.0)
     track.to("z", 0.47 * T, 0.14 * T, lifted)
     for name, change in (("x", move[0]), ("y", move[1]), ("yaw", rng.uniform(-15, 15))):
@@ -177,13 +174,20 @@ def _scheduled(
         track.to(name, 0.49 * T, 0.14 * T, at[name] + rng.uniform(-6, 6))
         track.to(name, 0.63 * T, 0.14 * T, at[name])
     track.to("z", 0.65 * T, 0.13 * T, at["z"])
-    for finger in MARKERS[:5]:
-        late = rng.uniform(0.0, 0.02) * T
-        for name, value in opened.items():
-            if name.startswith(finger):
-                track.to(name, 0.80 * T + late, 0.11 * T, value)
+    _move_fingers(rng, track, opened, 0.80 * T, 0.11 * T, 0.02 * T)
     track.to("z", 0.89 * T, 0.14 * T, at["z"] + rng.uniform(40, 70))
     track.to("y", 0.90 * T, 0.14 * T, at["y"] + move[1] - rng.uniform(15, 40))
     T_start = np.eye(4)
     T_start[:2, 3], T_start[2, 3] = first, solid.half[2]
     return Grasp(track, solid, T_start, (0.465 * T, 0.79 * T))
+
+
+def _move_fingers(
+    rng: np.random.Generator, track: Track, angles: dict[str, float], at_s: float, lasting_s: float, latest_s: float
+) -> None:
+    """Move all fingers to angles, each at its own time, at most `latest_s` late."""
+    for finger in MARKERS[:5]:
+        late_s = rng.uniform(0.0, latest_s)
+        for name, value in angles.items():
+            if name.startswith(finger):
+                track.to(name, at_s + late_s, lasting_s, value)

@@ -12,9 +12,9 @@ from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from rhot.arrays import FloatArray
 
 FINGERS: Final = ("index", "middle", "ring", "little")
 MARKERS: Final = ("thumb", *FINGERS, "base")
@@ -49,8 +49,8 @@ class Cone:
     """
 
     bone: int
-    start: Array
-    end: Array
+    start: FloatArray
+    end: FloatArray
     start_mm: float
     end_mm: float
 
@@ -73,15 +73,15 @@ class Hand:
     """
 
     lengths: dict[str, tuple[float, float, float]]
-    mcp: dict[str, Array]
-    cmc: Array
-    thumb_base: Array
+    mcp: dict[str, FloatArray]
+    cmc: FloatArray
+    thumb_base: FloatArray
     fan_deg: dict[str, float]
     radii: dict[str, tuple[float, float, float, float]]
     painted: dict[str, float]
     pulp: dict[str, float]
     patch: tuple[float, float, float]
-    T_hand_patch: Array
+    T_hand_patch: FloatArray
 
     @property
     def length_mm(self) -> float:
@@ -96,7 +96,7 @@ class Hand:
 
     def finger_cones(self, finger: str) -> tuple[Cone, Cone, Cone]:
         """Return the three bones of a finger or the thumb, proximal first."""
-        names = ("metacarpal", "proximal") if finger == "thumb" else ("proximal", "middle")
+        names = _bone_names(finger)[:2]
         cones = [
             Cone(
                 BONES.index(f"{finger}_{name}"),
@@ -109,7 +109,7 @@ class Hand:
         ]
         return cones[0], cones[1], self.tip_cone(finger)
 
-    def marker_centres(self) -> dict[str, Array]:
+    def marker_centres(self) -> dict[str, FloatArray]:
         """Return the centroid of each painted solid in its bone frame, of the patch in the hand frame; (3,) mm."""
         centres = {}
         for finger in MARKERS[:5]:
@@ -124,8 +124,7 @@ class Hand:
 
     def to_json(self) -> dict[str, Any]:
         """Return the hand in the form of `hand.json`."""
-        names = dict.fromkeys(FINGERS, ("proximal", "middle", "distal_to_tip"))
-        names["thumb"] = ("metacarpal", "proximal", "distal_to_tip")
+        names = {finger: (*_bone_names(finger)[:2], "distal_to_tip") for finger in (*FINGERS, "thumb")}
         bones = {finger: f"{finger} distal phalanx (origin DIP, y to the tip, z palmar)" for finger in FINGERS}
         return {
             "bone_lengths_mm": {
@@ -144,7 +143,11 @@ class Hand:
         }
 
 
-def bone_poses(hand: Hand, angles: Array) -> Array:
+def _bone_names(finger: str) -> tuple[str, str, str]:
+    return ("metacarpal", "proximal", "distal") if finger == "thumb" else ("proximal", "middle", "distal")
+
+
+def bone_poses(hand: Hand, angles: FloatArray) -> FloatArray:
     """Return the pose of each bone in the hand frame by forward kinematics.
 
     Args:
@@ -159,17 +162,15 @@ def bone_poses(hand: Hand, angles: Array) -> Array:
     column = {name: angles[:, place] for place, name in enumerate(ANGLES)}
     for finger in MARKERS[:5]:
         if finger == "thumb":
-            names = ("metacarpal", "proximal", "distal")
             first = hand.thumb_base @ _rz(-column["thumb_cmc_abd"]) @ _rx(column["thumb_cmc_flex"])
             flexions = (column["thumb_mcp_flex"], column["thumb_ip_flex"])
             origin = np.broadcast_to(hand.cmc, (count, 3))
         else:
-            names = ("proximal", "middle", "distal")
             first = _rz(-(hand.fan_deg[finger] + column[f"{finger}_mcp_abd"])) @ _rx(column[f"{finger}_mcp_flex"])
             flexions = (column[f"{finger}_pip_flex"], column[f"{finger}_dip_flex"])
             origin = np.broadcast_to(hand.mcp[finger], (count, 3))
         rotation = first
-        for place, name in enumerate(names):
+        for place, name in enumerate(_bone_names(finger)):
             if place:
                 origin = origin + rotation[..., 1] * hand.lengths[finger][place - 1]
                 rotation = rotation @ _rx(flexions[place - 1])
@@ -178,19 +179,18 @@ def bone_poses(hand: Hand, angles: Array) -> Array:
     return poses
 
 
-def joint_positions(hand: Hand, poses: Array) -> Array:
+def joint_positions(hand: Hand, poses: FloatArray) -> FloatArray:
     """Return (N, 21, 3) joints in the order of `JOINTS`, in the frame that the poses map to."""
     bone = {name: poses[:, place] for place, name in enumerate(BONES)}
     joints = [bone["hand"][:, :3, 3]]
     for finger in MARKERS[:5]:
-        names = ("metacarpal", "proximal", "distal") if finger == "thumb" else ("proximal", "middle", "distal")
-        joints += [bone[f"{finger}_{name}"][:, :3, 3] for name in names]
+        joints += [bone[f"{finger}_{name}"][:, :3, 3] for name in _bone_names(finger)]
         last = bone[f"{finger}_distal"]
         joints.append(last[:, :3, 3] + last[:, :3, 1] * hand.lengths[finger][2])
     return np.stack(joints, axis=1)
 
 
-def marker_positions(hand: Hand, poses: Array) -> Array:
+def marker_positions(hand: Hand, poses: FloatArray) -> FloatArray:
     """Return (N, 6, 3) marker centres in the order of `MARKERS`, in the frame that the poses map to."""
     centres = hand.marker_centres()
     bones = [BONES.index(f"{name}_distal") for name in MARKERS[:5]] + [0]
@@ -198,7 +198,7 @@ def marker_positions(hand: Hand, poses: Array) -> Array:
     return np.stack(at, axis=1)
 
 
-def rotation_xyz(degrees: Array) -> Array:
+def rotation_xyz(degrees: FloatArray) -> FloatArray:
     """Return `Rz @ Ry @ Rx` of three angles in degrees; (..., 3) to (..., 3, 3)."""
     degrees = np.asarray(degrees, float)
     a = np.radians(degrees[..., 1])
@@ -213,7 +213,7 @@ def rotation_xyz(degrees: Array) -> Array:
     return _rz(degrees[..., 2]) @ ry @ _rx(degrees[..., 0])
 
 
-def _rx(degrees: Array) -> Array:
+def _rx(degrees: FloatArray) -> FloatArray:
     a = np.radians(np.asarray(degrees, float))
     out = np.zeros((*a.shape, 3, 3))
     out[..., 0, 0] = 1.0
@@ -221,7 +221,7 @@ def _rx(degrees: Array) -> Array:
     return out
 
 
-def _rz(degrees: Array) -> Array:
+def _rz(degrees: FloatArray) -> FloatArray:
     a = np.radians(np.asarray(degrees, float))
     out = np.zeros((*a.shape, 3, 3))
     out[..., 2, 2] = 1.0
@@ -244,7 +244,7 @@ def _painted_centroid(
     return across, along, palmar
 
 
-def cone_distance(points: Array, start: Array, end: Array, start_mm: float, end_mm: float) -> Array:
+def cone_distance(points: FloatArray, start: FloatArray, end: FloatArray, start_mm: float, end_mm: float) -> FloatArray:
     """Return the signed distance to a tapered capsule (its radius interpolated along the axis), negative inside."""
     axis = end - start
     along = np.clip((points - start) @ axis / (axis @ axis), 0.0, 1.0)

@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from rhot_bench.rendering.hand import MARKERS, Array
+from rhot.arrays import FloatArray
+from rhot_bench.rendering.hand import MARKERS
 
 Colour = tuple[float, float, float]
 
@@ -51,8 +52,8 @@ class Paint:
 class Lamp:
     """An area lamp: position (mm, world), the point that it faces, size in mm, power and colour."""
 
-    position: Array
-    aim: Array
+    position: FloatArray
+    aim: FloatArray
     size_mm: float
     power: float
     colour: Colour
@@ -134,7 +135,7 @@ def random_look(rng: np.random.Generator, span_mm: float) -> Look:
     )
 
 
-def lab(colour: Colour) -> Array:
+def lab(colour: Colour) -> FloatArray:
     """Return CIELAB (D65) of a linear sRGB colour."""
     xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ np.array(colour)
     t = xyz / np.array([0.9505, 1.0, 1.089])

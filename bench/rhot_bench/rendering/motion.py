@@ -10,12 +10,12 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot_bench.rendering.hand import (
     ANGLES,
     DIP_OF_PIP,
     FINGERS,
     MARKERS,
-    Array,
     Hand,
     bone_poses,
     rotation_xyz,
@@ -45,7 +45,7 @@ class Track:
         now = self.start[name] + sum(change for n, *_, change in self.steps if n == name)
         self.steps.append((name, at_s, lasting_s, value - now))
 
-    def __call__(self, t_s: Array) -> dict[str, Array]:
+    def __call__(self, t_s: FloatArray) -> dict[str, FloatArray]:
         """Return each value at times (N,)."""
         values = {name: np.full(len(t_s), value) for name, value in self.start.items()}
         for name, begin, lasting, change in self.steps:
@@ -66,14 +66,14 @@ class States:
         T_world_object: (N, 4, 4) mm, or None.
     """
 
-    t_s: Array
-    angles: Array
-    T_world_hand: Array
-    bones: Array
-    T_world_object: Array | None = None
+    t_s: FloatArray
+    angles: FloatArray
+    T_world_hand: FloatArray
+    bones: FloatArray
+    T_world_object: FloatArray | None = None
 
 
-def states(hand: Hand, track: Track, t_s: Array) -> States:
+def states(hand: Hand, track: Track, t_s: FloatArray) -> States:
     """Return the hand along a track."""
     values = track(t_s)
     for finger in FINGERS:
@@ -85,7 +85,7 @@ def states(hand: Hand, track: Track, t_s: Array) -> States:
     return States(t_s, angles, pose, pose[:, None] @ bone_poses(hand, angles))
 
 
-def forearm_poses(T_world_hand: Array) -> Array:
+def forearm_poses(T_world_hand: FloatArray) -> FloatArray:
     """Return (N, 4, 4) poses of the forearm: from the wrist to an elbow that stays low, behind the picture's edge."""
     wrist = T_world_hand[:, :3, 3]
     mean = T_world_hand.mean(axis=0)

@@ -8,8 +8,8 @@ from typing import Final
 import cv2
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot_bench.rendering.cameras import SIZE, Camera, Timing, undistort
-from rhot_bench.rendering.hand import Array
 
 _PAD: Final = 6
 BLUR_PX: Final = 0.45
@@ -31,7 +31,7 @@ class Pinhole:
     """
 
     focal: float
-    centre: Array
+    centre: FloatArray
     size: tuple[int, int]
     maps: tuple[np.ndarray, np.ndarray]
 
@@ -57,12 +57,11 @@ class Pinhole:
         opens = per_row * ((SIZE[1] // 2 + 0.5) - (middle + 0.5))
         return opens, per_row * self.size[1] + timing.exposure_s
 
-    def project(self, camera: Camera, points: Array) -> Array:
+    def project(self, camera: Camera, points: FloatArray) -> FloatArray:
         """Return (..., 2) pixels of the pinhole's picture of (..., 3) world points."""
-        seen = points @ camera.T_camera_world[:3, :3].T + camera.T_camera_world[:3, 3]
-        return self.focal * seen[..., :2] / seen[..., 2:] + self.centre
+        return self.focal * camera.normalized(points) + self.centre
 
-    def border(self, camera: Camera, points: Array, room_px: float) -> tuple[int, int, int, int]:
+    def border(self, camera: Camera, points: FloatArray, room_px: float) -> tuple[int, int, int, int]:
         """Return x0, y0, x1, y1 within the pinhole's picture round world points (N, 3), with a margin."""
         pixels = self.project(camera, points)
         low, high = np.clip([pixels.min(axis=0) - room_px, pixels.max(axis=0) + room_px], 0, self.size).astype(int)
@@ -85,7 +84,7 @@ class Sensor:
         gain: from rendered light to the share of the full well.
     """
 
-    crosstalk: Array
+    crosstalk: FloatArray
     drift: tuple[tuple[float, float, float], ...]
     vignetting: float
     full_well: float

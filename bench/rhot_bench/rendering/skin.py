@@ -13,11 +13,11 @@ from typing import Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot_bench.rendering.hand import (
     BONES,
     FINGERS,
     MARKERS,
-    Array,
     Hand,
     bone_poses,
     cone_distance,
@@ -46,10 +46,10 @@ class Skin:
         width_mm: across the knuckles, as a ruler measures it.
     """
 
-    vertices: Array
+    vertices: FloatArray
     quads: np.ndarray
-    weights: Array
-    beyond: Array
+    weights: FloatArray
+    beyond: FloatArray
     finger: np.ndarray
     width_mm: float
 
@@ -114,7 +114,7 @@ class _Field:
         self.elbow = np.array([-4.0, -FOREARM_MM, 4.0])
 
     @staticmethod
-    def _palm(hand: Hand, size: float) -> list[tuple[Array, Array, float, float]]:
+    def _palm(hand: Hand, size: float) -> list[tuple[FloatArray, FloatArray, float, float]]:
         bases = {
             "index": (12.0, 10.0, 0.0),
             "middle": (3.0, 9.0, -2.0),
@@ -138,7 +138,7 @@ class _Field:
         cones.append((heel, edge, 13.0 * size, 9.0 * size))
         return cones
 
-    def bounds(self) -> tuple[Array, Array]:
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
         tips = np.array([item[2][:3] for chain in self.chains.values() for item in chain])
         low = np.minimum(tips.min(0), [-40 * self.size, 0, -28]) - 16.0
         high = np.maximum(tips.max(0), [45 * self.size, 0, 30]) + 16.0
@@ -146,7 +146,7 @@ class _Field:
         high[0] = max(high[0], 50.0 * self.size)
         return low, high
 
-    def parts(self, points: Array) -> tuple[dict[str, Array], Array, Array]:
+    def parts(self, points: FloatArray) -> tuple[dict[str, FloatArray], FloatArray, FloatArray]:
         chains = {}
         for name, chain in self.chains.items():
             bones = [cone_distance(points, a[:3], b[:3], cone.start_mm, cone.end_mm) for _, a, b, cone in chain]
@@ -157,16 +157,16 @@ class _Field:
         )
         return chains, palm, self._arm(points)
 
-    def _arm(self, points: Array) -> Array:
+    def _arm(self, points: FloatArray) -> FloatArray:
         flat = points * np.array([1.0, 1.0, 1.28])
         arm = cone_distance(flat, np.array([0.0, 0.0, 1.0]), self.elbow, 1.5 * self.wrist_mm, 2.6 * self.wrist_mm)
         return arm * 0.9
 
-    def forearm(self, points: Array) -> Array:
+    def forearm(self, points: FloatArray) -> FloatArray:
         """Return the field far behind the wrist."""
         return np.maximum(self._arm(points), -(points[:, 1] + _ARM_END_MM))
 
-    def __call__(self, points: Array) -> Array:
+    def __call__(self, points: FloatArray) -> FloatArray:
         chains, palm, arm = self.parts(points)
         body = _smooth_min(palm, arm, 12.0 * self.size)
         whole = _smooth_min(body, chains["thumb"], 9.0 * self.size)
@@ -174,12 +174,12 @@ class _Field:
             whole = np.minimum(whole, _smooth_min(body, chains[finger], 5.0 * self.size))
         return np.maximum(whole, -(points[:, 1] + _ARM_END_MM))
 
-    def gradient(self, points: Array) -> Array:
+    def gradient(self, points: FloatArray) -> FloatArray:
         step = 0.2
         out = np.stack([self(points + step * e) - self(points - step * e) for e in np.eye(3)], -1) / (2 * step)
         return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 0.3) ** 2)
 
-    def weights(self, points: Array) -> Array:
+    def weights(self, points: FloatArray) -> FloatArray:
         chains, palm, _ = self.parts(points)
         hand, size = self.hand, self.size
         names = list(chains)
@@ -216,7 +216,7 @@ class _Field:
         return out
 
 
-def _smoothed(weights: Array, quads: np.ndarray, free: np.ndarray) -> Array:
+def _smoothed(weights: FloatArray, quads: np.ndarray, free: np.ndarray) -> FloatArray:
     """Return weights averaged with their neighbours', so that webs do not tear; those of painted skin stay."""
     pairs = np.concatenate([quads[:, [i, (i + 1) % 4]] for i in range(4)])
     count = np.bincount(pairs[:, 0], minlength=len(weights))[:, None]
@@ -226,7 +226,7 @@ def _smoothed(weights: Array, quads: np.ndarray, free: np.ndarray) -> Array:
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
-def _beyond_border(hand: Hand, field: _Field, points: Array, weights: Array) -> tuple[Array, np.ndarray]:
+def _beyond_border(hand: Hand, field: _Field, points: FloatArray, weights: FloatArray) -> tuple[FloatArray, np.ndarray]:
     beyond, owner = np.full(len(points), -50.0), np.full(len(points), -1)
     for place, name in enumerate(MARKERS[:5]):
         bone = BONES.index(f"{name}_distal")
@@ -237,7 +237,7 @@ def _beyond_border(hand: Hand, field: _Field, points: Array, weights: Array) -> 
     return beyond, owner
 
 
-def _ruler_width(hand: Hand, points: Array, weights: Array) -> float:
+def _ruler_width(hand: Hand, points: FloatArray, weights: FloatArray) -> float:
     """Return the extent of palm and fingers along the line of knuckles, thumb left out."""
     line = hand.mcp["index"] - hand.mcp["little"]
     line[2] = 0.0
@@ -250,12 +250,12 @@ def _ruler_width(hand: Hand, points: Array, weights: Array) -> float:
     return float(at.max() - at.min())
 
 
-def _smooth_min(a: Array, b: Array, k: float) -> Array:
+def _smooth_min(a: FloatArray, b: FloatArray, k: float) -> FloatArray:
     """Return the smaller of two distances with a fillet of size k (Quilez, polynomial smooth minimum)."""
     h = np.clip(0.5 + 0.5 * (b - a) / k, 0.0, 1.0)
     return b + (a - b) * h - k * h * (1.0 - h)
 
 
-def _ramp(x: Array, low: float, high: float) -> Array:
+def _ramp(x: FloatArray, low: float, high: float) -> FloatArray:
     t = np.clip((x - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rhot_bench.rendering.hand import Array
+from rhot.arrays import FloatArray
 
 
-def surface_nets(values: Array, axes: list[Array]) -> tuple[Array, np.ndarray]:
+def surface_nets(values: FloatArray, axes: list[FloatArray]) -> tuple[FloatArray, np.ndarray]:
     """Return vertices (V, 3) and quads (F, 4) of the zero surface of a field, negative inside, given on a grid.
 
     One vertex a cell that the surface crosses, at the mean of its edge crossings (Gibson, "Constrained elastic surface

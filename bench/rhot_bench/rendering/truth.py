@@ -12,13 +12,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from rhot.arrays import FloatArray
+from rhot.geometry.rotations import quaternion_from_rotation
 from rhot_bench.rendering.cameras import CAMERAS, SIZE, Camera, rig_json, shutter_projection
 from rhot_bench.rendering.hand import (
     ANGLES,
     BONES,
     JOINTS,
     MARKERS,
-    Array,
     bone_poses,
     joint_positions,
     marker_positions,
@@ -64,7 +65,7 @@ class Facing:
     def __init__(self, world: World, skin: Skin) -> None:
         """Take the painted faces of the mesh into their bones' frames."""
         rest = bone_poses(world.hand, np.zeros((1, 20)))[0]
-        self._faces: list[tuple[int, Array]] = []
+        self._faces: list[tuple[int, FloatArray]] = []
         for place, name in enumerate(MARKERS[:5]):
             bone = BONES.index(f"{name}_distal")
             painted = (skin.finger == place) & (skin.beyond[skin.quads].mean(axis=1) > 0.0)
@@ -75,7 +76,7 @@ class Facing:
         pose = world.hand.T_hand_patch
         self._faces.append((0, (plate @ pose[:3, :3].T + pose[:3, 3])[None]))
 
-    def area(self, camera: Camera, bones: Array, marker: int) -> float:
+    def area(self, camera: Camera, bones: FloatArray, marker: int) -> float:
         """Return pixels of a marker, an index into `MARKERS`, for bones (16, 4, 4) in the world."""
         bone, faces = self._faces[marker]
         at = faces @ bones[bone, :3, :3].T + bones[bone, :3, 3]
@@ -161,7 +162,7 @@ def write_seen(world: World, skin: Skin, sequence: str, seen: dict[tuple[str, in
         _write_json(root / "K" / "boxes.json", {"note": note, "cameras": boxes})
 
 
-def _marker_at(world: World, sequence: str, marker: int, t_ns: float) -> Array:
+def _marker_at(world: World, sequence: str, marker: int, t_ns: float) -> FloatArray:
     return np.asarray(marker_positions(world.hand, world.states(sequence, np.array([t_ns])).bones)[0, marker])
 
 
@@ -212,24 +213,12 @@ def _boards(world: World) -> dict[str, Any]:
     }
 
 
-def _quaternions(rotations: Array) -> Array:
+def _quaternions(rotations: FloatArray) -> FloatArray:
     """Return (N, 4) w, x, y, z of (N, 3, 3), continuous over N, w positive at first."""
-    out = np.empty((len(rotations), 4))
-    for row, r in enumerate(rotations):
-        # Of the four forms the one with the largest component is well conditioned (Shepperd 1978).
-        squares = np.array([np.trace(r), *np.diag(r)])
-        big = int(np.argmax(squares))
-        if big == 0:
-            q = [1 + squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
-        else:
-            i, j, k = big - 1, big % 3, (big + 1) % 3
-            q = [0.0] * 4
-            q[0], q[1 + i] = r[k, j] - r[j, k], 1 + r[i, i] - r[j, j] - r[k, k]
-            q[1 + j], q[1 + k] = r[j, i] + r[i, j], r[k, i] + r[i, k]
-        out[row] = np.array(q) / np.linalg.norm(q)
-        if (row and out[row] @ out[row - 1] < 0.0) or (not row and out[row, 0] < 0.0):
-            out[row] = -out[row]
-    return out
+    found = np.roll(quaternion_from_rotation(rotations), 1, axis=-1)
+    flips = np.where((found[1:] * found[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    first = -1.0 if found[0, 0] < 0.0 else 1.0
+    return np.asarray(found * np.cumprod([first, *flips])[:, None])
 
 
 def _write_json(path: Path, content: Any) -> None:

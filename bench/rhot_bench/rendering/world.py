@@ -8,11 +8,12 @@ from typing import Final, TypeVar
 
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot_bench.rendering.anatomy import random_hand
 from rhot_bench.rendering.cameras import SIZE, Camera, Timing, random_rig
 from rhot_bench.rendering.contact import desk_gap, least_gap, object_gap
 from rhot_bench.rendering.grasp import Grasp, random_grasp
-from rhot_bench.rendering.hand import Array, Hand, marker_positions, rotation_xyz
+from rhot_bench.rendering.hand import Hand, marker_positions, rotation_xyz
 from rhot_bench.rendering.look import Look, random_look
 from rhot_bench.rendering.motion import States, Track, fastest_tip, random_gestures, random_still, states
 from rhot_bench.rendering.skin import with_patch
@@ -49,9 +50,9 @@ class World:
     gestures: Track
     grasp: Grasp
     still: Track
-    boards: Array
+    boards: FloatArray
 
-    def states(self, sequence: str, t_ns: Array) -> States:
+    def states(self, sequence: str, t_ns: FloatArray) -> States:
         """Return hand and object of `G1`, `G2` or `K` at times (N,) on the recording's clock."""
         t_s = (np.asarray(t_ns, float) - self.timings[sequence].first_ns) * 1e-9
         if sequence == "G2":
@@ -137,11 +138,11 @@ def _graspable(cameras: dict[str, Camera], hand: Hand, grasp: Grasp, lasting_s: 
     return float(foot.min()) > -1.5 and float(object_gap(hand, motion, grasp.solid, motion.T_world_object).min()) > -1.2
 
 
-def _random_boards(rng: np.random.Generator, cameras: dict[str, Camera]) -> Array:
+def _random_boards(rng: np.random.Generator, cameras: dict[str, Camera]) -> FloatArray:
     columns, rows, square = BOARD
     u, v = np.meshgrid(np.array([-1, columns]) - (columns - 1) / 2, np.array([-1, rows]) - (rows - 1) / 2)
     outline = np.stack([u.ravel() * square, v.ravel() * square, np.zeros(4)], 1) * 1.06
-    boards: list[Array] = []
+    boards: list[FloatArray] = []
     while len(boards) < COUNTS["C"]:
         pose = np.eye(4)
         tilt = np.array([*rng.uniform(-28, 28, 2), rng.uniform(-40, 40) + rng.choice([0.0, 0.0, 180.0])])
@@ -155,7 +156,7 @@ def _random_boards(rng: np.random.Generator, cameras: dict[str, Camera]) -> Arra
     return np.stack(boards)
 
 
-def board_corners() -> Array:
+def board_corners() -> FloatArray:
     """Return (54, 3) inner corners in the board frame, row-major, mm."""
     columns, rows, square = BOARD
     u, v = np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2)

@@ -60,10 +60,10 @@ def stated_covariance(point: Point) -> tuple[float, ...]:
 
 def has_covariance(point: Point) -> bool:
     """Return whether what a point states can be a covariance: positive (Sylvester's criterion) but for rounding."""
-    (a, b, c), (_, d, e), (_, _, f) = np.reshape(stated_covariance(point), (3, 3)).tolist()
+    a, b, c, _, d, e, _, _, f = stated_covariance(point)
     a, d, f = a + _ROUNDING_M2, d + _ROUNDING_M2, f + _ROUNDING_M2
     two = a * d - b * b
-    return bool(a > 0.0 and two > 0.0 and f * two > a * e * e - 2.0 * b * c * e + c * c * d)
+    return a > 0.0 and two > 0.0 and f * two > a * e * e - 2.0 * b * c * e + c * c * d
 
 
 def squared_distance(vector: FloatArray, covariance: FloatArray) -> float:

@@ -8,9 +8,9 @@ import bpy  # type: ignore[import-not-found]
 import numpy as np
 from mathutils import Matrix, Vector  # type: ignore[import-not-found]
 
+from rhot.arrays import FloatArray
 from rhot_bench.rendering.blender import materials
 from rhot_bench.rendering.contact import EDGE_MM, Solid
-from rhot_bench.rendering.hand import Array
 from rhot_bench.rendering.look import Colour, Look
 from rhot_bench.rendering.world import BOARD
 
@@ -22,7 +22,7 @@ _BOARD_MARGIN: Final = 0.45
 """White margin of the chessboard in squares."""
 
 
-def matrix(pose: Array) -> Matrix:
+def matrix(pose: FloatArray) -> Matrix:
     """Return a pose (4, 4) in mm in Blender's units."""
     scaled = np.array(pose, float)
     scaled[:3, 3] *= UNIT
@@ -41,7 +41,7 @@ def shade_smooth(mesh: Any) -> None:
     mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
 
 
-def box(name: str, size: Array, material: Any, edge_mm: float = 0.0) -> Any:
+def box(name: str, size: FloatArray, material: Any, edge_mm: float = 0.0) -> Any:
     """Return a box about its centre; size (3,) and radius of its edges in mm."""
     signs = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)])
     faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]

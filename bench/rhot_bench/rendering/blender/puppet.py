@@ -8,9 +8,10 @@ import bpy  # type: ignore[import-not-found]
 import numpy as np
 from mathutils import Matrix  # type: ignore[import-not-found]
 
+from rhot.arrays import FloatArray
 from rhot_bench.rendering.blender import materials
 from rhot_bench.rendering.blender.props import UNIT, box, matrix, new_object, shade_smooth
-from rhot_bench.rendering.hand import BONES, MARKERS, Array, Hand, bone_poses
+from rhot_bench.rendering.hand import BONES, MARKERS, Hand, bone_poses
 from rhot_bench.rendering.look import Colour, Look
 from rhot_bench.rendering.motion import States, forearm_poses
 from rhot_bench.rendering.skin import FOREARM, FOREARM_MM, Skin
@@ -35,7 +36,7 @@ class Puppet:
         if look.sleeve is not None:
             self.parts.append(self._rigid(_sleeve(hand, *look.sleeve), FOREARM))
 
-    def animate(self, frames: Array, motion: States) -> None:
+    def animate(self, frames: FloatArray, motion: States) -> None:
         """Key the bones at Blender frames (N,)."""
         curves = {
             f'pose.bones["{name}"].': motion.bones[:, place] @ self._rest[place] for place, name in enumerate(BONES)
@@ -48,7 +49,7 @@ class Puppet:
         weights[:, bone] = 1.0
         return self._skinned(thing, weights)
 
-    def _skinned(self, thing: Any, weights: Array) -> Any:
+    def _skinned(self, thing: Any, weights: FloatArray) -> Any:
         for place, name in enumerate(_GROUPS):
             group = thing.vertex_groups.new(name=name)
             share = np.round(weights[:, place], 3)
@@ -65,7 +66,7 @@ def blur_motion(thing: Any) -> None:
     thing.cycles.motion_steps = _MOTION_STEPS
 
 
-def key(thing: Any, frames: Array, poses: dict[str, Array]) -> None:
+def key(thing: Any, frames: FloatArray, poses: dict[str, FloatArray]) -> None:
     """Give a thing linear keys: for each prefix of a data path the poses (N, 4, 4), mm, at frames (N,)."""
     if thing.animation_data is not None:
         thing.animation_data_clear()

@@ -9,13 +9,13 @@ from typing import Final
 import bpy  # type: ignore[import-not-found]
 import numpy as np
 
+from rhot.arrays import FloatArray
 from rhot_bench.rendering.blender import materials
 from rhot_bench.rendering.blender.exr import read_layers
 from rhot_bench.rendering.blender.props import chessboard, furnish, grasped, matrix, new_object
 from rhot_bench.rendering.blender.puppet import Puppet, blur_motion, key
 from rhot_bench.rendering.cameras import Camera, Timing
 from rhot_bench.rendering.contact import finger_points
-from rhot_bench.rendering.hand import Array
 from rhot_bench.rendering.motion import States, forearm_poses
 from rhot_bench.rendering.sensor import Pinhole
 from rhot_bench.rendering.skin import FOREARM_MM, make_skin
@@ -53,7 +53,7 @@ class Scene:
         self._folder = tempfile.TemporaryDirectory(prefix="rhot-render-")
         self._out = Path(self._folder.name) / "picture.exr"
 
-    def stage(self, sequence: str, board: Array | None = None) -> None:
+    def stage(self, sequence: str, board: FloatArray | None = None) -> None:
         """Show what a sequence shows, and animate it.
 
         Args:

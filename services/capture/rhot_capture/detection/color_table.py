@@ -61,9 +61,14 @@ class ColorTable:
         Returns:
             (H, W) uint8 labels, (H, W, 1) uint16 colours.
         """
-        packed = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2BGR565)).view(np.uint16)
+        packed = pack(image)
         labels = np.asarray(cv2.LUT(packed, self.labels), dtype=np.uint8).reshape(image.shape[:2])
         return labels, packed
+
+
+def pack(image: ImageArray) -> NDArray[np.uint16]:
+    """Return the 5-6-5 colours (H, W, 1) of an image (H, W, 3) uint8 BGR."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2BGR565)).view(np.uint16)
 
 
 def table_colors() -> FloatArray:
@@ -171,8 +176,8 @@ def mixture_fit(color: GaussianColor, features: FloatArray) -> tuple[FloatArray,
         (N,) logarithm of the mixture's density, normalised to an integral of 1 (all classes have the same prior); (N,)
         squared Mahalanobis distance to the nearest component.
     """
-    _, constants = _quadratic_forms(color.components)
-    squared = component_distances(color, features)
+    form, constants = _quadratic_forms(color.components)
+    squared = _squared_distances(form, features)
     densities = constants[:, None] - 0.5 * squared
     if len(squared) == 1:
         return densities[0], squared[0]
@@ -185,6 +190,10 @@ def mixture_fit(color: GaussianColor, features: FloatArray) -> tuple[FloatArray,
 def component_distances(color: GaussianColor, features: FloatArray) -> FloatArray:
     """Return the squared Mahalanobis distances (C, N) of colours (N, 3) to the components of a class."""
     form, _ = _quadratic_forms(color.components)
+    return _squared_distances(form, features)
+
+
+def _squared_distances(form: FloatArray, features: FloatArray) -> FloatArray:
     # One row per component: numpy reduces over rows several times as fast as over short columns.
     squared: FloatArray = np.maximum(form @ _monomials(features), 0.0)
     return squared

@@ -113,11 +113,9 @@ class Paint:
         shifts = []
         for marker, area, tip, base, reach in zip(markers, areas_px, tips, bases, reaches_m, strict=True):
             told, shown = self._told(tip, base, reach), self._shown[marker][camera]
-            finger = [(told, (tip[0] - base[0], tip[1] - base[1], tip[2] - base[2]))]
+            finger = [(told, (tip[0] - base[0], tip[1] - base[1], tip[2] - base[2]))] if told > 0.0 else []
             if (from_skin := self._skin.direction(camera, marker, shown.t_s)) is not None:
                 finger.append((1.0, from_skin))
-            elif told <= 0.0:
-                finger.clear()
             if area <= 0.0 or self._radius_m[marker] <= 0.0 or not finger:
                 shown.wider = 1.0
                 shifts.append((0.0, 0.0))

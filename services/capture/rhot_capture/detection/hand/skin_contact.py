@@ -18,6 +18,7 @@ import numpy as np
 from rhot.arrays import ImageArray
 from rhot.rig.config import MarkerConfig
 from rhot_capture.detection.candidates import Candidate, Refusal, without
+from rhot_capture.detection.color_table import pack
 from rhot_capture.detection.subpixel.batch import skin_ring
 from rhot_capture.detection.track import MarkerTrack
 
@@ -97,6 +98,5 @@ def _skin_share(candidate: Candidate, image: ImageArray, skin: ImageArray) -> fl
     """Return the share of the ring around a blob that is skin."""
     blob = candidate.blob
     ring = skin_ring((blob.mask > 0).view(np.uint8))
-    packed = cv2.cvtColor(np.ascontiguousarray(image[blob.window]), cv2.COLOR_BGR2BGR565).view(np.uint16)
-    colours = np.asarray(cv2.LUT(packed, skin), dtype=np.uint8).reshape(ring.shape)
+    colours = np.asarray(cv2.LUT(pack(image[blob.window]), skin), dtype=np.uint8).reshape(ring.shape)
     return cv2.countNonZero(ring & colours) / max(cv2.countNonZero(ring), 1)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhot.arrays import ImageArray
+from rhot_capture.detection.color_table import pack
 from rhot_capture.detection.subpixel.shares import LEAST, MIN_STEP, MOST, CoverageArray
 from rhot_capture.detection.subpixel.windows import Grid
 
@@ -145,8 +146,8 @@ class Batch:
             (N, 3) x and y, and the share of the ring that is skin.
         """
         count, height, width = self.shape
-        packed = cv2.cvtColor(self._pixels.reshape(-1, width, 3), cv2.COLOR_BGR2BGR565)
-        colours = np.asarray(cv2.LUT(packed.view(np.uint16), skin), dtype=np.uint8).reshape(self.shape)
+        packed = pack(self._pixels.reshape(-1, width, 3))
+        colours = np.asarray(cv2.LUT(packed, skin), dtype=np.uint8).reshape(self.shape)
         near = self._near.copy()
         for k, is_coarse in enumerate(self._is_coarse):
             if is_coarse:
