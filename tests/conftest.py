@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import tempfile
 from collections.abc import AsyncIterator, Callable, Generator, Iterator
 from functools import partial
@@ -16,6 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import hypothesis
 import marker_streams
+from free_ports import free_ports
 from running.simulated_colors import copy_or_learn
 from wall_clock import ForeignLoad, excuse
 
@@ -102,12 +102,15 @@ def make_rig(tmp_path: Path) -> Callable[..., Rig]:
     return partial(marker_streams.make_rig, tmp_path)
 
 
+@pytest.fixture(scope="session")
+def _free_ports() -> Iterator[int]:
+    return free_ports()
+
+
 @pytest.fixture
-def free_port() -> int:
-    """A TCP port of the loopback interface that nobody uses."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def free_port(_free_ports: Iterator[int]) -> int:
+    """A port of the loopback interface that nobody uses, and that no outgoing connection can take."""
+    return next(_free_ports)
 
 
 @pytest.fixture
