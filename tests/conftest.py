@@ -15,7 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import hypothesis
 import marker_streams
-from free_ports import free_ports
+from running.free_ports import free_ports
 from running.simulated_colors import copy_or_learn
 from wall_clock import ForeignLoad, excuse
 

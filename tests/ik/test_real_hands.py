@@ -23,9 +23,10 @@ from rhot_bench.hands.recorded_hands import (
     plain_hand,
 )
 from rhot_ik.fabrik.finger_chains import FabrikFingers
+from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-from rhot_ik.hand.solver import HandObservation, HandSolver
+from rhot_ik.hand.solver import HandSolver
 
 RATE_HZ = 30.0
 

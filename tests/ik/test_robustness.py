@@ -16,8 +16,10 @@ from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
 from rhot.messages import HandPose, Point, PointSet, State
 from rhot.rig import CameraConfig, HandFile, MarkerConfig, RegistrationFile, Rig, RigConfig
-from rhot_ik.hand.solver import HandObservation, HandSolution, HandSolver
+from rhot_ik.hand.filter.evidence import HandObservation
+from rhot_ik.hand.solver import HandSolver
 from rhot_ik.hand.stage import HandStage
+from rhot_ik.hand.track import HandSolution
 
 MakePoints = Callable[..., PointSet]
 Wrist = Callable[..., FloatArray]

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Final
 
 from rhot.messages import PointSet, Side
-from rhot_ik.hand.solver import HandSolution, HandSolver, HandTrack
+from rhot_ik.hand.solver import HandSolver
+from rhot_ik.hand.track import HandSolution, HandTrack
 
 Settled = list[tuple[PointSet, dict[Side, HandSolution]]]
 

@@ -8,7 +8,8 @@ from rhot.anatomy.skeleton import FINGERS
 from rhot.explain import Explanation, ExplanationRow
 from rhot_ik.hand.filter.prior import angle_covariance, rest_angles
 from rhot_ik.hand.filter.process import ANGLES, POSITION, ROTATION
-from rhot_ik.hand.solver import HandSolution, HandSolver, HandTrack
+from rhot_ik.hand.solver import HandSolver
+from rhot_ik.hand.track import HandSolution, HandTrack
 
 _ANGLES = ("flexion", "abduction", "middle hinge", "last hinge")
 _AT_LIMIT_RAD = 1e-4

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from rhot.anatomy.hand import HandModel, patch_outline
 from rhot.anatomy.skeleton import FINGERS
-from rhot.arrays import BoolArray, FloatArray, IntArray
+from rhot.arrays import BoolArray, FloatArray
 from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.fabrik.finger_chains import FabrikFingers
 from rhot_ik.hand.blending import BlendSettings, blended, with_own_motion
 from rhot_ik.hand.contact import Shape
-from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation
+from rhot_ik.hand.filter.evidence import Evidence, EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.initialisation import HandInitialiser
 from rhot_ik.hand.filter.kinematics import HandKinematics
@@ -25,74 +24,11 @@ from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.filter.smoother import smoothed_states
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
+from rhot_ik.hand.track import HandSolution, HandTrack
 
-__all__ = ["HandObservation", "HandSolution", "HandSolver"]
-
+_TIPS_OF_A_PALM: Final = 3
 _NEVER_NS: Final = 2**62
 """Since when a tip has been known that is not: later than any sample."""
-
-
-@dataclass(frozen=True, slots=True)
-class HandSolution:
-    """The hand at one moment.
-
-    Attributes:
-        T_rig_wrist: (4, 4) metres.
-        angles: (5, 4) radians, inside the limits.
-        positions: (26, 3) metres, rig frame, of all joints.
-        orientations: (26, 4) unit quaternions x, y, z, w, rig frame.
-        residual: (5,) metres between measured and modelled marker; NaN where there was no measurement.
-        fingers_measured: (5,).
-        palm_measured: whether the base marker was.
-    """
-
-    T_rig_wrist: FloatArray
-    angles: FloatArray
-    positions: FloatArray
-    orientations: FloatArray
-    residual: FloatArray
-    fingers_measured: BoolArray
-    palm_measured: bool
-
-
-@dataclass(frozen=True, slots=True)
-class HandTrack:
-    """The state of one hand after a sample.
-
-    Attributes:
-        t_ns: time of the sample, rig clock.
-        state: the estimate.
-        shown: (5, 4) radians, published angles.
-        blends_s: (5,) remaining duration of each finger's blend, seconds.
-        corner_noise: learned noise of the patch's corners.
-        corners_measured: whether the corners of the patch measured the palm's rotation.
-        base_seen_ns, measured_ns: when the base marker was last seen, and when any marker was last measured.
-        measured: (5,) whether each finger was measured.
-        well_measured: (5,) whether each was also well known in all directions.
-        known_since_ns: (5,) since when each has been known without interruption.
-        seen: the sample.
-        expected: the predicted state; None if the sample initialised the hand.
-        lost_s: for how long the seen tips have disagreed with the model, seconds.
-        most_tips: largest number of well-measured tips that agreed with the model at once; at least 1.
-        from_patch: whether the hand was initialised or confirmed by the corners of its patch.
-    """
-
-    t_ns: int
-    state: HandState
-    shown: FloatArray
-    blends_s: FloatArray
-    corner_noise: CornerNoise
-    corners_measured: bool
-    base_seen_ns: int
-    measured_ns: int
-    measured: BoolArray
-    well_measured: BoolArray
-    known_since_ns: IntArray
-    seen: HandObservation
-    expected: HandState | None = None
-    lost_s: float = 0.0
-    most_tips: int = 1
-    from_patch: bool = True
 
 
 class HandSolver:
@@ -214,6 +150,9 @@ class HandSolver:
         else:
             # Without the corners of its patch, the initial palm only pointed towards the tips.
             state, lost_s = self._reinitialised(updated, seen), 0.0
+        turned = self._doubt_of_turn(before, evidence, dt_s)
+        if turned > self._settings.quarter_turn:
+            state, turned = self._initialiser.quarter_turned(state, seen) or state, 0.0
         angles = self._angles(state, seen, before.shown)
         well_measured = measured & _known_within(seen, self._blend.well_measured_m)
         known = measured & _known_within(seen, self._blend.known_m)
@@ -244,7 +183,17 @@ class HandSolver:
             expected=expected if state is updated else None,
             lost_s=lost_s,
             most_tips=max(before.most_tips, int(np.count_nonzero(well_measured)) if lost_s == 0.0 else 1),
+            quarter_turn=turned,
         )
+
+    def _doubt_of_turn(self, before: HandTrack, evidence: Evidence, dt_s: float) -> float:
+        """Return `HandTrack.quarter_turn` after one more sample (a CUSUM, Page 1954)."""
+        # Three tips tell how the palm lies; where the patch contradicts them, its sides are stated the wrong way round.
+        if before.most_tips >= _TIPS_OF_A_PALM:
+            return 0.0
+        # Samples that follow each other have the same errors.
+        share = min(1.0, dt_s / self._settings.lasts_s)
+        return max(0.0, before.quarter_turn - share * evidence.quarter_turn)
 
     def _reinitialised_if_lost(
         self, before: HandTrack, state: HandState, seen: HandObservation, measured: int, dt_s: float

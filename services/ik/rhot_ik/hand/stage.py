@@ -20,7 +20,8 @@ from rhot_ik.hand.explain import solver_tables
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.fingers.geometry import base_marker
 from rhot_ik.hand.repeated_predictions import RepeatedPredictions
-from rhot_ik.hand.solver import HandSolution, HandSolver
+from rhot_ik.hand.solver import HandSolver
+from rhot_ik.hand.track import HandSolution
 
 _ANGLES = tuple(FingerAngles.model_fields)
 _REACH = 1.6

@@ -1,17 +1,20 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from rhot.anatomy.hand import HandModel, patch_outline
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
-from rhot.rig import HandFile, MarkerConfig
+from rhot.rig import HandFile, IkConfig, MarkerConfig
 from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.initialisation import HandInitialiser
 from rhot_ik.hand.filter.prior import closed_angles, rest_angles
 from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.solver import HandSolver
 
 P_TRUE = np.array([0.02, 0.05, 0.8])
 BASE_OFFSET = np.array([0.0, 0.014, -0.025])
@@ -45,6 +48,27 @@ def test_a_lone_curled_finger_tells_which_way_round_a_square_patch_lies() -> Non
         found = initialiser.find(seen)
         assert found is not None
         assert np.degrees(np.linalg.norm(vector_from_rotation(found[0].R.T @ R))) < 30.0, case
+
+
+def test_a_palm_a_quarter_turn_off_is_turned_by_the_sides_of_its_patch() -> None:
+    """Fingers in postures so odd that the first sample is taken for another palm's."""
+    markers = {"base": MarkerConfig(joint="wrist", kind="patch", size_m=(0.034, 0.03))}
+    model, outline = HandModel.from_file(HandFile(), "right"), patch_outline(markers["base"])
+    hand = HandFilter(FingerGeometry.of(model, {}), BASE_OFFSET, HandSettings(), np.zeros(6, dtype=np.bool_))
+    for seed in (60, 62, 70, 95, 150):
+        rng = np.random.default_rng(seed)
+        R = BACK_TO_THE_CAMERA @ rotation_from_vector(np.array([0.0, rng.uniform(-3.0, 3.0), 0.0]))
+        R = R @ rotation_from_vector(rng.normal(0.0, 0.4, 3))
+        posture = model.clamp(rest_angles(model).reshape(5, 4) + rng.normal(0.0, np.radians(60.0), (5, 4))).reshape(-1)
+        solver = HandSolver(model, markers, "base", IkConfig())
+        off_deg = []
+        for k in range(60):
+            seen = seen_of(hand, R, posture, seed % 5, rng, outline)
+            solver.solve(dataclasses.replace(seen, t_ns=seen.t_ns + k * 16_666_667))
+            assert solver.track is not None
+            off_deg.append(np.degrees(np.linalg.norm(vector_from_rotation(solver.track.state.R.T @ R))))
+        assert off_deg[0] > 60.0, seed
+        assert max(off_deg[30:]) < 15.0, seed
 
 
 def seen_of(

@@ -90,6 +90,7 @@ class Evidence:
         base_covariance: (3, 3).
         rotation: (3, 3) patch to rig, as its corners say; none where they were not seen.
         rotation_covariance: (3, 3) of its error δθ.
+        patch_misfit, quarter_turn: of the corners, see `FittedPatch`; 0 where they were not seen.
         tips: (5, 3) fingertip markers; NaN rows = not seen.
         tip_covariances: (5, 3, 3).
         corner_noise: what is known by now of the corners' noise.
@@ -102,6 +103,8 @@ class Evidence:
     tips: FloatArray
     tip_covariances: FloatArray
     corner_noise: CornerNoise
+    patch_misfit: float = 0.0
+    quarter_turn: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,22 +194,26 @@ class EvidenceModel:
         """Return the evidence of a sample; corners count when the patch's rotation (3, 3) is about `expected`."""
         base_covariance = self._point if seen.base_covariance is None else seen.base_covariance
         tip_covariances = self._points if seen.tip_covariances is None else seen.tip_covariances
-        turned, noise = None, corner_noise or self._corner_noise
+        patch, noise = None, corner_noise or self._corner_noise
+        rotation, rotation_covariance = None, _UNIT
         if expected is not None and seen.corners is not None and self._patch is not None and seen.base_measured:
             noise = noise.after(seen.corners, base_covariance, self._most_samples)
-            turned = self._patch.fit(seen.corners, expected, noise.factor * base_covariance + self._corner_floor)
+            patch = self._patch.fit(seen.corners, expected, noise.factor * base_covariance + self._corner_floor)
         elif expected is not None and seen.across is not None:
             # Two points tell nothing of the turn about the line through them.
-            turned = shortest_rotation(expected[:, 0], seen.across) @ expected, self._across
-        rotation, covariance = (None, _UNIT) if turned is None else turned
+            rotation, rotation_covariance = shortest_rotation(expected[:, 0], seen.across) @ expected, self._across
+        if patch is not None:
+            rotation, rotation_covariance = patch.rotation, patch.covariance
         return Evidence(
             base=_NOWHERE if seen.base is None else seen.base,
             base_covariance=base_covariance + self._floor,
             rotation=rotation,
-            rotation_covariance=covariance,
+            rotation_covariance=rotation_covariance,
             tips=seen.tips,
             tip_covariances=tip_covariances + self._floor,
             corner_noise=noise,
+            patch_misfit=0.0 if patch is None else patch.misfit,
+            quarter_turn=0.0 if patch is None else patch.quarter_turn,
         )
 
 

@@ -178,7 +178,7 @@ class HandFilter(HandProcess):
             cost += float(gap @ np.linalg.solve(evidence.base_covariance, gap))
         if evidence.rotation is not None:
             turn = vector_from_rotation(self.patch_rotation(state).T @ evidence.rotation)
-            cost += squared_distance(turn, evidence.rotation_covariance)
+            cost += squared_distance(turn, evidence.rotation_covariance) + evidence.patch_misfit
         return cost
 
     @staticmethod

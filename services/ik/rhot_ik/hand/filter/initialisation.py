@@ -17,6 +17,8 @@ _PITCHES_DEG: Final = (5.0, 40.0)
 """The tips usually hang below the plane of the palm, so the palm is pitched up from their direction."""
 _MOST_AWAY: Final = 0.3
 """Guesses whose back points further away from the cameras than this (cosine) are not tried: the steps turn little."""
+_QUARTER: Final = 0.5
+"""Palms whose sideways axes are less parallel than this (cosine) lie a quarter turn apart, not half a turn or none."""
 _REFINED: Final = 3
 _TURNED_AWAY_COST: Final = 1e4
 """A flat patch that is seen faces the cameras: cost of the square of how far its normal points away."""
@@ -72,6 +74,18 @@ class HandInitialiser:
             refined.append((self.cost(final, evidence), final, evidence))
         _, best, evidence = min(refined, key=lambda item: item[0])
         return best, evidence
+
+    def quarter_turned(self, state: HandState, seen: HandObservation) -> HandState | None:
+        """Return the better of the two states with the palm a quarter turn off on its patch; None without a tip."""
+        visible = seen.tips_seen & seen.tips_measured
+        if seen.base is None or not visible.any():
+            return None
+        turned = [
+            (cost, found)
+            for cost, found, _ in self._on_patch(seen, seen.base, visible, None)
+            if abs(found.R[:, 0] @ state.R[:, 0]) < _QUARTER
+        ]
+        return min(turned, key=lambda item: item[0])[1] if turned else None
 
     def _on_patch(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -11,8 +12,6 @@ from rhot.arrays import FloatArray
 from rhot.geometry.covariances import symmetric_inverse
 from rhot.geometry.rotations import cross_matrix, nearest_rotation, rotation_from_vector
 
-Fitted = tuple[FloatArray, FloatArray]
-
 _MOST_STEPS: Final = 4
 MAX_ERROR_M: Final = 0.006
 """Corners further than this (root mean square) from any pose of the patch are no such patch."""
@@ -20,10 +19,30 @@ FAR_M: Final = 0.004
 """Corners further than this (root mean square) from the expected ones: the expected rotation is no place to start."""
 CLOSE_RAD: Final = 0.05
 """Steps end when the last one was no longer than this; what is left is its square."""
+OBLONG_M: Final = 0.003
+"""Sides that differ by less may be the other way round: twice what two measures by a ruler are off."""
 CORNER_ORDERS: Final = np.array([[(first + way * k) % 4 for k in range(4)] for way in (1, -1) for first in range(4)])
 """The eight ways to go round a rectangle, (8, 4)."""
 _AGREEMENT: Final = np.eye(4)[CORNER_ORDERS].swapaxes(1, 2).reshape(8, 16)
 """Sums the products of corners found (rows) and of the outline (columns) that belong together in each order."""
+
+
+@dataclass(frozen=True, slots=True)
+class FittedPatch:
+    """How a patch lies, as its corners say.
+
+    Attributes:
+        rotation: (3, 3) patch to rig.
+        covariance: (3, 3) of its error δθ, that of R·exp(δθ).
+        misfit: squared distance of the corners from that pose, over their variance.
+        quarter_turn: by how much that would grow if the patch lay a quarter turn off; below 0, it lies so. 0 for a
+            patch that is nearly square.
+    """
+
+    rotation: FloatArray
+    covariance: FloatArray
+    misfit: float
+    quarter_turn: float
 
 
 class PatchRotation:
@@ -40,6 +59,8 @@ class PatchRotation:
         self._squares = np.einsum("kia,kjb->abij", J, J).reshape(9, 9)
         self._arms = J.swapaxes(1, 2).swapaxes(0, 1).reshape(3, 12)
         self._size = float((outline * outline).sum())
+        longer_m = _longer_m(outline)
+        self._longer_m = longer_m if abs(longer_m) > OBLONG_M else 0.0
 
     def patch_orientations(self, corners: FloatArray) -> list[FloatArray]:
         """Return the rotations (3, 3), wrist to rig, of the ways to lay the patch on its corners (4, 3), metres.
@@ -57,12 +78,11 @@ class PatchRotation:
                 fitting.append(R)
         return fitting
 
-    def fit(self, corners: FloatArray, expected: FloatArray, covariance: FloatArray) -> Fitted | None:
-        """Return the rotation (3, 3), wrist to rig, and the covariance (3, 3) of its error, or None if unfit.
+    def fit(self, corners: FloatArray, expected: FloatArray, covariance: FloatArray) -> FittedPatch | None:
+        """Return how the patch lies, or None if these are no corners of it.
 
-        The error δθ is that of R·exp(δθ). Of the eight ways to go round a rectangle, the one nearest to `expected` is
-        taken: that is turned by far less than a quarter from the truth. Gauss–Newton, from `expected` when that is
-        near, else from the unweighted fit.
+        Of the eight ways to go round a rectangle, the one nearest to `expected` is taken: that is turned by far less
+        than a quarter from the truth. Gauss–Newton, from `expected` when that is near, else from the unweighted fit.
 
         Args:
             corners: (4, 3) metres, rig frame, cyclic order from an unknown one.
@@ -90,4 +110,13 @@ class PatchRotation:
         off = found - self._outline @ R.T
         if np.vdot(off, off) > 4.0 * MAX_ERROR_M**2:
             return None
-        return R, error
+        # For sides a, b of a patch A, B: (a − B)² + (b − A)² − (a − A)² − (b − B)² = 2·(a − b)·(A − B).
+        quarter_turn = 2.0 * _longer_m(found) * self._longer_m * float(np.trace(weight)) / 3.0
+        return FittedPatch(R, error, float(((off @ weight) * off).sum()), quarter_turn)
+
+
+def _longer_m(corners: FloatArray) -> float:
+    """Return by how much a patch with corners (4, 3), in the outline's order, is longer across than along, metres."""
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.sqrt((sides * sides).sum(axis=1))
+    return float(lengths[0] - lengths[1] + lengths[2] - lengths[3]) / 2.0
