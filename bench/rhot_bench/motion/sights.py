@@ -16,6 +16,7 @@ from rhot.messages import MarkerFrame
 from rhot_bench.motion.hand_motion import HandMotion
 from rhot_bench.motion.painted import Flesh, Surface, seen_samples
 from rhot_bench.motion.rigs import RigDraw
+from rhot_bench.motion.skin import skin_sides
 from rhot_bench.motion.truth import MARKERS, START_NS, marker_frames_of
 
 MarkerKind = Literal["caps", "points"]
@@ -55,6 +56,7 @@ class _MarkerViews:
         area: (F,) visible, square pixels.
         share: (F,) of its facing paint that nothing hides.
         corners: (F, 4, 2) measured, pixels; none but of the patch.
+        skin_side: (F, 2) where skin adjoins; none of the patch.
     """
 
     t_ns: IntArray
@@ -62,6 +64,7 @@ class _MarkerViews:
     area: FloatArray
     share: FloatArray
     corners: FloatArray | None
+    skin_side: FloatArray | None
 
 
 def camera_sights(
@@ -85,7 +88,7 @@ def camera_sights(
     lost = rng.random(count) < draw.lost
     found: list[dict[str, dict[str, object]]] = [{} for _ in range(count)]
     for marker, label in enumerate(MARKERS):
-        views = _marker_views(rng, camera, first_s, draw, motion, surfaces[marker], flesh, marker, kind)
+        views = _marker_views(rng, camera, first_s, draw, motion, surfaces, flesh, marker, kind)
         inside = camera.contains(np.nan_to_num(views.uv, nan=-1e6))
         visible[:, marker] = inside & (views.area > gate_px[marker]) & (views.share > _LEAST_SHARE)
         whole[:, marker] = views.share
@@ -115,20 +118,21 @@ def _marker_views(
     first_s: FloatArray,
     draw: RigDraw,
     motion: HandMotion,
-    surface: Surface,
+    surfaces: Sequence[Surface],
     flesh: Flesh,
     marker: int,
     kind: MarkerKind,
 ) -> _MarkerViews:
     """Return a marker as a camera measures it in frames whose first rows are exposed from `first_s` (F,) on."""
-    count = len(first_s)
+    count, surface = len(first_s), surfaces[marker]
     t_s = _row_times(camera, first_s, draw, motion, surface, marker)
     hand = motion.at(t_s)
     origin, R = marker_frames_of(hand, marker)
     points = origin[:, None] + surface.points @ np.swapaxes(R, 1, 2)
     normals = surface.normals @ np.swapaxes(R, 1, 2)
     is_patch = marker == len(FINGERS)
-    facing, shown = seen_samples(points, normals, camera.center, flesh.capsules(hand), -1 if is_patch else marker)
+    capsules = flesh.capsules(hand)
+    facing, shown = seen_samples(points, normals, camera.center, capsules, -1 if is_patch else marker)
     depth = camera.to_camera(points.reshape(-1, 3))[:, 2].reshape(count, -1)
     to_px = float(camera.K[0, 0] * camera.K[1, 1]) * surface.areas / depth**2
     area, full = (shown * to_px).sum(axis=1), (facing * to_px).sum(axis=1)
@@ -140,12 +144,14 @@ def _marker_views(
     # Drawn for every marker, so that no clip depends on which one is the patch.
     noise = rng.normal(0.0, draw.noise_px, (count, 2))
     corner_noise = rng.normal(0.0, _CORNER_TIMES * draw.noise_px, (count, 4, 2))
-    corners = None
+    corners, skin_side = None, None
+    if kind == "caps" and not is_patch:
+        skin_side = skin_sides(camera, uv, points, shown, capsules, surfaces[: len(FINGERS)])
     if is_patch:
         true_corners = camera.project(_patch_corners(surface, origin, R).reshape(-1, 3)).reshape(count, 4, 2)
         corners = true_corners + corner_noise
     t_ns = START_NS + np.round(1e9 * t_s).astype(np.int64)
-    return _MarkerViews(t_ns, uv + noise, area, area / np.maximum(full, 1e-9), corners)
+    return _MarkerViews(t_ns, uv + noise, area, area / np.maximum(full, 1e-9), corners, skin_side)
 
 
 def _published(views: _MarkerViews, frame: int, camera: CameraModel, *, rolling: bool) -> dict[str, object]:
@@ -154,6 +160,8 @@ def _published(views: _MarkerViews, frame: int, camera: CameraModel, *, rolling:
     share = float(views.share[frame])
     fields: dict[str, object] = {"u": u, "v": v, "area": float(views.area[frame]), "score": 0.5 + 0.5 * share}
     fields["t_ns"] = int(views.t_ns[frame]) if rolling else None
+    if views.skin_side is not None:
+        fields["skin_side"] = tuple(views.skin_side[frame].tolist())
     if views.corners is not None and share > _WHOLE_SHARE and camera.contains(views.corners[frame]).all():
         fields["corners"] = tuple(map(tuple, _clockwise(views.corners[frame]).tolist()))
     return fields

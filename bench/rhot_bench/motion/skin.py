@@ -1,0 +1,99 @@
+"""Where skin adjoins the paint of a fingertip in an image, as capture states it (`Marker.skin_side`).
+
+Around the blob, as far outside as capture looks, rays are cast. One sees skin when it meets a finger or the palm before
+the object in the hand, and that not where another cap is painted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from rhot.arrays import BoolArray, FloatArray
+from rhot.geometry.camera import CameraModel
+from rhot_bench.motion.painted import Capsules, Surface
+
+_DIRECTIONS: Final = 16
+_OUTSIDE_PX: Final = 3.5
+"""Capture's ring is 2.5 to 4.5 pixels outside of the paint."""
+_SPACING_M: Final = 0.001
+"""The paint reaches about so much further than the middle of its outermost sample."""
+
+
+def skin_sides(
+    camera: CameraModel,
+    uv: FloatArray,
+    samples: FloatArray,
+    shown: FloatArray,
+    capsules: Capsules,
+    caps: Sequence[Surface],
+) -> FloatArray:
+    """Return the mean (N, 2) over a ring around a blob of the unit vectors to skin, those to anything else counting 0.
+
+    Args:
+        camera: that sees it.
+        uv: (N, 2) its centroid, pixels.
+        samples: (N, S, 3) of its paint, metres, rig frame.
+        shown: (N, S) > 0 where the camera sees them.
+        capsules: of the N moments.
+        caps: of the five fingers.
+    """
+    count = len(uv)
+    turns = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
+    directions = np.column_stack([np.cos(turns), np.sin(turns)])
+    off = camera.project(samples.reshape(-1, 3)).reshape(count, -1, 2) - uv[:, None]
+    reach = np.where(shown[..., None] > 0.0, off @ directions.T, 0.0).max(axis=1)
+    depth_m = camera.to_camera(samples[:, 0])[:, 2]
+    reach += (_OUTSIDE_PX + _SPACING_M * camera.K[0, 0] / depth_m)[:, None]
+    ring = uv[:, None] + reach[..., None] * directions
+    rays = camera.rays(ring.reshape(-1, 2)).reshape(count, _DIRECTIONS, 3)
+    sides: FloatArray = (_sees_skin(camera.center, rays, capsules, caps)[..., None] * directions).mean(axis=1)
+    return sides
+
+
+def _sees_skin(eye: FloatArray, rays: FloatArray, capsules: Capsules, caps: Sequence[Surface]) -> BoolArray:
+    """Tell which rays (N, D, 3) from the camera's centre (3,) meet skin first."""
+    nearest = np.full(rays.shape[:2], np.inf)
+    skin = np.zeros(rays.shape[:2], dtype=bool)
+    flesh = len(capsules.radius) - _objects(capsules)
+    for number, radius in enumerate(capsules.radius.tolist()):
+        begin, end = capsules.begin[:, number], capsules.end[:, number]
+        distance, share = _met(eye, rays, begin, end, radius)
+        first = distance < nearest
+        nearest = np.where(first, distance, nearest)
+        is_skin = np.full(first.shape, number < flesh)
+        finger = int(capsules.finger[number])
+        if finger >= 0:
+            # The capsule ends one radius before the very tip, from where the paint's length counts.
+            from_tip_m = radius + (1.0 - share) * np.linalg.norm(end - begin, axis=1)[:, None]
+            is_skin = from_tip_m > caps[finger].points[:, 2].max() + _SPACING_M
+        skin = np.where(first, is_skin, skin)
+    return skin
+
+
+def _objects(capsules: Capsules) -> int:
+    """Return how many capsules are no flesh: what is held comes last, after 15 bones of fingers and 4 of the palm."""
+    return max(0, len(capsules.radius) - 19)
+
+
+def _met(
+    eye: FloatArray, rays: FloatArray, begin: FloatArray, end: FloatArray, radius: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far away rays (N, D, 3) meet capsules from `begin` to `end` (N, 3), and where along them, 0 to 1.
+
+    The distance is infinite where they do not; it is that of the nearest point of the axis, less what the radius
+    leaves, which tells bones apart that lie behind each other.
+    """
+    axis, to_begin = (end - begin)[:, None], (begin - eye)[:, None]
+    size = (axis * axis).sum(-1)
+    along, base, offset = (rays * axis).sum(-1), (rays * to_begin).sum(-1), (axis * to_begin).sum(-1)
+    share = np.clip((along * base - offset) / np.maximum(size - along * along, 1e-12), 0.0, 1.0)
+    ahead = base + share * along
+    # The point of the axis nearest to the ray at that distance, once more: clamping has moved it.
+    share = np.clip((ahead * along - offset) / np.maximum(size, 1e-12), 0.0, 1.0)
+    apart = to_begin + share[..., None] * axis - ahead[..., None] * rays
+    left = radius**2 - (apart * apart).sum(-1)
+    distance: FloatArray = np.where(left > 0.0, ahead - np.sqrt(np.maximum(left, 0.0)), np.inf)
+    return distance, share
