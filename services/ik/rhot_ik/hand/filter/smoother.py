@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rhot.arrays import FloatArray
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import vector_from_rotation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.process import (
@@ -51,6 +51,11 @@ class Filtered(Protocol):
         """The state before it; none where the hand was taken up with it."""
         ...
 
+    @property
+    def measured(self) -> BoolArray:
+        """(5,) whether each finger was measured by it."""
+        ...
+
 
 def smoothed_states(hand_filter: HandFilter, steps: Sequence[Filtered]) -> list[HandState]:
     """Return the state at each of a row of samples, in order of time, as all of them show it."""
@@ -63,13 +68,32 @@ def smoothed_states(hand_filter: HandFilter, steps: Sequence[Filtered]) -> list[
         error = np.zeros(SIZE)
         error[MOTION] = _motion_between(after.expected, smoothed[k + 1])
         if dt_s > 0.0:
-            met = _given_person(after.state.prior_covariance)
+            met = _given_person(_met(after.expected.P, after.state.prior_covariance, steps[k].measured))
             gain = np.asarray(np.linalg.solve(met, error[MOTION]), dtype=np.float64)
             F = hand_filter.derivative(state, dt_s)[MOTION, MOTION]
             error[MOTION] = _given_person(state.P) @ (F.T @ gain)
         moved = hand_filter.moved(state, error)
         smoothed[k] = dataclasses.replace(moved, angles=hand_filter.clamp(moved.angles))
     return smoothed
+
+
+def _met(expected: FloatArray, prior: FloatArray, measured: BoolArray) -> FloatArray:
+    """Return the covariance (43, 43) that a sample met, as the smoother counts it.
+
+    Where a finger comes out elsewhere than expected, the filter has to take it for one that moves faster than usual. A
+    finger that nobody saw before, however, has come there while it was hidden, not in this one step.
+
+    Args:
+        expected: (43, 43) without the room that the sample gave the fingers.
+        prior: (43, 43) with it.
+        measured: (5,) fingers that the sample before it had measured.
+    """
+    if measured.all():
+        return prior
+    seen = np.repeat(measured, 4).astype(np.float64)
+    met = expected.copy()
+    met[ANGLES, ANGLES] += (prior - expected)[ANGLES, ANGLES] * seen[:, None] * seen
+    return met
 
 
 def _motion_between(expected: HandState, found: HandState) -> FloatArray:
