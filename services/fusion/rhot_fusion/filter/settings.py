@@ -274,6 +274,22 @@ class SystematicSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class BridgeSettings:
+    """Connection, in smoothing, of a marker with where it is initialised anew.
+
+    Attributes:
+        lasts_s: longest time between, seconds.
+        scale: noise intensity of its motion between, m/s^1.5; a fast hand, see `MotionSettings.scales`.
+        gate: squared Mahalanobis distance (6 degrees of freedom) beyond which the earlier positions are taken for those
+            of something else; exceeded by chance once in 1000.
+    """
+
+    lasts_s: float = 0.25
+    scale: float = 5.0
+    gate: float = 22.5
+
+
+@dataclass(frozen=True, slots=True)
 class FilterSettings:
     """All parameters of the filter."""
 
@@ -282,6 +298,7 @@ class FilterSettings:
     track: TrackSettings = TrackSettings()
     paint: PaintSettings = PaintSettings()
     systematic: SystematicSettings = SystematicSettings()
+    bridge: BridgeSettings = BridgeSettings()
 
 
 DEFAULT: Final = FilterSettings()

@@ -2,13 +2,11 @@
 
 The views that the live filter accepted are filtered again, now with the estimated noise of the cameras and with noise
 scales of `motion` from the forward-backward algorithm (L. R. Rabiner, "A tutorial on hidden Markov models", 1989,
-section III). The states are then smoothed (Rauch, Tung and Striebel, "Maximum likelihood estimates of linear dynamic
-systems", AIAA Journal 3(8), 1965):
-
-    G = P F' P⁻¹(next, before),    x ← x + G (x(next) − x(next, before)),    P ← P + G (P(next) − P(next, before)) G'.
+section III). The states are then smoothed (`backward`).
 
 The paint corrections are then recomputed from the smoothed positions, because the live estimate of a fast hand with
-slow cameras is often wrong. Views far from the smoothed path are down-weighted, and the smoother runs once more.
+slow cameras is often wrong. Views far from the smoothed path are down-weighted, markers are initialised from earlier
+views that agree with the path, and the smoother runs once more.
 """
 
 from __future__ import annotations
@@ -18,20 +16,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rhot.arrays import BoolArray, FloatArray, IndexArray
+from rhot.arrays import BoolArray, FloatArray
 from rhot_fusion.filter.initialisation import InitialState
 from rhot_fusion.filter.joint import JointFilter, squared_distance
 from rhot_fusion.filter.settings import FilterSettings
-from rhot_fusion.filter.state import ROUND, SHARED, State, Step, Views
+from rhot_fusion.filter.smoothing.backward import backward, own_rows
+from rhot_fusion.filter.state import ROUND, State, Step, Views
 
-_JITTER: float = 1e-13
-"""Regularisation that keeps covariances of new markers invertible, m² and m²/s²."""
 _DOUBT = 4.0
 """Squared Mahalanobis distance from the smoothed path beyond which a view's variance is inflated in proportion."""
 _PASSES = 2
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Event:
     """Initialisation or removal of a marker.
 
@@ -39,7 +36,8 @@ class Event:
         t_s: time, seconds.
         marker: index among the hand's markers.
         initial: initial state; None = removal.
-        first: frame of the first view that it is based on; None = the frame that the event follows.
+        first: frame of the first view that it is based on; None = the frame that the event follows. Smoothing may find
+            an earlier one.
         continues: whether the marker was tracked and can have moved to the new position.
     """
 
@@ -124,7 +122,8 @@ def smooth(
     variance = [frame.views.variance for frame in frames]
     steps, evidence = _forward(frames, count, settings, variance, [None] * len(frames))
     scale2 = _scales(evidence, [step.dt_s for step, _ in steps], settings)
-    states = _backward(_forward(frames, count, settings, variance, scale2)[0])
+    states = backward(_forward(frames, count, settings, variance, scale2)[0], settings.bridge)
+    _extend(frames, states, settings)
     for _ in range(1, _PASSES):
         for frame, views in zip(frames, correct(frames, states), strict=True):
             frame.views = views
@@ -132,10 +131,8 @@ def smooth(
             frame.views.variance * np.maximum(1.0, _off_path2(frame.views, state) / _DOUBT)[:, None]
             for frame, state in zip(frames, states, strict=True)
         ]
-        states = _backward(_forward(frames, count, settings, variance, scale2)[0])
-    nodes = [_node(frame, state, settings) for frame, state in zip(frames, states, strict=True)]
-    _extend(frames, nodes, settings)
-    return nodes
+        states = backward(_forward(frames, count, settings, variance, scale2)[0], settings.bridge)
+    return [_node(frame, state, settings) for frame, state in zip(frames, states, strict=True)]
 
 
 def _forward(
@@ -148,7 +145,7 @@ def _forward(
     # Views that the live filter rejected stay out; outliers among the rest are down-weighted instead of gated.
     hand = JointFilter(count, settings.motion, settings.track.gate, refuses=False)
     steps, evidence, loose_m2 = [], [], settings.track.loose_m**2
-    begins = _begins(frames)
+    begins, replaced = _begins(frames)
     for number, (frame, own, scale) in enumerate(zip(frames, variance, scale2, strict=True)):
         new = np.zeros(count, dtype=bool)
         for event in begins.get(number, ()):
@@ -166,27 +163,31 @@ def _forward(
             views = views.chosen(alive)
         innovation, step = hand.step(frame.t_s, views, scale)
         for event in frame.events:
-            if event.initial is None:
+            if event.initial is None and id(event) not in replaced:
                 hand.end(event.marker)
         steps.append((Step(step.dt_s, step.transition, step.before, hand.state), new))
         evidence.append(innovation.evidence)
     return steps, evidence
 
 
-def _begins(frames: Sequence[Frame]) -> dict[int, list[Event]]:
-    """Return, by frame number, the initialisations that are based on its views."""
+def _begins(frames: Sequence[Frame]) -> tuple[dict[int, list[Event]], set[int]]:
+    """Return, by frame number, the initialisations that are based on its views, and which removals no longer count.
+
+    A marker that was removed between its first new view and its initialisation is only replaced earlier.
+    """
     places = {id(frame): number for number, frame in enumerate(frames)}
     begins: dict[int, list[Event]] = {}
-    ended: dict[int, int] = {}
+    removed: dict[int, list[tuple[int, Event]]] = {}
+    replaced: set[int] = set()
     for number, frame in enumerate(frames):
         for event in frame.events:
             if event.initial is None:
-                ended[event.marker] = number
-            else:
-                seen = number if event.first is None else min(places[id(event.first)], number)
-                first = max(seen, ended.get(event.marker, -1) + 1)
-                begins.setdefault(first, []).append(event)
-    return begins
+                removed.setdefault(event.marker, []).append((number, event))
+                continue
+            first = number if event.first is None else min(places[id(event.first)], number)
+            begins.setdefault(first, []).append(event)
+            replaced |= {id(removal) for when, removal in removed.get(event.marker, []) if when >= first}
+    return begins, replaced
 
 
 def _begin(hand: JointFilter, event: Event, t_s: float, settings: FilterSettings) -> None:
@@ -218,33 +219,6 @@ def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSetti
         behind = stay[number] * seen + (1.0 - stay[number]) * float(shares @ seen)
         behind = behind / behind.max()
     return list(reversed(result))
-
-
-def _backward(steps: list[tuple[Step, BoolArray]]) -> list[State]:
-    """Return the smoothed states of the steps; smoothing does not pass through the (re)initialisation of a marker."""
-    states = [step.after for step, _ in steps]
-    for number in range(len(steps) - 2, -1, -1):
-        own, (following, new) = steps[number][0].after, steps[number + 1]
-        later = states[number + 1]
-        both = own.alive & following.before.alive & later.alive & ~new
-        if not both.any():
-            continue
-        rows, every, kept = _rows(both), _rows(own.alive), _rows(own.alive & ~new)
-        before = following.before.P[np.ix_(rows, rows)]
-        before[np.diag_indices(len(rows))] += _JITTER
-        # The shared rotation makes the other markers depend on one that starts anew, but not on where it was before.
-        moved = following.transition[np.ix_(rows, kept)] @ own.P[np.ix_(kept, every)]
-        gain = np.linalg.solve(before, moved).T
-        x, S = own.x.copy(), own.P.copy()
-        x[every] += gain @ (later.x - following.before.x)[rows]
-        S[np.ix_(every, every)] += gain @ (later.P[np.ix_(rows, rows)] - before) @ gain.T
-        states[number] = State(own.t_s, x, S, own.weight, own.alive)
-    return states
-
-
-def _rows(alive: BoolArray) -> IndexArray:
-    """Return the state rows of the markers that are alive (M,) and of the shared accelerations."""
-    return np.flatnonzero(np.concatenate([np.tile(np.repeat(alive, 3), 2), np.ones(SHARED, dtype=bool)]))
 
 
 def _off_path2(views: Views, state: State) -> FloatArray:
@@ -289,24 +263,22 @@ def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
     return Node(state.t_s, position, velocity, P, hidden_m2, shown, frame.camera)
 
 
-def _extend(frames: Sequence[Frame], nodes: list[Node], settings: FilterSettings) -> None:
-    """Extrapolate markers backwards from their initialisation to earlier views that agree."""
-    for number, events in _begins(frames).items():
-        for marker in {event.marker for event in events if not event.continues}:
-            first = nodes[number]
-            for before in range(number - 1, -1, -1):
-                node, earlier = nodes[before], frames[before]
+def _extend(frames: Sequence[Frame], states: Sequence[State], settings: FilterSettings) -> None:
+    """Move the initialisation of markers to earlier views that agree with the smoothed path extrapolated backwards."""
+    for number, starts in _begins(frames)[0].items():
+        for start in [start for start in starts if not start.continues and states[number].alive[start.marker]]:
+            marker, first = start.marker, states[number]
+            position, velocity = first.mean.reshape(2, -1, 3).copy()
+            rows = own_rows(marker, len(first.alive))
+            own, covariance = first.P[np.ix_(rows, rows)], np.zeros((len(first.alive), 3, 3))
+            for earlier in reversed(frames[:number]):
                 mine = earlier.views.index == marker
-                dt = node.t_s - first.t_s
+                dt = earlier.t_s - first.t_s
                 if dt < -settings.track.pair_s or earlier.taken[mine].any():
                     break
                 F = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(3))
-                carried, covariance = first.position.copy(), first.covariance.copy()
-                carried[marker] += dt * first.velocity[marker]
-                covariance[marker] = F @ covariance[marker] @ F.T
-                off2 = _on_path(earlier, carried, first.velocity, covariance[:, :3, :3])[mine]
-                if not (off2 <= settings.track.gate).any():
-                    continue
-                node.position[marker], node.velocity[marker] = carried[marker], first.velocity[marker]
-                node.covariance[marker] = covariance[marker]
-                node.shown[marker] = True
+                position[marker] = first.mean[0].reshape(-1, 3)[marker] + dt * velocity[marker]
+                covariance[marker] = (F @ own @ F.T)[:3, :3]
+                if (_on_path(earlier, position, velocity, covariance)[mine] <= settings.track.gate).any():
+                    earlier.taken |= mine
+                    start.first = earlier
