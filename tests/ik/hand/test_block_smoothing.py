@@ -19,19 +19,32 @@ RATE_HZ = 40.0
 TIP = JOINTS.index("ring_tip")
 
 
+Clip = tuple[list[PointSet], FloatArray]
+
+
 @pytest.fixture
-def clip(
-    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
-) -> tuple[list[PointSet], FloatArray]:
+def clip(right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist) -> Clip:
+    """From rest to a fist in a second, most of it unseen."""
+    return clip_of(right_rig, right_hand, make_points, wrist, closes=(20, 60), hidden=(24, 52))
+
+
+def clip_of(
+    right_rig: Rig,
+    right_hand: HandModel,
+    make_points: MakePoints,
+    wrist: Wrist,
+    *,
+    closes: tuple[int, int],
+    hidden: tuple[int, int],
+) -> Clip:
     """Return points of 2 s in which the ring finger closes while nobody sees it, and its true tips."""
     sets, tips = [], []
     for k in range(80):
         t_s = k / RATE_HZ
         angles = moving_angles(t_s, right_hand)
-        # From rest to a fist in a second, most of it unseen.
-        angles[3, 0] += np.radians(60.0) * np.clip((k - 20) / 40.0, 0.0, 1.0)
+        angles[3, 0] += np.radians(60.0) * np.clip((k - closes[0]) / (closes[1] - closes[0]), 0.0, 1.0)
         joints = right_hand.forward(wrist(), right_hand.clamp(angles))
-        hide = ("ring",) if 24 <= k < 52 else ()
+        hide = ("ring",) if hidden[0] <= k < hidden[1] else ()
         sets.append(make_points(right_hand, joints, right_rig.config.markers, t_s, hide=hide))
         tips.append(joints.positions[TIP])
     return sets, np.array(tips)
@@ -43,7 +56,7 @@ def tips_of(hands: list[tuple[PointSet, list[Output]]]) -> FloatArray:
     return np.array([positions(pose)[TIP] for pose in poses])
 
 
-def test_a_hidden_finger_goes_to_where_it_comes_out(right_rig: Rig, clip: tuple[list[PointSet], FloatArray]) -> None:
+def test_a_hidden_finger_goes_to_where_it_comes_out(right_rig: Rig, clip: Clip) -> None:
     sets, truth = clip
     live = tips_of([(points, stage.feed(points)) for stage in [HandStage(right_rig)] for points in sets])
     stage = HandStage(right_rig)
@@ -59,7 +72,19 @@ def test_a_hidden_finger_goes_to_where_it_comes_out(right_rig: Rig, clip: tuple[
     assert np.linalg.norm(smooth - truth, axis=1)[60:].max() < 0.004
 
 
-def test_pieces_come_in_order_and_all_of_them(right_rig: Rig, clip: tuple[list[PointSet], FloatArray]) -> None:
+def test_a_finger_that_moved_fast_while_hidden_comes_out_without_a_jump(
+    right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
+) -> None:
+    sets, truth = clip_of(right_rig, right_hand, make_points, wrist, closes=(40, 48), hidden=(41, 48))
+    stage = HandStage(right_rig)
+    assert all(stage.feed_smoothed(points) == [] for points in sets)
+    smooth = tips_of(stage.finish())
+    steps = np.linalg.norm(np.diff(smooth, axis=0), axis=1)
+    fastest_m = np.linalg.norm(np.diff(truth, axis=0), axis=1).max()
+    assert steps[41:50].max() < 2.0 * fastest_m
+
+
+def test_pieces_come_in_order_and_all_of_them(right_rig: Rig, clip: Clip) -> None:
     sets, _ = clip
     whole, pieces = HandStage(right_rig), HandStage(right_rig)
     pieces._block_smoother = BlockSmoother(pieces._solvers, ahead_ns=1_000_000_000, piece_ns=300_000_000)

@@ -202,10 +202,11 @@ class HandSolver:
         # Fewer tips than have agreed with the state do not reinitialise it: a few tips leave a patch ambiguous.
         if measured < before.most_tips:
             return state, before.lost_s
-        if state.mean_residual_m < self._settings.lost_m:
+        limit_m = self._settings.lost_m if before.from_patch else self._settings.unconfirmed_m
+        if state.mean_residual_m < limit_m:
             return state, 0.0
         # A larger residual shortens the wait: 150 mm mean a palm that was initialised the wrong way round.
-        haste = (state.mean_residual_m / self._settings.lost_m) ** 2
+        haste = (state.mean_residual_m / limit_m) ** 2
         lost_s = before.lost_s + dt_s * min(haste, self._settings.lost_haste)
         if lost_s < self._settings.lost_s:
             return state, lost_s

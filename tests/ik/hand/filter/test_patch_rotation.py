@@ -66,3 +66,12 @@ def test_sides_that_a_ruler_confuses_tell_nothing_of_a_quarter_turn() -> None:
     found = PatchRotation(outline).fit(outline @ R_TRUE.T + AT, R_TRUE, np.eye(3) * 0.0001**2)
     assert found is not None
     assert found.quarter_turn == 0.0
+
+
+def test_a_palm_that_is_taken_for_one_half_a_quarter_turn_off_finds_its_patch() -> None:
+    outline = OUTLINE * (0.0435 / 0.04, 1.0, 0.0235 / 0.03)
+    for turn_deg in (-60.0, -50.0, 50.0, 60.0):
+        expected = R_TRUE @ rotation_from_vector(np.array([0.0, np.radians(turn_deg), 0.0]))
+        found = PatchRotation(outline).fit(outline @ R_TRUE.T + AT, expected, np.eye(3) * 1e-6)
+        assert found is not None
+        assert np.allclose(found.rotation, R_TRUE, atol=1e-6)

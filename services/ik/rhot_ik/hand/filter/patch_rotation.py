@@ -81,8 +81,9 @@ class PatchRotation:
     def fit(self, corners: FloatArray, expected: FloatArray, covariance: FloatArray) -> FittedPatch | None:
         """Return how the patch lies, or None if these are no corners of it.
 
-        Of the eight ways to go round a rectangle, the one nearest to `expected` is taken: that is turned by far less
-        than a quarter from the truth. Gauss–Newton, from `expected` when that is near, else from the unweighted fit.
+        Of the eight ways to go round a rectangle, the one nearest to `expected` is taken; if the corners do not fit
+        that, because `expected` is some 45° or more off, the nearest of those a quarter turn from it. Gauss–Newton,
+        from `expected` when that is near, else from the unweighted fit.
 
         Args:
             corners: (4, 3) metres, rig frame, cyclic order from an unknown one.
@@ -93,10 +94,20 @@ class PatchRotation:
         # Σ |found − R·o|² is least where Σ found·(R·o) is greatest.
         agree = _AGREEMENT @ (centred @ expected @ self._outline.T).reshape(16)
         best = int(agree.argmax())
-        found = centred[CORNER_ORDERS[best]]
-        missed = float(np.vdot(centred, centred)) + self._size - 2.0 * float(agree[best])
-        if not math.isfinite(missed):
+        if not math.isfinite(agree[best]):
             return None
+        fitted = self._fit_in_order(centred, best, float(agree[best]), expected, covariance)
+        if fitted is None:
+            other = int(agree[1 - best % 2 :: 2].argmax()) * 2 + 1 - best % 2
+            fitted = self._fit_in_order(centred, other, float(agree[other]), expected, covariance)
+        return fitted
+
+    def _fit_in_order(
+        self, centred: FloatArray, order: int, agree: float, expected: FloatArray, covariance: FloatArray
+    ) -> FittedPatch | None:
+        """Do the same for one of `CORNER_ORDERS`, whose agreement with the expected corners is given."""
+        found = centred[CORNER_ORDERS[order]]
+        missed = float(np.vdot(centred, centred)) + self._size - 2.0 * agree
         R = nearest_rotation(found.T @ self._outline) if missed > 4.0 * FAR_M**2 else expected
         weight = symmetric_inverse(covariance)
         for _ in range(_MOST_STEPS):

@@ -59,6 +59,7 @@ class HandSettings:
         late_s: a sample that is older than the last one by less than this came out of order and is left out.
         lost_m, lost_s: when the seen tips miss the model by more than this on average for this long, the hand is
             looked for again: more than wrong proportions explain, for longer than a wild marker lasts.
+        unconfirmed_m: the same limit while the corners of no patch have confirmed the palm.
         quarter_turn: a palm whose patch would fit this much better a quarter turn off (difference of two chi-squares:
             odds of e¹⁰) is turned.
         lost_haste: time counts up to this many times, with the square of how many times as much they miss it.
@@ -96,5 +97,6 @@ class HandSettings:
     late_s: float = 0.1
     lost_m: float = 0.012
     lost_s: float = 0.3
+    unconfirmed_m: float = 0.006
     quarter_turn: float = 20.0
     lost_haste: float = 20.0
