@@ -280,8 +280,8 @@ class BridgeSettings:
     Attributes:
         lasts_s: longest time between, seconds.
         scale: noise intensity of its motion between, m/s^1.5; a fast hand, see `MotionSettings.scales`.
-        gate: squared Mahalanobis distance (6 degrees of freedom) beyond which the earlier positions are taken for those
-            of something else; exceeded by chance once in 1000.
+        gate: squared Mahalanobis distance (6 degrees of freedom) beyond which the marker's covariance is inflated;
+            exceeded by chance once in 1000.
     """
 
     lasts_s: float = 0.25

@@ -61,7 +61,7 @@ def bridged(state: State, marker: int, start: State, bridge: BridgeSettings) -> 
     """Return a state with a marker led to where it was initialised anew soon after.
 
     What followed its initialisation knows nothing of what preceded it, and is used as one observation of it. Where that
-    lies beyond the gate, the marker has moved more than was assumed, and its covariance is inflated to the gate.
+    lies beyond the gate, the marker has moved more than was assumed, and its covariance is inflated in proportion.
 
     Args:
         state: before; smoothed by what other markers did later.
@@ -76,15 +76,13 @@ def bridged(state: State, marker: int, start: State, bridge: BridgeSettings) -> 
     F = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(3))
     noise = bridge.scale**2 * np.kron(np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]), np.eye(3))
     off, other = start.x[rows] - F @ state.x[rows], start.P[np.ix_(rows, rows)] + noise
-    P = state.P
-    distance2 = float(off @ np.linalg.solve(F @ P[np.ix_(rows, rows)] @ F.T + other, off))
-    if distance2 > bridge.gate:
-        wider = np.ones(len(P))
-        wider[rows] = math.sqrt(distance2 / bridge.gate)
-        P = wider[:, None] * P * wider
-    across = P[:, rows] @ F.T
-    gain = across @ np.linalg.inv(F @ across[rows] + other)
-    P = P - gain @ across.T
+    across = state.P[:, rows] @ F.T
+    inverse = np.linalg.inv(F @ across[rows] + other)
+    gain = across @ inverse
+    P = state.P - gain @ across.T
+    wider = np.ones(len(P))
+    wider[rows] = math.sqrt(max(float(off @ inverse @ off) / bridge.gate, 1.0))
+    P = wider[:, None] * P * wider
     return State(state.t_s, state.x + gain @ off, 0.5 * (P + P.T), state.weight, state.alive)
 
 
