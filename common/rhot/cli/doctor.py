@@ -44,6 +44,8 @@ _ROLES: Final = {
 }
 _DISTANCES: Final = ("50 cm", "75 cm", "100 cm")
 """At which `rhot calibrate cameras` states the error to expect."""
+_OBLONG_M: Final = 0.008
+"""From this difference of its sides on, the corners of a patch fit only the two orders that are half a turn apart."""
 _MAX_CLOCK_UNCERTAINTY_S: Final = 0.002
 
 
@@ -75,7 +77,7 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
     return rig, [
         Finding("ok", f"{path / RIG_FILE}: {_tracked(rig)}"),
         # Without cameras there is nothing to calibrate, and the rig frame is the tracking system's own space.
-        *((*_check_hand_tracking(rig), *_check_registrations(rig)) if rig.config.cameras else ()),
+        *((*_check_hand_tracking(rig), *_check_patches(rig), *_check_registrations(rig)) if rig.config.cameras else ()),
         *check_stage(rig),
         *_check_sources(rig),
         *check_bus(rig),
@@ -114,6 +116,19 @@ def _check_hand_tracking(rig: Rig) -> Iterator[Finding]:
             f"hand.json is missing: an average hand of {1e3 * rig.hand.length_m:.0f} mm is assumed",
             f"rhot calibrate hand RECORDING --rig {as_argument(path)}",
         )
+
+
+def _check_patches(rig: Rig) -> Iterator[Finding]:
+    """Tell which patches are so nearly square that they do not show which way the hand points."""
+    for name, marker in rig.config.markers.items():
+        if marker.size_m is not None and abs(marker.size_m[0] - marker.size_m[1]) < _OBLONG_M:
+            across, along = (f"{1e3 * side:g}" for side in marker.size_m)
+            yield Finding(
+                "warn",
+                f"marker {name}: a patch of {across} x {along} mm is nearly square; while few fingertips are seen, the "
+                "hand may point sideways",
+                f"paint it {1e3 * _OBLONG_M:g} mm or more longer than wide, and measure size_m again",
+            )
 
 
 def _check_colors(rig: Rig) -> Finding:

@@ -156,11 +156,14 @@ def test_a_marker_that_moved_further_than_assumed_while_hidden_is_led_there_too(
     alive = np.ones(1, dtype=bool)
     before = State(start_s, np.concatenate([PLACE, x[half:]]), sure, np.ones(1), alive)
     start = State(end_s, np.concatenate([moved, x[half:]]), 0.1 * sure, np.ones(1), alive)
-    led = bridged(before, 0, start, BridgeSettings(scale=0.1))
+    stiff = replace(DEFAULT, bridge=BridgeSettings(scale=0.1))
+    led = bridged(before, 0, start, stiff)
     assert np.abs(led.mean[0] - moved).max() < 0.02
     assert np.linalg.eigvalsh(led.P[:6, :6]).min() > 0.0
     late = replace(start, t_s=start_s + 2.0 * BridgeSettings().lasts_s)
-    assert bridged(before, 0, late, BridgeSettings()) is before
+    assert bridged(before, 0, late, DEFAULT) is before
+    on_ray = replace(start, P=1000.0 * start.P)
+    assert bridged(before, 0, on_ray, DEFAULT) is before
 
 
 def test_covariances_stay_positive_where_one_marker_starts_anew_among_others() -> None:

@@ -53,6 +53,14 @@ def test_colours_that_cannot_be_used_or_lack_a_marker_are_told(rig_folder: Path)
     assert about(check_rig(rig_folder)[1], "colors.json").level == "ok"
 
 
+def test_a_patch_that_is_nearly_square_is_told(rig_folder: Path) -> None:
+    assert not any("square" in finding.text for finding in check_rig(rig_folder)[1])
+    toml = rig_folder / "rig.toml"
+    toml.write_text(toml.read_text().replace("size_m = [0.04, 0.03]", "size_m = [0.032, 0.03]"))
+    found = about(check_rig(rig_folder)[1], "nearly square")
+    assert (found.level, "32 x 30 mm" in found.text) == ("warn", True)
+
+
 def test_a_rig_of_feet_alone_is_not_asked_for_what_hands_need(tmp_path: Path) -> None:
     write_walker_rig(tmp_path / "rig")
     _, findings = check_rig(tmp_path / "rig")

@@ -17,14 +17,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from rhot.arrays import BoolArray, IndexArray
-from rhot_fusion.filter.settings import BridgeSettings
+from rhot_fusion.filter.settings import FilterSettings
 from rhot_fusion.filter.state import SHARED, State, Step
 
 _JITTER: float = 1e-13
 """Regularisation that keeps covariances of new markers invertible, m² and m²/s²."""
 
 
-def backward(steps: Sequence[tuple[Step, BoolArray]], bridge: BridgeSettings) -> list[State]:
+def backward(steps: Sequence[tuple[Step, BoolArray]], settings: FilterSettings) -> list[State]:
     """Return the smoothed states of the steps."""
     states = [step.after for step, _ in steps]
     # The newest markers' states where they were initialised, by marker; `bridged` connects earlier ones with them.
@@ -35,7 +35,7 @@ def backward(steps: Sequence[tuple[Step, BoolArray]], bridge: BridgeSettings) ->
         starts |= dict.fromkeys(np.flatnonzero(new & later.alive).tolist(), later)
         smoothed = _smoothed(steps[number][0].after, following, later, new)
         for marker in [one for one in starts if smoothed.alive[one]]:
-            smoothed = bridged(smoothed, marker, starts.pop(marker), bridge)
+            smoothed = bridged(smoothed, marker, starts.pop(marker), settings)
         states[number] = smoothed
     return states
 
@@ -57,7 +57,7 @@ def _smoothed(own: State, following: Step, later: State, new: BoolArray) -> Stat
     return State(own.t_s, x, P, own.weight, own.alive)
 
 
-def bridged(state: State, marker: int, start: State, bridge: BridgeSettings) -> State:
+def bridged(state: State, marker: int, start: State, settings: FilterSettings) -> State:
     """Return a state with a marker led to where it was initialised anew soon after.
 
     What followed its initialisation knows nothing of what preceded it, and is used as one observation of it. Where that
@@ -67,10 +67,12 @@ def bridged(state: State, marker: int, start: State, bridge: BridgeSettings) -> 
         state: before; smoothed by what other markers did later.
         marker: index among the hand's markers.
         start: smoothed state at the marker's next initialisation.
-        bridge: limits of the connection; a `start` later than `lasts_s` has no effect.
+        settings: of the filter; a `start` that is too late or too uncertain has no effect.
     """
     dt = start.t_s - state.t_s
-    if not 0.0 < dt <= bridge.lasts_s:
+    bridge = settings.bridge
+    # One that was initialised on a ray takes its depth from the hand, like the earlier life: that is no observation.
+    if not 0.0 < dt <= bridge.lasts_s or start.spread_m2[marker] > settings.track.loose_m**2:
         return state
     rows = own_rows(marker, len(state.alive))
     F = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(3))

@@ -122,7 +122,7 @@ def smooth(
     variance = [frame.views.variance for frame in frames]
     steps, evidence = _forward(frames, count, settings, variance, [None] * len(frames))
     scale2 = _scales(evidence, [step.dt_s for step, _ in steps], settings)
-    states = backward(_forward(frames, count, settings, variance, scale2)[0], settings.bridge)
+    states = backward(_forward(frames, count, settings, variance, scale2)[0], settings)
     _extend(frames, states, settings)
     for _ in range(1, _PASSES):
         for frame, views in zip(frames, correct(frames, states), strict=True):
@@ -131,7 +131,7 @@ def smooth(
             frame.views.variance * np.maximum(1.0, _off_path2(frame.views, state) / _DOUBT)[:, None]
             for frame, state in zip(frames, states, strict=True)
         ]
-        states = backward(_forward(frames, count, settings, variance, scale2)[0], settings.bridge)
+        states = backward(_forward(frames, count, settings, variance, scale2)[0], settings)
     return [_node(frame, state, settings) for frame, state in zip(frames, states, strict=True)]
 
 
