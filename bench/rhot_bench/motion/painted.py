@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from rhot.arrays import FloatArray
+from rhot.arrays import BoolArray, FloatArray
 from rhot_bench.motion.hand_motion import HandShape
 
 _AROUND: Final = 10
@@ -176,11 +176,28 @@ def seen_samples(
     return cosine, np.where(hidden, 0.0, cosine)
 
 
-def _crosses(begin: FloatArray, along: FloatArray, a: FloatArray, b: FloatArray, radius: float) -> FloatArray:
-    """Tell which rays (N, S) from `begin` (N, S, 3) along unit vectors come within a radius of segments a–b (N, 3).
+def _crosses(begin: FloatArray, along: FloatArray, a: FloatArray, b: FloatArray, radius: float) -> BoolArray:
+    """Tell which rays (N, S) from `begin` (N, S, 3) along unit vectors come within a radius of segments a–b (N, 3)."""
+    _, _, apart2 = nearest(begin, along, a, b)
+    crosses: BoolArray = apart2 < radius**2
+    return crosses
+
+
+def nearest(
+    begin: FloatArray, along: FloatArray, a: FloatArray, b: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return where rays and segments are nearest to each other.
 
     The nearest points of two lines, clamped to the segment and to the ray (Ericson, "Real-Time Collision Detection",
     5.1.9).
+
+    Args:
+        begin: (N, S, 3) of the rays; broadcast.
+        along: (N, S, 3) unit vectors.
+        a, b: (N, 3) ends of the segments.
+
+    Returns:
+        (N, S) each: the distance along the ray; the place on the segment, 0 to 1; the squared distance between.
     """
     d = (b - a)[:, None]
     r = begin - a[:, None]
@@ -192,5 +209,4 @@ def _crosses(begin: FloatArray, along: FloatArray, a: FloatArray, b: FloatArray,
     ahead = np.maximum(share * ud - ur, 0.0)
     share = np.clip((dr + ahead * ud) / np.maximum(dd, 1e-12), 0.0, 1.0)
     apart = r + ahead[..., None] * along - share[..., None] * d
-    crosses: FloatArray = (apart * apart).sum(-1) < radius**2
-    return crosses
+    return ahead, share, (apart * apart).sum(-1)

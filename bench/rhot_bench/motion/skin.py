@@ -13,7 +13,7 @@ import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot_bench.motion.painted import Capsules, Surface
+from rhot_bench.motion.painted import Capsules, Surface, nearest
 
 _DIRECTIONS: Final = 16
 _OUTSIDE_PX: Final = 3.5
@@ -55,14 +55,17 @@ def skin_sides(
 
 def _sees_skin(eye: FloatArray, rays: FloatArray, capsules: Capsules, caps: Sequence[Surface]) -> BoolArray:
     """Tell which rays (N, D, 3) from the camera's centre (3,) meet skin first."""
-    nearest = np.full(rays.shape[:2], np.inf)
+    first_m = np.full(rays.shape[:2], np.inf)
     skin = np.zeros(rays.shape[:2], dtype=bool)
     flesh = len(capsules.radius) - _objects(capsules)
     for number, radius in enumerate(capsules.radius.tolist()):
         begin, end = capsules.begin[:, number], capsules.end[:, number]
-        distance, share = _met(eye, rays, begin, end, radius)
-        first = distance < nearest
-        nearest = np.where(first, distance, nearest)
+        ahead, share, apart2 = nearest(eye, rays, begin, end)
+        # The distance of the nearest point of the axis, less what the radius leaves, tells bones apart that lie behind
+        # each other.
+        met_m = np.where(apart2 < radius**2, ahead - np.sqrt(np.maximum(radius**2 - apart2, 0.0)), np.inf)
+        first = met_m < first_m
+        first_m = np.where(first, met_m, first_m)
         is_skin = np.full(first.shape, number < flesh)
         finger = int(capsules.finger[number])
         if finger >= 0:
@@ -76,24 +79,3 @@ def _sees_skin(eye: FloatArray, rays: FloatArray, capsules: Capsules, caps: Sequ
 def _objects(capsules: Capsules) -> int:
     """Return how many capsules are no flesh: what is held comes last, after 15 bones of fingers and 4 of the palm."""
     return max(0, len(capsules.radius) - 19)
-
-
-def _met(
-    eye: FloatArray, rays: FloatArray, begin: FloatArray, end: FloatArray, radius: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return how far away rays (N, D, 3) meet capsules from `begin` to `end` (N, 3), and where along them, 0 to 1.
-
-    The distance is infinite where they do not; it is that of the nearest point of the axis, less what the radius
-    leaves, which tells bones apart that lie behind each other.
-    """
-    axis, to_begin = (end - begin)[:, None], (begin - eye)[:, None]
-    size = (axis * axis).sum(-1)
-    along, base, offset = (rays * axis).sum(-1), (rays * to_begin).sum(-1), (axis * to_begin).sum(-1)
-    share = np.clip((along * base - offset) / np.maximum(size - along * along, 1e-12), 0.0, 1.0)
-    ahead = base + share * along
-    # The point of the axis nearest to the ray at that distance, once more: clamping has moved it.
-    share = np.clip((ahead * along - offset) / np.maximum(size, 1e-12), 0.0, 1.0)
-    apart = to_begin + share[..., None] * axis - ahead[..., None] * rays
-    left = radius**2 - (apart * apart).sum(-1)
-    distance: FloatArray = np.where(left > 0.0, ahead - np.sqrt(np.maximum(left, 0.0)), np.inf)
-    return distance, share
