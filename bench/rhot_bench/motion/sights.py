@@ -136,17 +136,17 @@ def _marker_views(
     depth = camera.to_camera(points.reshape(-1, 3))[:, 2].reshape(count, -1)
     to_px = float(camera.K[0, 0] * camera.K[1, 1]) * surface.areas / depth**2
     area, full = (shown * to_px).sum(axis=1), (facing * to_px).sum(axis=1)
+    corners, skin_side = None, None
     if kind == "points":
         uv = camera.project(origin + R @ surface.centre)
     else:
         every = camera.project(points.reshape(-1, 3)).reshape(count, -1, 2)
         uv = ((shown * to_px)[..., None] * every).sum(axis=1) / np.maximum(area, 1e-9)[:, None]
+        if not is_patch:
+            skin_side = skin_sides(camera, uv, every, depth, shown, capsules, surfaces[: len(FINGERS)])
     # Drawn for every marker, so that no clip depends on which one is the patch.
     noise = rng.normal(0.0, draw.noise_px, (count, 2))
     corner_noise = rng.normal(0.0, _CORNER_TIMES * draw.noise_px, (count, 4, 2))
-    corners, skin_side = None, None
-    if kind == "caps" and not is_patch:
-        skin_side = skin_sides(camera, uv, points, shown, capsules, surfaces[: len(FINGERS)])
     if is_patch:
         true_corners = camera.project(_patch_corners(surface, origin, R).reshape(-1, 3)).reshape(count, 4, 2)
         corners = true_corners + corner_noise

@@ -18,6 +18,8 @@ from rhot_bench.motion.painted import Capsules, Surface, nearest
 _DIRECTIONS: Final = 16
 _OUTSIDE_PX: Final = 3.5
 """Capture's ring is 2.5 to 4.5 pixels outside of the paint."""
+_FLESH: Final = 19
+"""`Flesh.capsules` begins with fifteen bones of fingers and four of the palm; what is held comes after."""
 _SPACING_M: Final = 0.001
 """The paint reaches about so much further than the middle of its outermost sample."""
 
@@ -25,7 +27,8 @@ _SPACING_M: Final = 0.001
 def skin_sides(
     camera: CameraModel,
     uv: FloatArray,
-    samples: FloatArray,
+    pixels: FloatArray,
+    depth_m: FloatArray,
     shown: FloatArray,
     capsules: Capsules,
     caps: Sequence[Surface],
@@ -35,7 +38,8 @@ def skin_sides(
     Args:
         camera: that sees it.
         uv: (N, 2) its centroid, pixels.
-        samples: (N, S, 3) of its paint, metres, rig frame.
+        pixels: (N, S, 2) samples of its paint.
+        depth_m: (N, S) their depths.
         shown: (N, S) > 0 where the camera sees them.
         capsules: of the N moments.
         caps: of the five fingers.
@@ -43,10 +47,8 @@ def skin_sides(
     count = len(uv)
     turns = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
     directions = np.column_stack([np.cos(turns), np.sin(turns)])
-    off = camera.project(samples.reshape(-1, 3)).reshape(count, -1, 2) - uv[:, None]
-    reach = np.where(shown[..., None] > 0.0, off @ directions.T, 0.0).max(axis=1)
-    depth_m = camera.to_camera(samples[:, 0])[:, 2]
-    reach += (_OUTSIDE_PX + _SPACING_M * camera.K[0, 0] / depth_m)[:, None]
+    reach = np.where(shown[..., None] > 0.0, (pixels - uv[:, None]) @ directions.T, 0.0).max(axis=1)
+    reach += (_OUTSIDE_PX + _SPACING_M * camera.K[0, 0] / depth_m[:, 0])[:, None]
     ring = uv[:, None] + reach[..., None] * directions
     rays = camera.rays(ring.reshape(-1, 2)).reshape(count, _DIRECTIONS, 3)
     sides: FloatArray = (_sees_skin(camera.center, rays, capsules, caps)[..., None] * directions).mean(axis=1)
@@ -57,7 +59,6 @@ def _sees_skin(eye: FloatArray, rays: FloatArray, capsules: Capsules, caps: Sequ
     """Tell which rays (N, D, 3) from the camera's centre (3,) meet skin first."""
     first_m = np.full(rays.shape[:2], np.inf)
     skin = np.zeros(rays.shape[:2], dtype=bool)
-    flesh = len(capsules.radius) - _objects(capsules)
     for number, radius in enumerate(capsules.radius.tolist()):
         begin, end = capsules.begin[:, number], capsules.end[:, number]
         ahead, share, apart2 = nearest(eye, rays, begin, end)
@@ -66,7 +67,7 @@ def _sees_skin(eye: FloatArray, rays: FloatArray, capsules: Capsules, caps: Sequ
         met_m = np.where(apart2 < radius**2, ahead - np.sqrt(np.maximum(radius**2 - apart2, 0.0)), np.inf)
         first = met_m < first_m
         first_m = np.where(first, met_m, first_m)
-        is_skin = np.full(first.shape, number < flesh)
+        is_skin = np.full(first.shape, number < _FLESH)
         finger = int(capsules.finger[number])
         if finger >= 0:
             # The capsule ends one radius before the very tip, from where the paint's length counts.
@@ -74,8 +75,3 @@ def _sees_skin(eye: FloatArray, rays: FloatArray, capsules: Capsules, caps: Sequ
             is_skin = from_tip_m > caps[finger].points[:, 2].max() + _SPACING_M
         skin = np.where(first, is_skin, skin)
     return skin
-
-
-def _objects(capsules: Capsules) -> int:
-    """Return how many capsules are no flesh: what is held comes last, after 15 bones of fingers and 4 of the palm."""
-    return max(0, len(capsules.radius) - 19)

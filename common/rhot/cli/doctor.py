@@ -44,7 +44,7 @@ _ROLES: Final = {
 }
 _DISTANCES: Final = ("50 cm", "75 cm", "100 cm")
 """At which `rhot calibrate cameras` states the error to expect."""
-_OBLONG_M: Final = 0.008
+_CLEARLY_OBLONG_M: Final = 0.008
 """From this difference of its sides on, the corners of a patch fit only the two orders that are half a turn apart."""
 _MAX_CLOCK_UNCERTAINTY_S: Final = 0.002
 
@@ -121,13 +121,13 @@ def _check_hand_tracking(rig: Rig) -> Iterator[Finding]:
 def _check_patches(rig: Rig) -> Iterator[Finding]:
     """Tell which patches are so nearly square that they do not show which way the hand points."""
     for name, marker in rig.config.markers.items():
-        if marker.size_m is not None and abs(marker.size_m[0] - marker.size_m[1]) < _OBLONG_M:
+        if marker.size_m is not None and abs(marker.size_m[0] - marker.size_m[1]) < _CLEARLY_OBLONG_M:
             across, along = (f"{1e3 * side:g}" for side in marker.size_m)
             yield Finding(
                 "warn",
                 f"marker {name}: a patch of {across} x {along} mm is nearly square; while few fingertips are seen, the "
                 "hand may point sideways",
-                f"paint it {1e3 * _OBLONG_M:g} mm or more longer than wide, and measure size_m again",
+                f"paint it {1e3 * _CLEARLY_OBLONG_M:g} mm or more longer than wide, and measure size_m again",
             )
 
 

@@ -32,8 +32,9 @@ def side(capsules: Capsules) -> FloatArray:
     R = np.column_stack([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     samples, normals = (CAP.points @ R.T + [0.0, 0.0, 0.6])[None], (CAP.normals @ R.T)[None]
     _, shown = seen_samples(samples, normals, CAMERA.center, capsules, 1)
-    uv = np.average(CAMERA.project(samples[0]), axis=0, weights=shown[0])[None]
-    found: FloatArray = skin_sides(CAMERA, uv, samples, shown, capsules, [CAP] * 5)[0]
+    pixels, depth_m = CAMERA.project(samples[0])[None], CAMERA.to_camera(samples[0])[None, :, 2]
+    uv = np.average(pixels[0], axis=0, weights=shown[0])[None]
+    found: FloatArray = skin_sides(CAMERA, uv, pixels, depth_m, shown, capsules, [CAP] * 5)[0]
     return found
 
 

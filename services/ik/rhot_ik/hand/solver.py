@@ -191,9 +191,11 @@ class HandSolver:
         # Three tips tell how the palm lies; where the patch contradicts them, its sides are stated the wrong way round.
         if before.most_tips >= _TIPS_OF_A_PALM:
             return 0.0
+        if evidence.patch is None:
+            return before.quarter_turn
         # Samples that follow each other have the same errors.
         share = min(1.0, dt_s / self._settings.lasts_s)
-        return max(0.0, before.quarter_turn - share * evidence.quarter_turn)
+        return max(0.0, before.quarter_turn - share * evidence.patch.quarter_turn)
 
     def _reinitialised_if_lost(
         self, before: HandTrack, state: HandState, seen: HandObservation, measured: int, dt_s: float

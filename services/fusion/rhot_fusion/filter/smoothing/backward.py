@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rhot.arrays import BoolArray, IndexArray
+from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot_fusion.filter.settings import FilterSettings
 from rhot_fusion.filter.state import SHARED, State, Step
 
@@ -75,7 +75,7 @@ def bridged(state: State, marker: int, start: State, settings: FilterSettings) -
     if not 0.0 < dt <= bridge.lasts_s or start.spread_m2[marker] > settings.track.loose_m**2:
         return state
     rows = own_rows(marker, len(state.alive))
-    F = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(3))
+    F = constant_velocity(dt)
     noise = bridge.scale**2 * np.kron(np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]), np.eye(3))
     off, other = start.x[rows] - F @ state.x[rows], start.P[np.ix_(rows, rows)] + noise
     across = state.P[:, rows] @ F.T
@@ -86,6 +86,11 @@ def bridged(state: State, marker: int, start: State, settings: FilterSettings) -
     wider[rows] = math.sqrt(max(float(off @ inverse @ off) / bridge.gate, 1.0))
     P = wider[:, None] * P * wider
     return State(state.t_s, state.x + gain @ off, 0.5 * (P + P.T), state.weight, state.alive)
+
+
+def constant_velocity(dt: float) -> FloatArray:
+    """Return the transition (6, 6) of a marker's position and velocity over a time, seconds; it may be negative."""
+    return np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(3))
 
 
 def own_rows(marker: int, count: int) -> IndexArray:

@@ -20,7 +20,7 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot_fusion.filter.initialisation import InitialState
 from rhot_fusion.filter.joint import JointFilter, squared_distance
 from rhot_fusion.filter.settings import FilterSettings
-from rhot_fusion.filter.smoothing.backward import backward, own_rows
+from rhot_fusion.filter.smoothing.backward import backward, constant_velocity, own_rows
 from rhot_fusion.filter.state import ROUND, State, Step, Views
 
 _DOUBT = 4.0
@@ -276,7 +276,7 @@ def _extend(frames: Sequence[Frame], states: Sequence[State], settings: FilterSe
                 dt = earlier.t_s - first.t_s
                 if dt < -settings.track.pair_s or earlier.taken[mine].any():
                     break
-                F = np.kron(np.array([[1.0, dt], [0.0, 1.0]]), np.eye(3))
+                F = constant_velocity(dt)
                 position[marker] = first.mean[0].reshape(-1, 3)[marker] + dt * velocity[marker]
                 covariance[marker] = (F @ own @ F.T)[:3, :3]
                 if (_on_path(earlier, position, velocity, covariance)[mine] <= settings.track.gate).any():

@@ -11,7 +11,7 @@ import numpy as np
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.covariances import squared_distances
 from rhot.geometry.rotations import shortest_rotation
-from rhot_ik.hand.filter.patch_rotation import PatchRotation
+from rhot_ik.hand.filter.patch_rotation import FittedPatch, PatchRotation
 from rhot_ik.hand.filter.settings import HandSettings
 
 
@@ -90,7 +90,7 @@ class Evidence:
         base_covariance: (3, 3).
         rotation: (3, 3) patch to rig, as its corners say; none where they were not seen.
         rotation_covariance: (3, 3) of its error δθ.
-        patch_misfit, quarter_turn: of the corners, see `FittedPatch`; 0 where they were not seen.
+        patch: the same with what else the corners say of it; none where they were not seen.
         tips: (5, 3) fingertip markers; NaN rows = not seen.
         tip_covariances: (5, 3, 3).
         corner_noise: what is known by now of the corners' noise.
@@ -103,8 +103,7 @@ class Evidence:
     tips: FloatArray
     tip_covariances: FloatArray
     corner_noise: CornerNoise
-    patch_misfit: float = 0.0
-    quarter_turn: float = 0.0
+    patch: FittedPatch | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,8 +211,7 @@ class EvidenceModel:
             tips=seen.tips,
             tip_covariances=tip_covariances + self._floor,
             corner_noise=noise,
-            patch_misfit=0.0 if patch is None else patch.misfit,
-            quarter_turn=0.0 if patch is None else patch.quarter_turn,
+            patch=patch,
         )
 
 

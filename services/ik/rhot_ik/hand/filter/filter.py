@@ -178,7 +178,9 @@ class HandFilter(HandProcess):
             cost += float(gap @ np.linalg.solve(evidence.base_covariance, gap))
         if evidence.rotation is not None:
             turn = vector_from_rotation(self.patch_rotation(state).T @ evidence.rotation)
-            cost += squared_distance(turn, evidence.rotation_covariance) + evidence.patch_misfit
+            cost += squared_distance(turn, evidence.rotation_covariance)
+        if evidence.patch is not None:
+            cost += evidence.patch.misfit
         return cost
 
     @staticmethod

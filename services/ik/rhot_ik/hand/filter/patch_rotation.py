@@ -34,15 +34,29 @@ class FittedPatch:
     Attributes:
         rotation: (3, 3) patch to rig.
         covariance: (3, 3) of its error δθ, that of R·exp(δθ).
-        misfit: squared distance of the corners from that pose, over their variance.
-        quarter_turn: by how much that would grow if the patch lay a quarter turn off; below 0, it lies so. 0 for a
-            patch that is nearly square.
+        corners: (4, 3) about their centre, metres, rig frame, in the outline's order.
+        off: (4, 3) of them from where the rotation has them.
+        weight: (3, 3) inverse of a corner's covariance.
+        longer_m: by how much the outline is longer across than along; 0 for a patch that is nearly square.
     """
 
     rotation: FloatArray
     covariance: FloatArray
-    misfit: float
-    quarter_turn: float
+    corners: FloatArray
+    off: FloatArray
+    weight: FloatArray
+    longer_m: float
+
+    @property
+    def misfit(self) -> float:
+        """Squared distance of the corners from that pose, over their variance."""
+        return float(((self.off @ self.weight) * self.off).sum())
+
+    @property
+    def quarter_turn(self) -> float:
+        """By how much that would grow if the patch lay a quarter turn off; below 0, it lies so. 0 if nearly square."""
+        # For sides a, b of a patch A, B: (a − B)² + (b − A)² − (a − A)² − (b − B)² = 2·(a − b)·(A − B).
+        return 2.0 * _longer_m(self.corners) * self.longer_m * float(np.trace(self.weight)) / 3.0
 
 
 class PatchRotation:
@@ -121,9 +135,7 @@ class PatchRotation:
         off = found - self._outline @ R.T
         if np.vdot(off, off) > 4.0 * MAX_ERROR_M**2:
             return None
-        # For sides a, b of a patch A, B: (a − B)² + (b − A)² − (a − A)² − (b − B)² = 2·(a − b)·(A − B).
-        quarter_turn = 2.0 * _longer_m(found) * self._longer_m * float(np.trace(weight)) / 3.0
-        return FittedPatch(R, error, float(((off @ weight) * off).sum()), quarter_turn)
+        return FittedPatch(R, error, found, off, weight, self._longer_m)
 
 
 def _longer_m(corners: FloatArray) -> float:

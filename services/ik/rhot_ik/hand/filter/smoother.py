@@ -92,7 +92,7 @@ def _met(expected: FloatArray, prior: FloatArray, measured: BoolArray) -> FloatA
         return prior
     seen = np.repeat(measured, 4).astype(np.float64)
     met = expected.copy()
-    met[ANGLES, ANGLES] += (prior - expected)[ANGLES, ANGLES] * seen[:, None] * seen
+    met[ANGLES, ANGLES] += (prior[ANGLES, ANGLES] - expected[ANGLES, ANGLES]) * seen[:, None] * seen
     return met
 
 
