@@ -111,6 +111,31 @@ def test_text_pairs_lines_of_different_moments() -> None:
     np.testing.assert_allclose(samples.angular_rate[1:, 0], 2.0, atol=0.02)
 
 
+@pytest.mark.parametrize("order", ["LR", "RL"])
+@pytest.mark.parametrize("apart_ms", [-14, -4, -1, 1, 4, 9, 14])
+def test_text_reports_whose_stamps_differ_are_paired(apart_ms: int, order: str) -> None:
+    """A BNO080 stamps each report with its own measurement; their order on the line says nothing."""
+    decoder = TextDecoder(100.0)
+    parts = []
+    for k in range(60):
+        lines = {"L": f"{1000 + 10 * k + apart_ms} L {0.1 * k:.1f} 0 0;", "R": f"{1000 + 10 * k} R 0 0 0 1;"}
+        data = "\n".join(lines[kind] for kind in order).encode()
+        parts.append(decoder.decode(data, START + k * 10 * MS + 12 * MS))
+    samples = ImuSamples.joined(parts)
+    assert len(samples) >= 45
+    assert decoder.faults == 0
+    np.testing.assert_allclose(np.diff(samples.t_ns), 10 * MS, atol=2000)
+    np.testing.assert_allclose(np.diff(samples.specific_force[:, 0]), 0.1, atol=1e-9)
+
+
+def test_stamps_that_step_back_within_one_kind_are_refused_and_counted() -> None:
+    decoder = TextDecoder(100.0)
+    lines = text_lines(60)
+    samples = feed_text([*lines[:40], *lines[30:32], *lines[40:]], decoder)
+    assert decoder.faults == 4, "two lines of each of two samples"
+    assert (np.diff(samples.t_ns) > 0).all()
+
+
 def binary_frames(count: int, first_us: int = 0) -> list[bytes]:
     return [
         encode_binary(

@@ -90,18 +90,17 @@ def _without_bad(
 ) -> tuple[Adjusted, dict[Key, float]]:
     """Return a camera's own adjustment without the views that do not fit it, and those with their RMS."""
     kept, bad = dict(own), dict[Key, float]()
-    for _ in range(_ROUNDS):
+    while True:
         adjusted = single_camera(board, kept, lens, width)
         lens = adjusted.lens(adjusted.cameras[0])
         rms = adjusted.rms_px
         worse = _outliers(rms)
         if not worse or len(kept) - len(worse) < MIN_VIEWS:
-            break
+            return adjusted, bad
         # One at a time while they may spoil each other; the worst first.
         worst = max(worse, key=lambda key: rms[key])
         bad[worst] = rms[worst]
         del kept[worst]
-    return adjusted, bad
 
 
 def _limit(rms: Mapping[Key, float]) -> float:

@@ -130,6 +130,19 @@ def test_a_camera_that_mirrors_is_refused() -> None:
         judged(changed(simulated, views))
 
 
+@pytest.mark.parametrize("blurred", [6, 9])
+def test_any_number_of_bad_pictures_of_one_camera_is_left_out(blurred: int) -> None:
+    simulated = simulated_views(2, 2, blurred + 10)
+    rng = np.random.default_rng(blurred)
+    views = dict(simulated.views.views)
+    bad = [("right", number) for number in range(1, 2 * blurred, 2)]
+    for rank, key in enumerate(bad):
+        view = views[key]
+        views[key] = replace(view, corners=view.corners + (4.0 + rank) * rng.standard_normal(view.corners.shape))
+    found = judged(changed(simulated, views))
+    assert sorted(found.left_out) == [f"right/{number:06d}.png" for _, number in bad]
+
+
 def test_swapped_pictures_are_named_and_left_out() -> None:
     simulated = simulated_views(2, 2, 20)
     views = dict(simulated.views.views)

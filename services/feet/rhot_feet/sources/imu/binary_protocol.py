@@ -40,8 +40,13 @@ class BinaryDecoder:
         self._clock = DeviceClock(1_000)
         self._converter = RawImuConverter()
         self._sequence: int | None = None
-        self.faults = 0
+        self._damaged = 0
         self.lost = 0
+
+    @property
+    def faults(self) -> int:
+        """Frames so far that were damaged, or whose stamp cannot be."""
+        return self._damaged + self._clock.refused
 
     def decode(self, data: bytes, arrival_ns: int) -> ImuSamples:
         """Return the samples that are complete now.
@@ -56,7 +61,7 @@ class BinaryDecoder:
         while (at := buffer.find(SYNC, at)) >= 0 and len(buffer) - at >= _SIZE:
             frame = buffer[at : at + _SIZE]
             if not _intact(frame):
-                self.faults += 1
+                self._damaged += 1
                 # The sync bytes may have been values: the next frame can begin right behind them.
                 at += 1
                 continue

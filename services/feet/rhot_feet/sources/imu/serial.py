@@ -19,7 +19,8 @@ _SILENCE_NS = 2_000_000_000
 
 
 class _Decoder(Protocol):
-    faults: int
+    @property
+    def faults(self) -> int: ...
 
     def decode(self, data: bytes, arrival_ns: int) -> ImuSamples: ...
 

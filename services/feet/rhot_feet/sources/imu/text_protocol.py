@@ -29,6 +29,8 @@ _UNIT_BAND: Final = 0.05
 _TICKS_NS: Final = (1_000_000, 1_000)
 _STAMPS: Final = 12
 """Lines of one kind that show the timestamp's unit."""
+_ROTATIONS: Final = 16
+"""Rotations kept for accelerations that arrive after them: more than the 0.1 s that stamps of two kinds may differ."""
 
 _Values = tuple[float, ...]
 
@@ -43,10 +45,15 @@ class TextDecoder:
         self._clock: DeviceClock | None = None
         self._spacing: list[int] = []
         self._accelerations: deque[tuple[int, _Values]] = deque()
-        self._rotation: tuple[int, _Values] | None = None
+        self._rotations: deque[tuple[int, _Values]] = deque(maxlen=_ROTATIONS)
         self._converter = FusedImuConverter()
         self._last_ns = 0
-        self.faults = 0
+        self._damaged = 0
+
+    @property
+    def faults(self) -> int:
+        """Lines so far that were damaged, or whose stamp cannot be."""
+        return self._damaged + (0 if self._clock is None else self._clock.refused)
 
     def decode(self, data: bytes, arrival_ns: int) -> ImuSamples:
         """Return the samples that are complete now.
@@ -58,7 +65,7 @@ class TextDecoder:
         *pieces, self._rest = (self._rest + data).split(b";")
         if len(self._rest) > _LONGEST_LINE:
             self._rest = b""
-            self.faults += 1
+            self._damaged += 1
         parts = [part for piece in pieces for part in self._line(piece, arrival_ns)]
         return ImuSamples.joined(parts)
 
@@ -67,26 +74,18 @@ class TextDecoder:
         match = _LINE.fullmatch(piece.strip().rsplit(b"\n", 1)[-1].strip())
         stamp = int(match[1]) if match else 1 << 32
         if match is None or stamp >= 1 << 32:
-            self.faults += bool(piece.strip())
+            self._damaged += bool(piece.strip())
             return []
         values = tuple(float(text) for text in re.split(rb"[\s,]+", match[3]))
         kind = match[2]
         if not _plausible(kind, values):
-            self.faults += 1
+            self._damaged += 1
             return []
         t_ns = self._rig_ns(kind, stamp, arrival_ns)
         if t_ns is None:
             return []
-        if kind == b"L":
-            self._accelerations.append((t_ns, values))
-        else:
-            before, self._rotation = self._rotation, (t_ns, values)
-            if before is not None:
-                return self._paired(before, self._rotation)
-        last = self._rotation
-        if last is not None and self._accelerations and self._accelerations[0][0] == last[0]:
-            return self._paired(last, last)
-        return []
+        (self._accelerations if kind == b"L" else self._rotations).append((t_ns, values))
+        return self._paired()
 
     def _rig_ns(self, kind: bytes, stamp: int, arrival_ns: int) -> int | None:
         if self._clock is None:
@@ -100,14 +99,16 @@ class TextDecoder:
                 return None
             tick_ns = min(_TICKS_NS, key=lambda tick: abs(math.log(spacing * tick * 1e-9 * self._rate_hz)))
             self._clock = DeviceClock(tick_ns)
-        return self._clock.to_rig_ns(stamp, arrival_ns)
+        return self._clock.to_rig_ns(stamp, arrival_ns, kind)
 
-    def _paired(self, before: tuple[int, _Values], after: tuple[int, _Values]) -> list[ImuSamples]:
-        """Return the accelerations between two rotations, each with the rotation of its moment."""
-        (t0, q0), (t1, q1) = before, after
-        parts = []
-        while self._accelerations and self._accelerations[0][0] <= t1:
+    def _paired(self) -> list[ImuSamples]:
+        """Return the accelerations that lie between two rotations by now, each with the rotation of its moment."""
+        parts: list[ImuSamples] = []
+        while self._accelerations and self._rotations and self._accelerations[0][0] <= self._rotations[-1][0]:
             t_ns, acceleration = self._accelerations.popleft()
+            after = next(index for index, (t1, _) in enumerate(self._rotations) if t1 >= t_ns)
+            t1, q1 = self._rotations[after]
+            t0, q0 = self._rotations[after - 1] if after and t1 > t_ns else (t1, q1)
             if t_ns < t0 or t1 - t0 > LONGEST_STEP_S * 1e9 or t_ns <= self._last_ns:
                 continue
             share = (t_ns - t0) / (t1 - t0) if t1 > t0 else 1.0
