@@ -59,20 +59,113 @@ def feet_of(rig: Rig, recording: Recording) -> PlayedFeet | None:
     return feet
 
 
-def track(rig: Rig, frames: Iterator[MarkerFrame], feet: PlayedFeet | None = None) -> Iterator[tuple[str, Message]]:
-    """Yield every message that a live rig would have published for these marker frames, in order.
+class PlayedObjects(Protocol):
+    """The objects beside a recording: `rhot_objects.offline.RecordedObjects`, or `MessagesBeside`."""
 
-    Objects of the rig whose source is `recorded` are played beside them, from the first frame on, and so are feet.
+    def until(self, t_ns: int) -> list[Output]:
+        """Return the poses of objects and head up to a time; times do not go back."""
+        ...
+
+
+class MessagesBeside:
+    """Objects and head of a recording's messages, played beside its pictures.
+
+    Args:
+        messages: of the recording, in the order of their arrival.
     """
-    # A rig of feet alone has no cameras to fuse.
-    fusion = core("fusion")(rig) if rig.config.cameras else None
-    yield from track_with(fusion, core("ik")(rig), frames, _objects(rig), feet)
+
+    def __init__(self, messages: Iterable[tuple[str, Message]]) -> None:
+        found = [(key, message) for key, message in messages if isinstance(message, ObjectPose)]
+        self._messages = deque(sorted(found, key=lambda output: output[1].t_ns))
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to play."""
+        return bool(self._messages)
+
+    def until(self, t_ns: int) -> list[Output]:
+        """Return the poses up to a time that were not returned yet."""
+        outputs: list[Output] = []
+        while self._messages and self._messages[0][1].t_ns <= t_ns:
+            outputs.append(self._messages.popleft())
+        return outputs
 
 
-def _objects(rig: Rig) -> Any:
-    """Return the recorded objects of a rig, if it has any."""
-    recorded = any(config.source == "recorded" for config in rig.config.objects.values())
-    return core("objects")(rig) if recorded else None
+class OfflineTracker:
+    """The cores of a rig, for one recording.
+
+    Args:
+        rig: the loaded rig.
+        feet: of the recording.
+        objects: of the recording; without them, objects of the rig whose source is `recorded` are played from the first
+            frame on.
+        smooth: whether `run` looks back over the whole recording.
+
+    Raises:
+        ConfigError: a core is not installed, or the rig's method keeps no paths to smooth.
+    """
+
+    def __init__(
+        self, rig: Rig, feet: PlayedFeet | None = None, objects: PlayedObjects | None = None, *, smooth: bool = False
+    ) -> None:
+        if smooth:
+            _require_paths(rig)
+        # A rig of feet alone has no cameras to fuse.
+        self._fusion: Any = core("fusion")(rig, record=smooth) if rig.config.cameras else None
+        self._ik = core("ik")(rig)
+        recorded = any(config.source == "recorded" for config in rig.config.objects.values())
+        self._objects = core("objects")(rig) if objects is None and recorded else objects
+        self._feet, self._smooth = feet, smooth
+
+    @property
+    def problems(self) -> dict[str, str]:
+        """What the cores complain of now, by core: one sentence, empty = nothing."""
+        return {"fusion": "" if self._fusion is None else self._fusion.problem, "ik": self._ik.problem}
+
+    def run(self, frames: Iterable[MarkerFrame]) -> Iterator[tuple[str, Message]]:
+        """Yield every message that a live rig would have published for these marker frames, in order.
+
+        Smoothing yields all marker frames, then all points as the whole recording shows them, and the hands from those.
+        """
+        if self._smooth:
+            return self._run_smoothly(frames)
+        return track_with(self._fusion, self._ik, frames, self._objects, self._feet)
+
+    def _run_smoothly(self, frames: Iterable[MarkerFrame]) -> Iterator[tuple[str, Message]]:
+        fusion, ik = self._fusion, self._ik
+        for frame in frames:
+            yield f"rhot/markers/{frame.camera}", frame
+            fusion.feed(frame)
+        for known, points, hands in _smoothed_hands(ik, self._objects, fusion.smoothed()):
+            yield from known
+            yield from _walked(self._feet, ik, points.t_ns)
+            yield "rhot/points", points
+            for key, hand in hands:
+                yield key, hand
+                ik.feed(hand)
+        yield from _walked(self._feet, ik)
+
+
+def track(rig: Rig, frames: Iterable[MarkerFrame], feet: PlayedFeet | None = None) -> Iterator[tuple[str, Message]]:
+    """Yield every message that a live rig would have published; see `OfflineTracker`."""
+    yield from OfflineTracker(rig, feet).run(frames)
+
+
+def track_smoothly(
+    rig: Rig, frames: Iterable[MarkerFrame], feet: PlayedFeet | None = None
+) -> Iterator[tuple[str, Message]]:
+    """Yield the messages of a recording that is looked back over; see `OfflineTracker`."""
+    yield from OfflineTracker(rig, feet, smooth=True).run(frames)
+
+
+def _require_paths(rig: Rig) -> None:
+    if not rig.config.cameras:
+        raise ConfigError("--smooth looks back at the paths of hands, and this rig has no cameras; leave it out")
+    method = rig.config.fusion.method
+    if method != "filter":
+        raise ConfigError(
+            f'{rig.path / "rig.toml"}: --smooth looks back at the paths of [fusion] method = "filter", '
+            f'it is "{method}"; set it to "filter" or leave --smooth out'
+        )
 
 
 def _played(objects: Any, ik: Any, t_ns: int) -> Iterator[tuple[str, Message]]:
@@ -105,36 +198,6 @@ def track_with(
     yield from _walked(feet, ik)
 
 
-def track_smoothly(
-    rig: Rig, frames: Iterator[MarkerFrame], feet: PlayedFeet | None = None
-) -> Iterator[tuple[str, Message]]:
-    """Yield all marker frames, then all points as the whole recording shows them, and the hands from those.
-
-    Raises:
-        ConfigError: the rig's method keeps no paths to smooth.
-    """
-    if not rig.config.cameras:
-        raise ConfigError("--smooth looks back at the paths of hands, and this rig has no cameras; leave it out")
-    method = rig.config.fusion.method
-    if method != "filter":
-        raise ConfigError(
-            f'{rig.path / "rig.toml"}: --smooth looks back at the paths of [fusion] method = "filter", '
-            f'it is "{method}"; set it to "filter" or leave --smooth out'
-        )
-    fusion, ik = core("fusion")(rig, record=True), core("ik")(rig)
-    for frame in frames:
-        yield f"rhot/markers/{frame.camera}", frame
-        fusion.feed(frame)
-    for known, points, hands in _smoothed_hands(ik, _objects(rig), fusion.smoothed()):
-        yield from known
-        yield from _walked(feet, ik, points.t_ns)
-        yield "rhot/points", points
-        for key, hand in hands:
-            yield key, hand
-            ik.feed(hand)
-    yield from _walked(feet, ik)
-
-
 def _smoothed_hands(
     ik: Any, objects: Any, every: Iterable[PointSet]
 ) -> Iterator[tuple[list[Output], PointSet, list[Output]]]:
@@ -160,6 +223,7 @@ def marker_frames(rig: Rig, recording: Recording) -> Iterator[MarkerFrame]:
     """Return the marker frames of a recording: read from its tracks, or found in its pictures."""
     if not recording.cameras:
         return iter(())
+    recording.require_times()
     if recording.holds_markers:
         return iter(marker_track_frames(rig, recording))
     frames: Iterator[MarkerFrame] = core("capture")(rig, recording)

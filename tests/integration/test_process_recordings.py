@@ -11,10 +11,13 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hand_messages import object_pose
 
 from rhot.anatomy.skeleton import FINGERS
 from rhot.cli.recordings.process import process
 from rhot.errors import ConfigError
+from rhot.messages import ObjectPose, encode, encoding_of
+from rhot.recording.mcap.writer import McapWriter
 from rhot.rig import load_rig
 from rhot.rig.template import rig_template
 from rhot_sim.rendering.renderer import Renderer
@@ -162,3 +165,22 @@ def test_the_hand_of_a_real_marker_stream_moves_as_hands_do(real_stream: list[di
     steps = np.linalg.norm(np.diff(wrists, axis=0), axis=1)
     successive = np.diff([hand["t_ns"] for hand in hands]) < 50_000_000
     assert np.percentile(steps[successive], 99) < 0.06
+
+
+@pytest.mark.xdist_group("rendered")
+def test_objects_recorded_beside_pictures_come_along(
+    rendered: tuple[Path, Path, list[dict[str, Any]]], tmp_path: Path
+) -> None:
+    """`rhot record --frames` writes messages into a file beside the folder of pictures."""
+    rig_path, recording, _ = rendered
+    copy = tmp_path / "take"
+    copy.symlink_to(recording)
+    with McapWriter(tmp_path / "take.mcap", now_ns=0) as writer:
+        for number in range(40):
+            pose = object_pose(START_NS + 25_000_000 * number, 0.01 * number)
+            writer.write("rhot/object/cup", encoding_of(ObjectPose), encode(pose), pose.t_ns, number, pose.t_ns)
+    lines = lines_of(rig_path, copy, tmp_path / "out.jsonl")
+    poses = [line["value"] for line in lines if line["key"] == "rhot/object/cup"]
+    assert [pose["position"][0] for pose in poses] == pytest.approx([0.01 * number for number in range(len(poses))])
+    assert len(poses) > 35
+    assert [line["key"] for line in lines].index("rhot/object/cup") < 10, "in their order of time"

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Final
 
 import click
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from rhot.arrays import FloatArray
 from rhot.bus import Bus
 from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, CalibrationError, ConfigError
@@ -21,13 +23,14 @@ from rhot.offline import marker_frames
 from rhot.recording import load_recording
 from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import CAMERAS_FILE
-from rhot_bench.calibration.marker_tracks import TrackGatherer, board_tracks
+from rhot.trial.calibration_check import judge_calibration
+from rhot.trial.epipolar_residuals import Track
+from rhot.trial.marker_tracks import TrackGatherer
 from rhot_bench.calibration.report import Seen, print_report, report_json
 from rhot_bench.provenance import provenance
 from rhot_calibration.cameras.board.boards import parse_board
 from rhot_calibration.cameras.pictures import read_views
-from rhot_calibration.cameras.solve.views import Board
-from rhot_fusion.views.calibration_verdict import judge_calibration
+from rhot_calibration.cameras.solve.views import Board, ViewSet
 
 _CONNECT_TIMEOUT_S: Final = 5.0
 
@@ -135,7 +138,26 @@ def _board_seen(path: Path, board: Board, cameras: Mapping[str, CameraModel]) ->
         views = read_views(
             path, board, list(cameras), lambda done, total: progress.update(task, completed=done, total=total), sizes
         )
-    return Seen(board_tracks(views, cameras), dict.fromkeys(cameras, 0.0), None)
+    return Seen(_board_tracks(views, cameras), dict.fromkeys(cameras, 0.0), None)
+
+
+def _board_tracks(views: ViewSet, cameras: Mapping[str, CameraModel]) -> dict[str, dict[str, Track]]:
+    """Return the corners of a board in still pictures as tracks: one per corner, the picture's number for seconds.
+
+    Pictures of the same number were taken together, so nothing is interpolated between them.
+    """
+    rows: dict[str, dict[str, dict[int, FloatArray]]] = {name: {} for name in cameras}
+    for (camera, number), view in views.views.items():
+        xy = cameras[camera].undistort(view.corners)
+        for corner, place in zip(view.ids.tolist(), xy, strict=True):
+            rows[camera].setdefault(str(corner), {})[number] = place
+    return {
+        camera: {
+            corner: Track(np.array(sorted(places), dtype=np.float64), np.array([places[n] for n in sorted(places)]))
+            for corner, places in corners.items()
+        }
+        for camera, corners in rows.items()
+    }
 
 
 def _progress(what: str) -> Progress:

@@ -15,8 +15,8 @@ from rich.text import Text
 from rhot.report.tables import figures_table
 from rhot.rig import CamerasFile
 from rhot.text import as_argument
-from rhot_fusion.views.calibration_check import Tracks
-from rhot_fusion.views.calibration_verdict import AXES, CalibrationReport, CameraRotation, PairReport
+from rhot.trial.calibration_check import AXES, CalibrationReport, CameraRotation, PairReport
+from rhot.trial.epipolar_residuals import Tracks
 
 _COLORS: Final = {"good": "green", "drifting": "yellow", "bumped": "red"}
 _DEPTH_NOTE: Final = (

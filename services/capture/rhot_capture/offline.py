@@ -57,7 +57,7 @@ def _camera_frames(rig: Rig, track: PictureTrack | VideoTrack, table: ColorTable
     size = (camera.width, camera.height)
     detector = MarkerDetector(rig.config.markers, table, *size)
     moments = zip(track.frames.tolist(), track.t_ns.tolist(), strict=True)
-    for image, (number, t_ns) in zip(read_pictures(track), moments, strict=True):
+    for image, (number, t_ns) in zip(read_pictures(track), moments, strict=False):
         if image.shape[:2] != (camera.height, camera.width):
             raise ConfigError(
                 f"camera {track.name}: frame {number} is {image.shape[1]}x{image.shape[0]}, rig.toml says "

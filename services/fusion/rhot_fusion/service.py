@@ -9,6 +9,7 @@ from rhot.messages import MarkerFrame
 from rhot.rig import FusionConfig, Rig
 from rhot.rig.folder import latest_rig
 from rhot.service import Node, StageService
+from rhot.service.rig_files import serve_rig_files
 from rhot.service.spaces import publish_spaces
 from rhot_fusion.stage import FusionStage
 
@@ -34,6 +35,7 @@ class _FusionService(StageService[MarkerFrame, FusionConfig]):
     def attach(self, node: Node) -> None:
         super().attach(node)
         publish_spaces(node, self._rig_path)
+        serve_rig_files(node.bus, self._rig_path)
 
 
 def fusion_service(rig: Rig) -> StageService[MarkerFrame, FusionConfig]:

@@ -114,13 +114,14 @@ class FusionStage:
     def problem(self) -> str:
         """A problem of the whole rig, as one sentence; empty if there is none."""
         behind, measured = self.counts["behind_cameras"], self.counts["measured"]
+        first, second = list(self._camera_index)[:2]
+        remedy = f"cameras {first} and {second} are probably swapped: exchange their plugs or folders, or their names"
         if behind > _SWAP_EVIDENCE and behind > measured:
-            first, second = list(self._camera_index)[:2]
-            return (
-                f"{behind} points are behind the cameras and {measured} in front: cameras {first} and {second} are "
-                "probably swapped; exchange their names or positions in rig.toml (and cameras.json)"
-            )
-        bumped_px = self._tracker.agreement.bumped_px if isinstance(self._tracker, FilterTracker) else 0.0
+            return f"{behind} points are behind the cameras and {measured} in front: {remedy} in rig.toml"
+        agreement = self._tracker.agreement if isinstance(self._tracker, FilterTracker) else None
+        bumped_px = 0.0 if agreement is None else agreement.bumped_px
+        if agreement is not None and agreement.swapped:
+            return f"views are {bumped_px:.0f} px off their epipolar lines and fit when exchanged: {remedy} in rig.toml"
         if bumped_px:
             return (
                 f"a camera has moved since the calibration: its views are {bumped_px:.1f} px off their epipolar lines; "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
@@ -20,7 +19,7 @@ from rhot.explain.trace import trace_of
 from rhot.offline import core, marker_frames, rig_timing, track_with
 from rhot.plugins import load_plugin
 from rhot.recording import PictureTrack, Recording, VideoTrack, load_recording
-from rhot.recording.mcap.beside import pictures_beside, unpack_rig
+from rhot.recording.mcap.beside import attached_rig, pictures_beside
 from rhot.recording.mcap.reader import open_mcap
 from rhot.recording.span import newest
 from rhot.rig import Rig, load_rig
@@ -83,7 +82,6 @@ def explain(
     """
     given = context.get_parameter_source("rig_path") is not click.core.ParameterSource.DEFAULT
     with ExitStack() as stack:
-        work = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rhot-explain-")))
         if recording_path.is_dir():
             rig = load_rig(rig_path)
             moment = moment_of_folder(
@@ -91,7 +89,8 @@ def explain(
             )
         else:
             messages = open_mcap(recording_path)
-            rig = load_rig(rig_path if given else unpack_rig(messages.attachments, work, recording_path))
+            carried = messages.attachments
+            rig = load_rig(rig_path) if given else stack.enter_context(attached_rig(carried, recording_path))
             moment = moment_of_mcap(messages, pictures_beside(recording_path), at, lead_s)
         page = _page(rig, moment, recording_path, lead_s)
     write_text_atomic(out_path, page)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -16,12 +15,13 @@ from rhot.errors import ConfigError
 from rhot.export.columns import tables
 from rhot.export.poses import motions
 from rhot.export.rerun_file import write_rerun
-from rhot.export.source import RecordedMessages
+from rhot.export.source import RecordedMessages, joined_parts
 from rhot.export.stage_axes import NO_STAGE, stage_of
 from rhot.export.table_files import write_csv, write_parquet
 from rhot.messages import Side
-from rhot.recording.mcap.beside import StoredPicture, pictures_beside, stored_pictures, unpack_rig
+from rhot.recording.mcap.beside import StoredPicture, attached_rig, pictures_beside, stored_pictures
 from rhot.rig import CameraCalibration, Rig, load_rig
+from rhot.trial.verdict import judged_recording
 
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
@@ -30,8 +30,8 @@ def _attached_rig(parts: Sequence[RecordedMessages]) -> Rig | None:
     """Return the rig that a recording has attached; None where it has none."""
     for part in parts:
         if part.attachments:
-            with tempfile.TemporaryDirectory(prefix="rhot-export-") as folder:
-                return load_rig(unpack_rig(part.attachments, Path(folder), part.path))
+            with attached_rig(part.attachments, part.path) as rig:
+                return rig
     return None
 
 
@@ -100,6 +100,7 @@ def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
     help="Frames per second of BVH, TRC, MOT and C3D, interpolated.  [default: the recorded rate; BVH: one frame per "
     "recorded pose]",
 )
+@click.option("--join", is_flag=True, help="The files are parts of one recording of `rhot record --max-mb`.")
 @click.option("--measured", is_flag=True, help="Leave out poses that are only predicted; not with tables and viewers.")
 @click.option(
     "--rig",
@@ -121,12 +122,13 @@ def export(
     side: Side | None,
     bvh_of: str | None,
     rate_hz: float | None,
+    join: bool,
     measured: bool,
     rig_path: Path | None,
-) -> None:
+) -> int:
     """Turn a recording into tables, animations, files for labs, or files for Foxglove, Lichtblick and Rerun.
 
-    FILE is an MCAP file of `rhot record`, or JSON Lines of `rhot process`; several parts of one recording are joined.
+    FILE is an MCAP file of `rhot record`, or JSON Lines of `rhot process`. Parts of one recording need --join.
 
     Tables (CSV, Parquet), in the rig frame: one for each hand, body, foot, object and camera and one for the points. A
     row is one moment, t_s counts seconds from the first row of any table, t_ns nanoseconds since 1970 on the rig clock;
@@ -153,7 +155,9 @@ def export(
         )
     if foxglove_file is not None and foxglove_file.resolve() in [file.resolve() for file in files]:
         raise click.UsageError(f"--foxglove {foxglove_file} is the recording itself; choose another name")
-    parts = [RecordedMessages(file) for file in files]
+    if len(files) > 1 and not join:
+        raise click.UsageError("several files: --join makes one of the parts of a recording; export others one by one")
+    parts = joined_parts(files) if join else [RecordedMessages(files[0])]
     errors = Console(stderr=True, soft_wrap=True, markup=False)
     for part in parts:
         if part.note:
@@ -173,3 +177,6 @@ def export(
     invalid = sum(part.invalid for part in parts)
     if invalid:
         errors.print(f"{invalid} messages are not valid and are left out", style="yellow")
+    verdict = judged_recording(parts, rig)
+    verdict.print(errors)
+    return verdict.exit_code

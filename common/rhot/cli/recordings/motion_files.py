@@ -13,7 +13,7 @@ from rhot.atomic_file import replacing
 from rhot.errors import ConfigError
 from rhot.export.bvh import RIG_TO_FILE, STAGE_TO_FILE, bvh_text
 from rhot.export.gltf.scene import gltf_document
-from rhot.export.lab.c3d_file import write_c3d
+from rhot.export.lab.c3d_file import MOST_FRAMES, write_c3d
 from rhot.export.lab.frames import frames_of
 from rhot.export.lab.opensim import coordinates_deg, mot_text, trc_text
 from rhot.export.poses import Motion
@@ -80,8 +80,9 @@ def write_motion_files(targets: MotionTargets, found: dict[str, Motion], *, in_s
         write_text_atomic(targets.mot, mot_text(frames, targets.mot.stem))
         click.echo(f"{targets.mot}: {len(coordinates_deg(frames))} angles, {told}, degrees")
     if targets.c3d is not None:
-        write_c3d(targets.c3d, frames, y_up=in_stage)
-        click.echo(f"{targets.c3d}: {len(frames.markers)} markers, {told}, millimetres")
+        files = write_c3d(targets.c3d, frames, y_up=in_stage)
+        parts = f", in {len(files)} files of at most {MOST_FRAMES} frames" if len(files) > 1 else ""
+        click.echo(f"{files[0]}: {len(frames.markers)} markers, {told}, millimetres{parts}")
 
 
 def _chosen(found: dict[str, Motion], name: str | None) -> Motion:

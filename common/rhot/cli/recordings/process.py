@@ -7,6 +7,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import IO
 
@@ -19,10 +20,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rhot.atomic_file import replacing
 from rhot.cli.options import rig_option
 from rhot.errors import ConfigError
+from rhot.export.source import RecordedMessages
 from rhot.messages import FootPose, MarkerFrame, PointSet
-from rhot.offline import feet_of, marker_frames, rig_timing, track, track_smoothly
+from rhot.offline import MessagesBeside, OfflineTracker, feet_of, marker_frames, rig_timing
 from rhot.recording import Recording, load_recording
+from rhot.recording.mcap.beside import messages_beside
 from rhot.rig import load_rig
+from rhot.trial.verdict import TrialJudge
 
 
 def _frame_count(recording: Recording) -> int:
@@ -61,12 +65,15 @@ def _output(file: Path) -> Iterator[IO[str]]:
     "written first, then points and hands.",
 )
 @rig_option
-def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth: bool, rig_path: Path) -> None:
+def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth: bool, rig_path: Path) -> int:
     """Track a recording and write every message that would be published, one JSON object per line.
 
     RECORDING is a folder that holds, per camera of the rig, pictures with timestamps.csv, a video, or marker tracks
     (markers.csv), and, for feet, what `rhot record --frames` wrote of the depth camera, the ankle sensors and the head.
-    Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it.
+    Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it. Objects and
+    head come from the MCAP file beside the pictures, where there is one.
+
+    At the end it says whether the trial can be used, and why not. The exit code is 1 if it cannot.
     """
     wrong = [key for key in only if not key.startswith("rhot/")]
     if wrong:
@@ -89,11 +96,15 @@ def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth:
             f"[yellow]{escape(str(rig_path))} is not calibrated (no cameras.json): cameras are taken as parallel, at "
             "the positions and with the field of view of rig.toml[/]"
         )
+    objects = _objects_beside(recording, console)
+    tracker = OfflineTracker(rig, feet, objects, smooth=smooth)
+    judge = TrialJudge(rig)
     with _output(out_path) as stream, Progress(*columns, console=console) as progress:
         pictures = 0 if feet is None else feet.frame_count
         task = progress.add_task("tracking", total=_frame_count(recording) + pictures)
-        for key, message in (track_smoothly if smooth else track)(rig, marker_frames(rig, recording), feet):
+        for key, message in tracker.run(marker_frames(rig, recording)):
             counts[key] += 1
+            judge.add(message)
             if isinstance(message, MarkerFrame):
                 progress.advance(task)
             elif feet is not None and isinstance(message, FootPose) and feet.frames_done > looked_at:
@@ -110,5 +121,16 @@ def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth:
         console.print(
             "[yellow]no foot was found: are the markers those of rig.toml, and was the head tracked meanwhile?[/]"
         )
-    if recording.cameras and not any(key.startswith("rhot/hand/") for key in counts):
-        console.print("[yellow]no hand was found: are the cameras named as in rig.toml, and colours calibrated?[/]")
+    verdict = judge.verdict(tracker.problems)
+    verdict.print(console)
+    return verdict.exit_code
+
+
+def _objects_beside(recording: Recording, console: Console) -> MessagesBeside | None:
+    """Return the objects and the head that `rhot record --frames` wrote beside the pictures, None without any."""
+    files = messages_beside(recording.path)
+    objects = MessagesBeside(chain.from_iterable(RecordedMessages(file) for file in files))
+    if not objects:
+        return None
+    console.print(f"with the objects of {escape(', '.join(str(file) for file in files))}")
+    return objects

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import sys
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 
 import click
@@ -18,7 +18,9 @@ from rich.table import Table
 from rhot.bus import Bus
 from rhot.cli.options import DEFAULT_RIG, FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
+from rhot.export.source import RecordedMessages
 from rhot.recording.feet.tables import HEAD_FILE, FeetTables
+from rhot.recording.mcap.beside import attached_rig
 from rhot.recording.mcap.gaps import Tally
 from rhot.recording.mcap.session import record as record_session
 from rhot.recording.mcap.session import (
@@ -28,13 +30,15 @@ from rhot.recording.mcap.session import (
     subscribe_motion,
     subscribe_pictures,
 )
-from rhot.recording.mcap.writer import McapWriter, rig_files
+from rhot.recording.mcap.writer import McapWriter, attachments_of, rig_files
 from rhot.recording.model import MOST_CAMERAS
 from rhot.recording.picture_folder import PictureFolder
 from rhot.report.tables import figures_table
 from rhot.rig import BusConfig
+from rhot.service.rig_files import fetch_rig_files
 from rhot.service.stop import Stop, install_stop
 from rhot.text import printable
+from rhot.trial.verdict import judged_recording
 
 _CONNECT_TIMEOUT_S = 2.0
 _SWITCH_S = 0.0005
@@ -139,9 +143,13 @@ def _print_tables(folder: PictureFolder, tables: FeetTables, console: Console) -
         )
 
 
+Opened = Callable[[Mapping[str, bytes]], tuple[McapWriter, PictureFolder | None]]
+
+
 async def _record(
-    config: BusConfig, opened: Callable[[], tuple[McapWriter, PictureFolder | None]], duration_s: float | None
-) -> None:
+    config: BusConfig, attachments: Mapping[str, bytes], opened: Opened, duration_s: float | None
+) -> list[Path]:
+    """Record, say what was recorded, and return the files."""
     stop = install_stop()
     # Arrivals are stamped on Zenoh's thread, which must not wait 5 ms for the one that writes to give way.
     sys.setswitchinterval(_SWITCH_S)
@@ -149,7 +157,10 @@ async def _record(
     console = Console(stderr=True, soft_wrap=True)
     # The router first: where none answers, no empty file is left behind.
     async with await Bus.open(config, timeout_s=_CONNECT_TIMEOUT_S) as bus, contextlib.AsyncExitStack() as stack:
-        writer, folder = opened()
+        carried = attachments or attachments_of(await fetch_rig_files(bus))
+        if not carried:
+            console.print("[yellow]no rig folder here, and the rig tells none: only messages are recorded[/]")
+        writer, folder = opened(carried)
         with writer:
             if folder is not None:
                 await stack.enter_async_context(_taking_pictures(config, folder, stop, console))
@@ -176,6 +187,7 @@ async def _record(
         console.print(f"{len(writer.files)} files, the first is {escape(str(writer.files[0]))}")
     for remark in remarks(tally, mailbox.overwritten):
         console.print(remark)
+    return writer.files
 
 
 def remarks(tally: Tally, overwritten: int) -> list[str]:
@@ -229,15 +241,18 @@ def record(
     rig_path: Path,
     connect: tuple[str, ...],
     namespace: str | None,
-) -> None:
+) -> int:
     """Record everything that a running rig publishes into an MCAP file, until Ctrl-C.
 
-    Every message is kept as it was sent, with its time, and the settings of the rig folder go with it. `rhot replay`
+    Every message is kept as it was sent, with its time, and the settings of the rig go with it: those of --rig, else
+    those of the running rig. `rhot replay`
     puts a recording back on the bus, `rhot export` makes tables and animations of it, and any MCAP tool opens it.
 
     With --frames the capture services also send every image that they process, as JPEG of quality 90, after the
     messages and only during a recording; the feet service sends colour and depth of its camera, and the ankles'
     sensors. `rhot process` tracks such a folder again.
+
+    At the end it says whether the trial can be used, and why not. The exit code is 1 if it cannot.
 
     \b
     rhot record                                until Ctrl-C, into recordings/
@@ -246,23 +261,28 @@ def record(
     """
     config = tool_bus(rig_path, connect, namespace)
     attachments = rig_files(rig_path) if rig_path.is_dir() else {}
-    if not attachments:
-        hint = "no rig folder here" if rig_path == DEFAULT_RIG else f"{rig_path} holds no settings"
-        Console(stderr=True, soft_wrap=True, markup=False).print(
-            f"{hint}: the recording holds messages only; --rig names the folder to attach", style="yellow"
-        )
+    if not attachments and rig_path != DEFAULT_RIG:
+        raise ConfigError(f"--rig {rig_path} holds no settings; without --rig those of the running rig are recorded")
     about = {"connect": ",".join(config.connect), "namespace": config.namespace, "rig": str(rig_path.resolve())}
 
-    def opened() -> tuple[McapWriter, PictureFolder | None]:
+    def opened(carried: Mapping[str, bytes]) -> tuple[McapWriter, PictureFolder | None]:
         target = _target(out_path)
         folder = PictureFolder(target.with_suffix(""), f"messages: {target.name}") if frames else None
         writer = McapWriter(
             target,
             now_ns=time.time_ns(),
             max_bytes=None if max_mb is None else round(max_mb * 1e6),
-            attachments=attachments,
+            attachments=carried,
             about=about,
         )
         return writer, folder
 
-    asyncio.run(_record(config, opened, duration_s))
+    files = asyncio.run(_record(config, attachments, opened, duration_s))
+    # Read back from the disk: what was recorded is judged, not what was sent.
+    parts = [RecordedMessages(file) for file in files]
+    with contextlib.ExitStack() as stack:
+        carried = parts[0].attachments
+        rig = stack.enter_context(attached_rig(carried, parts[0].path)) if carried else None
+        verdict = judged_recording(parts, rig)
+    verdict.print(Console(stderr=True, soft_wrap=True))
+    return verdict.exit_code

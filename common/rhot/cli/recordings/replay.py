@@ -28,6 +28,8 @@ from rhot.rig import BusConfig
 from rhot.service.stop import Stop, install_stop
 
 _CONNECT_TIMEOUT_S = 2.0
+_PAUSE_S = 5.0
+"""From where a pause in a recording is worth a word."""
 _SHOW_S = 0.5
 _SWITCH_S = 0.0005
 
@@ -76,12 +78,20 @@ async def _play(
 
     # The playing thread wakes on time and must not wait 5 ms for this one to give way.
     sys.setswitchinterval(_SWITCH_S)
+    console = Console(stderr=True, soft_wrap=True)
+    told_s = 0.0
     playing = asyncio.create_task(asyncio.to_thread(run))
     asked = asyncio.create_task(stop.requested.wait())
     with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
         try:
             while not playing.done() and not asked.done():
                 await asyncio.wait((playing, asked), timeout=_SHOW_S, return_when=asyncio.FIRST_COMPLETED)
+                waits_s = figures.waits_s
+                if waits_s < _PAUSE_S:
+                    told_s = 0.0
+                elif not told_s:
+                    told_s = waits_s
+                    console.print(f"[yellow]the next message is {_duration(waits_s)} away; --from leaves pauses out[/]")
                 if live.console.is_terminal:
                     at_s = (figures.log_ns - start_ns) / 1e9 if figures.sent else 0.0
                     live.update(Text(f"{at_s:.1f} s, {figures.sent} messages; Ctrl-C ends"), refresh=True)
@@ -90,6 +100,13 @@ async def _play(
             asked.cancel()
             await playing
     return figures
+
+
+def _duration(seconds: float) -> str:
+    """Return a duration for people, in the unit that fits."""
+    units = (("years", 365.25 * 86400), ("days", 86400), ("hours", 3600), ("minutes", 60), ("seconds", 1))
+    name, size = next((name, size) for name, size in units if seconds >= 2 * size or size == 1)
+    return f"{seconds / size:.0f} {name}"
 
 
 async def _step(bus: ReplayBus, samples: Iterator[RecordedSample], start_ns: int, stop: Stop) -> PlayFigures:

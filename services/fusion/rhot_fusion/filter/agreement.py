@@ -11,7 +11,9 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
-from rhot.arrays import FloatArray
+import numpy as np
+
+from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig.quality import epipolar_limit_px
 from rhot_fusion.schedule import Schedule
@@ -30,6 +32,10 @@ _EVERY_S = 0.125
 _EAGER_LOOKS = 300
 """Number of initial checks that an uncalibrated rig makes at every frame, because its views are corrected from the
 start."""
+_SHOTS = 40
+"""Recent simultaneous views kept for the question whether two cameras are swapped: five seconds of checks."""
+_SWAPPED = 0.5
+"""Two cameras count as swapped if exchanging them leaves less than this share of the residual."""
 _MOST_RATE = 4.0
 """Upper bound of a marker's image speed, normalised units per second."""
 
@@ -56,6 +62,8 @@ class CameraAgreement:
         self._bump_px = epipolar_limit_px(calibrated_p95_px)
         self._markers = markers
         self._newest: list[deque[Sightings]] = [deque(maxlen=DEPTH) for _ in cameras]
+        self._exchanged = EpipolarModel([cameras[1], cameras[0], *cameras[2:]], limit_px)
+        self._shots: deque[tuple[FloatArray, BoolArray]] = deque(maxlen=_SHOTS)
         self._looks = 0
         self._views = 0.0
         self._looked_s = -math.inf
@@ -65,6 +73,21 @@ class CameraAgreement:
         for frames in self._newest:
             frames.clear()
         self._looked_s = -math.inf
+
+    @property
+    def swapped(self) -> bool:
+        """Whether the views of the first two cameras fit the calibration far better when they are exchanged.
+
+        Their coordinates stay normalised by their own intrinsics, which for cameras of one kind are alike.
+        """
+        if not self.bumped_px:
+            return False
+        usual, exchanged = [], []
+        for xy, valid in self._shots:
+            both = valid[0] & valid[1]
+            usual += self.epipolar.residual(xy)[1][both].tolist()
+            exchanged += self._exchanged.residual(xy[[1, 0, *range(2, len(xy))]])[1][both].tolist()
+        return bool(usual) and float(np.median(np.abs(exchanged))) < _SWAPPED * float(np.median(np.abs(usual)))
 
     def correct(self, camera: int, xy: FloatArray) -> FloatArray:
         """Return a camera's views (N, 2), normalised units, corrected for its movement since the calibration."""
@@ -86,6 +109,7 @@ class CameraAgreement:
         if shot.valid[0].any() and shot.valid[1:].any():
             self._views = min(self._views + float((shot.valid[0] & shot.valid[1:]).sum()), 1e6)
             self.epipolar.learn(shot.xy, shot.valid, elapsed if math.isfinite(elapsed) else 0.0)
+            self._shots.append((shot.xy, shot.valid))
             self._judge()
 
     def _recent(self) -> Tracks:

@@ -13,7 +13,7 @@ from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
 from rhot.rig.quality import epipolar_limit_px, pair_epipolar_p95_px
-from rhot_fusion.views.calibration_check import (
+from rhot.trial.epipolar_residuals import (
     LEAST_OBSERVATIONS,
     PRIOR_SD_RAD,
     Change,

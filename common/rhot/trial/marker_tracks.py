@@ -1,4 +1,4 @@
-"""Whole tracks per camera, gathered from marker frames or from pictures of a board."""
+"""Whole tracks of markers per camera, gathered from marker frames."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame
-from rhot_calibration.cameras.solve.views import ViewSet
-from rhot_fusion.views.calibration_check import Track
+from rhot.trial.epipolar_residuals import Track
 
 
 class TrackGatherer:
@@ -67,22 +65,3 @@ class TrackGatherer:
                     t_s = np.asarray((times[inside] - start_ns) * 1e-9, dtype=np.float64)
                     result[camera][marker] = Track(t_s, model.undistort(uv[inside]))
         return result
-
-
-def board_tracks(views: ViewSet, cameras: Mapping[str, CameraModel]) -> dict[str, dict[str, Track]]:
-    """Return the corners of a board in still pictures as tracks: one per corner, the picture's number for seconds.
-
-    Pictures of the same number were taken together, so nothing is interpolated between them.
-    """
-    rows: dict[str, dict[str, dict[int, FloatArray]]] = {name: {} for name in cameras}
-    for (camera, number), view in views.views.items():
-        xy = cameras[camera].undistort(view.corners)
-        for corner, place in zip(view.ids.tolist(), xy, strict=True):
-            rows[camera].setdefault(str(corner), {})[number] = place
-    return {
-        camera: {
-            corner: Track(np.array(sorted(places), dtype=np.float64), np.array([places[n] for n in sorted(places)]))
-            for corner, places in corners.items()
-        }
-        for camera, corners in rows.items()
-    }

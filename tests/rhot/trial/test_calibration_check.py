@@ -14,9 +14,9 @@ from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import MarkerFrame
 from rhot.rig import CameraCalibration, Rig
 from rhot.rig.quality import epipolar_limit_px, figures_with_units, pair_epipolar_p95_px
-from rhot_bench.calibration.marker_tracks import TrackGatherer
-from rhot_fusion.views.calibration_check import Track, fit_linear, interpolate
-from rhot_fusion.views.calibration_verdict import CalibrationReport, judge_calibration
+from rhot.trial.calibration_check import CalibrationReport, judge_calibration
+from rhot.trial.epipolar_residuals import Track, fit_linear, interpolate
+from rhot.trial.marker_tracks import TrackGatherer
 from rhot_sim.rig.calibration import simulated_rig_calibration
 
 Angles = tuple[float, float, float]

@@ -70,6 +70,7 @@ class PairResiduals:
         t_s: (N,) times, increasing.
         residual_px: (N,) signed distance from the epipolar line, pixels of the second camera.
         xy: (N, 2) observations in the second camera, normalised image coordinates.
+        xy_first: (N, 2) those of the first camera at the same times.
         J_first, J_second: (N, 3) derivative of the residual with respect to either camera's rotation, px/rad.
         focal_px: of the second camera.
     """
@@ -79,6 +80,7 @@ class PairResiduals:
     t_s: FloatArray
     residual_px: FloatArray
     xy: FloatArray
+    xy_first: FloatArray
     J_first: FloatArray
     J_second: FloatArray
     focal_px: float
@@ -149,6 +151,7 @@ def pair_residuals(
         t_s=t_s[order],
         residual_px=focal_px * np.sum(n * y_second, axis=1) / scale[:, 0],
         xy=xy,
+        xy_first=y_first[:, :2],
         J_first=-focal_px * np.cross(y_first, y_second @ E) / scale,
         J_second=-focal_px * np.cross(y_second, n) / scale,
         focal_px=focal_px,
