@@ -11,7 +11,8 @@ from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import Point, PointSet, Position, Side
-from rhot.rig import CameraConfig, HandFile, MarkerConfig, RegistrationFile, Rig, RigConfig
+from rhot.rig import CameraConfig, HandFile, MarkerConfig, Rig, RigConfig
+from rhot.rig.folder import NO_REGISTRATION
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -31,7 +32,7 @@ def triple(values: FloatArray) -> Position:
 
 def rig_with(markers: dict[str, MarkerConfig]) -> Rig:
     config = RigConfig(cameras={"left": CameraConfig()}, markers=markers)
-    return Rig(Path(), config, {}, True, HandFile(), RegistrationFile())
+    return Rig(Path(), config, {}, True, HandFile(), NO_REGISTRATION)
 
 
 def lying_wrist(turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> FloatArray:

@@ -15,7 +15,8 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector, vector_from_rotation
 from rhot.messages import HandPose, Point, PointSet, State
-from rhot.rig import CameraConfig, HandFile, MarkerConfig, RegistrationFile, Rig, RigConfig
+from rhot.rig import CameraConfig, HandFile, MarkerConfig, Rig, RigConfig
+from rhot.rig.folder import NO_REGISTRATION
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.solver import HandSolver
 from rhot_ik.hand.stage import HandStage
@@ -43,7 +44,7 @@ def stage_of_right_hand() -> HandStage:
     markers = {finger: MarkerConfig(joint=f"{finger}_tip") for finger in FINGERS}
     markers["base"] = MarkerConfig(joint="wrist", kind="patch", size_m=(0.04, 0.03))
     config = RigConfig(cameras={"left": CameraConfig()}, markers=markers)
-    return HandStage(Rig(Path(), config, {}, True, HandFile(), RegistrationFile()))
+    return HandStage(Rig(Path(), config, {}, True, HandFile(), NO_REGISTRATION))
 
 
 def check(pose: HandPose, model: HandModel) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.arrays import BoolArray
 from rhot.explain import Explanation
 from rhot.geometry.covariances import has_covariance
 from rhot.messages import FingerAngles, HandPose, ObjectPose, ObjectShape, Point, PointSet, Side
@@ -18,7 +20,8 @@ from rhot_ik.hand.block_smoothing import BlockSmoother
 from rhot_ik.hand.contact import Shape, shape_of
 from rhot_ik.hand.explain import solver_tables
 from rhot_ik.hand.filter.evidence import HandObservation
-from rhot_ik.hand.fingers.geometry import base_marker
+from rhot_ik.hand.fingers.geometry import FingerGeometry, base_marker
+from rhot_ik.hand.fit_check import MISFIT_M, FitCheck, mean_residual_m, reflected_point
 from rhot_ik.hand.repeated_predictions import RepeatedPredictions
 from rhot_ik.hand.solver import HandSolver
 from rhot_ik.hand.track import HandSolution
@@ -42,6 +45,10 @@ class HandStage:
         self._markers: Mapping[str, MarkerConfig] = rig.config.markers
         self._solvers: dict[Side, HandSolver] = {}
         self._bases: dict[Side, str] = {}
+        self._fits: dict[Side, FitCheck] = {}
+        self._is_fitting: dict[Side, bool] = {}
+        # Cameras whose places are only roughly known leave as much with the right hand.
+        self._misfit_m = MISFIT_M if rig.calibrated else math.inf
         self._counts = {"hands": 0, "no_hand": 0, "outside": 0, "not_of_this_hand": 0, "no_covariance": 0}
         self._volume_m = rig.config.fusion.volume_m
         self._problems: list[str] = []
@@ -59,6 +66,9 @@ class HandStage:
                 continue
             self._bases[side] = base
             self._solvers[side] = HandSolver(model, self._markers, base, rig.config.ik, viewpoint)
+            mirrored = None if viewpoint is None else reflected_point(viewpoint)
+            parts = model, self._markers, base, rig.config.ik, mirrored
+            self._fits[side] = FitCheck(side, partial(HandSolver, *parts))
         self._block_smoother = BlockSmoother(self._solvers)
 
     def configure(self, config: IkConfig) -> None:
@@ -74,8 +84,9 @@ class HandStage:
 
     @property
     def problem(self) -> str:
-        """Hands that cannot be solved because `rig.toml` gives them no marker to hold the palm by."""
-        return "; ".join(self._problems)
+        """Hands that cannot be solved for want of a marker to hold the palm by, or that do not fit their markers."""
+        misfits = [fit.problem for fit in self._fits.values()]
+        return "; ".join([*self._problems, *(each for each in misfits if each)])
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -106,10 +117,15 @@ class HandStage:
 
     def _outputs(self, points: PointSet, found: Mapping[Side, HandSolution]) -> list[Output]:
         """Return the messages that carry solutions, with their keys."""
-        return [
-            (f"rhot/hand/{side}", hand_pose(points, self._solvers[side].geometry.model, solution))
-            for side, solution in found.items()
-        ]
+        outputs: list[Output] = []
+        for side, solution in found.items():
+            geometry = self._solvers[side].geometry
+            miss_m = mean_residual_m(solution.residual, _two_views(points, geometry))
+            # With fewer than two tips to judge by, what was known last holds.
+            fits = self._is_fitting.get(side, True) if miss_m is None else miss_m <= self._misfit_m
+            self._is_fitting[side] = fits
+            outputs.append((f"rhot/hand/{side}", hand_pose(points, geometry.model, solution, fits=fits)))
+        return outputs
 
     def _solve(self, points: PointSet) -> dict[Side, HandSolution]:
         """Return the hands that points show."""
@@ -117,11 +133,13 @@ class HandStage:
         held_ns = round(self._hold_s * 1e9)
         shapes = [shape for t_ns, shape in self._objects.values() if abs(points.t_ns - t_ns) <= held_ns]
         for side, solver in self._solvers.items():
-            solution = solver.solve(self._observation(points, self._bases[side], solver), shapes)
+            seen = self._observation(points, self._bases[side], solver)
+            solution = solver.solve(seen, shapes)
             if solution is None:
                 self._counts["no_hand"] += 1
             else:
                 self._counts["hands"] += 1
+                self._fits[side].add(seen, solution.residual, _two_views(points, solver.geometry))
                 found[side] = solution
         return found
 
@@ -181,14 +199,20 @@ class HandStage:
         return None
 
 
-def hand_pose(points: PointSet, model: HandModel, solution: HandSolution) -> HandPose:
-    """Return the message that carries a solution."""
+def _two_views(points: PointSet, geometry: FingerGeometry) -> BoolArray:
+    """Return which fingertips (5,) two cameras see at this moment."""
+    tips = [points.points.get(geometry.markers.get(finger, "")) for finger in FINGERS]
+    return np.array([tip is not None and tip.state == "measured" for tip in tips])
+
+
+def hand_pose(points: PointSet, model: HandModel, solution: HandSolution, *, fits: bool) -> HandPose:
+    """Return the message that carries a solution; one that does not fit the points is not called measured."""
     positions = solution.positions.tolist()
     orientations = solution.orientations.tolist()
     radii = model.radii.tolist()
     angles = solution.angles.tolist()
     residual = solution.residual.tolist()
-    measured = solution.fingers_measured.tolist()
+    measured = (solution.fingers_measured & fits).tolist()
     # One validation of the whole is a third faster than one of each joint.
     return HandPose.model_validate(
         {

@@ -18,6 +18,8 @@ _MOST_SAID: Final = 256
 """Services' words that are remembered; their names are an outsider's choice."""
 _SILENT: Final = "no status"
 """Of a service that is alive and has not told of itself lately: it has just come, or the machine is busy."""
+_MISFIT_M: Final = 0.015
+"""Residual beyond which ik does not call a hand measured (`rhot_ik.hand.fit_check`)."""
 _STATE_COLOR: Final = {
     "running": "#2b8a3e",
     "waiting": "#b08900",
@@ -75,15 +77,18 @@ def hands_html(hands: Mapping[str, HandPose], waiting_for: str) -> str:
         return f"<div style='{_BOX}'><b>No hand</b><br>{sentence_html(waiting_for)}</div>"
     lines = []
     for side, pose in hands.items():
+        residual = sorted(pose.residual.values())
+        miss_m = residual[len(residual) // 2] if residual else 0.0
         predicted = [finger for finger, state in pose.fingers.items() if state == "predicted"]
-        if pose.state == "predicted":
+        if pose.state == "predicted" and miss_m > _MISFIT_M:
+            how = "does not fit its markers; *Newest problems* says why"
+        elif pose.state == "predicted":
             how = "predicted: no marker of it is seen right now"
         elif predicted:
             how = f"measured; {', '.join(predicted)} predicted"
         else:
             how = "measured, all fingers"
-        residual = sorted(pose.residual.values())
-        fit = f", markers fit to {1e3 * residual[len(residual) // 2]:.1f} mm" if residual else ""
+        fit = f", markers fit to {1e3 * miss_m:.1f} mm" if residual else ""
         lines.append(f"<b>{escape(side.capitalize())} hand</b><br>{escape(how)}{fit}")
     return f"<div style='{_BOX}'>{'<br>'.join(lines)}</div>"
 
