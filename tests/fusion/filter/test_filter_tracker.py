@@ -15,6 +15,7 @@ from rhot.messages import PointSet
 from rhot.rig import Rig
 from rhot_fusion.filter.acquisition import hands_of
 from rhot_fusion.filter.settings import DEFAULT
+from rhot_fusion.filter.tracker import FilterTracker
 from rhot_fusion.stage import FusionStage
 from rhot_fusion.views.vectors import vector
 
@@ -91,6 +92,44 @@ def test_late_frames_change_little(make_rig: MakeRig) -> None:
     assert stage.counts["late_frames"] > 100
     assert figures.median_mm < 3.0
     assert figures.measured > 0.98
+
+
+def test_frames_in_another_order_leave_the_same_paint(make_rig: MakeRig) -> None:
+    """A fingertip vanishes within 0.2 s while one camera's frames come late: replayed frames change nothing twice."""
+    rig = make_rig(fusion=FILTER)
+    fading = []
+    for one in watch(rig, SLOW, 2.0):
+        left = max(1.0 - max(one.arrival_s - 1.0, 0.0) / 0.2, 0.02)
+        markers = dict(one.frame.markers)
+        tip = markers["index"]
+        markers["index"] = tip.model_copy(update={"area": (150.0 if tip.area == 0.0 else tip.area) * left**2})
+        fading.append(replace(one, frame=one.frame.model_copy(update={"markers": markers})))
+
+    def paint_of(delay_s: float) -> list[tuple[float, float]]:
+        in_order = sorted(
+            (replace(one, arrival_s=one.arrival_s + delay_s * (one.frame.camera == "right")) for one in fading),
+            key=lambda one: one.arrival_s,
+        )
+        stage = FusionStage(rig)
+        for one in in_order:
+            stage.feed(one.frame)
+        assert (stage.counts["late_frames"] > 50) is (delay_s > 0.0)
+        tracker = stage._tracker
+        assert isinstance(tracker, FilterTracker)
+        return [(shown.shrinking, shown.width_m) for cameras in tracker._paint._shown for shown in cameras]
+
+    np.testing.assert_allclose(paint_of(0.02), paint_of(0.0), rtol=0.02, atol=1e-5)
+
+
+def test_views_nanoseconds_apart_are_taken(make_rig: MakeRig) -> None:
+    """As of a program that counts milliseconds: another camera's newest view is near, this camera's own is not."""
+    rig = make_rig(fusion=FILTER)
+    stage = FusionStage(rig)
+    for one in watch(rig, SLOW, 1.0):
+        t_ns = EPOCH_NS + round((one.frame.t_ns - EPOCH_NS) / 1e6)
+        markers = {name: marker.model_copy(update={"t_ns": None}) for name, marker in one.frame.markers.items()}
+        stage.feed(one.frame.model_copy(update={"t_ns": t_ns, "markers": markers}))
+    assert stage.counts["published"] > 0
 
 
 def test_looking_back_stays_on_the_path_where_nothing_is_calibrated(make_rig: MakeRig) -> None:

@@ -150,7 +150,7 @@ class Acquisition:
         if initial is not None and track.status is not TrackStatus.TENTATIVE:
             if track.look_elsewhere(settings):
                 self._begin(marker, initial, moment_s, near)
-        elif initial is None and len(near) == 1 and len(positions) >= settings.depth_markers:
+        elif initial is None and set(near) == {camera} and len(positions) >= settings.depth_markers:
             gap_s = settings.lost_periods * self._schedule.longest_period_s
             if track.see_alone(t_s, gap_s, settings):
                 middle = positions.mean(axis=0)

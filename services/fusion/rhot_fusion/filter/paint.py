@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +57,17 @@ class _Shown:
         return self.width_m * max(1.0 - min(self.shrinking, shrinking) * (t_s - self.t_s), 0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class PaintBefore:
+    """What a frame of one camera changes of `Paint`, as it was before."""
+
+    camera: int
+    shown: list[_Shown]
+    skin: list[tuple[float, float, float, float] | None]
+    largest_m: list[float]
+    bend: list[float]
+
+
 class Paint:
     """Visible paint of M markers in C cameras; plain floats, because numpy is slower for so few numbers.
 
@@ -89,6 +101,18 @@ class Paint:
         self._largest_m = [0.0 for _ in markers]
         self._skin.clear()
         self.bend = [self._settings.first_bend for _ in markers]
+
+    def before(self, camera: int) -> PaintBefore:
+        """Return what the next frame of a camera will change; `restore` undoes that frame."""
+        shown = [copy(cameras[camera]) for cameras in self._shown]
+        return PaintBefore(camera, shown, self._skin.of_camera(camera), list(self._largest_m), list(self.bend))
+
+    def restore(self, before: PaintBefore) -> None:
+        """Undo the frame that followed `before`; of several frames the newest first."""
+        for cameras, shown in zip(self._shown, before.shown, strict=True):
+            cameras[before.camera] = shown
+        self._skin.restore(before.camera, before.skin)
+        self._largest_m, self.bend = before.largest_m, before.bend
 
     def along(
         self,

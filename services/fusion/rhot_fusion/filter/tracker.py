@@ -18,7 +18,7 @@ from rhot.rig.quality import pair_epipolar_p95_px
 from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of
 from rhot_fusion.filter.agreement import CameraAgreement
 from rhot_fusion.filter.noise import CameraNoise, stated_px
-from rhot_fusion.filter.paint import Paint
+from rhot_fusion.filter.paint import Paint, PaintBefore
 from rhot_fusion.filter.settings import DEFAULT, FilterSettings
 from rhot_fusion.filter.smoothing.paint_correction import PaintCorrection
 from rhot_fusion.filter.smoothing.record import outcomes
@@ -84,7 +84,7 @@ class FilterTracker:
         self._middle = vector(np.mean([camera.center for camera in cameras], axis=0))
         self._time_variance = 0.0 if rig.calibrated else settings.noise.uncalibrated_s**2
         self.gates: dict[int, tuple[IndexArray, Innovation, FloatArray]] = {}
-        self._history: deque[tuple[Sightings, list[State]]] = deque(maxlen=_LONGEST_HISTORY)
+        self._history: deque[tuple[Sightings, list[State], PaintBefore]] = deque(maxlen=_LONGEST_HISTORY)
         self.clear()
 
     @property
@@ -217,8 +217,9 @@ class FilterTracker:
             self._counts["too_late"] += 1
             return
         while self._history and self._history[-1][0].t_s > sightings.t_s:
-            later, states = self._history.pop()
+            later, states, paint = self._history.pop()
             newer.append(later)
+            self._paint.restore(paint)
             for hand, state in zip(self._hands, states, strict=True):
                 # Markers initialised or deleted since then keep their state.
                 if (hand.filter.state.alive == state.alive).all():
@@ -230,8 +231,8 @@ class FilterTracker:
 
     def _take(self, sightings: Sightings, *, again: bool = False) -> None:
         """Update the markers with a frame; `again` = it was processed before, only states are recomputed."""
-        self._history.append((sightings, [hand.filter.state for hand in self._hands]))
         begun, camera, t_s = self._acquisition.begun, sightings.camera, sightings.t_s
+        self._history.append((sightings, [hand.filter.state for hand in self._hands], self._paint.before(camera)))
         variance, period_s = self.noise.variance(camera), self._schedule.period_s(camera)
         loose_m2 = self._settings.track.loose_m**2
         for hand in self._hands:

@@ -82,6 +82,15 @@ class SkinSides:
         for cameras in self._seen:
             cameras[:] = [None] * len(cameras)
 
+    def of_camera(self, camera: int) -> list[tuple[float, float, float, float] | None]:
+        """Return what is stored for one camera, by marker; `restore` puts it back."""
+        return [cameras[camera] for cameras in self._seen]
+
+    def restore(self, camera: int, seen: list[tuple[float, float, float, float] | None]) -> None:
+        """Put back what `of_camera` returned."""
+        for cameras, one in zip(self._seen, seen, strict=True):
+            cameras[camera] = one
+
     def observe(self, camera: int, t_s: float, markers: Sequence[int], sides: FloatArray) -> None:
         """Store where skin adjoins markers (N,) in a camera's frame at a time, sides (N, 2) in the image."""
         settings, (right, down, _) = self._settings, self._axes[camera]
