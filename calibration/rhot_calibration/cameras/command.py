@@ -149,8 +149,8 @@ def _read(rig: Rig, recording: Path, board: Board) -> PictureReading:
 
 
 def _calibrate(rig: Rig, reading: PictureReading, baseline_mm: float | None, dry_run: bool, console: Console) -> None:
-    refuse_other_board(reading)
     print_problems(console, reading.problems)
+    refuse_other_board(reading)
     baseline_m = None if baseline_mm is None else 1e-3 * baseline_mm
     with Console(stderr=True).status("calibrating") as status:
         found = calibrate_rig(rig, reading.views, baseline_m, lambda step: status.update(f"calibrating: {step}"))

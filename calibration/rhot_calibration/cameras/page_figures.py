@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.calibration_step import Figures
+from rhot.recording.picture_file import decode_picture
 from rhot_calibration.cameras.calibration import Calibrated
 from rhot_calibration.cameras.live.coverage import WANTED_FILL, WANTED_SHARED, WANTED_TILTED, WANTED_VIEWS
 from rhot_calibration.cameras.live.session import Progress
@@ -27,7 +28,7 @@ def coverage_jpeg(area: NDArray[np.bool_], picture: bytes | None) -> bytes:
         picture: the newest, coded; None = there is none.
     """
     canvas = np.full((_SIZE[1], _SIZE[0], 3), _EMPTY, np.uint8)
-    seen = None if picture is None else cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+    seen = None if picture is None else decode_picture(picture)
     if seen is not None:
         canvas = np.asarray(cv2.resize(seen, _SIZE, interpolation=cv2.INTER_AREA), np.uint8)
     covered = np.asarray(cv2.resize(area.astype(np.uint8), _SIZE, interpolation=cv2.INTER_NEAREST)) > 0

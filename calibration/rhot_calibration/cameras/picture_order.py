@@ -12,6 +12,7 @@ import numpy as np
 
 from rhot.errors import ConfigError
 from rhot.recording import PictureTrack, Recording, VideoTrack
+from rhot.recording.picture_file import open_video, read_picture
 from rhot_calibration.cameras.board.grid import GrayImage
 
 MAX_VIDEO_PICTURES: Final = 60
@@ -68,7 +69,7 @@ def _pictures(recording: Recording, name: str) -> Iterator[Picture]:
 
 def _video_pictures(track: VideoTrack) -> Iterator[Picture]:
     """Yield evenly spaced frames of a video, the same numbers in videos of the same length to within a few frames."""
-    capture = cv2.VideoCapture(str(track.file))
+    capture = open_video(track.file)
     try:
         length = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) if capture.isOpened() else 0
         if length <= 0:
@@ -91,23 +92,8 @@ def _video_pictures(track: VideoTrack) -> Iterator[Picture]:
 
 
 def read_gray(file: Path) -> GrayImage | None:
-    """Return a picture file (height, width) in grey as its pixels lie in the file, or None when it is no picture.
-
-    A camera's own orientation tag is not obeyed: calibration speaks of raw pixels.
-    """
+    """Return a picture file (height, width) in grey, or None when it is no whole picture."""
     try:
-        data = np.fromfile(file, dtype=np.uint8)
-    except OSError:
+        return np.asarray(read_picture(file, cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+    except ConfigError:
         return None
-    if not data.size or _cut_off(data):
-        return None
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    return None if image is None else np.asarray(image, dtype=np.uint8)
-
-
-def _cut_off(data: GrayImage) -> bool:
-    """Return whether a JPEG or PNG lacks its end; OpenCV returns the missing part in grey without an error."""
-    tail = data[-4096:].tobytes()
-    if data[:2].tobytes() == b"\xff\xd8":
-        return b"\xff\xd9" not in tail
-    return data[:4].tobytes() == b"\x89PNG" and b"IEND" not in tail

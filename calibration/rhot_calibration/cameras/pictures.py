@@ -10,9 +10,17 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from rhot.errors import CalibrationError, ConfigError
 from rhot.recording import MarkerTrack, Recording, load_recording
-from rhot_calibration.cameras.board.detect import detect_board, looks_mirrored, wrong_count_hint
+from rhot_calibration.cameras.board.detect import (
+    detect_board,
+    looks_mirrored,
+    marker_share,
+    seen_dictionary,
+    wrong_count_hint,
+)
 from rhot_calibration.cameras.picture_order import SAMPLED, Key, Picture, count_pictures, spread_pictures
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 
@@ -23,6 +31,12 @@ _THREADS: Final = 2
 _FIRST: Final = 6
 """Number of pictures without the board after which some of them are searched for a board of another size: searching for
 a board that is not there takes a second per picture."""
+_MARKER_SIZE_ERROR: Final = 0.10
+"""Smaller errors of the stated side are not told from those of measuring it: in drawn pictures 2 to 5 %."""
+_TRIED: Final = 4
+"""Pictures, spread over all, whose markers are looked at first."""
+_LOOKED_UP: Final = 2
+"""Of these, pictures in which markers of all dictionaries are looked for, half a second each."""
 _FIRST_EXPLAINED: Final = 2
 
 Progress = Callable[[int, int], None]
@@ -39,12 +53,14 @@ class PictureReading:
         counts: label to the (columns, rows) of inner corners that it shows in place of the stated ones; looked for in
             a few pictures without the board. Where the first ones agree on another count, no more are looked at.
         mirrored: labels of pictures that show the board mirrored; same.
+        hint: what the markers in the pictures say of the stated board, as options to call with; empty = nothing.
     """
 
     views: ViewSet
     problems: dict[str, str] = field(default_factory=dict)
     counts: dict[str, tuple[int, int]] = field(default_factory=dict)
     mirrored: tuple[str, ...] = ()
+    hint: str = ""
 
     @property
     def likely_count(self) -> tuple[int, int] | None:
@@ -97,6 +113,9 @@ def read_pictures(
     """
     loaded = load_recording(recording) if isinstance(recording, Path) else recording
     _require_same_cameras(loaded, cameras)
+    hint = _options_hint(list(islice(spread_pictures(loaded, cameras), _TRIED)), board)
+    if hint:
+        return PictureReading(ViewSet(board, sizes or {}, {}, {}), hint=hint)
     total = sum(count_pictures(loaded, name) for name in cameras)
     views: dict[Key, BoardView] = {}
     labels: dict[Key, str] = {}
@@ -161,6 +180,42 @@ def _look(picture: Picture, board: Board) -> _Looked:
     return _Looked(picture, (gray.shape[1], gray.shape[0]), detect_board(gray, board))
 
 
+def _options_hint(pictures: list[Picture], board: Board) -> str:
+    """Return what the markers in a few pictures say of the stated board, as options to call with; empty = nothing.
+
+    Without it, every picture would be searched for a board that is not there, and a marker of another size would only
+    show as a calibration that does not fit.
+    """
+    grays = [gray for picture in pictures if (gray := picture.pixels()) is not None]
+    shares = [share for gray in grays if (share := marker_share(gray, board)) is not None] if board.is_charuco else []
+    if shares:
+        return _size_hint(shares, board)
+    for gray in grays[:_LOOKED_UP]:
+        seen = seen_dictionary(gray)
+        # OpenCV finds the corners of many a ChArUco board as those of a chessboard.
+        if seen is None or seen[0] == board.dictionary or (not board.is_charuco and detect_board(gray, board)):
+            continue
+        if board.is_charuco:
+            return f"its markers are of another dictionary: call again with --dictionary {seen[0]}"
+        return (
+            f"it is a ChArUco board: call again with --dictionary {seen[0]} and --marker-mm (a marker's measured side)"
+        )
+    return ""
+
+
+def _size_hint(shares: list[float], board: Board) -> str:
+    """Return the option that fits the markers' size; empty where the stated one does, or too few were seen."""
+    if not shares or board.marker_m is None:
+        return ""
+    marker_mm = 1e3 * board.square_m * float(np.median(shares))
+    if abs(marker_mm / (1e3 * board.marker_m) - 1.0) <= _MARKER_SIZE_ERROR:
+        return ""
+    return (
+        f"its markers measure about {marker_mm:.1f} mm where squares measure {1e3 * board.square_m:g} mm, not "
+        f"{1e3 * board.marker_m:g} mm: measure one, and call again with --marker-mm"
+    )
+
+
 def _explain(
     without: list[Picture], board: Board, problems: dict[str, str]
 ) -> tuple[dict[str, tuple[int, int]], tuple[str, ...]]:
@@ -215,7 +270,10 @@ def _sizes(
 
 def _one_size(path: Path, name: str, found: dict[tuple[int, int], list[str]]) -> tuple[int, int]:
     if not found:
-        raise CalibrationError(f"{path / name}: not one picture of camera {name} can be read; record them again")
+        raise CalibrationError(
+            f"{path / name}: not one picture of camera {name} can be read: they are empty, cut off or damaged; record "
+            "them again"
+        )
     ranked = sorted(found.items(), key=lambda item: -len(item[1]))
     if len(ranked) > 1:
         (most, _), (other, labels) = ranked[:2]

@@ -203,35 +203,62 @@ def refuse_impossible(
     return warnings
 
 
+_MIRRORED_OR_SWAPPED: Final = (
+    "Look at a picture with writing in it: if it reads backwards, the cameras mirror (switch that off, take all "
+    "pictures again); if not, exchange the two folders (or the cables)"
+)
+
+
 def _swapped(names: Sequence[str], centers: Mapping[str, FloatArray], expected: Expected) -> list[str]:
-    """Refuse cameras that changed places since the last calibration; warn when rig.toml has them the other way round.
+    """Refuse cameras that stand the other way round than in the last calibration or in `rig.toml`.
+
+    Exchanging the folders of cameras that both mirror would give a mirrored world, which fits as well. Cameras that
+    stand elsewhere, and would do so with exchanged names, too, are only worth a warning: `rig.toml` is roughly meant.
 
     Raises:
         CalibrationError: names the two cameras.
     """
     warnings = []
-    for first, second in combinations(names, 2):
-        found = centers[second] - centers[first]
-        for known, strict in ((expected.previous, True), (expected.nominal, False)):
-            if first not in known or second not in known:
-                continue
-            before = known[second] - known[first]
-            length = float(np.linalg.norm(before))
-            # Opposite to before, by more than half of the way: no mere turn of the reference camera.
-            if length < 0.01 or float(found @ before) > -0.5 * length * float(np.linalg.norm(found)):
-                continue
-            if strict:
-                raise CalibrationError(
-                    f"{first} and {second} are swapped: {second} stands on the other side of {first} than in the "
-                    "present cameras.json. Exchange the two folders (or the cables); if the cameras really changed "
-                    "places, move cameras.json away first"
-                )
-            if first not in expected.previous:
-                warnings.append(
-                    f"{second} stands {_direction(found)} of {first}, rig.toml (position_m) has it {_direction(before)}"
-                    ": are the two swapped? Exchange the folders (or the cables) if the names are meant as places"
-                )
+    # What was calibrated before was accepted then.
+    is_known = all(name in expected.previous for name in names)
+    known = expected.previous if is_known else expected.nominal
+    for first, second in _opposite(names, centers, known):
+        exchanged = {**centers, first: centers[second], second: centers[first]}
+        where = (
+            f"{second} stands {_direction(centers[second] - centers[first])} of {first}, rig.toml (position_m) has it "
+            f"{_direction(known[second] - known[first])}"
+        )
+        if is_known:
+            raise CalibrationError(
+                f"{first} and {second} are swapped: {second} stands on the other side of {first} than in the "
+                f"present cameras.json. {_MIRRORED_OR_SWAPPED}; if the cameras really changed places, move "
+                "cameras.json away first"
+            )
+        if not _opposite(names, exchanged, known):
+            raise CalibrationError(
+                f"{first} and {second} are swapped: {where}. {_MIRRORED_OR_SWAPPED}; if {second} really stands there, "
+                "state so in rig.toml"
+            )
+        warnings.append(where)
     return warnings
+
+
+def _opposite(
+    names: Sequence[str], centers: Mapping[str, FloatArray], known: Mapping[str, FloatArray]
+) -> list[tuple[str, str]]:
+    """Return the pairs of cameras that stand opposite to where they are known to, by more than half of the way.
+
+    No mere turn of the reference camera explains that.
+    """
+    pairs = []
+    for first, second in combinations(names, 2):
+        if first not in known or second not in known:
+            continue
+        found, before = centers[second] - centers[first], known[second] - known[first]
+        length = float(np.linalg.norm(before))
+        if length >= 0.01 and float(found @ before) <= -0.5 * length * float(np.linalg.norm(found)):
+            pairs.append((first, second))
+    return pairs
 
 
 def _direction(shift: FloatArray) -> str:

@@ -48,6 +48,8 @@ def refuse_other_board(reading: PictureReading) -> None:
         CalibrationError: names what they show.
     """
     views = reading.views
+    if reading.hint:
+        raise CalibrationError(f"the pictures show another board than {views.board}: {reading.hint}")
     if len(views.views) >= 0.5 * len(views.labels) and len(views.views):
         return
     count = reading.likely_count

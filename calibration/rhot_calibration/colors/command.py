@@ -14,7 +14,7 @@ from rich.console import Console
 from rhot.arrays import ImageArray
 from rhot.atomic_file import write_atomic
 from rhot.cli.options import bus_options, rig_option, tool_bus
-from rhot.errors import ConfigError
+from rhot.errors import CalibrationError, ConfigError
 from rhot.recording.picture_file import read_picture
 from rhot.rig import Rig, load_rig
 from rhot.rig.calibration import today
@@ -26,10 +26,13 @@ from rhot_calibration.colors.live import live_pictures
 from rhot_calibration.colors.picking.picks import parse_places
 from rhot_calibration.colors.report.console import confusion_table, marker_table
 from rhot_calibration.colors.report.picture import report_picture
+from rhot_calibration.picture_light import BLACK, PictureLight
 from rhot_calibration.writing import write_found
 from rhot_capture.preview import preview_jpeg
 
 _PICTURES: Final = (".png", ".jpg", ".jpeg")
+_MOST_PIXELS: Final = 16_000_000
+"""A phone's; colours are learnt from every pixel."""
 
 
 @click.command()
@@ -124,6 +127,10 @@ def colors(
         _import(rig, import_path, settings_path)
         return
     titles, pictures = _live(rig, connect, namespace, save_path) if live else _read_all(images)
+    console = Console()
+    # Before anything is learnt: bad light may be why nothing can be.
+    for remark in _light_remarks(titles, pictures):
+        console.print(remark, style="yellow", markup=False, highlight=False, soft_wrap=True)
     cameras = titles if live else [_camera_of(path, rig) for path in images]
     if live and not picks and not boxes:
         return
@@ -132,7 +139,6 @@ def colors(
         learnt = learn_colors(pictures, places, rig.config.markers, cameras=cameras)
     result, detections = learnt.calibration, learnt.detections
     remarks = [*learnt.warnings, *learnt.suggestions]
-    console = Console()
     console.print(marker_table(result, titles, detections))
     console.print(confusion_table(result.separability))
     for remark in remarks:
@@ -191,6 +197,30 @@ def _live(
 
 def _read_all(paths: Sequence[Path]) -> tuple[list[str], list[ImageArray]]:
     return [path.stem for path in paths], [read_picture(path) for path in paths]
+
+
+def _light_remarks(titles: Sequence[str], pictures: Sequence[ImageArray]) -> list[str]:
+    """Return warnings of pictures that are too dark or overexposed.
+
+    Raises:
+        CalibrationError: a picture is black, or larger than any camera of a rig takes it.
+    """
+    remarks = []
+    for title, picture in zip(titles, pictures, strict=True):
+        height, width = picture.shape[:2]
+        if width * height > _MOST_PIXELS:
+            raise CalibrationError(
+                f"{title}: {width}x{height} pixels; take pictures with the tracker's own cameras, in the size they run "
+                f"in (at most {_MOST_PIXELS / 1e6:g} megapixels)"
+            )
+        light = PictureLight.of(picture)
+        if light.bright < BLACK:
+            raise CalibrationError(
+                f"{title}: the picture is black; is the lens covered, or the exposure far too short?"
+            )
+        if light.problem:
+            remarks.append(f"warning: {title}: {light.problem}")
+    return remarks
 
 
 def _camera_of(path: Path, rig: Rig) -> str | None:

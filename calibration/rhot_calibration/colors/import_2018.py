@@ -8,7 +8,6 @@ is an overall gain of 1.84 (picamera documentation, `PiCamera.iso`).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any, Final
 from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.rig.colors import ColorsFile, RgbBoxColor
+from rhot.text_files import parse_json, read_text
 
 _SHUTTER_S: Final = 0.33
 _ISO: Final = 800.0
@@ -155,8 +155,8 @@ def _number(field: str, value: Any, most: float) -> float:
 
 def _json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return parse_json(read_text(path))
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {why_unread(error)}") from error
-    except (json.JSONDecodeError, RecursionError) as error:
+    except ValueError as error:
         raise ConfigError(f"{path}: not JSON: {error}") from error

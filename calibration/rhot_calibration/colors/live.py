@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-import cv2
 import numpy as np
 
 from rhot.arrays import ImageArray
 from rhot.bus import Bus, Reply
 from rhot.errors import BusError, DeviceError
+from rhot.recording.picture_file import decode_picture
 from rhot.rig import BusConfig
 
 _CONNECT_TIMEOUT_S: Final = 2.0
@@ -47,8 +47,8 @@ def decoded(camera: str, replies: Sequence[Reply]) -> ImageArray:
     pictures = [reply for reply in replies if not reply.error]
     if not pictures:
         raise DeviceError(f"camera {camera}: {replies[0].error}")
-    data = np.frombuffer(pictures[0].payload, np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+    data = pictures[0].payload
+    image = decode_picture(data)
     if image is None:
         raise DeviceError(
             f"camera {camera}: the preview is no picture but {len(data)} bytes of {pictures[0].encoding}; do the "

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-import cv2
 import numpy as np
 
 from rhot.bus import Bus
@@ -17,6 +16,7 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import HeadPose
 from rhot.recording import load_recording
 from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
+from rhot.recording.picture_file import decode_picture
 from rhot.rig import BusConfig
 from rhot_calibration.headset.collector import ViewCollector
 from rhot_feet.frames import pinhole
@@ -136,6 +136,6 @@ def _lens(picture: CameraPicture) -> CameraModel | None:
 
 
 def _found(collector: ViewCollector, jpeg: bytes) -> MarkerDetection | None:
-    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) if jpeg else None
+    image = decode_picture(jpeg)
     # What is no picture shows no marker.
     return None if image is None else collector.find(np.asarray(image, np.uint8))

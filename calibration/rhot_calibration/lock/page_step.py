@@ -5,23 +5,18 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
-from rhot.arrays import ImageArray
 from rhot.bus import Bus
 from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView
 from rhot.errors import BusError, ConfigError, RhotError
 from rhot.rig.folder import load_config
 from rhot_calibration.colors.live import decoded
+from rhot_calibration.picture_light import PictureLight
 
-CLIPPED_LEVEL: Final = 250
-MAX_CLIPPED: Final = 0.02
-"""Share of pixels with a channel at its end; a marker that is clipped has lost its colour."""
-MIN_BRIGHT: Final = 70.0
-"""Level that the brightest hundredth of a picture reaches; below, noise makes colours uncertain."""
 MAX_GAIN_RATIO: Final = 1.25
 """Cameras whose gains differ by more see one paint in two colours."""
 _INTERVAL_S: Final = 1.0
@@ -37,8 +32,7 @@ class CameraLook:
     Attributes:
         problem: why nothing is known of it; empty otherwise.
         exposure_s, gain, white_balance: its locked settings.
-        bright: level that the brightest hundredth of the picture reaches, 0 to 255.
-        clipped: share of its pixels with a channel at its end.
+        light: how its picture is lit.
         unsaved: it is set otherwise than its `rig.toml` says.
         can_undo: there are values from before the last saving.
     """
@@ -47,8 +41,7 @@ class CameraLook:
     exposure_s: float = 0.0
     gain: float = 1.0
     white_balance: tuple[float, float] = (1.0, 1.0)
-    bright: float = 0.0
-    clipped: float = 0.0
+    light: PictureLight = field(default=PictureLight(0.0, 0.0))
     unsaved: bool = False
     can_undo: bool = False
 
@@ -153,22 +146,8 @@ def look_remarks(looks: Mapping[str, CameraLook]) -> list[Remark]:
     remarks = [Remark(f"{name}: {look.problem}", "wrong") for name, look in looks.items() if look.problem]
     there = {name: look for name, look in looks.items() if not look.problem}
     for name, look in there.items():
-        if look.clipped > MAX_CLIPPED:
-            remarks.append(
-                Remark(
-                    f"{name}: {100 * look.clipped:.0f} % of the picture is overexposed (at most "
-                    f"{100 * MAX_CLIPPED:.0f} % are good): lower the gain, then the exposure",
-                    "warning",
-                )
-            )
-        elif look.bright < MIN_BRIGHT:
-            remarks.append(
-                Remark(
-                    f"{name}: the picture is dark (its brightest parts reach {look.bright:.0f} of 255, "
-                    f"{MIN_BRIGHT:.0f} are good): more light, or raise the gain",
-                    "warning",
-                )
-            )
+        if look.light.problem:
+            remarks.append(Remark(f"{name}: {look.light.problem}", "warning"))
     gains = [np.array([look.gain * look.exposure_s, *look.white_balance]) for look in there.values()]
     if gains and (np.max(gains, axis=0) / np.min(gains, axis=0)).max() > MAX_GAIN_RATIO:
         remarks.append(
@@ -187,18 +166,11 @@ def look_remarks(looks: Mapping[str, CameraLook]) -> list[Remark]:
     return remarks
 
 
-def picture_light(image: ImageArray) -> tuple[float, float]:
-    """Return how bright a picture's brightest hundredth is, and the share of its pixels that are clipped."""
-    brightest = image.max(axis=2)
-    return float(np.percentile(brightest, 99.0)), float(np.mean(brightest >= CLIPPED_LEVEL))
-
-
 async def _look(bus: Bus, camera: str) -> CameraLook:
     try:
         settings = await bus.get(f"rhot/config/capture/{camera}?format=json", timeout_s=_ANSWER_S)
         image = decoded(camera, await bus.get(f"rhot/preview/{camera}", timeout_s=_ANSWER_S))
         found = json.loads(settings[0].payload)
-        bright, clipped = picture_light(image)
         red, blue = found["white_balance"]
         kept = await bus.get(f"rhot/keep/capture/{camera}", timeout_s=_ANSWER_S)
         keep = json.loads(kept[0].payload) if kept and not kept[0].error else {}
@@ -206,8 +178,7 @@ async def _look(bus: Bus, camera: str) -> CameraLook:
             exposure_s=float(found["exposure_s"]),
             gain=float(found["gain"]),
             white_balance=(float(red), float(blue)),
-            bright=bright,
-            clipped=clipped,
+            light=PictureLight.of(image),
             unsaved=bool(keep.get("differs", False)),
             can_undo=bool(keep.get("can_undo", False)),
         )
@@ -224,8 +195,8 @@ def _table(looks: Mapping[str, CameraLook]) -> Figures:
             f"{1e3 * look.exposure_s:.1f}",
             f"{look.gain:.1f}",
             f"{look.white_balance[0]:.2f}, {look.white_balance[1]:.2f}",
-            f"{look.bright:.0f}",
-            f"{100 * look.clipped:.1f}",
+            f"{look.light.bright:.0f}",
+            f"{100 * look.light.clipped:.1f}",
         )
         for name, look in looks.items()
         if not look.problem

@@ -12,6 +12,7 @@ import numpy as np
 
 from rhot.bus import Bus
 from rhot.errors import BusError
+from rhot.recording.picture_file import decode_picture
 from rhot_calibration.cameras.board.detect import detect_board
 from rhot_calibration.cameras.live.preview import preview_of
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
@@ -68,7 +69,7 @@ async def _picture(bus: Bus, name: str, silent: dict[str, str]) -> bytes:
 
 
 def _examined(payload: bytes, board: Board) -> tuple[tuple[int, int], BoardView | None]:
-    picture = cv2.imdecode(np.frombuffer(payload, np.uint8), cv2.IMREAD_GRAYSCALE)
+    picture = decode_picture(payload, cv2.IMREAD_GRAYSCALE)
     if picture is None:
         return (0, 0), None
     gray = np.asarray(picture, np.uint8)

@@ -22,13 +22,18 @@ from rhot_calibration.cameras.figures import epipolar_distance
 from rhot_calibration.cameras.picture_order import read_gray
 from rhot_calibration.cameras.solve.views import Board
 
+RIGHT, OTHER_SIDE = "position_m = [0.075, 0.0, 0.0]", "position_m = [-0.075, 0.0, 0.0]"
 BOARD = Board(9, 6, 0.0259)
 
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Path:
+    """A rig whose right camera stands left of the left one: so are the author's folders named."""
     folder = tmp_path / "rig"
     assert CliRunner().invoke(main, ["init", str(folder)]).exit_code == 0
+    text = (folder / "rig.toml").read_text()
+    assert RIGHT in text
+    (folder / "rig.toml").write_text(text.replace(RIGHT, OTHER_SIDE))
     return folder
 
 
@@ -142,15 +147,22 @@ def test_swapped_pairs_are_named_or_refused(pictures: Path, rig: Path) -> None:
     assert "swapped" in refusal(run(pictures, rig))
 
 
-def test_cameras_on_the_other_side_than_in_rig_toml_are_pointed_out(pictures: Path, rig: Path) -> None:
+def test_cameras_on_the_other_side_than_in_rig_toml_are_refused(pictures: Path, rig: Path) -> None:
     keep_first(pictures, 8)
-    # The author's folder names are the other way round than the cameras stood.
-    assert "are the two swapped?" in run(pictures, rig).output
+    text = (rig / "rig.toml").read_text()
+    (rig / "rig.toml").write_text(text.replace(OTHER_SIDE, RIGHT))
+    told = refusal(run(pictures, rig))
+    assert "exchange the two folders" in told
+    assert "if it reads backwards, the cameras mirror" in told
+    assert not (rig / "cameras.json").exists()
+    (rig / "rig.toml").write_text(text)
+    assert run(pictures, rig).exit_code == 0, "told so, it is saved"
     for name, other in (("left", "aside"), ("right", "left"), ("aside", "right")):
         (pictures / name).rename(pictures / other)
     # Against an earlier calibration there is no doubt left.
     assert "swapped" in refusal(run(pictures, rig))
     (rig / "cameras.json").unlink()
+    (rig / "rig.toml").write_text(text.replace(OTHER_SIDE, RIGHT))
     assert "swapped" not in run(pictures, rig).output
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ from boards.pictures import board_picture
 from rhot.errors import CalibrationError, ConfigError
 from rhot_calibration.cameras.board.boards import parse_board
 from rhot_calibration.cameras.pictures import read_pictures
+from rhot_calibration.cameras.rig_calibration import refuse_other_board
 
 BOARD = parse_board("9x6", 0.025)
 
@@ -116,6 +118,49 @@ def test_a_wrong_count_is_explained(recording: Path) -> None:
     assert not reading.views.views
     assert reading.likely_count == (9, 6)
     assert "shows 9x6 inner corners, not 8x6" in " ".join(reading.problems.values())
+
+
+@pytest.mark.parametrize(
+    ("shown", "stated", "says"),
+    [
+        (("9x6", 0.018, "5X5_100"), ("9x6", 0.018, "4X4_50"), "--dictionary DICT_5X5_"),
+        (
+            ("9x6", 0.018, "5X5_100"),
+            ("9x6", 0.015, "5X5_100"),
+            r"measure about 1[78]\.\d mm.*call again with --marker-mm",
+        ),
+        (
+            ("9x6", 0.015, "5X5_100"),
+            ("9x6", 0.018, "5X5_100"),
+            r"measure about 1[45]\.\d mm.*call again with --marker-mm",
+        ),
+        (("9x6", 0.018, "4X4_50"), ("7x5", None, "4X4_50"), "--dictionary DICT_4X4_50 and --marker-mm"),
+    ],
+)
+def test_options_of_a_charuco_board_are_named_within_seconds(
+    tmp_path: Path, shown: tuple[str, float, str], stated: tuple[str, float | None, str], says: str
+) -> None:
+    """Two hundred pictures, of which a few tell."""
+    picture, _ = board_picture(parse_board(shown[0], 0.025, *shown[1:]))
+    content = cv2.imencode(".png", picture)[1].tobytes()
+    for camera in ("left", "right"):
+        (tmp_path / camera).mkdir()
+        for number in range(100):
+            (tmp_path / camera / f"{number:06d}.png").write_bytes(content)
+    begun = time.process_time()
+    reading = read_pictures(tmp_path, parse_board(stated[0], 0.025, *stated[1:]), ("left", "right"))
+    assert time.process_time() - begun < 15.0
+    with pytest.raises(CalibrationError, match=says):
+        refuse_other_board(reading)
+
+
+def test_a_charuco_board_that_is_stated_right_needs_no_hint(tmp_path: Path) -> None:
+    board = parse_board("9x6", 0.025, 0.018)
+    for camera in ("left", "right"):
+        (tmp_path / camera).mkdir()
+        picture, _ = board_picture(board, tilt_deg=(25.0, -20.0, 10.0))
+        cv2.imwrite(str(tmp_path / camera / "000000.png"), picture)
+    assert read_pictures(tmp_path, board, ("left", "right")).hint == ""
 
 
 def test_a_mirrored_charuco_picture_is_named(recording: Path) -> None:

@@ -149,3 +149,30 @@ def test_files_of_the_2018_tracker_become_colours(thesis_rig: Path, write_rig: C
     assert (rig / "rig.toml").read_text() == before
     for words in ("[cameras.left]", "[cameras.right]", "exposure_s = 0.0066", "gain = 5.45", "Saturation = 100"):
         assert words in result.output
+
+
+@pytest.mark.parametrize(
+    ("gain", "says"),
+    [(0.0, "the picture is black"), (0.15, "the picture is dark"), (8.0, "100 % of the picture is overexposed")],
+)
+def test_the_light_of_a_picture_is_named(pictured: tuple[Path, Path, list[str]], gain: float, says: str) -> None:
+    image, rig, picks = pictured
+    picture = cv2.imread(str(image))
+    assert picture is not None
+    cv2.imwrite(str(image), (picture.astype(float) * gain + 245 * (gain > 1)).clip(0, 255).astype("uint8"))
+    result = run(image, *picks, "--rig", rig)
+    told = " ".join(f"{result.output} {result.exception}".split())
+    assert f"hand: {says}" in told
+    assert (rig / "colors.json").exists() is (result.exit_code == 0)
+    if not gain:
+        assert isinstance(result.exception, RhotError)
+
+
+def test_a_picture_larger_than_any_camera_takes_is_refused(pictured: tuple[Path, Path, list[str]]) -> None:
+    image, rig, picks = pictured
+    picture = cv2.imread(str(image))
+    assert picture is not None
+    cv2.imwrite(str(image), cv2.resize(picture, (6400, 4800)))
+    result = run(image, *picks, "--rig", rig)
+    assert isinstance(result.exception, RhotError)
+    assert "6400x4800 pixels; take pictures with the tracker's own cameras" in str(result.exception)

@@ -15,8 +15,8 @@ from rhot.anatomy.skeleton import CHAINS, FINGERS
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import Point, PointSet, Position
-from rhot.rig import CameraConfig, HandFile, MarkerConfig, RegistrationFile, Rig, RigConfig
-from rhot.rig.folder import nominal_camera
+from rhot.rig import CameraConfig, HandFile, MarkerConfig, Rig, RigConfig
+from rhot.rig.folder import NO_REGISTRATION, nominal_camera
 
 START_NS = 1_700_000_000_000_000_000
 RATE_HZ, DURATION_S = 30.0, 24.0
@@ -156,4 +156,4 @@ def person() -> Callable[..., Person]:
 def rig() -> Rig:
     camera = CameraConfig()
     config = RigConfig(cameras={"left": camera}, markers=MARKERS)
-    return Rig(Path(), config, {"left": nominal_camera(camera)}, True, HandFile(), RegistrationFile())
+    return Rig(Path(), config, {"left": nominal_camera(camera)}, True, HandFile(), NO_REGISTRATION)

@@ -15,7 +15,8 @@ from headset_feet.walked import record_walk
 from rhot.calibration_step import StepContext, load_steps
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.rig import BusConfig, HeadsetFile, Rig, load_rig, read_json_model
-from rhot.rig.folder import HEADSET_FILE
+from rhot.rig.calibration import RigidTransform
+from rhot.rig.folder import HEADSET_FILE, write_json_model
 from rhot_calibration.headset import command, page_step
 from rhot_calibration.headset.collector import ViewCollector
 from rhot_calibration.headset.command import headset
@@ -44,7 +45,8 @@ def test_the_page_of_a_rig_without_cameras_has_this_step_alone(rig: Rig) -> None
 
 def test_a_recording_tells_where_the_camera_sits(rig: Rig, tmp_path: Path) -> None:
     record_walk(rig, tmp_path / "looked", SECONDS, depth=False)
-    (rig.path / HEADSET_FILE).write_text('{"date": "2026-01-01", "T_head_camera": {}}')
+    nowhere = HeadsetFile(date="2026-01-01", T_head_camera=RigidTransform.identity())
+    write_json_model(rig.path / HEADSET_FILE, nowhere)
     arguments = [str(tmp_path / "looked"), "--rig", str(rig.path)]
     result = CliRunner().invoke(headset, arguments, catch_exceptions=False)
     assert result.exit_code == 0, result.output

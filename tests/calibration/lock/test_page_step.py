@@ -21,19 +21,20 @@ from rhot.rig import BusConfig
 from rhot.rig.colors import ColorsFile
 from rhot.rig.folder import load_config
 from rhot_calibration.lock import page_step as lock_step
-from rhot_calibration.lock.page_step import CameraLook, LockStep, look_remarks, picture_light
+from rhot_calibration.lock.page_step import CameraLook, LockStep, look_remarks
+from rhot_calibration.picture_light import PictureLight
 from rhot_capture.kept_optics import KeptOptics
 from rhot_capture.settings import CameraSettings
 
-GOOD = CameraLook("", 0.004, 4.0, (1.6, 1.6), 200.0, 0.0)
+GOOD = CameraLook("", 0.004, 4.0, (1.6, 1.6), PictureLight(200.0, 0.0))
 
 
 @pytest.mark.parametrize(
     ("other", "words"),
     [
-        (CameraLook("", 0.004, 4.0, (1.6, 1.6), 40.0, 0.0), "right: the picture is dark"),
-        (CameraLook("", 0.004, 4.0, (1.6, 1.6), 255.0, 0.1), "right: 10 % of the picture is overexposed"),
-        (CameraLook("", 0.004, 4.0, (1.6, 2.4), 200.0, 0.0), "set differently"),
+        (CameraLook("", 0.004, 4.0, (1.6, 1.6), PictureLight(40.0, 0.0)), "right: the picture is dark"),
+        (CameraLook("", 0.004, 4.0, (1.6, 1.6), PictureLight(255.0, 0.1)), "right: 10 % of the picture is overexposed"),
+        (CameraLook("", 0.004, 4.0, (1.6, 2.4), PictureLight(200.0, 0.0)), "set differently"),
         (CameraLook("nobody answers"), "right: nobody answers"),
     ],
 )
@@ -50,9 +51,9 @@ def test_good_cameras_are_good() -> None:
 def test_light_is_measured() -> None:
     image = np.full((100, 100, 3), 20, np.uint8)
     image[:10, :, 0] = 255
-    bright, clipped = picture_light(image)
-    assert bright == 255.0
-    assert clipped == pytest.approx(0.1)
+    light = PictureLight.of(image)
+    assert light.bright == 255.0
+    assert light.clipped == pytest.approx(0.1)
 
 
 async def test_a_capture_service_that_is_not_there_is_named(router: BusConfig, write_rig: Callable[..., Path]) -> None:

@@ -78,8 +78,11 @@ def off(file: RegistrationFile, moved_m: FloatArray | float = 0.0) -> tuple[floa
 
 
 def test_a_table_becomes_a_registration(rig_folder: Path, tmp_path: Path) -> None:
-    cup = RigidTransform(position=(0.1, 0.0, 0.0))
-    write_json_model(rig_folder / "registration.json", RegistrationFile(T_tracker_object={"cup": cup}))
+    cup = RigidTransform(position=(0.1, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0))
+    write_json_model(
+        rig_folder / "registration.json",
+        RegistrationFile(T_rig_tracker=RigidTransform.identity(), T_tracker_object={"cup": cup}),
+    )
     done = run(rig_folder, write_table(tmp_path / "places.csv", shown()))
     assert done.exit_code == 0
     assert "places.csv:2" in done.output

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from rhot.arrays import FloatArray, IntArray
-from rhot_calibration.cameras.board.boards import MIN_CORNERS, aruco_dictionary, charuco_board
+from rhot_calibration.cameras.board.boards import MIN_CORNERS, aruco_dictionary, charuco_board, dictionary_names
 from rhot_calibration.cameras.board.grid import GrayImage, extra_corners, find_grid, is_blank, oriented
 from rhot_calibration.cameras.board.sharpness import edge_width_px
 from rhot_calibration.cameras.solve.views import Board, BoardView
@@ -18,6 +18,8 @@ from rhot_calibration.cameras.solve.views import Board, BoardView
 MIN_CHARUCO_CORNERS: Final = 6
 MIN_MARKERS: Final = 3
 _LAYOUT_LIMIT: Final = 0.25  # RMS distance of the markers from where the board has them, in squares
+_SIZED_MARKERS: Final = 5
+"""Markers whose middles give a homography with something to spare."""
 _NEAR_COUNTS: Final = 2
 _MAX_CHARUCO_COLUMNS: Final = 24
 
@@ -62,6 +64,45 @@ def wrong_count_hint(gray: GrayImage, board: Board) -> tuple[int, int] | None:
     if board.is_charuco:
         return found
     return (max(found), min(found)) if board.columns >= board.rows else (min(found), max(found))
+
+
+def marker_share(gray: GrayImage, board: Board) -> float | None:
+    """Return the side of the markers that a picture shows, as a share of the squares' side; None with too few of them.
+
+    A homography from the markers' middles alone, which lie in the middle of their squares whatever their size, maps
+    their corners to the board.
+    """
+    # Without refinement, sides come out one pixel too short.
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    markers = _markers_of(gray, aruco_dictionary(board), parameters)
+    description, _ = _fitting_layout(markers, board)
+    places = _marker_places(description)
+    shared = sorted(markers.keys() & places.keys())
+    if len(shared) < _SIZED_MARKERS:
+        return None
+    pixels = np.array([markers[number] for number in shared])
+    middles = np.array([places[number].mean(axis=0) for number in shared])
+    H, _ = cv2.findHomography(pixels.mean(axis=1), middles)
+    sides = cv2.perspectiveTransform(pixels.reshape(1, -1, 2), H).reshape(-1, 4, 2)
+    return float(np.median(np.linalg.norm(sides - np.roll(sides, 1, axis=1), axis=2)))
+
+
+def seen_dictionary(gray: GrayImage) -> tuple[str, int] | None:
+    """Return the dictionary whose markers a picture shows, the smallest that has them all, and how many; None = none.
+
+    All of OpenCV's dictionaries are tried, which takes half a second.
+    """
+    best: tuple[str, int] | None = None
+    for name in sorted(dictionary_names(), key=_dictionary_size):
+        seen = len(_markers_of(gray, cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))))
+        if seen >= MIN_MARKERS and (best is None or seen > best[1]):
+            best = name, seen
+    return best
+
+
+def _dictionary_size(name: str) -> int:
+    return len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
 
 
 def _chessboard(gray: GrayImage, board: Board) -> tuple[IntArray, FloatArray] | None:
@@ -147,9 +188,16 @@ def _charuco_count(gray: GrayImage, board: Board) -> tuple[int, int] | None:
 
 def _markers(gray: GrayImage, board: Board) -> dict[int, FloatArray]:
     """Return the corners (4, 2) of each marker of the dictionary that is seen, by its number."""
+    return _markers_of(gray, aruco_dictionary(board))
+
+
+def _markers_of(
+    gray: GrayImage, dictionary: cv2.aruco.Dictionary, parameters: cv2.aruco.DetectorParameters | None = None
+) -> dict[int, FloatArray]:
     if is_blank(gray):
         return {}
-    corners, ids, _ = cv2.aruco.ArucoDetector(aruco_dictionary(board)).detectMarkers(gray)
+    detector = cv2.aruco.ArucoDetector(dictionary, parameters or cv2.aruco.DetectorParameters())
+    corners, ids, _ = detector.detectMarkers(gray)
     numbers = [int(number) for number in np.asarray(() if ids is None else ids).reshape(-1)]
     return {
         number: np.asarray(quad, dtype=np.float64).reshape(4, 2) for number, quad in zip(numbers, corners, strict=True)
@@ -171,10 +219,15 @@ def _fitting_layout(markers: dict[int, FloatArray], board: Board) -> tuple[cv2.a
     return description, min(misfit, legacy)
 
 
-def _misfit(markers: dict[int, FloatArray], description: cv2.aruco.CharucoBoard) -> float:
+def _marker_places(description: cv2.aruco.CharucoBoard) -> dict[int, FloatArray]:
+    """Return the corners (4, 2) of each marker of a board, in squares."""
     numbers = [int(number) for number in np.asarray(description.getIds()).reshape(-1)]
     quads = np.asarray(description.getObjPoints(), dtype=np.float64).reshape(-1, 4, 3)[:, :, :2]
-    places = dict(zip(numbers, quads / description.getSquareLength(), strict=True))
+    return dict(zip(numbers, quads / description.getSquareLength(), strict=True))
+
+
+def _misfit(markers: dict[int, FloatArray], description: cv2.aruco.CharucoBoard) -> float:
+    places = _marker_places(description)
     shared = sorted(markers.keys() & places.keys())
     if len(shared) < MIN_MARKERS:
         return float("inf")

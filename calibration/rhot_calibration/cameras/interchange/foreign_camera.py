@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rhot import text_files
 from rhot.arrays import FloatArray
 from rhot.atomic_file import why_unread
 from rhot.errors import CalibrationError
@@ -63,8 +64,13 @@ def intrinsics(value: Any, place: str) -> FloatArray:
     K = matrix(value, (3, 3), place)
     if K[0, 0] <= 0.0 or K[1, 1] <= 0.0 or K[1, 0] != 0.0 or not np.array_equal(K[2], (0.0, 0.0, 1.0)):
         raise CalibrationError(
-            f"{place}: {K.round(3).tolist()} is not a camera matrix [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with "
+            f"{place}: {K.round(3).tolist()} is not a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with "
             "positive focal lengths"
+        )
+    if K[0, 1] != 0.0:
+        raise CalibrationError(
+            f"{place}: the camera matrix has a skew of {K[0, 1]:g} px, which RHOT's cameras do not have; calibrate "
+            "without skew"
         )
     return K
 
@@ -131,7 +137,7 @@ def read_text(file: Path) -> str:
         CalibrationError: it cannot be read or is empty.
     """
     try:
-        text = file.read_text(encoding="utf-8")
+        text = text_files.read_text(file)
     except (OSError, UnicodeDecodeError) as error:
         raise CalibrationError(f"{file}: cannot be read: {why_unread(error)}") from error
     if not text.strip():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.geometry.transforms import inverse, rigid
+from rhot.text_files import parse_toml
 from rhot_calibration.cameras.interchange.foreign_camera import (
     ForeignCamera,
     coefficients,
@@ -32,8 +32,8 @@ def read_toml(file: Path) -> tuple[ForeignCamera, ...]:
         CalibrationError: malformed, incomplete, a fisheye model or a turned picture; names table and field.
     """
     try:
-        content = tomllib.loads(read_text(file))
-    except tomllib.TOMLDecodeError as error:
+        content = parse_toml(read_text(file))
+    except ValueError as error:
         raise CalibrationError(f"{file}: not TOML: {error}") from error
     nested = content.get("cameras")
     tables = nested if isinstance(nested, dict) else content

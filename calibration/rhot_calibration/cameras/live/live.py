@@ -19,6 +19,7 @@ from rich.live import Live
 from rhot.atomic_file import write_atomic
 from rhot.bus import Bus
 from rhot.errors import BusError, ConfigError
+from rhot.recording.picture_file import decode_picture
 from rhot.rig import BusConfig
 from rhot.service.stop import install_stop
 from rhot_calibration.cameras.board.detect import detect_board
@@ -189,7 +190,7 @@ class Collector:
 
 
 def _decoded(payload: bytes) -> Image:
-    picture = cv2.imdecode(np.frombuffer(payload, np.uint8), cv2.IMREAD_COLOR) if payload else None
+    picture = decode_picture(payload)
     return np.empty((0, 0, 3), np.uint8) if picture is None else np.asarray(picture, np.uint8)
 
 

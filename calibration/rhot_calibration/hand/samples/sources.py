@@ -47,7 +47,7 @@ def stored_points(file: Path) -> Iterator[PointSet]:
                 yield decode(sample.payload, PointSet)
         return
     try:
-        with file.open(encoding="utf-8") as lines:
+        with file.open(encoding="utf-8-sig") as lines:
             for number, line in enumerate(lines, start=1):
                 if line.strip():
                     found = _points_of(f"{file}:{number}", line)

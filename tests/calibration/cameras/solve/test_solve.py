@@ -153,11 +153,14 @@ def test_swapped_pictures_are_named_and_left_out() -> None:
     assert all("swapped" in reason for reason in found.left_out.values())
 
 
-def test_cameras_that_changed_sides_are_refused_with_an_earlier_calibration_and_noted_without() -> None:
+def test_cameras_on_the_other_side_than_known_are_refused() -> None:
     simulated = simulated_views(2, 2, 20)
     other = {"left": "right", "right": "left"}
     views = {(other[name], number): view for (name, number), view in simulated.views.views.items()}
-    assert any("swapped" in warning for warning in judged(changed(simulated, views)).warnings)
+    with pytest.raises(CalibrationError, match=r"right stands \d+ mm left of left, rig.toml .* has it 75 mm right"):
+        judged(changed(simulated, views))
+    told = {"left": np.zeros(3), "right": np.array([-0.075, 0.0, 0.0])}
+    assert not judged(changed(simulated, views), Expected(told, {})).warnings
     before = {name: camera.center for name, camera in simulated.cameras.items()}
     with pytest.raises(CalibrationError, match="left and right are swapped"):
         judged(changed(simulated, views), replace(where(simulated.views), previous=before))

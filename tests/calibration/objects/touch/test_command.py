@@ -45,7 +45,9 @@ def test_the_world_touches_in_the_order_in_which_the_command_asks() -> None:
 def test_a_recording_of_touches_gives_the_offset(rig: Rig, tmp_path: Path, seed: int) -> None:
     file = write_take(tmp_path / "take.mcap", take(rig.path, rig, ROUND_S, seed=seed))
     before = read_json_model(rig.path / "registration.simulated.json", RegistrationFile)
-    other = before.model_copy(update={"T_tracker_object": {"cup": RigidTransform(position=(0.1, 0.0, 0.0))}})
+    other = before.model_copy(
+        update={"T_tracker_object": {"cup": RigidTransform(position=(0.1, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0))}}
+    )
     write_json_model(rig.path / "registration.simulated.json", other)
     done = run(rig, "--touch", "cube", file)
     assert "RMS over 20 touches" in done.output
