@@ -11,6 +11,7 @@ import contextlib
 import ctypes
 import errno
 import os
+import stat
 import sys
 import tempfile
 import time
@@ -26,7 +27,8 @@ if sys.platform != "win32":
 _LOCK_LIMIT_S: Final = 5.0
 """A change of rig.toml takes milliseconds, on a worn SD card perhaps a second; who holds the lock longer hangs."""
 _LOCK_RETRY_S: Final = 0.01
-_MODE: Final = 0o644
+_MODE: Final = 0o666
+"""Of a new file, less what the process's umask forbids."""
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN: Final = (errno.EROFS, errno.EACCES, errno.EPERM)
 
@@ -65,7 +67,7 @@ def replacing(file: Path, make_error: Callable[[str], Exception] = ConfigError) 
         try:
             os.close(handle)
             yield part
-            part.chmod(_MODE)
+            part.chmod(_mode_of(file))
             sync_file(part)
             part.replace(file)
         except BaseException:
@@ -76,6 +78,22 @@ def replacing(file: Path, make_error: Callable[[str], Exception] = ConfigError) 
     except OSError as error:
         other = error.filename if isinstance(error.filename, str) and not error.filename.endswith(".tmp") else None
         raise make_error(f"{other or file}: cannot be written: {why(error)}") from error
+
+
+def _mode_of(file: Path) -> int:
+    """Return the mode that a file shall have: as it has it, or as an ordinary new file would get it."""
+    try:
+        return stat.S_IMODE(file.stat().st_mode)
+    except OSError:
+        pass
+    try:
+        # Asking the process itself would change it for a moment, for all threads.
+        status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+        umask = int(status.partition("Umask:")[2].split()[0], 8)
+    except (OSError, ValueError, IndexError):
+        umask = os.umask(0o077)
+        os.umask(umask)
+    return _MODE & ~umask
 
 
 def why(error: OSError) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import struct
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +22,7 @@ from rhot.rig import Rig
 from rhot.rig.kept_file import file_stamp
 from rhot.rig.shape_config import MeshConfig
 from rhot.sparing_log import SparingLog
+from rhot.text_files import parse_json
 
 logger = logging.getLogger(__name__)
 
@@ -30,6 +32,8 @@ MOST_TRIANGLES: Final = 100_000
 """What a headset, or a processor in place of a graphics card, still draws beside a hand."""
 _SIZES_M: Final = (0.005, 3.0)
 """Between a button and a ladder: a larger or smaller thing is in another unit."""
+_MOST_NODES: Final = 10_000
+_MOST_NUMBERS: Final = 10 * MOST_TRIANGLES
 _KEPT: Final = 8
 _said = SparingLog(60.0)
 
@@ -126,11 +130,9 @@ def _read(file: Path, scale: float, _stamp: Any) -> ObjectMesh:
             "pictures"
         )
     corners, triangles = _triangles(file, content)
-    if not 0 < len(triangles) <= MOST_TRIANGLES:
-        raise ConfigError(
-            f"{file}: has {len(triangles)} triangles, 1 to {MOST_TRIANGLES} are possible; in Blender, *Decimate* makes "
-            "them fewer"
-        )
+    if not len(triangles):
+        raise ConfigError(f"{file}: draws no triangles; export a surface")
+    _require_drawable(file, len(triangles))
     low, high = corners.min(axis=0), corners.max(axis=0)
     size_m = scale * (high - low)
     told = " x ".join(f"{1e3 * edge:.4g}" for edge in size_m)
@@ -154,6 +156,44 @@ def _read(file: Path, scale: float, _stamp: Any) -> ObjectMesh:
     return ObjectMesh(content, corners, triangles, middle, scale, shape)
 
 
+def _refuse_bombs(file: Path, content: bytes) -> None:
+    """Refuse a file whose own tables say that it unpacks to more than may be drawn, before it is unpacked.
+
+    A few hundred bytes can say so: an accessor without data is all zeros, and a surface may be drawn a thousand times.
+
+    Raises:
+        ConfigError: it does.
+    """
+    try:
+        magic, _, _, length, kind = struct.unpack_from("<4sIIII", content)
+        if (magic, kind) != (b"glTF", 0x4E4F534A):
+            return
+        tables = parse_json(content[20 : 20 + length].decode())
+        counts = [int(accessor["count"]) for accessor in tables.get("accessors", [])]
+        surfaces = [
+            sum(counts[part.get("indices", part["attributes"]["POSITION"])] // 3 for part in mesh["primitives"])
+            for mesh in tables.get("meshes", [])
+        ]
+        nodes = tables.get("nodes", [])
+        drawn = sum(surfaces[node["mesh"]] for node in nodes if "mesh" in node)
+    except (struct.error, ValueError, TypeError, KeyError, IndexError, AttributeError):
+        return  # the reader says what is wrong with it
+    if max(counts, default=0) > _MOST_NUMBERS or len(nodes) > _MOST_NODES:
+        raise ConfigError(
+            f"{file}: has {max(counts, default=0)} numbers in one table and {len(nodes)} places, at most "
+            f"{_MOST_NUMBERS} and {_MOST_NODES} are possible; in Blender, *Decimate* and *Join* make them fewer"
+        )
+    _require_drawable(file, drawn)
+
+
+def _require_drawable(file: Path, triangles: int) -> None:
+    if triangles > MOST_TRIANGLES:
+        raise ConfigError(
+            f"{file}: has {triangles} triangles, 1 to {MOST_TRIANGLES} are possible; in Blender, *Decimate* makes them "
+            "fewer"
+        )
+
+
 def _triangles(file: Path, content: bytes) -> tuple[FloatArray, NDArray[np.int64]]:
     """Return corners (N, 3), units of the file, and triangles (M, 3) of all that a file draws, where it draws it."""
     try:
@@ -161,12 +201,15 @@ def _triangles(file: Path, content: bytes) -> tuple[FloatArray, NDArray[np.int64
     except ImportError as error:
         raise ConfigError(f"{file}: reading it needs trimesh: pip install 'rhot[mesh]'") from error
     # From bytes nothing else is opened: a file that names further files is not complete.
+    _refuse_bombs(file, content)
     try:
         mesh = trimesh.load_scene(io.BytesIO(content), file_type="glb", skip_materials=True).to_mesh()
         corners = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
         triangles = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
         if not np.isfinite(corners).all():
             raise ValueError("it has corners that are no numbers")
+        if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(corners):
+            raise ValueError(f"triangles name corners up to {triangles.max()}, there are {len(corners)}")
     except Exception as error:  # a reader of any bytes raises anything
         raise ConfigError(
             f"{file}: is no glTF in its binary form ({type(error).__name__}: {str(error)[:120]}); export it as .glb, "

@@ -29,7 +29,7 @@ def rig_with(folder: Path, objects: str) -> Rig:
     (folder / "rig.toml").write_text(RIG + objects, encoding="utf-8")
     (folder / "registration.json").write_text(
         '{"T_rig_tracker": {"position": [0.5, 1.0, 1.5], "orientation": [0.5, 0.5, 0.5, 0.5]},'
-        ' "T_tracker_object": {"cup": {"position": [0.0, 0.0, 0.05]}}}',
+        ' "T_tracker_object": {"cup": {"position": [0.0, 0.0, 0.05], "orientation": [0.0, 0.0, 0.0, 1.0]}}}',
         encoding="utf-8",
     )
     return load_rig(folder)
@@ -113,7 +113,9 @@ def test_each_source_has_a_registration_of_its_own_else_the_one_of_all(tmp_path:
         source = "recorded"
         path = "pen.csv"
         """
-    (tmp_path / "registration.steamvr.json").write_text('{"T_rig_tracker": {"position": [7.0, 0.0, 0.0]}}')
+    (tmp_path / "registration.steamvr.json").write_text(
+        '{"T_rig_tracker": {"position": [7.0, 0.0, 0.0], "orientation": [0.0, 0.0, 0.0, 1.0]}}'
+    )
     rig = rig_with(tmp_path, objects)
     assert registration_path(tmp_path, "steamvr") == tmp_path / "registration.steamvr.json"
     assert registration_path(tmp_path, "recorded") == tmp_path / "registration.json"

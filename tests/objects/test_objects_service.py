@@ -87,7 +87,9 @@ async def test_after_its_space_moved_nothing_is_published_until_it_is_registered
         assert (await wait_for_status(bus, "objects/main", lambda status: status.t_ns > said.t_ns)).counts[
             "reads"
         ] == reads
-        registration = RegistrationFile(T_rig_tracker=RigidTransform(position=(0.4, 0.0, 0.0)))
+        registration = RegistrationFile(
+            T_rig_tracker=RigidTransform(position=(0.4, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0))
+        )
         write_json_model(rig.path / "registration.json", registration)
         await wait_for_status(bus, "objects/main", lambda status: not status.problem and status.counts["reads"] > reads)
         assert (await cup(bus)).position[0] == pytest.approx(0.0)

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from rhot.rig import RegistrationFile, RigidTransform
+from rhot.rig.folder import NO_REGISTRATION
 from rhot_objects.pose import Pose, angle_between
 from rhot_objects.registration import Registration
 
@@ -24,7 +25,7 @@ def test_each_step_of_the_chain_counts() -> None:
     registration = Registration.from_file(
         RegistrationFile(
             T_rig_tracker=RigidTransform(position=(1.0, 0.0, 0.0), orientation=QUARTER_TURN_ABOUT_Z),
-            T_tracker_object={"cup": RigidTransform(position=(0.1, 0.0, 0.0))},
+            T_tracker_object={"cup": RigidTransform(position=(0.1, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0))},
         )
     )
     device = Pose.from_arrays((2.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
@@ -35,7 +36,7 @@ def test_each_step_of_the_chain_counts() -> None:
 
 def test_without_a_file_the_tracker_space_is_the_rig() -> None:
     device = Pose.from_arrays((0.1, 0.2, 0.3), (0.5, 0.5, 0.5, 0.5))
-    same = Registration.from_file(RegistrationFile()).to_rig("cup", device)
+    same = Registration.from_file(NO_REGISTRATION).to_rig("cup", device)
     np.testing.assert_allclose(same.position, device.position)
     assert angle_between(same, device) < 1e-9
 

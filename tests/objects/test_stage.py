@@ -12,7 +12,9 @@ from rhot_objects.sources import PoseSample
 from rhot_objects.stage import HOLD_S, ObjectStage
 
 MS = 1_000_000
-SHIFTED = Registration.from_file(RegistrationFile(T_rig_tracker=RigidTransform(position=(0.0, 0.0, 1.0))))
+SHIFTED = Registration.from_file(
+    RegistrationFile(T_rig_tracker=RigidTransform(position=(0.0, 0.0, 1.0), orientation=(0.0, 0.0, 0.0, 1.0)))
+)
 
 
 def sample(t_ns: int, x: float = 0.0) -> PoseSample:

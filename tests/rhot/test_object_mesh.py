@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import struct
-from collections.abc import Callable
+import tracemalloc
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -120,3 +122,57 @@ def test_what_is_too_big_or_flat_is_refused(tmp_path: Path, monkeypatch: pytest.
     flat = trimesh.Trimesh([(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0)], [(0, 1, 2)])
     with pytest.raises(ConfigError, match=r"its corners lie in one plane .*needs a thickness"):
         mesh_file(things.save(flat, tmp_path / "flat.glb"))
+
+
+def glb(tables: Mapping[str, object], data: bytes = b"") -> bytes:
+    text = json.dumps(tables).encode()
+    text += b" " * (-len(text) % 4)
+    data += b"\0" * (-len(data) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
+    if data:
+        chunks += struct.pack("<II", len(data), 0x004E4942) + data
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+@pytest.mark.parametrize("kind", ["accessor", "instances", "nodes"])
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path, kind: str) -> None:
+    count = 500_000_000 if kind == "accessor" else 9_000
+    tables = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}] * {"accessor": 1, "instances": 1_000, "nodes": 100_000}[kind],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"componentType": 5126, "count": count, "type": "VEC3"}],
+    }
+    file = tmp_path / "bomb.glb"
+    file.write_bytes(glb(tables))
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match=r"bomb\.glb: has .* possible.*Decimate"):
+        mesh_file(file)
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
+
+
+def test_triangles_of_corners_that_are_not_there_are_refused(tmp_path: Path) -> None:
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], np.float32)
+    triangles = np.array([[0, 1, 2], [0, 1, 3], [1, 2, 40]], np.uint16)
+    data = corners.tobytes() + triangles.tobytes()
+    tables = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": 9, "type": "SCALAR"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": 48},
+            {"buffer": 0, "byteOffset": 48, "byteLength": 18},
+        ],
+        "buffers": [{"byteLength": len(data)}],
+    }
+    (tmp_path / "cup.glb").write_bytes(glb(tables, data))
+    with pytest.raises(ConfigError, match=r"cup\.glb"):
+        mesh_file(tmp_path / "cup.glb")

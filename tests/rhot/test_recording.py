@@ -49,7 +49,7 @@ def test_pictures_with_times_inside_or_beside_the_folder(folder: Path) -> None:
     for camera, table in (("left", "left/timestamps.csv"), ("right", "right.csv")):
         for frame in (3, 5, 10):
             write(folder / camera / f"{frame:06d}.jpg")
-        write(folder / table, "frame,t_ns\n3,100\n5,200\n10,300\n")
+        write(folder / table, "frame,t_ns\n3,100000000\n5,200000000\n10,300000000\n")
     recording = load_recording(folder)
     assert list(recording.cameras) == ["left", "right"]
     assert recording.has_times
@@ -57,7 +57,31 @@ def test_pictures_with_times_inside_or_beside_the_folder(folder: Path) -> None:
     for track in recording.cameras.values():
         assert isinstance(track, PictureTrack)
         assert [file.name for file in track.files] == ["000003.jpg", "000005.jpg", "000010.jpg"]
-        assert track.t_ns.tolist() == [100, 200, 300]
+        assert track.t_ns.tolist() == [100_000_000, 200_000_000, 300_000_000]
+
+
+@pytest.mark.parametrize(("unit", "per_second"), [("milliseconds", 1_000), ("microseconds", 1_000_000)])
+@pytest.mark.parametrize("rate_hz", [15, 30, 60, 120])
+def test_times_in_another_unit_are_refused_by_its_name(folder: Path, unit: str, per_second: int, rate_hz: int) -> None:
+    rows = "".join(f"{frame},{1_700_000_000 * per_second + frame * per_second // rate_hz}\n" for frame in range(9))
+    for frame in range(9):
+        write(folder / "left" / f"{frame:06d}.png")
+    write(folder / "left" / "timestamps.csv", f"frame,t_ns\n{rows}")
+    with pytest.raises(ConfigError, match=f"t_ns seem to be in {unit}: multiply"):
+        load_recording(folder).require_times()
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("img_1.png", "img_2.png", "img_10.png"), ("1.bmp", "2.BMP", "10.bmp"), ("a-001.tif", "a-002.tiff", "a-010.tif")],
+)
+def test_pictures_as_other_programs_name_them(folder: Path, names: tuple[str, ...]) -> None:
+    for name in names:
+        write(folder / "left" / name)
+    track = load_recording(folder).cameras["left"]
+    assert isinstance(track, PictureTrack)
+    assert [file.name for file in track.files] == list(names)
+    assert track.frames.tolist() == [1, 2, 10]
 
 
 def test_still_set_loads_without_times_and_is_refused_where_they_are_needed(folder: Path) -> None:
@@ -127,7 +151,7 @@ def test_wrong_header_is_line_1(folder: Path, header: str) -> None:
 
 def test_binary_table_is_an_error_not_a_crash(folder: Path) -> None:
     (folder / "left").mkdir()
-    (folder / "left" / "markers.csv").write_bytes(b"\xff\xfe\x00\x01" * 20)
+    (folder / "left" / "markers.csv").write_bytes(b"\xff\xfd\x00\x01" * 20)
     with pytest.raises(ConfigError, match="cannot be read"):
         load_recording(folder)
 
@@ -137,7 +161,8 @@ def test_binary_table_is_an_error_not_a_crash(folder: Path) -> None:
     [
         ({}, "holds no camera"),
         ({"left/timestamps.csv": "frame,t_ns\n0,1\n"}, "neither numbered pictures"),
-        ({"left/IMG_1.jpg": ""}, "a picture's name is its frame number"),
+        ({"left/IMG_one.jpg": ""}, "a picture's name ends in its frame number"),
+        ({"left/a_1.jpg": "", "left/b_1.jpg": ""}, "frame 1 is there twice"),
         ({"left/1.jpg": "", "left/001.png": ""}, "frame 1 is there twice"),
         ({"left/1.jpg": "", "left.mp4": ""}, "camera left is there twice"),
         ({"left/1.jpg": "", "left/markers.csv": HEADER}, "both pictures and"),

@@ -93,7 +93,7 @@ async def test_the_folders_floor_is_published_without_a_session(owner: Path, rou
         assert json.loads(answer.payload)["T_rig_space"][2][3] == 1.69
         (owner / "stage.json").write_text("{}")
         assert (await _next(heard)).T_rig_space[2][3] == 1.69, "what cannot be read changes nothing"
-        registration = RegistrationFile(quality={"residual_rms_mm": 1.5})
+        registration = RegistrationFile(T_rig_tracker=RigidTransform.identity(), quality={"residual_rms_mm": 1.5})
         write_json_model(owner / "registration.steamvr.json", registration)
         while True:
             space = await _next(heard)

@@ -24,6 +24,8 @@ _LABEL: Final = "[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
 _HOST_NAME: Final = re.compile(rf"{_LABEL}(\.{_LABEL})*")
 """RFC 1123, section 2.1."""
 _BEGIN: Final = dt.datetime(2020, 1, 1, tzinfo=dt.UTC)
+_EARLIEST: Final = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
+"""Before this program was made."""
 _YEARS: Final = 10
 _AUTHORITY_YEARS: Final = 20
 
@@ -130,7 +132,18 @@ def _alternative(address: str) -> x509.GeneralName:
 
 
 def _years_from_now(years: int) -> dt.datetime:
-    return dt.datetime.now(dt.UTC).replace(microsecond=0) + dt.timedelta(days=365 * years)
+    """Return the end of what is made now.
+
+    Raises:
+        ConfigError: the clock of this machine shows a time before this program was made.
+    """
+    now = dt.datetime.now(dt.UTC).replace(microsecond=0)
+    if now < _EARLIEST:
+        raise ConfigError(
+            f"the clock of this machine says {now:%Y-%m-%d}: certificates would be over before they are used. Set it "
+            "(`timedatectl`, or connect to a network with time), then make them again"
+        )
+    return now + dt.timedelta(days=365 * years)
 
 
 def _pair(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey, end: dt.datetime) -> Pair:

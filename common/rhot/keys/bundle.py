@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import io
 import re
+import ssl
 import tarfile
-import tomllib
+import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
 from pydantic import ValidationError
 
 from rhot.errors import ConfigError
-from rhot.keys.folder import KEYS_FOLDER, write_private
+from rhot.keys.folder import AUTHORITY, KEYS_FOLDER, write_private
 from rhot.messages import first_problem
 from rhot.rig.bus_config import BusConfig
 from rhot.rig.config import RigConfig
 from rhot.rig.folder import COLORS_FILE, RIG_FILE, write_text_atomic
 from rhot.rig.toml_edit import change_rig_file
+from rhot.text_files import parse_toml
 
 MAX_BUNDLE_BYTES: Final = 16 << 20
 """Larger than any colours of a rig."""
@@ -36,6 +39,7 @@ def install_bundle(data: bytes, rig_path: Path) -> tuple[str, ...]:
     """
     content = _content(data)
     config = _rig_config(content[RIG_FILE])
+    _check_certificates(content)
     keys = rig_path / KEYS_FOLDER
     try:
         keys.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -82,8 +86,10 @@ def _content(data: bytes) -> dict[str, bytes]:
             for entry in archive:
                 stream = archive.extractfile(entry) if entry.isreg() else None
                 # Names decide where a file lands: only those that a bundle has.
-                if stream is None or not _EXPECTED.fullmatch(entry.name):
+                if stream is None or entry.issparse() or not _EXPECTED.fullmatch(entry.name):
                     raise ConfigError(f"the bundle holds {entry.name!r}, which belongs to none of `rhot keys`")
+                if entry.size > len(data):
+                    raise ConfigError(f"the bundle says that {entry.name} has {entry.size} bytes, more than itself")
                 content[entry.name] = stream.read()
     except (tarfile.TarError, EOFError) as error:
         raise ConfigError(f"this is no bundle of `rhot keys`: {error}") from error
@@ -92,10 +98,37 @@ def _content(data: bytes) -> dict[str, bytes]:
     return content
 
 
+def _check_certificates(content: Mapping[str, bytes]) -> None:
+    """Refuse a bundle whose certificates are none, or whose keys are not theirs, before good files are replaced.
+
+    Raises:
+        ConfigError: names the file.
+    """
+    authority = f"{KEYS_FOLDER}/{AUTHORITY}.pem"
+    certificates = [name for name in content if name.endswith(".pem") and name != authority]
+    if authority not in content or not certificates:
+        raise ConfigError("the bundle holds no certificates; make it again with `rhot keys`")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    name = authority
+    try:
+        context.load_verify_locations(cadata=content[authority].decode("ascii"))
+        with tempfile.TemporaryDirectory(prefix="rhot-keys-") as folder:
+            for name in certificates:
+                certificate, key = Path(folder) / "part.pem", Path(folder) / "part.key"
+                write_private(certificate, content[name])
+                write_private(key, content[f"{name.removesuffix('.pem')}.key"])
+                context.load_cert_chain(certificate, key, password="")
+    except (ssl.SSLError, ValueError, KeyError) as error:
+        raise ConfigError(
+            f"the bundle's {name} is no certificate with its key; nothing was replaced. Make the bundle again with "
+            "`rhot keys`"
+        ) from error
+
+
 def _rig_config(text: bytes) -> RigConfig:
     try:
-        return RigConfig.model_validate(tomllib.loads(text.decode()))
+        return RigConfig.model_validate(parse_toml(text.decode()))
     except ValidationError as error:
         raise ConfigError(f"the bundle's {RIG_FILE}: {first_problem(error)}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except ValueError as error:
         raise ConfigError(f"the bundle's {RIG_FILE} is not TOML: {error}") from error

@@ -105,7 +105,7 @@ def allowance(holder: Holder) -> Allowance:
     if holder.role == SERVICES:
         return Allowance(
             publish=(*(f"rhot/{key}" for key in (*_DATA, *_FEET_INPUTS)), "rhot/status/*/*"),
-            answer=("rhot/control", "rhot/clock", "rhot/config/*/*", "rhot/preview/feet"),
+            answer=("rhot/control", "rhot/clock", "rhot/rig", "rhot/config/*/*", "rhot/preview/feet"),
             alive=("rhot/alive/*/*",),
             hear=_EVERYTHING,
             ask=_ASKED,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -25,19 +24,21 @@ from rhot.recording.model import (
     frozen_array,
 )
 from rhot.recording.tables import read_marker_track, read_times
+from rhot.text_files import parse_toml, read_text
 
 logger = logging.getLogger(__name__)
 
 RECORDING_FILE = "recording.toml"
 MARKERS_FILE = "markers.csv"
 TIMES_FILE = "timestamps.csv"
-PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
-VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi")
+PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
+VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi")
 COLOR_FOLDER = "color"
 """Below the folder of a depth camera."""
 DEPTH_FOLDER = "depth"
 INTRINSICS_FILE = "intrinsics.json"
 
+_NUMBERED = re.compile(r"(?:.*[^0-9])?([0-9]{1,18})")
 _CAMERA_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _NO_TIMES = frozen_array([])
 
@@ -183,13 +184,13 @@ def _settings(path: Path) -> RecordingFile:
     if not file.exists():
         return RecordingFile()
     try:
-        return RecordingFile.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+        return RecordingFile.model_validate(parse_toml(read_text(file)))
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{file}: not TOML: {error}") from error
     except ValidationError as error:
         raise ConfigError(f"{file}: {first_problem(error)}") from error
+    except ValueError as error:
+        raise ConfigError(f"{file}: not TOML: {error}") from error
 
 
 def _is_camera_folder(path: Path) -> bool:
@@ -205,16 +206,20 @@ def numbered_pictures(path: Path, suffixes: tuple[str, ...] = PICTURE_SUFFIXES) 
     """Return the pictures of a folder by their frame numbers, in order.
 
     Raises:
-        ConfigError: a picture's name is no number, or a number is there twice.
+        ConfigError: a picture's name does not end in a number, or a number is there twice.
     """
     pictures: dict[int, Path] = {}
     for file in sorted(path.iterdir()):
         if file.suffix.lower() not in suffixes or file.name.startswith("."):
             continue
-        if not (file.stem.isascii() and file.stem.isdigit()):
+        number = _NUMBERED.fullmatch(file.stem)
+        if number is None:
             example = f"000042{suffixes[0]}"
-            raise ConfigError(f"{file}: a picture's name is its frame number, such as {example}; rename or remove it")
-        frame = int(file.stem)
+            raise ConfigError(
+                f"{file}: a picture's name ends in its frame number, such as {example} or img_42{suffixes[0]}; rename "
+                "or remove it"
+            )
+        frame = int(number[1])
         if frame in pictures:
             raise ConfigError(f"{file}: frame {frame} is there twice, also as {pictures[frame].name}; keep one")
         pictures[frame] = file

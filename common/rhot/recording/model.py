@@ -16,6 +16,10 @@ from rhot.rig.file_model import FileModel, NotNegative
 
 MOST_CAMERAS: Final = 64
 """Of a recording, as of a rig."""
+_SHORTEST_PERIOD_NS: Final = 1_000_000
+"""No camera of a rig takes more than 1,000 pictures a second: shorter intervals are counted in a coarser unit."""
+_COARSE_NS: Final = 1_000
+"""Intervals of less are milliseconds (33 at 30 Hz), other short ones microseconds (33,333)."""
 
 
 class TrackTiming(FileModel):
@@ -159,16 +163,24 @@ class Recording:
         return all(isinstance(track, MarkerTrack) for track in self.cameras.values())
 
     def require_times(self) -> None:
-        """Refuse a recording without times where they are needed.
+        """Refuse a recording without times, or with times in another unit than nanoseconds, where they are needed.
 
         Raises:
-            ConfigError: names the camera that has none.
+            ConfigError: names the camera, and the unit that its times are probably in.
         """
         for name, track in self.cameras.items():
             if not track.has_times:
                 raise ConfigError(
                     f"{self.path}: camera {name} has no times; add {name}/timestamps.csv (or {name}.csv) with the "
                     "header frame,t_ns and one row a frame"
+                )
+            times = np.unique(track.t_ns)
+            period = float(np.median(np.diff(times))) if len(times) > 1 else _SHORTEST_PERIOD_NS
+            if period < _SHORTEST_PERIOD_NS:
+                unit, factor = ("milliseconds", "1000000") if period < _COARSE_NS else ("microseconds", "1000")
+                raise ConfigError(
+                    f"{self.path}: frames of camera {name} are {period:g} apart, which as nanoseconds would be "
+                    f"{1e9 / period:.3g} pictures a second; its t_ns seem to be in {unit}: multiply them by {factor}"
                 )
 
 

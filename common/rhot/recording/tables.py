@@ -14,6 +14,7 @@ from rhot.arrays import IntArray
 from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.recording.model import MarkerTrack, TrackTiming, frozen_array
+from rhot.text_files import read_text
 
 TIMES_HEADER = ("frame", "t_ns")
 MARKERS_HEADER = ("frame", "t_ns", "marker", "u", "v")
@@ -96,7 +97,7 @@ def read_marker_track(file: Path, name: str, timing: TrackTiming) -> MarkerTrack
 
 def _rows(file: Path, header: tuple[str, ...], *, complete: bool = True) -> Iterator[tuple[int, list[str]]]:
     try:
-        text = file.read_text(encoding="utf-8-sig")
+        text = read_text(file)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     lines = (text if complete else text[: text.rfind("\n") + 1]).splitlines()

@@ -78,7 +78,9 @@ class Intrinsics(FileModel):
     @classmethod
     def _is_intrinsics(cls, K: Matrix3) -> Matrix3:
         if K[0][0] <= 0 or K[1][1] <= 0 or K[2] != (0.0, 0.0, 1.0) or K[1][0] != 0.0:
-            raise ValueError("K must be [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
+            raise ValueError("K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
+        if K[0][1] != 0.0:
+            raise ValueError(f"K has a skew of {K[0][1]:g} px, which cameras here do not have; calibrate without skew")
         return K
 
     @field_validator("distortion")
@@ -154,8 +156,8 @@ class RigidTransform(FileModel):
         orientation: rotation, unit quaternion x, y, z, w.
     """
 
-    position: Vector3 = (0.0, 0.0, 0.0)
-    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    position: Vector3
+    orientation: Quaternion
 
     @model_validator(mode="after")
     def _unit(self) -> RigidTransform:
@@ -163,6 +165,11 @@ class RigidTransform(FileModel):
         if abs(norm - 1.0) > 1e-3:
             raise ValueError(f"orientation (x, y, z, w) has norm {norm:.6g}, must be 1")
         return self
+
+    @classmethod
+    def identity(cls) -> RigidTransform:
+        """Return the transform that changes nothing."""
+        return cls(position=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0))
 
     @classmethod
     def from_matrix(cls, T: NDArray[np.float64]) -> RigidTransform:
@@ -209,5 +216,5 @@ class RegistrationFile(CalibrationFile):
         T_tracker_object: per object, from the tracked device to the object's own frame.
     """
 
-    T_rig_tracker: RigidTransform = RigidTransform()
+    T_rig_tracker: RigidTransform
     T_tracker_object: dict[Name, RigidTransform] = {}

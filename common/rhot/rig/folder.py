@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,10 +24,12 @@ from rhot.rig.calibration import (
     Matrix3,
     Matrix4,
     RegistrationFile,
+    RigidTransform,
     StageFile,
 )
 from rhot.rig.config import CameraConfig, ObjectSource, RigConfig
 from rhot.text import as_argument
+from rhot.text_files import parse_json, parse_toml, read_text
 
 logger = logging.getLogger(__name__)
 
@@ -42,6 +43,9 @@ OBJECT_SOURCES: tuple[ObjectSource, ...] = get_args(ObjectSource)
 STAGE_FILE = "stage.json"
 HEADSET_FILE = "headset.json"
 
+_SETTINGS: Final = (".toml", ".json")
+_MOST_SETTINGS_BYTES: Final = 16 << 20
+
 _MADE_BY: Final = {
     "cameras.": "cameras",
     "colors.": "colors",
@@ -51,6 +55,9 @@ _MADE_BY: Final = {
     "headset.": "headset",
 }
 """Beginning of a calibration file's name to the `rhot calibrate` that writes it."""
+
+NO_REGISTRATION: Final = RegistrationFile(T_rig_tracker=RigidTransform.identity())
+"""Of a rig without tracked objects, or whose tracking system's space is the rig's."""
 
 _F = TypeVar("_F", bound=BaseModel)
 
@@ -120,7 +127,7 @@ def load_rig(path: Path) -> Rig:
     else:
         cameras, quality = {name: nominal_camera(camera) for name, camera in config.cameras.items()}, None
     hand = _optional(path / HAND_FILE, HandFile) or HandFile(length_m=config.hand.length_m)
-    registration = _optional(path / REGISTRATION_FILE, RegistrationFile) or RegistrationFile()
+    registration = _optional(path / REGISTRATION_FILE, RegistrationFile) or NO_REGISTRATION
     stage = _optional(path / STAGE_FILE, StageFile)
     own = {source: _optional(path / registration_name(source), RegistrationFile) for source in OBJECT_SOURCES}
     registrations: dict[str, RegistrationFile] = {source: file for source, file in own.items() if file is not None}
@@ -159,13 +166,12 @@ def load_config(path: Path) -> RigConfig:
             f"{path}: no such rig folder; name yours with --rig, or make one: `rhot init {as_argument(path)}`"
         )
     try:
-        # utf-8-sig: editors of Windows put a byte order mark in front, which TOML has not.
-        data = tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        data = parse_toml(read_text(file))
     except FileNotFoundError as error:
         raise ConfigError(f"{path} holds no {RIG_FILE}; `rhot init {as_argument(path)}` makes one") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except ValueError as error:
         raise ConfigError(f"{file}: not TOML: {error}") from error
     try:
         config = RigConfig.model_validate(data)
@@ -220,12 +226,12 @@ def read_json_model(file: Path, model: type[_F], error_class: type[RhotError] = 
         CalibrationError (or `error_class`): unreadable, not JSON, or a wrong value; names the field.
     """
     try:
-        data: Any = json.loads(file.read_text(encoding="utf-8"))
+        data = parse_json(read_text(file))
     except FileNotFoundError as error:
         raise error_class(f"{file}: is missing{_remedy(file)}") from error
     except (OSError, UnicodeDecodeError) as error:
         raise error_class(f"{file}: cannot be read: {why_unread(error)}") from error
-    except (json.JSONDecodeError, RecursionError) as error:
+    except ValueError as error:
         raise error_class(f"{file}: not JSON, perhaps cut off: {error}{_remedy(file)}") from error
     try:
         return model.model_validate(data)
@@ -254,3 +260,23 @@ def write_text_atomic(file: Path, text: str) -> None:
         ConfigError: the folder cannot be written.
     """
     write_atomic(file, text.encode())
+
+
+def settings_files(folder: Path) -> dict[str, bytes]:
+    """Return the settings of a rig folder, its `*.toml` and `*.json`, by name; keys and recordings are not among them.
+
+    Raises:
+        ConfigError: a file cannot be read.
+    """
+    found: dict[str, bytes] = {}
+    for file in sorted(folder.iterdir()):
+        if file.suffix not in _SETTINGS or file.name.startswith(".") or not file.is_file():
+            continue
+        try:
+            if file.stat().st_size > _MOST_SETTINGS_BYTES:
+                logger.warning("%s is over %d MB and is left out", file, _MOST_SETTINGS_BYTES >> 20)
+                continue
+            found[file.name] = file.read_bytes()
+        except OSError as error:
+            raise ConfigError(f"{file}: cannot be read: {error.strerror or error}") from error
+    return found

@@ -41,6 +41,9 @@ _CAMERA: Final = """
 [cameras.{name}]
 # picamera2 (a Pi's own camera), v4l2 (USB), images (a folder), video (a file) or simulated.
 source = "{source}"
+# Which one, where a machine has several: 0, 1, … of a Pi; of USB cameras the name that stays after unplugging, as
+# `ls /dev/v4l/by-id` lists it: "/dev/v4l/by-id/usb-…-video-index0".
+# device = 0
 width = {width}
 height = {height}
 rate_hz = {rate_hz:g}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from rhot.errors import ConfigError
 from rhot.messages import first_problem
 from rhot.rig.config import RigConfig
 from rhot.rig.folder import RIG_FILE, write_text_atomic
+from rhot.text_files import parse_toml
 
 Value = str | int | float | Sequence[float] | Sequence[str]
 """What can be written: a text, a number or truth value, or a list of numbers or texts."""
@@ -35,7 +35,7 @@ def with_values(text: str, table: Sequence[str], values: Mapping[str, Value]) ->
     """
     try:
         document = tomlkit.parse(text)
-    except TOMLKitError as error:
+    except (TOMLKitError, RecursionError) as error:
         raise ConfigError(str(error)) from error
     found: Any = document
     for name in table:
@@ -86,7 +86,7 @@ def _change(file: Path, changes: Mapping[tuple[str, ...], Mapping[str, Value]]) 
     try:
         for table, values in changes.items():
             text = with_values(text, table, values)
-        RigConfig.model_validate(tomllib.loads(text))
+        RigConfig.model_validate(parse_toml(text))
     except ValidationError as error:
         raise ConfigError(f"{file}: stays as it is: {first_problem(error, RigConfig)}") from error
     except ConfigError as error:

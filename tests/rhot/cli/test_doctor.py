@@ -11,7 +11,7 @@ from rhot.bus import Bus
 from rhot.cli.doctor import check_rig, check_running
 from rhot.cli.findings import Finding
 from rhot.messages import ServiceStatus
-from rhot.rig import BusConfig, CamerasFile, HandFile, RegistrationFile, Rig, load_rig, write_json_model
+from rhot.rig import BusConfig, CamerasFile, HandFile, RegistrationFile, Rig, RigidTransform, load_rig, write_json_model
 from rhot.rig.colors import nominal_colors
 from rhot_sim.walker.folder import write_walker_rig
 
@@ -98,7 +98,9 @@ def test_calibrations_are_shown_with_date_age_and_figures(rig_folder: Path) -> N
     }
     calibrate(rig_folder, quality)
     write_json_model(rig_folder / "hand.json", HandFile(date="2026-01-01", quality={"bones_sd_mm": 1.5}))
-    registration = RegistrationFile(quality={"residual_rms_mm": 1.234, "covariance": [[1.0]], "places": 10})
+    registration = RegistrationFile(
+        T_rig_tracker=RigidTransform.identity(), quality={"residual_rms_mm": 1.234, "covariance": [[1.0]], "places": 10}
+    )
     write_json_model(rig_folder / "registration.json", registration)
     _, findings = check_rig(rig_folder)
     cameras = about(findings, "cameras.json")

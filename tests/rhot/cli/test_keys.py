@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import io
 import stat
 import tarfile
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -134,3 +136,72 @@ def test_tls_with_a_plain_endpoint_is_refused(rig_folder: Path) -> None:
     (rig_folder / RIG_FILE).write_text(text)
     with pytest.raises(ConfigError, match="is not encrypted"):
         load_config(rig_folder)
+
+
+def bundle_of(**files: bytes) -> bytes:
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w") as archive:
+        for name, data in files.items():
+            entry = tarfile.TarInfo(name)
+            entry.size = len(data)
+            archive.addfile(entry, io.BytesIO(data))
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("damage", ["no pem", "another key", "cut", "no key"])
+def test_a_damaged_bundle_replaces_nothing(rig_folder: Path, tmp_path: Path, damage: str) -> None:
+    run("make", "--address", "192.168.1.10", "--rig", str(rig_folder))
+    pi = tmp_path / "pi"
+    good = (rig_folder / "keys" / "camera-left.tar").read_bytes()
+    install_bundle(good, pi)
+    before = {file: file.read_bytes() for file in pi.rglob("*") if file.is_file()}
+    with tarfile.open(fileobj=io.BytesIO(good)) as archive:
+        files = {entry.name: stream.read() for entry in archive if (stream := archive.extractfile(entry))}
+    certificate, key = "keys/camera-left.pem", "keys/camera-left.key"
+    if damage == "no pem":
+        files[certificate] = b"garbage"
+    elif damage == "another key":
+        files[key] = (rig_folder / "keys" / "camera-right.key").read_bytes()
+    elif damage == "cut":
+        files[certificate] = files[certificate][:300]
+    else:
+        del files[key]
+    with pytest.raises(ConfigError, match=r"camera-left\.pem is no certificate with its key; nothing was replaced"):
+        install_bundle(bundle_of(**files), pi)
+    assert {file: file.read_bytes() for file in pi.rglob("*") if file.is_file()} == before
+
+
+def test_a_bundle_that_says_it_is_gigabytes_is_refused(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w", format=tarfile.GNU_FORMAT) as archive:
+        entry = tarfile.TarInfo("rig.toml")
+        entry.size = 1
+        archive.addfile(entry, io.BytesIO(b"#"))
+    data = bytearray(stream.getvalue())
+    # An old GNU sparse file of 3.2 GB: one byte of data, the rest a hole (GNU tar manual, "Old GNU Format").
+    data[156:157] = tarfile.GNUTYPE_SPARSE
+    data[386:410] = b"00000000000\x0000000000001\x00"
+    data[483:495] = f"{3_200_000_000:011o}".encode() + b"\0"
+    data[148:156] = b" " * 8
+    data[148:156] = f"{sum(data[:512]):06o}\0 ".encode()
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match=r"belongs to none|more than itself"):
+        install_bundle(bytes(data), tmp_path / "pi")
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
+    assert not (tmp_path / "pi").exists()
+
+
+@pytest.mark.parametrize("year", [1999, 2011, 2025])
+def test_no_certificates_are_made_with_a_clock_that_stands_in_the_past(
+    rig_folder: Path, monkeypatch: pytest.MonkeyPatch, year: int
+) -> None:
+    class Past(dt.datetime):
+        @classmethod
+        def now(cls, tz: dt.tzinfo | None = None) -> Past:
+            return cls(year, 1, 1, tzinfo=tz)
+
+    monkeypatch.setattr("rhot.keys.authority.dt.datetime", Past)
+    with pytest.raises(ConfigError, match=f"clock of this machine says {year}-01-01"):
+        run("make", "--address", "192.168.1.10", "--rig", str(rig_folder))
+    assert not (rig_folder / "keys").exists()

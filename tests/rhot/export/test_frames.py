@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import c3d
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -13,7 +14,8 @@ from hand_messages import hand_pose, object_pose
 from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
 from rhot.export.gltf.shapes import mesh_of
-from rhot.export.lab.frames import MAX_GAP_S, frames_of, real_rate_hz
+from rhot.export.lab.c3d_file import write_c3d
+from rhot.export.lab.frames import MAX_GAP_S, Frames, frames_of, real_rate_hz
 from rhot.export.poses import motions
 from rhot.export.skeleton_motion import skeleton_motion
 from rhot.messages import MeshShape, Message, ObjectPose
@@ -66,6 +68,35 @@ def test_a_rate_of_ones_own_reads_between_poses() -> None:
     assert rate_hz == 250.0
     assert t_s[-1] == pytest.approx(1.0)
     np.testing.assert_allclose(x, t_s, atol=1e-6)
+
+
+@pytest.mark.parametrize("rate_hz", [None, 60.0, 30.0, 59.94])
+@pytest.mark.parametrize("poses", [2, 61, 601, 20_001])
+def test_the_last_pose_is_kept_at_exact_rates(rate_hz: float | None, poses: int) -> None:
+    """Times are whole nanoseconds: 60 of them make a second but for 40 ns."""
+    period_ns = int(1e9 / (rate_hz or 60.0))
+    at_ns = BEGIN_NS + period_ns * np.arange(poses)
+    messages: list[tuple[str, Message]] = [
+        ("rhot/object/cup", object_pose(int(t), 0.001 * k)) for k, t in enumerate(at_ns)
+    ]
+    _, t_s, x = x_of(messages, rate_hz)
+    assert len(t_s) == poses
+    assert x[-1] == pytest.approx(0.001 * (poses - 1), abs=2e-5)
+
+
+def test_a_take_longer_than_c3d_can_number_goes_into_several_files(tmp_path: Path) -> None:
+    count = 65_000 + 1_234
+    frames = Frames(
+        60.0, np.arange(count) / 60.0, ("a",), np.linspace(0.0, 1.0, 3 * count).reshape(count, 1, 3), angles={}
+    )
+    files = write_c3d(tmp_path / "long.c3d", frames, y_up=True)
+    assert [file.name for file in files] == ["long-001.c3d", "long-002.c3d"]
+    assert not (tmp_path / "long.c3d").exists()
+    read = []
+    for file in files:
+        with file.open("rb") as stream:
+            read += [points[0, 0] for _, points, _ in c3d.Reader(stream).read_frames()]
+    np.testing.assert_allclose(read, 1e3 * frames.positions[:, 0, 0], atol=1e-3)
 
 
 def test_a_time_of_another_year_is_told_instead_of_filling_the_memory() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import time
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from rhot.errors import ConfigError
 from rhot.export.columns import row_of, tables
 from rhot.export.source import RecordedMessages
 from rhot.export.table_files import write_csv
-from rhot.messages import Control, Message, Point, PointSet, encode, encoding_of
+from rhot.messages import Control, HandPose, Message, Point, PointSet, encode, encoding_of
 from rhot.recording.mcap.writer import McapWriter
 
 BEGIN_NS = 1_800_000_000_000_000_000
@@ -135,11 +137,26 @@ def test_parts_of_a_recording_are_joined(tmp_path: Path) -> None:
     whole = as_lines(tmp_path / "whole").read_text().splitlines(keepends=True)
     for number, lines in enumerate((whole[:9], whole[9:])):
         (tmp_path / str(number)).write_text("".join(lines))
-    result = CliRunner().invoke(export, [str(tmp_path / "0"), str(tmp_path / "1"), "--csv", str(tmp_path / "parts")])
+    parts = [str(tmp_path / "1"), str(tmp_path / "0"), "--csv", str(tmp_path / "parts")]
+    assert CliRunner().invoke(export, parts).exit_code == 2, "several files need --join"
+    result = CliRunner().invoke(export, [*parts, "--join"])
     assert result.exit_code == 0, result.output
     CliRunner().invoke(export, [str(tmp_path / "whole"), "--csv", str(tmp_path / "one")])
     for file in (tmp_path / "one").iterdir():
         assert (tmp_path / "parts" / file.name).read_bytes() == file.read_bytes()
+
+
+@pytest.mark.parametrize(("shift_s", "says"), [(3600.0, "begins 3"), (0.0, "begins 1.0 s before the end")])
+def test_what_is_not_parts_of_one_recording_is_not_joined(tmp_path: Path, shift_s: float, says: str) -> None:
+    first = as_lines(tmp_path / "first.jsonl")
+    entries = [json.loads(line) for line in first.read_text().splitlines()]
+    for entry in entries:
+        entry["value"]["t_ns"] += round(shift_s * 1e9)
+    (tmp_path / "second.jsonl").write_text("".join(json.dumps(entry) + "\n" for entry in entries))
+    words = [str(first), str(tmp_path / "second.jsonl"), "--csv", str(tmp_path / "csv"), "--join"]
+    with pytest.raises(ConfigError, match=f"{says}.*not parts of one recording"):
+        CliRunner().invoke(export, words, catch_exceptions=False)
+    assert not (tmp_path / "csv").exists()
 
 
 def test_a_second_reading_gives_the_same(tmp_path: Path) -> None:
@@ -171,3 +188,54 @@ def test_it_asks_for_something_to_write(tmp_path: Path) -> None:
     result = CliRunner().invoke(export, [str(as_lines(tmp_path / "x"))])
     assert result.exit_code == 2
     assert "--csv" in result.output
+
+
+HOSTILE = (
+    "rhot/hand/\0",
+    "rhot/hand/\x1b[2J",
+    "rhot/hand/../../x",
+    "rhot/hand/" + "x" * 300,
+    "rhot/hand/a b",
+)
+
+
+@pytest.mark.parametrize("lines", [True, False])
+def test_keys_that_could_act_on_a_terminal_or_a_disk_are_left_out(tmp_path: Path, lines: bool) -> None:
+    file = tmp_path / "take"
+    keys = (*HOSTILE, "rhot/hand/right")
+    pose = hand_pose(0.0, 5)
+    if lines:
+        rows = [json.dumps({"key": key, "value": json.loads(pose.model_dump_json())}) for key in keys]
+        file.write_text("\n".join(rows))
+    else:
+        with McapWriter(file, now_ns=0) as writer:
+            for key in keys:
+                writer.write(key, encoding_of(HandPose), encode(pose), 5, 0, 5)
+    result = CliRunner().invoke(export, [str(file), "--csv", str(tmp_path / "csv")])
+    assert result.exit_code == 0, result.output
+    assert [entry.name for entry in (tmp_path / "csv").iterdir()] == ["hand_right.csv"]
+    assert f"{len(HOSTILE)} messages are not valid" in result.output
+    assert "\x1b" not in result.output
+
+
+def test_thousands_of_keys_cost_neither_minutes_nor_gigabytes(tmp_path: Path) -> None:
+    file = tmp_path / "take.mcap"
+    with McapWriter(file, now_ns=0) as writer:
+        payload = encode(hand_pose(0.0, 5))
+        for number in range(5_000):
+            writer.write(f"rhot/hand/h{number}", encoding_of(HandPose), payload, 5, 0, 5 + number)
+    begun = time.process_time()
+    tracemalloc.start()
+    found = tables(RecordedMessages(file))
+    assert tracemalloc.get_traced_memory()[1] < 200e6
+    tracemalloc.stop()
+    assert len(found) <= 256
+    assert time.process_time() - begun < 15.0
+
+
+def test_a_rig_inside_a_recording_that_is_damaged_is_named_by_its_recording(tmp_path: Path) -> None:
+    file = tmp_path / "take.mcap"
+    with McapWriter(file, now_ns=0, attachments={"rig/rig.toml": b"nonsense = ["}) as writer:
+        writer.write("rhot/hand/right", encoding_of(HandPose), encode(hand_pose(0.0, 5)), 5, 0, 5)
+    with pytest.raises(ConfigError, match=r"take\.mcap: its rig/rig\.toml: not TOML"):
+        CliRunner().invoke(export, [str(file), "--csv", str(tmp_path / "csv")], catch_exceptions=False)

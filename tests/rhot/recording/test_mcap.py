@@ -5,16 +5,22 @@ from __future__ import annotations
 import asyncio
 import json
 import resource
+import shutil
+import struct
+import tracemalloc
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import cast
 
+import lz4.frame  # type: ignore[import-untyped]
 import msgpack
 import numpy as np
 import pytest
+import zstandard
 from hand_messages import hand_pose, marker_frame, object_pose
 from machine.power_cut import Disk, Loss
 from mcap.reader import make_reader
+from mcap.writer import MCAP0_MAGIC
 
 from rhot.bus import EventSubscriber, Sample
 from rhot.errors import ConfigError
@@ -143,6 +149,58 @@ def test_what_a_file_system_had_not_written_counts_as_lost(tmp_path: Path) -> No
     assert "was cut off" in recording.note
 
 
+@pytest.mark.parametrize("at_share", [0.5, None], ids=["in its content", "in its length"])
+def test_one_damaged_chunk_costs_that_chunk_alone(
+    tmp_path: Path, at_share: float | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    wanted, file = samples(), tmp_path / "a.mcap"
+    write(file, wanted, flush_every=30)
+    content = bytearray(file.read_bytes())
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[2]
+    at = 7 if at_share is None else round(at_share * chunk.chunk_length)
+    content[chunk.chunk_start_offset + at] ^= 0xFF
+    file.write_bytes(content)
+    recording = open_mcap(file)
+    found = list(recording.samples())
+    assert list(recording.samples()) == found
+    said = [record.getMessage() for record in caplog.records]
+    if at_share is None:
+        assert found == wanted, "the index at the end says where everything is"
+        assert not said
+    else:
+        assert found == wanted[:60] + wanted[90:], "all but the third chunk"
+        assert len(said) == 1
+        assert "0.1 s from there are left out" in said[0]
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@pytest.mark.parametrize("honest", [True, False])
+def test_a_chunk_that_unpacks_to_gigabytes_is_left_out(
+    tmp_path: Path, compression: str, honest: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    size = 3 << 30
+    if compression == "zstd":
+        packer = zstandard.ZstdCompressor().compressobj()
+        packed = b"".join([packer.compress(bytes(1 << 24)) for _ in range(size >> 24)]) + packer.flush()
+    else:
+        with lz4.frame.LZ4FrameCompressor() as frame:
+            packed = frame.begin() + b"".join([frame.compress(bytes(1 << 24)) for _ in range(size >> 24)])
+            packed += frame.flush()
+    name = compression.encode()
+    stated = size if honest else 1000
+    body = struct.pack("<QQQIL", 1, 2, stated, 0, len(name)) + name + struct.pack("<Q", len(packed)) + packed
+    file = tmp_path / "bomb.mcap"
+    file.write_bytes(MCAP0_MAGIC + b"\x06" + struct.pack("<Q", len(body)) + body)
+    tracemalloc.start()
+    assert list(open_mcap(file).samples()) == []
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1.2e9
+
+
 def damaged_files() -> Iterator[tuple[str, bytes | None, str]]:
     yield "absent", None, "no such recording"
     yield "empty", b"", "not an MCAP file"
@@ -159,12 +217,13 @@ def test_foreign_files_end_in_one_error(tmp_path: Path, name: str, content: byte
         open_mcap(file)
 
 
-def test_flipped_bytes_are_an_error_of_ours_or_change_nothing(tmp_path: Path) -> None:
+def test_flipped_bytes_are_an_error_of_ours_or_change_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     wanted, file, bad = samples(20), tmp_path / "a.mcap", tmp_path / "bad.mcap"
     write(file, wanted)
     whole = file.read_bytes()
     rng = np.random.default_rng(3)
     refused = 0
+    caplog.set_level("CRITICAL")
     for _ in range(150):
         content = bytearray(whole)
         content[int(rng.integers(8, len(whole)))] ^= int(rng.integers(1, 256))
@@ -178,6 +237,7 @@ def test_flipped_bytes_are_an_error_of_ours_or_change_nothing(tmp_path: Path) ->
         else:
             # A name or a time outside the chunks may have changed; payloads cannot.
             assert {sample.payload for sample in found} <= {sample.payload for sample in wanted}
+            refused += len(found) < len(wanted)
     assert refused > 75
 
 
@@ -217,6 +277,18 @@ def test_a_power_cut_costs_what_was_written_since_the_last_sync(tmp_path: Path) 
         writer.sync()
     disk.lose(Loss.CONTENT)
     assert len(list(open_mcap(tmp_path / "a.mcap").samples())) == len(wanted)
+
+
+def test_a_file_deleted_while_it_is_written_is_an_error(tmp_path: Path) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    writer = McapWriter(folder / "a.mcap", now_ns=BEGIN_NS)
+    for sample in samples(3):
+        writer.write(sample.key, sample.encoding, sample.payload, sample.t_ns, None, sample.log_ns)
+    writer.flush()
+    shutil.rmtree(folder)
+    with pytest.raises(ConfigError, match=r"a\.mcap: was deleted while it was written"):
+        writer.flush()
 
 
 class NoSamples:

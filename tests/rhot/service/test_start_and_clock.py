@@ -21,12 +21,13 @@ from running.doubling_service import (
 
 from rhot.bus import Answer, Bus, Request, message_answer
 from rhot.cli.operate.start_stop import _control
-from rhot.clock import SkewedClock
+from rhot.clock import SkewedClock, SystemClock
 from rhot.errors import BusError, WireError
 from rhot.messages import ClockReply, Control, encode
 from rhot.operation.control import broadcast, followers
 from rhot.rig import BusConfig
 from rhot.service import ControlState, control_link
+from rhot.service.clock_sync import exchange_with_all
 from rhot.service.runner import serve
 
 
@@ -227,3 +228,19 @@ async def test_without_any_fusion_the_clock_is_unknown_and_said_so(router: BusCo
     async with await Bus.open(router) as bus:
         with pytest.raises(BusError, match="start fusion first"):
             await rig_now_ns(bus, wait_s=0.0)
+
+
+@pytest.mark.parametrize("t_ns", [0, 1_000, 2**62 - 1, 2**62 - 10**9, 42 * 10**17])
+async def test_a_clock_that_cannot_be_is_not_followed(router: BusConfig, t_ns: int) -> None:
+    """Times that it gave would soon not fit into any message, and the node that followed it would end."""
+
+    def impossible(request: Request) -> Answer:
+        return message_answer(ClockReply(t_ns=t_ns, received_t_ns=t_ns, instance="stranger"), request)
+
+    async with await Bus.open(router) as bus, await Bus.open(router) as stranger:
+        stranger.queryable("rhot/clock", impossible)
+        assert await exchange_with_all(bus, SystemClock()) == []
+        async with running(doubler(), router):
+            await wait_for_status(bus, "fusion/main", lambda status: status.state == "waiting")
+            found = await exchange_with_all(bus, SystemClock())
+            assert [answer.instance == "stranger" for answer in found] == [False]

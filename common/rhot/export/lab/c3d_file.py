@@ -1,6 +1,7 @@
 """C3D (biomechanics, c3d.org), for Mokka, Visual3D, MATLAB and others: markers in millimetres at a steady rate.
 
-A marker that is absent from a frame has the residual −1, which C3D programs show as a gap.
+A marker that is absent from a frame has the residual −1, which C3D programs show as a gap. Frames are numbered with 16
+bits: of longer takes every reader tried shows the first 65,535 frames and no more, so they go into several files.
 """
 
 from __future__ import annotations
@@ -8,11 +9,12 @@ from __future__ import annotations
 import importlib
 import tempfile
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.arrays import FloatArray
 from rhot.atomic_file import replacing
 from rhot.errors import ConfigError
 from rhot.export.lab.frames import Frames
@@ -21,8 +23,12 @@ MM_PER_M: Final = 1e3
 """C3D programs expect millimetres, whatever POINT:UNITS says."""
 
 
-def write_c3d(file: Path, frames: Frames, *, y_up: bool) -> None:
-    """Write markers.
+MOST_FRAMES: Final = 65_000
+"""Of one file."""
+
+
+def write_c3d(file: Path, frames: Frames, *, y_up: bool) -> list[Path]:
+    """Write markers, and return the files: of longer takes `grasp-001.c3d` and so on, each from its own time 0.
 
     Args:
         file: to write.
@@ -36,7 +42,16 @@ def write_c3d(file: Path, frames: Frames, *, y_up: bool) -> None:
         ezc3d = importlib.import_module("ezc3d")
     except ModuleNotFoundError as error:
         raise ConfigError("--c3d needs the Python module ezc3d; pip install 'rhot[c3d]'") from error
-    positions = MM_PER_M * np.moveaxis(frames.positions, 0, -1)
+    starts = range(0, len(frames.t_s), MOST_FRAMES)
+    files = [file] if len(starts) == 1 else [file.with_stem(f"{file.stem}-{k:03d}") for k in range(1, len(starts) + 1)]
+    for part, start in zip(files, starts, strict=True):
+        _write(ezc3d, part, frames, frames.positions[start : start + MOST_FRAMES], y_up)
+    return files
+
+
+def _write(ezc3d: Any, file: Path, frames: Frames, metres: FloatArray, y_up: bool) -> None:
+    """Write one file of positions (F, M, 3), metres."""
+    positions = MM_PER_M * np.moveaxis(metres, 0, -1)
     absent: NDArray[np.bool_] = np.asarray(np.isnan(positions).any(axis=1))
     positions = np.where(absent[:, None], 0.0, positions)
     made = ezc3d.c3d()

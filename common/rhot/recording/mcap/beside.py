@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import re
+import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from rhot.errors import ConfigError
+from rhot.errors import ConfigError, RhotError
 from rhot.recording.folder import load_recording
 from rhot.recording.mcap.writer import RIG_PREFIX
 from rhot.recording.model import PictureTrack, Recording
+from rhot.rig.folder import Rig, load_rig
 
 _PART: Final = re.compile(r"-\d{3}$")
 _RIG_NAME: Final = re.compile(r"[A-Za-z0-9_.-]+")
@@ -47,6 +51,13 @@ def pictures_beside(file: Path) -> Recording | None:
     return None
 
 
+def messages_beside(folder: Path) -> list[Path]:
+    """Return the MCAP files, in order, that `rhot record --frames` wrote beside a folder of pictures."""
+    whole = folder.with_name(f"{folder.name}.mcap")
+    parts = sorted(folder.parent.glob(f"{glob.escape(folder.name)}-[0-9][0-9][0-9].mcap"))
+    return [whole] if whole.is_file() else [part for part in parts if part.is_file()]
+
+
 def stored_pictures(recording: Recording) -> Iterator[StoredPicture]:
     """Yield the pictures with times of a recording, camera by camera."""
     for name, track in recording.cameras.items():
@@ -54,6 +65,26 @@ def stored_pictures(recording: Recording) -> Iterator[StoredPicture]:
             mid_ns = round(5e8 * (track.timing.exposure_s + track.timing.readout_s))
             for picture, frame, t_ns in zip(track.files, track.frames.tolist(), track.t_ns.tolist(), strict=True):
                 yield StoredPicture(name, frame, t_ns + mid_ns, picture)
+
+
+@contextlib.contextmanager
+def attached_rig(attachments: Mapping[str, bytes], recording: Path) -> Iterator[Rig]:
+    """Load the rig that a recording has attached, into a folder that is there during the block.
+
+    Args:
+        attachments: of the recording.
+        recording: for messages.
+
+    Raises:
+        ConfigError, CalibrationError: nothing is attached, or a file of it is not valid; names the file inside.
+    """
+    with tempfile.TemporaryDirectory(prefix="rhot-rig-") as folder:
+        path = unpack_rig(attachments, Path(folder), recording)
+        try:
+            rig = load_rig(path)
+        except RhotError as error:
+            raise type(error)(str(error).replace(str(path), f"{recording}: its rig")) from error
+        yield rig
 
 
 def unpack_rig(attachments: Mapping[str, bytes], folder: Path, recording: Path) -> Path:

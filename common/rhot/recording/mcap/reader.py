@@ -1,23 +1,26 @@
 """Reading recordings of `rhot record`, complete or cut off by a crash.
 
-A file that lost its end opens up to its last complete chunk, and `McapRecording.note` says how much is missing. The
-records inside a chunk are decoded one by one, so that a replay never stalls on a whole chunk.
+A file that lost its end opens up to its last complete chunk, and `McapRecording.note` says how much is missing. A chunk
+that is damaged is left out, and the log says what is lost. The records inside a chunk are decoded one by one, so that a
+replay never stalls on a whole chunk. A chunk unpacks to a bounded size, whatever it says of itself.
 """
 
 from __future__ import annotations
 
+import importlib
 import io
+import logging
 import struct
+import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Final
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Schema
+from mcap.records import Attachment, AttachmentIndex, Channel, Chunk, ChunkIndex, Footer, Schema
 from mcap.records import Message as MessageRecord
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
 from rhot.errors import ConfigError
@@ -26,8 +29,12 @@ from rhot.recording.mcap.wire_models import model_of_encoding
 from rhot.recording.mcap.writer import ENCODING_METADATA
 
 _RECORD_HEAD: Final = struct.Struct("<BQ")
+_FOOTER_BYTES: Final = _RECORD_HEAD.size + 20
 _CHUNK_TIMES: Final = struct.Struct("<QQ")
-_MAX_CHUNK_BYTES: Final = 1 << 30
+_MAX_CHUNK_BYTES: Final = 1 << 28
+"""Of a chunk, packed and unpacked. `rhot record` begins a new one every second; pictures are not in it."""
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +78,10 @@ class RecordedChannel:
     encoding: str
 
 
+class _DamagedError(ConfigError):
+    """A chunk that cannot be read; the others can."""
+
+
 @dataclass(frozen=True, slots=True)
 class _ChunkSpan:
     offset: int
@@ -98,6 +109,7 @@ class McapRecording:
     start_ns: int
     end_ns: int
     _chunks: tuple[_ChunkSpan, ...]
+    _damaged: set[int] = field(default_factory=set)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -105,13 +117,13 @@ class McapRecording:
         return tuple(dict.fromkeys(channel.key for channel in self.channels.values()))
 
     def samples(self, from_ns: int | None = None, to_ns: int | None = None) -> Iterator[RecordedSample]:
-        """Yield the samples in the order in which they arrived.
+        """Yield the samples in the order in which they arrived; what is damaged is left out, and the log says so once.
 
         Args:
             from_ns, to_ns: only samples that arrived in this span, both ends included.
 
         Raises:
-            ConfigError: a chunk is damaged; names the byte.
+            ConfigError: the file cannot be opened any more.
         """
         first = self.start_ns if from_ns is None else from_ns
         last = self.end_ns if to_ns is None else to_ns
@@ -119,18 +131,20 @@ class McapRecording:
             for span in self._chunks:
                 if span.end_ns < first or span.start_ns > last:
                     continue
-                for record in _chunk_records(self.path, stream, span):
-                    if not isinstance(record, MessageRecord) or not first <= record.log_time <= last:
-                        continue
-                    channel = self.channels.get(record.channel_id)
-                    if channel is None:
-                        raise ConfigError(
-                            f"{self.path}: damaged: a sample in the chunk at byte {span.offset} belongs to channel "
-                            f"{record.channel_id}, which the file does not describe"
-                        )
-                    yield RecordedSample(
-                        channel.key, channel.encoding, record.data, record.publish_time, record.log_time
-                    )
+                try:
+                    for record in _chunk_records(self.path, stream, span):
+                        if isinstance(record, MessageRecord) and first <= record.log_time <= last:
+                            yield self._sample(record, span)
+                except _DamagedError as error:
+                    if span.offset not in self._damaged:
+                        logger.warning("%s", error)
+                    self._damaged.add(span.offset)
+
+    def _sample(self, record: MessageRecord, span: _ChunkSpan) -> RecordedSample:
+        channel = self.channels.get(record.channel_id)
+        if channel is None:
+            raise _damaged(self.path, span, f"no channel {record.channel_id} is described")
+        return RecordedSample(channel.key, channel.encoding, record.data, record.publish_time, record.log_time)
 
 
 def is_mcap(path: Path) -> bool:
@@ -159,8 +173,12 @@ def open_mcap(path: Path) -> McapRecording:
             _drop_broken_tail(path, stream, scan)
         if not (scan.complete and scan.channels):
             for span in scan.chunks:
-                for record in _chunk_records(path, stream, span):
-                    scan.describe(record)
+                try:
+                    for record in _chunk_records(path, stream, span):
+                        scan.describe(record)
+                except _DamagedError:
+                    # Said when its samples are read.
+                    continue
     return McapRecording(
         path=path,
         channels={number: _recorded(channel, scan.schemas) for number, channel in scan.channels.items()},
@@ -203,18 +221,62 @@ def _scan(path: Path, stream: IO[bytes], size: int) -> _Scan:
         if opcode == 0 or offset > size:
             break
         try:
-            _take(scan, stream, opcode, body, length)
+            _add_record(scan, stream, opcode, body, length)
         except Exception as error:
-            raise _damaged(path, body, error) from error
+            if ends_whole:
+                return _scan_summary(path, stream, size)
+            raise _unreadable(path, body, error) from error
         if opcode == Opcode.FOOTER:
             scan.complete = ends_whole and offset + len(MCAP0_MAGIC) == size
             break
-    if ends_whole and not scan.complete:
-        raise ConfigError(f"{path}: damaged: its records end at byte {scan.end} of {size}, before the index does")
+    return _scan_summary(path, stream, size) if ends_whole and not scan.complete else scan
+
+
+def _scan_summary(path: Path, stream: IO[bytes], size: int) -> _Scan:
+    """Return what the index at the file's end says, where the records before it are damaged.
+
+    Raises:
+        ConfigError: the index is damaged, too.
+    """
+    scan = _Scan()
+    try:
+        footer_at = size - len(MCAP0_MAGIC) - _FOOTER_BYTES
+        stream.seek(footer_at + _RECORD_HEAD.size)
+        start = Footer.read(ReadDataStream(io.BytesIO(stream.read(_FOOTER_BYTES - _RECORD_HEAD.size)))).summary_start
+        if not 0 < start < footer_at or footer_at - start > _MAX_CHUNK_BYTES:
+            raise ValueError("its index is not where the file's end says")
+        stream.seek(start)
+        data = ReadDataStream(io.BytesIO(stream.read(footer_at - start)))
+        while data.count < footer_at - start:
+            opcode, length = data.read1(), data.read8()
+            body = ReadDataStream(io.BytesIO(data.read(length)))
+            if opcode == Opcode.CHUNK_INDEX:
+                _add_indexed(scan, ChunkIndex.read(body))
+            elif opcode == Opcode.CHANNEL:
+                scan.describe(Channel.read(body))
+            elif opcode == Opcode.SCHEMA:
+                scan.describe(Schema.read(body))
+            elif opcode == Opcode.ATTACHMENT_INDEX:
+                index = AttachmentIndex.read(body)
+                stream.seek(index.offset + _RECORD_HEAD.size)
+                attachment = Attachment.read(
+                    ReadDataStream(io.BytesIO(stream.read(min(index.length, _MAX_CHUNK_BYTES))))
+                )
+                scan.attachments[attachment.name] = attachment.data
+    except Exception as error:
+        raise _unreadable(path, scan.end, error) from error
+    scan.complete, scan.end = True, size
     return scan
 
 
-def _take(scan: _Scan, stream: IO[bytes], opcode: int, body: int, length: int) -> None:
+def _add_indexed(scan: _Scan, index: ChunkIndex) -> None:
+    if index.chunk_length > _MAX_CHUNK_BYTES:
+        raise ValueError(f"a chunk of {index.chunk_length} bytes is over the limit of {_MAX_CHUNK_BYTES}")
+    offset, length = index.chunk_start_offset + _RECORD_HEAD.size, index.chunk_length - _RECORD_HEAD.size
+    scan.chunks.append(_ChunkSpan(offset, length, index.message_start_time, index.message_end_time))
+
+
+def _add_record(scan: _Scan, stream: IO[bytes], opcode: int, body: int, length: int) -> None:
     if opcode == Opcode.CHUNK:
         if length > _MAX_CHUNK_BYTES:
             raise ValueError(f"a chunk of {length} bytes is over the limit of {_MAX_CHUNK_BYTES}")
@@ -241,7 +303,7 @@ def _drop_broken_tail(path: Path, stream: IO[bytes], scan: _Scan) -> None:
     try:
         for _ in _chunk_records(path, stream, last):
             pass
-    except ConfigError:
+    except _DamagedError:
         scan.chunks.pop()
         scan.end = last.offset - _RECORD_HEAD.size
 
@@ -250,8 +312,9 @@ def _chunk_records(path: Path, stream: IO[bytes], span: _ChunkSpan) -> Iterator[
     stream.seek(span.offset)
     try:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(stream.read(span.length))))
-        data, size = get_chunk_data_stream(chunk, validate_crc=True)
-        while data.count < size:
+        unpacked = _unpacked(chunk)
+        data = ReadDataStream(io.BytesIO(unpacked))
+        while data.count < len(unpacked):
             opcode, length = data.read1(), data.read8()
             if opcode == Opcode.MESSAGE:
                 yield MessageRecord.read(data, length)
@@ -263,7 +326,32 @@ def _chunk_records(path: Path, stream: IO[bytes], span: _ChunkSpan) -> Iterator[
                 data.read(length)
     except Exception as error:
         # Whatever the decompressors and the record parser raise on wrong bytes: the file is at fault.
-        raise _damaged(path, span.offset, error) from error
+        raise _damaged(path, span, str(error) or type(error).__name__) from error
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Return a chunk's records; no more memory is used than `_MAX_CHUNK_BYTES`, whatever the chunk says of itself.
+
+    Raises:
+        ValueError: larger, not of the size that it states, or its checksum does not fit.
+    """
+    most = min(chunk.uncompressed_size, _MAX_CHUNK_BYTES) + 1
+    if chunk.compression == "":
+        data = bytes(chunk.data)
+    elif chunk.compression == "lz4":
+        data = importlib.import_module("lz4.frame").LZ4FrameDecompressor().decompress(chunk.data, max_length=most)
+    elif chunk.compression == "zstd":
+        packed = io.BytesIO(chunk.data)
+        with importlib.import_module("zstandard").ZstdDecompressor().stream_reader(packed) as reader:
+            data = reader.read(most)
+    else:
+        raise ValueError(f"its compression {chunk.compression[:40]!r} is not known")
+    if len(data) != chunk.uncompressed_size:
+        more = "more than " if len(data) >= most else ""
+        raise ValueError(f"unpacks to {more}{len(data) - bool(more)} bytes in place of {chunk.uncompressed_size}")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("its checksum does not fit")
+    return data
 
 
 def _recorded(channel: Channel, schemas: dict[int, Schema]) -> RecordedChannel:
@@ -282,7 +370,15 @@ def _cut_off(path: Path, lost: int) -> str:
     )
 
 
-def _damaged(path: Path, offset: int, error: Exception) -> ConfigError:
+def _damaged(path: Path, span: _ChunkSpan, why: str) -> _DamagedError:
+    lasts_s = max(span.end_ns - span.start_ns, 0) * 1e-9
+    return _DamagedError(
+        f"{path}: damaged at byte {span.offset}: {why}; {lasts_s:.1f} s from there are left out. Copy the file again "
+        "from where it was recorded"
+    )
+
+
+def _unreadable(path: Path, offset: int, error: Exception) -> ConfigError:
     return ConfigError(
         f"{path}: damaged at byte {offset}: {error or type(error).__name__}; copy it again from where it was recorded"
     )

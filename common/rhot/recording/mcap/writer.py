@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import logging
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -24,8 +23,7 @@ from rhot import __version__
 from rhot.atomic_file import sync_folder, why
 from rhot.errors import ConfigError
 from rhot.recording.mcap.wire_models import MSGPACK_ENCODING, json_schema, model_of_encoding
-
-logger = logging.getLogger(__name__)
+from rhot.rig.folder import settings_files
 
 ENCODING_METADATA: Final = "encoding"
 """Entry of a channel's metadata: the Zenoh encoding of its samples."""
@@ -33,7 +31,6 @@ RIG_PREFIX: Final = "rig/"
 """Attached files of the rig folder have names that begin with this."""
 _MOST_CHANNELS: Final = (1 << 16) - 1
 _CHUNK_BYTES: Final = 1 << 20
-_MAX_RIG_FILE_BYTES: Final = 16 << 20
 _MEDIA_TYPES: Final = {".toml": "application/toml", ".json": "application/json"}
 
 
@@ -43,18 +40,12 @@ def rig_files(folder: Path) -> dict[str, bytes]:
     Raises:
         ConfigError: a file cannot be read.
     """
-    found: dict[str, bytes] = {}
-    for file in sorted(folder.iterdir()):
-        if file.suffix not in _MEDIA_TYPES or file.name.startswith(".") or not file.is_file():
-            continue
-        try:
-            if file.stat().st_size > _MAX_RIG_FILE_BYTES:
-                logger.warning("%s is over %d MB and is not attached", file, _MAX_RIG_FILE_BYTES >> 20)
-                continue
-            found[f"{RIG_PREFIX}{file.name}"] = file.read_bytes()
-        except OSError as error:
-            raise ConfigError(f"{file}: cannot be read: {error.strerror or error}") from error
-    return found
+    return attachments_of(settings_files(folder))
+
+
+def attachments_of(settings: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Return the settings of a rig by the names they are attached under."""
+    return {f"{RIG_PREFIX}{name}": data for name, data in settings.items()}
 
 
 class McapWriter:
@@ -135,10 +126,15 @@ class McapWriter:
         """Close the chunk in progress, so that a crash loses nothing before this; begin a new file when it is time.
 
         Raises:
-            ConfigError: the disk is full, or the file cannot be written any more.
+            ConfigError: the disk is full, the file was deleted, or it cannot be written any more.
         """
         with self._failing_clearly():
             self._writer.flush()  # type: ignore[no-untyped-call]
+            self._stream.flush()
+        if os.fstat(self._stream.fileno()).st_nlink == 0:
+            raise ConfigError(
+                f"{self.files[-1]}: was deleted while it was written; what was recorded so far is lost. Record again"
+            )
         if self._max_bytes is not None and self._stream.tell() >= self._max_bytes:
             self.close()
             self._open()

@@ -30,6 +30,7 @@ _OWNERS: Final = {
 }
 """Second chunk of a key to the kind of service that publishes it."""
 
+_LONGEST_WAIT_S: Final = 1.0
 REPLAY_SERVICE: Final = "replay"
 
 
@@ -38,6 +39,7 @@ class PlayFigures:
     """How a replay goes; written by the playing thread, read by others.
 
     Attributes:
+        waits_s: how long the next sample is still away, seconds.
         sent: samples put out.
         late: those that left more than 2 ms after their time.
         worst_late_ns: the latest.
@@ -45,6 +47,7 @@ class PlayFigures:
         log_ns: arrival time, in the recording, of the sample sent last.
     """
 
+    waits_s: float = 0.0
     sent: int = 0
     late: int = 0
     worst_late_ns: int = 0
@@ -70,9 +73,7 @@ def play(
         if begun_ns is None or first_ns is None:
             begun_ns, first_ns = time.monotonic_ns(), sample.log_ns
         due_ns = begun_ns + round((sample.log_ns - first_ns) / rate)
-        wait_ns = due_ns - time.monotonic_ns()
-        # It stops at once, also where there is nothing to wait for.
-        if stopping.wait(max(wait_ns, 0) / 1e9) if wait_ns > 0 else stopping.is_set():
+        if not _wait_until(due_ns, stopping, figures):
             return
         late_ns = time.monotonic_ns() - due_ns
         put(sample)
@@ -84,6 +85,17 @@ def play(
             # The machine slept, or a reader blocked: samples sent in a heap would only be late for longer.
             begun_ns += late_ns
             figures.fell_behind += 1
+
+
+def _wait_until(due_ns: int, stopping: threading.Event, figures: PlayFigures) -> bool:
+    """Wait until a monotonic time; return False, at once, when stopped meanwhile."""
+    while (wait_ns := due_ns - time.monotonic_ns()) > 0:
+        figures.waits_s = wait_ns / 1e9
+        # In steps: a thread cannot wait for more than three hundred years, and what is left is shown.
+        if stopping.wait(min(figures.waits_s, _LONGEST_WAIT_S)):
+            return False
+    figures.waits_s = 0.0
+    return not stopping.is_set()
 
 
 def _wake_first() -> None:

@@ -36,6 +36,21 @@ def test_samples_leave_in_order_and_spaced_as_they_came(rate: float) -> None:
     assert np.median(np.abs(errors_ms)) < 1.0
 
 
+@pytest.mark.parametrize(("gap_s", "rate"), [(30.0, 1.0), (3.0 * 365 * 86400, 0.001)])
+def test_a_long_pause_is_told_and_ends_at_once_when_asked(gap_s: float, rate: float) -> None:
+    stopping, figures = threading.Event(), PlayFigures()
+    samples = [sample(0), sample(round(gap_s * 1e9))]
+    options = {"rate": rate, "stopping": stopping, "figures": figures}
+    thread = threading.Thread(target=play, args=(samples, lambda _: None), kwargs=options)
+    thread.start()
+    while not figures.waits_s:
+        time.sleep(0.001)
+    assert figures.waits_s == pytest.approx(gap_s / rate, rel=0.05)
+    stopping.set()
+    thread.join(2.0)
+    assert not thread.is_alive()
+
+
 def test_a_replay_stops_within_a_wait() -> None:
     stopping = threading.Event()
     figures = PlayFigures()
