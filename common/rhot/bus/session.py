@@ -37,6 +37,14 @@ class _Undeclarable(Protocol):
     def undeclare(self) -> None: ...
 
 
+def _elsewhere(config: BusConfig) -> str:
+    """Return what to do about a router on another machine, where this one only looks for one of its own."""
+    own = config.connect and all(
+        "/127." in each or "/localhost:" in each or "/[::1]" in each for each in config.connect
+    )
+    return "; if it runs on another machine, bring this one's certificate: `rhot keys install`" if own else ""
+
+
 class Bus:
     """One Zenoh session with everything that was declared on it; use `async with await Bus.open(...)`."""
 
@@ -83,7 +91,7 @@ class Bus:
                 if not logged:
                     # A tool waits for a moment and then says what is wrong; a service waits for ever.
                     level = logging.INFO if timeout_s is None else logging.DEBUG
-                    logger.log(level, "waiting for the Zenoh router at %s", where)
+                    logger.log(level, "waiting for the Zenoh router at %s%s", where, _elsewhere(config))
                     logged = True
             await asyncio.sleep(_OPEN_RETRY_S)
 

@@ -12,14 +12,14 @@ import sys
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 from rich.console import Console
 from rich.markup import escape
 
 from rhot.bus import Bus
-from rhot.cli.findings import Finding, check_bus
+from rhot.cli.findings import Finding, check_bus, is_local
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.cli.stage_check import check_hands, check_stage
 from rhot.errors import BusError, ConfigError, RhotError
@@ -46,6 +46,8 @@ _DISTANCES: Final = ("50 cm", "75 cm", "100 cm")
 """At which `rhot calibrate cameras` states the error to expect."""
 _CLEARLY_OBLONG_M: Final = 0.008
 """From this difference of its sides on, the corners of a patch fit only the two orders that are half a turn apart."""
+_MAX_CONFUSION: Final = 0.05
+"""Of a paint that may be taken for another one; `rhot calibrate colors` warns from there on."""
 _MAX_CLOCK_UNCERTAINTY_S: Final = 0.002
 
 
@@ -77,7 +79,7 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
     return rig, [
         Finding("ok", f"{path / RIG_FILE}: {_tracked(rig)}"),
         # Without cameras there is nothing to calibrate, and the rig frame is the tracking system's own space.
-        *((*_check_hand_tracking(rig), *_check_patches(rig), *_check_registrations(rig)) if rig.config.cameras else ()),
+        *(_check_hands(rig) if rig.config.cameras else ()),
         *check_stage(rig),
         *_check_sources(rig),
         *check_bus(rig),
@@ -96,6 +98,14 @@ def _tracked(rig: Rig) -> str:
     return "; ".join(parts)
 
 
+def _check_hands(rig: Rig) -> Iterator[Finding]:
+    """Look at everything that hands are tracked with."""
+    yield from _check_views(rig)
+    yield from _check_hand_tracking(rig)
+    yield from _check_patches(rig)
+    yield from _check_registrations(rig)
+
+
 def _check_hand_tracking(rig: Rig) -> Iterator[Finding]:
     """Tell whether cameras, colours and hand are calibrated."""
     path = rig.path
@@ -105,7 +115,8 @@ def _check_hand_tracking(rig: Rig) -> Iterator[Finding]:
         yield Finding(
             "warn",
             "cameras.json is missing: lenses and positions are only nominal",
-            f"rhot calibrate cameras RECORDING --rig {as_argument(path)} --board 9x6 --square-mm 25 calibrates them",
+            f"rhot calibrate cameras RECORDING --rig {as_argument(path)} --board 9x6 --square-mm 25  (RECORDING: a "
+            "folder with a folder of pictures for each camera), or the page's tab Calibrate",
         )
     yield _check_colors(rig)
     if (path / HAND_FILE).exists():
@@ -131,9 +142,37 @@ def _check_patches(rig: Rig) -> Iterator[Finding]:
             )
 
 
+def _check_views(rig: Rig) -> Iterator[Finding]:
+    """Tell whether there are two cameras, and not the same one twice."""
+    cameras = rig.config.cameras
+    if len(cameras) == 1:
+        yield Finding(
+            "bad",
+            f"the rig has one camera, {next(iter(cameras))}: depth needs two that see the hand from different places",
+            "add [cameras.NAME] to rig.toml",
+        )
+    seen: dict[tuple[str, str], str] = {}
+    for name, camera in cameras.items():
+        if camera.source != "v4l2":
+            # Cameras of a Pi are numbered on each Pi; a recording may serve two.
+            continue
+        device = str(camera.device).removeprefix("/dev/video") if isinstance(camera.device, str) else str(camera.device)
+        other = seen.setdefault((camera.source, os.path.realpath(device) if "/" in device else device), name)
+        if other != name:
+            yield Finding(
+                "warn",
+                f"cameras {other} and {name} have the same device, {camera.device}: right only on two machines",
+                'name each camera\'s own, such as  device = "/dev/v4l/by-id/usb-…-video-index0"',
+            )
+
+
 def _check_colors(rig: Rig) -> Finding:
     """Tell whether every paint has a colour."""
-    remedy = f"rhot calibrate colors PICTURE --pick thumb=U,V … --rig {as_argument(rig.path)}"
+    remedy = (
+        f"the page's tab Calibrate (`rhot up --rig {as_argument(rig.path)}`), or  rhot calibrate colors left.png "
+        f"--pick thumb=281,215 … --rig {as_argument(rig.path)}  with a picture of the camera, and the pixel of each "
+        "paint in it (from the left, from the top; any image viewer shows them)"
+    )
     if not rig.colors_path.exists():
         return Finding("bad", "colors.json is missing: no marker can be found in a picture", remedy)
     try:
@@ -143,7 +182,24 @@ def _check_colors(rig: Rig) -> Finding:
     without = [name for name in own_paints(rig.config.markers) if name not in colors.markers]
     if without:
         return Finding("warn", f"colors.json has no colour for {', '.join(without)}: not found in any picture", remedy)
+    confused = [(share, name, other) for name, other, share in _confused(colors.quality) if share > _MAX_CONFUSION]
+    if confused:
+        share, name, other = max(confused)
+        return Finding(
+            "warn",
+            f"colors.json: {100 * share:.0f} % of {name} would be taken for {other}; {100 * _MAX_CONFUSION:.0f} % are "
+            "the most",
+            f"paint one of the two in another colour (`rhot evaluate paints`), then {remedy}",
+        )
     return Finding("ok", _summary(rig.colors_path.name, colors))
+
+
+def _confused(quality: Any) -> Iterator[tuple[str, str, float]]:
+    """Yield marker, most similar other one and the share that is confused, as the colours' calibration found them."""
+    for name, each in quality.items() if isinstance(quality, dict) else ():
+        share = figure(quality, name, "confusion")
+        if share is not None and isinstance(each, dict):
+            yield str(name), str(each.get("nearest", "another")), share
 
 
 def _check_registrations(rig: Rig) -> Iterator[Finding]:
@@ -171,7 +227,12 @@ def _check_sources(rig: Rig) -> Iterator[Finding]:
         if camera.source == "v4l2":
             device = f"/dev/video{camera.device}" if isinstance(camera.device, int) else camera.device
             if not Path(device).exists():
-                yield Finding("note", f"camera {name}: {device} is not on this machine")
+                there = sorted(map(str, Path("/dev/v4l/by-id").glob("*-video-index0")))
+                yield Finding(
+                    "note",
+                    f"camera {name}: {device} is not on this machine",
+                    f"here are {', '.join(there)}" if there else "plug it in, or start its capture where it is",
+                )
         if camera.path and not rig.resolve(camera.path).exists():
             yield Finding("bad", f"camera {name}: {rig.resolve(camera.path)} does not exist", "correct path")
     for name, thing in rig.config.objects.items():
@@ -227,7 +288,15 @@ async def check_running(config: BusConfig, rig: Rig | None) -> list[Finding]:
             alive, statuses = await fetch_status(bus)
             hands = [] if rig is None else await check_hands(bus, rig)
     except BusError:
-        return [Finding("note", f"no rig is running at {where}", "rhot up, or rhot sim for a demo")]
+        remedy = f"rhot up --rig {as_argument(rig.path)}, or rhot sim for a demo" if rig else "rhot sim for a demo"
+        if not all(map(is_local, config.connect)):
+            remedy = "start it on that machine (`rhot up`); if it runs, is the address right, and its firewall open?"
+        elif rig is not None and rig.config.cameras:
+            remedy += (
+                "; if this machine only has a camera, bring its certificate from the PC (`rhot keys make` there, `rhot "
+                "keys install` here)"
+            )
+        return [Finding("note", f"no rig is running at {where}", remedy)]
     findings = [Finding("ok", f"the router at {where} answers; {len(alive)} services are alive")]
     if rig is not None:
         wanted = [f"capture/{camera}" for camera in rig.config.cameras]

@@ -30,7 +30,7 @@ class Finding:
 def check_bus(rig: Rig) -> Iterator[Finding]:
     """Tell who can reach the bus: is it open, and do certificates fit the rig."""
     bus = rig.config.bus
-    reachable = [each for each in bus.listen if not _is_local(each)]
+    reachable = [each for each in bus.listen if not is_local(each)]
     where = ", ".join(reachable)
     if bus.tls:
         yield from _check_keys(rig)
@@ -43,12 +43,17 @@ def check_bus(rig: Rig) -> Iterator[Finding]:
             f"rhot keys make --address ADDRESS --rig {as_argument(rig.path)}, or listen on 127.0.0.1",
         )
     else:
-        yield Finding("ok", "the bus is closed: its router lets only this machine in")
+        yield Finding(
+            "ok",
+            "the bus is closed: its router lets only this machine in",
+            f"for cameras on other machines: rhot keys make --address ADDRESS --rig {as_argument(rig.path)}",
+        )
     if bus.multicast:
         yield Finding("warn", "multicast is on: the rig looks for others, and others find it", "multicast = false")
 
 
-def _is_local(endpoint: str) -> bool:
+def is_local(endpoint: str) -> bool:
+    """Return whether an endpoint can be reached from this machine only."""
     protocol, _, address = endpoint.partition("/")
     return protocol.startswith("unix") or address.startswith(("127.", "localhost:", "[::1]"))
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import importlib
 import io
 import logging
 import os
+import signal
 import sys
+import threading
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -102,10 +106,17 @@ class MainGroup(LazyGroup):
         # Before anything imports numpy: its matrices are tiny here, and threads that wait in a spin take the cores from
         # the other services.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        # Before anything imports OpenCV: a few kilobytes of PNG may unpack to a gigapixel.
+        os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
         _write_what_can_be_written()
+        _end_orderly_on_sigterm()
+        if not os.environ.get("PYTHONWARNINGS"):
+            # Those of numpy are for programmers; who runs a command gets one error that says what to do.
+            warnings.simplefilter("ignore", RuntimeWarning)
         try:
             extra["standalone_mode"] = False
             result = super().main(args, *more, **extra)
+            sys.stdout.flush()
         except click.Abort:
             self._exit(EXIT_INTERRUPTED)
         except click.ClickException as error:
@@ -117,11 +128,21 @@ class MainGroup(LazyGroup):
             self._exit(next((code for kind, code in codes.items() if isinstance(error, kind)), EXIT_ERROR))
         except KeyboardInterrupt:
             self._exit(EXIT_INTERRUPTED)
-        except BrokenPipeError:
-            # The reader of our output (`head`, `less`) has gone; Python would complain once more at exit.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            self._exit(EXIT_ERROR)
+        except OSError as error:
+            self._end_without_output(error)
         self._exit(result if isinstance(result, int) else 0)
+
+    def _end_without_output(self, error: OSError) -> None:
+        """End after output that could not be written; what else the system refuses is an error of ours, and raised."""
+        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+        if not isinstance(error, BrokenPipeError) and (error.filename is not None or not is_full):
+            raise error
+        # The reader of our output (`head`, `less`) has gone, or its disk is full; Python would complain once more at
+        # exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if is_full:
+            click.echo(f"rhot: error: standard output: cannot be written: {error.strerror}", err=True)
+        self._exit(EXIT_ERROR)
 
     @staticmethod
     def _exit(code: int) -> None:
@@ -133,6 +154,19 @@ def _write_what_can_be_written() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):
             stream.reconfigure(errors="replace")
+
+
+def _end_orderly_on_sigterm() -> None:
+    """Let SIGTERM end a command like Ctrl-C does: temporary folders and children go with it.
+
+    Services catch the signal themselves as soon as their event loop runs (`rhot.service.stop`).
+    """
+
+    def end(number: int, _: object) -> None:
+        sys.exit(128 + number)
+
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, end)
 
 
 def _show(error: click.ClickException) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -50,7 +53,27 @@ def init(path: Path, simulated: bool, uncalibrated: bool, feet: bool) -> None:
         raise ConfigError("--uncalibrated goes with --sim; a rig of your own begins without calibration anyway")
     if feet and (uncalibrated or not simulated):
         raise ConfigError("--feet goes with --sim alone; for feet of your own add [feet.camera], see docs/feet.md")
+    with _new_folder(path):
+        _write(path, simulated, uncalibrated, feet)
+
+
+@contextlib.contextmanager
+def _new_folder(path: Path) -> Iterator[None]:
+    """Make a folder for a rig; what was written is removed again where the block does not end well."""
+    before = set(path.iterdir()) if path.is_dir() else None
     make_folder(path)
+    try:
+        yield
+    except BaseException:
+        if before is None:
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            for file in set(path.iterdir()) - before:
+                file.unlink(missing_ok=True)
+        raise
+
+
+def _write(path: Path, simulated: bool, uncalibrated: bool, feet: bool) -> None:
     if feet:
         load_plugin("rhot.simulated", "walker_folder", "--sim --feet", "sim")(path)
         click.echo(f"{path}: a simulated person. Run it with: rhot sim --rig {as_argument(path)}")
@@ -65,6 +88,8 @@ def init(path: Path, simulated: bool, uncalibrated: bool, feet: bool) -> None:
     write_text_atomic(path / RIG_FILE, rig_template(folder=as_argument(path), name=path.resolve().name))
     click.echo(
         f"{path / RIG_FILE} written. Next: look through it, then\n"
-        f"  rhot calibrate colors PICTURE --pick thumb=U,V … --rig {as_argument(path)}\n"
-        f"  rhot doctor --rig {as_argument(path)}"
+        f"  rhot doctor --rig {as_argument(path)}      what is missing, and how to get it\n"
+        f"  rhot up --rig {as_argument(path)}          starts everything on this machine; its page is\n"
+        "                                   http://localhost:8080, whose tab Calibrate leads through the rest\n"
+        "Cameras on other machines, such as Raspberry Pis, need a certificate each: docs/use.md, or rhot keys --help"
     )

@@ -27,6 +27,10 @@ _INTERVAL_S: Final = 0.5
 """Afterwards; the window of `rhot.clock.WINDOW` exchanges is a minute."""
 _TIMEOUT_S: Final = 1.0
 """An answer that takes longer says nothing about the clock."""
+_EARLIEST_NS: Final = 86_400_000_000_000
+_LATEST_NS: Final = 4_102_444_800_000_000_000
+"""Rig time lies between 2 January 1970, where a machine without a battery starts, and the year 2100: times beyond would
+not fit into messages, or soon not."""
 _OWNER_MISSES: Final = 2
 """Exchanges in a row that only another clock answered, after which that one is followed: a second."""
 
@@ -78,7 +82,7 @@ async def exchange_with_all(bus: Bus, node: NodeClock, timeout_s: float = _TIMEO
         except WireError:
             continue
         exchange = Exchange(timed.sent_ns, reply.received_t_ns, reply.t_ns, timed.arrived_ns)
-        if exchange.possible:
+        if exchange.possible and _EARLIEST_NS <= reply.received_t_ns <= reply.t_ns <= _LATEST_NS:
             found.append(ClockAnswer(exchange, reply.instance))
     return found
 
