@@ -24,7 +24,7 @@ from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.service.stop import install_stop
 from rhot.text import as_argument
 from rhot_sim.comparison.feet_table import feet_summary
-from rhot_sim.comparison.table import summary
+from rhot_sim.comparison.table import machine_verdict, summary
 from rhot_sim.rig.folder import DEFAULT_ENDPOINT, with_motion, write_simulated_rig
 from rhot_sim.running.calibration_run import missing_calibration, run_for_calibration
 from rhot_sim.running.run import SimRun, free_endpoint
@@ -33,6 +33,11 @@ from rhot_sim.walker.run import WalkerRun
 
 _SIDES: Final[Mapping[str, tuple[Side, ...]]] = {"right": ("right",), "left": ("left",), "both": ("right", "left")}
 """Hands by the choices of --hands; the first one's paints are the rig's own."""
+_NEXT: Final = (
+    ("rhot status", "every service, its rates, losses and latency"),
+    ("rhot record --out take.mcap --duration 10", "a recording; then  rhot explain take.mcap --at 2"),
+    ("rhot init myrig", "a rig of your own; docs/use.md leads on from there"),
+)
 _TO_CALIBRATE: Final = ("board", "desk_board", "touch", "headset")
 """Motions that are there to calibrate with: nothing is compared with the truth."""
 
@@ -44,7 +49,8 @@ _TO_CALIBRATE: Final = ("board", "desk_board", "touch", "headset")
     type=FiniteRange(1, 86400),
     default=30.0,
     show_default=True,
-    help="Seconds to run. With a board or an uncalibrated rig, until Ctrl-C unless you give it.",
+    help="Seconds until the summary. In a terminal, rig and pages then stay until Ctrl-C, unless --headless or "
+    "--no-viewer is given. With a board or an uncalibrated rig, until Ctrl-C unless you give it.",
 )
 @click.option(
     "--seed",
@@ -220,20 +226,48 @@ def sim(
 def _run_and_compare(
     run: SimRun | WalkerRun, console: Console, pages: Pages, report_path: Path | None, *, headless: bool
 ) -> int:
-    """Run to the end, compare with the truth, print the summary and write the report; return the exit code."""
-    shown = run.execute(console, live=not headless and console.is_terminal, announce=pages.lines())
+    """Run to the end, compare with the truth, print the summary and write the report; return the exit code.
+
+    Where a person watches, the rig and its pages stay after the summary until Ctrl-C.
+    """
+    watched = not headless and console.is_terminal and bool(pages.commands())
+    told = False
+
+    def tell() -> None:
+        nonlocal told
+        _print_summary(run, console, report_path, headless=headless)
+        if watched:
+            lines = "\n".join(f"  {command:46} {about}" for command, about in _NEXT)
+            console.print(
+                f"\nThe rig runs on until Ctrl-C. Next, in another terminal:\n{lines}", markup=False, highlight=False
+            )
+            for line in pages.lines():
+                console.print(line, soft_wrap=True)
+        told = True
+
+    shown = run.execute(
+        console, live=not headless and console.is_terminal, announce=pages.lines(), stay=tell if watched else None
+    )
     if asyncio.run(_unless_interrupted(shown)):
+        if told:
+            return 0
         console.print("interrupted; no summary")
         return 128 + signal.SIGINT
+    tell()
+    return 0
+
+
+def _print_summary(run: SimRun | WalkerRun, console: Console, report_path: Path | None, *, headless: bool) -> None:
     if not headless:
         console.print()
     with console.status("comparing with the truth"):
         report = run.report()
     console.print(feet_summary(report) if isinstance(run, WalkerRun) else summary(report))
+    kept_up, why = machine_verdict(report)
+    console.print(why, style="green" if kept_up else "yellow", markup=False, highlight=False, soft_wrap=True)
     if report_path is not None:
         write_text_atomic(report_path, json.dumps(report, indent=1) + "\n")
         console.print(f"report: {report_path}", markup=False)
-    return 0
 
 
 def _check_outside(report_path: Path | None, endpoint: str | None) -> None:

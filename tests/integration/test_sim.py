@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
+import pty
+import re
+import select
 import shutil
 import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from pathlib import Path
 from typing import Any
 
 import pytest
 from bus_watch import PATIENCE_S
+from moved_clock import make_clock, move_clock
 from running.rig_processes import hand_measured_after, processes_that_name
 from wall_clock import figures_in_time, in_time
 
@@ -94,19 +100,21 @@ def test_tracks_within_its_figures(tmp_path: Path) -> None:
     figures_in_time(too_slow(report))
 
 
+async def tracks(endpoint: str) -> None:
+    """Wait until a rig tracks a hand."""
+    async with await Bus.open(BusConfig(connect=(endpoint,)), timeout_s=PATIENCE_S) as bus:
+        await hand_measured_after(bus, time.time_ns())
+
+
 def started(rig: Path, endpoint: str) -> subprocess.Popen[str]:
     """Start the simulation of a rig that is there already, and wait until it tracks."""
-
-    async def tracks() -> None:
-        async with await Bus.open(BusConfig(connect=(endpoint,)), timeout_s=PATIENCE_S) as bus:
-            await hand_measured_after(bus, time.time_ns())
 
     command = [sys.executable, "-m", "rhot", "sim", "--rig", str(rig), "--duration", "600", "--headless"]
     process = subprocess.Popen(
         [*command, "--listen", endpoint], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
     try:
-        asyncio.run(tracks())
+        asyncio.run(tracks(endpoint))
         assert process.poll() is None
     except BaseException:
         process.kill()
@@ -141,6 +149,93 @@ def test_a_parent_that_is_killed_leaves_no_child(simulated_rig: tuple[Path, str]
         assert time.monotonic() < begun + PATIENCE_S, "a child outlived its parent"
         time.sleep(0.05)
     in_time(time.monotonic() - begun, 3.0, "the children's end")
+
+
+def test_the_rig_stays_after_the_summary_while_a_person_watches(
+    simulated_rig: tuple[Path, str], free_port: int
+) -> None:
+    """In a terminal: summary, next commands, and the pages go on until Ctrl-C."""
+    rig, endpoint = simulated_rig
+    terminal, slave = pty.openpty()
+    command = [sys.executable, "-m", "rhot", "sim", "--rig", str(rig), "--duration", "3", "--listen", endpoint]
+    said = b""
+    with subprocess.Popen(
+        [*command, "--page-port", str(free_port)], stdin=slave, stdout=slave, stderr=slave, start_new_session=True
+    ) as process:
+        os.close(slave)
+        try:
+            deadline = time.monotonic() + PATIENCE_S
+            while said.count(b"The page for working on the rig is at") < 2:
+                assert time.monotonic() < deadline, said.decode(errors="replace")
+                if select.select([terminal], [], [], 1.0)[0]:
+                    said += os.read(terminal, 65536)
+            page = re.findall(rb"rig is at \S*?(http://localhost:\d+)", said)[-1].decode()
+            with urllib.request.urlopen(page, timeout=10.0) as answer:
+                assert answer.status == 200, "the page is still there"
+            process.send_signal(signal.SIGINT)
+            while process.poll() is None:
+                assert time.monotonic() < deadline
+                if select.select([terminal], [], [], 0.1)[0]:
+                    with contextlib.suppress(OSError):
+                        os.read(terminal, 65536)
+        finally:
+            process.kill()
+            os.close(terminal)
+    assert process.returncode == 0
+    assert list(processes_that_name(endpoint)) == []
+    text = said.decode()
+    assert "This machine kept up" in text or "This machine did not keep up" in text
+    assert "runs on until Ctrl-C" in text
+    assert all(next_command in text for next_command in ("rhot status", "rhot record --out", "rhot init myrig"))
+
+
+def test_a_clock_that_is_set_while_it_runs_does_not_end_it(tmp_path: Path) -> None:
+    make_clock(tmp_path / "clock")
+    endpoint = free_endpoint("tcp/127.0.0.1:0")
+    command = [sys.executable, "-m", "moved_clock", str(tmp_path / "clock"), "sim", "--duration", "6", "--headless"]
+    search = f"{Path(__file__).parents[1] / 'support'}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    with subprocess.Popen(
+        [*command, "--rate", "15", "--listen", endpoint],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env={**os.environ, "PYTHONPATH": search},
+    ) as process:
+        asyncio.run(tracks(endpoint))
+        begun = time.monotonic()
+        move_clock(tmp_path / "clock", 3600.0)
+        said, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, said
+    assert "Summary" in said
+    assert time.monotonic() - begun > 2.0, "an hour has not passed"
+
+
+@pytest.mark.parametrize("after_s", [0.3, 1.0, 3.0])
+def test_sigterm_at_the_start_leaves_neither_a_folder_nor_a_child(tmp_path: Path, after_s: float) -> None:
+    endpoint = free_endpoint("tcp/127.0.0.1:0")
+    command = [sys.executable, "-m", "rhot", "sim", "--headless", "--listen", endpoint]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, env={**os.environ, "TMPDIR": str(tmp_path)}) as process:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(after_s)
+        process.terminate()
+        process.wait(PATIENCE_S)
+    assert list(processes_that_name(str(tmp_path))) == []
+    assert list(tmp_path.glob("rhot-sim*")) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("after_s", [0.5, 1.5])
+def test_an_interrupted_init_can_be_done_again(tmp_path: Path, after_s: float, number: int) -> None:
+    command = [sys.executable, "-m", "rhot", "init", str(tmp_path / "rig"), "--sim"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(after_s)
+        process.send_signal(number)
+        process.wait(PATIENCE_S)
+    if process.returncode:
+        assert not (tmp_path / "rig").exists()
+    else:
+        load_rig(tmp_path / "rig")
 
 
 @pytest.mark.parametrize("said", ["file", "environment"])

@@ -55,7 +55,7 @@ async def test_a_session_that_somebody_else_starts_is_compared_with_its_own_worl
         serve_clock(page)
         heard = page.events("rhot/control")
         with console.status("") as status:
-            watching = asyncio.create_task(run._follow(console, False, (), status, bus))
+            watching = asyncio.create_task(run._follow(console, False, (), None, status, bus))
             first = await asyncio.wait_for(anext(aiter(heard.messages(Control))), PATIENCE_S)
             second = await broadcast(page, "start", "page", 0.3, PATIENCE_S)
             await asyncio.wait_for(watching, PATIENCE_S)

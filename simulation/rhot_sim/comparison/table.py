@@ -11,6 +11,8 @@ from rich.text import Text
 from rhot.report.tables import figures_table
 
 _NOTHING = "–"
+_KEPT_UP = 0.9
+"""Share of the asked rate; simulated cameras lose 2 % by design."""
 
 
 def number_text(figures: Mapping[str, Any], *path: str, digits: int = 1) -> str:
@@ -92,6 +94,19 @@ def summary(report: Mapping[str, Any]) -> RenderableType:
     for name, part in report.get("latency_ms", {}).get("parts", {}).items():
         parts.add_row(name, f"{part['p50']:.1f}", f"{part['p99']:.1f}")
     return Group(table, parts)
+
+
+def machine_verdict(report: Mapping[str, Any]) -> tuple[bool, str]:
+    """Return whether the machine drew and tracked as fast as was asked, and a sentence about it."""
+    cameras, rate_hz = max(len(report.get("cameras", ())), 1), float(report["camera_rate_hz"])
+    what, got = ("pictures", "pictures_hz") if "pictures_hz" in report else ("poses", "rate_hz")
+    told = f"{report.get(got, 0.0):.0f} of {cameras * rate_hz:.0f} {what} a second"
+    if report.get(got, 0.0) >= _KEPT_UP * cameras * rate_hz:
+        return True, f"This machine kept up ({told})."
+    return False, (
+        f"This machine did not keep up ({told}): these figures are the machine's, not the tracker's. Try it with "
+        f"nothing else running, or with --rate {rate_hz / 2:g}."
+    )
 
 
 def _degrees(report: Mapping[str, Any]) -> str:

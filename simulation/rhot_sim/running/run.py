@@ -6,7 +6,7 @@ import gc
 import socket
 import sys
 import time
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,14 +41,21 @@ class SimRun(WatchedRun):
         self._collected = Collected()
         self._begin(rig)
 
-    async def execute(self, console: Console, *, live: bool, announce: Sequence[str] = ()) -> None:
+    async def execute(
+        self,
+        console: Console,
+        *,
+        live: bool,
+        announce: Sequence[str] = (),
+        stay: Callable[[], None] | None = None,
+    ) -> None:
         """Start everything, run for the duration, end everything; see `WatchedRun.execute`."""
         # This process takes the time of arrival of every pose: neither its table nor the collector, which would look
         # through all that was received so far again and again, may hold that up.
         sys.setswitchinterval(_SWITCH_S)
         gc.disable()
         try:
-            await super().execute(console, live=live, announce=announce)
+            await super().execute(console, live=live, announce=announce, stay=stay)
         finally:
             gc.enable()
 

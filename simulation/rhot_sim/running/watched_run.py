@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -59,6 +59,7 @@ class WatchedRun(ABC):
         self._logs = work
         self._services = service_commands(rig, endpoint, names, pages)
         self._start_t_ns = 0
+        self._start_mono_ns = time.monotonic_ns()
         self._before: dict[str, ServiceStatus] = {}
         self._after: dict[str, ServiceStatus] = {}
         self._steady_from_s = min(_STEADY_FROM_S, 0.3 * duration_s)
@@ -87,22 +88,38 @@ class WatchedRun(ABC):
     def report(self) -> dict[str, Any]:
         """Return every figure of the run, JSON-ready."""
 
-    async def execute(self, console: Console, *, live: bool, announce: Sequence[str] = ()) -> None:
+    async def execute(
+        self,
+        console: Console,
+        *,
+        live: bool,
+        announce: Sequence[str] = (),
+        stay: Callable[[], None] | None = None,
+    ) -> None:
         """Start everything, run for the duration, end everything.
 
         Args:
             console: where it is shown.
             live: with a table that is redrawn, instead of a line now and then.
             announce: what is said once everything is up, such as where the pages are.
+            stay: called after the duration, to show the summary; the rig then runs on until cancelled. None = it ends.
 
         Raises:
             RhotError: the router or a service did not come up, or one ended by itself.
         """
         with console.status("starting router, cameras, tracker and pages") as starting:
-            follow = partial(self._follow, console, live, announce, starting)
+            follow = partial(self._follow, console, live, announce, stay, starting)
             await with_processes(bus_of(self._rig, self._endpoint), self._services, self._logs, follow)
 
-    async def _follow(self, console: Console, live: bool, announce: Sequence[str], starting: Status, bus: Bus) -> None:
+    async def _follow(
+        self,
+        console: Console,
+        live: bool,
+        announce: Sequence[str],
+        stay: Callable[[], None] | None,
+        starting: Status,
+        bus: Bus,
+    ) -> None:
         starting.stop()
         for line in announce:
             console.print(line, soft_wrap=True)
@@ -110,7 +127,7 @@ class WatchedRun(ABC):
             collecting = tasks.create_task(self._collect(bus))
             controls = bus.events(CONTROL_KEY)
             control = await broadcast(bus, "start", "sim", _START_DELAY_S, wait_s=5.0)
-            self._start_t_ns = control.start_t_ns
+            self._start_at(control)
             following = tasks.create_task(self._follow_starts(controls, console))
             if live:
                 with Live(console=console, auto_refresh=False) as display:
@@ -118,10 +135,13 @@ class WatchedRun(ABC):
             else:
                 await self._show(bus, console, None)
             self._after = (await fetch_status(bus))[1]
-            # Of whichever session: the page and `rhot start` begin others.
-            await broadcast(bus, "stop", "", 0.0, wait_s=5.0)
             collecting.cancel()
             following.cancel()
+            if stay is not None:
+                stay()
+                await asyncio.Event().wait()
+            # Of whichever session: the page and `rhot start` begin others.
+            await broadcast(bus, "stop", "", 0.0, wait_s=5.0)
 
     async def _follow_starts(self, controls: EventSubscriber, console: Console) -> None:
         """Start over with each session that somebody else begins: its world begins anew, too."""
@@ -129,15 +149,21 @@ class WatchedRun(ABC):
             if control.action == "start" and control.start_t_ns != self._start_t_ns:
                 self._rig = latest_rig(self._rig)
                 self._begin(self._rig)
-                self._start_t_ns, self._before = control.start_t_ns, {}
+                self._start_at(control)
+                self._before = {}
                 console.print(
                     f"session {control.session} was started: the {self._duration_s:g} s count from here",
                     soft_wrap=True,
                     markup=False,
                 )
 
+    def _start_at(self, control: Control) -> None:
+        self._start_t_ns = control.start_t_ns
+        self._start_mono_ns = time.monotonic_ns() + control.start_t_ns - time.time_ns()
+
     def _elapsed_s(self) -> float:
-        return (time.time_ns() - self._start_t_ns) / 1e9
+        # On a clock that nobody sets: a machine may learn the time of day meanwhile.
+        return (time.monotonic_ns() - self._start_mono_ns) / 1e9
 
     async def _show(self, bus: Bus, console: Console, display: Live | None) -> None:
         """Show how it goes until the duration is over."""

@@ -86,5 +86,7 @@ def write_walker_rig(
     )
     write_text_atomic(path / RIG_FILE, text)
     # The walker's rig frame is the stage.
-    write_json_model(path / STAGE_FILE, StageFile(date=today(), T_rig_stage=RigidTransform(), source="simulated"))
+    write_json_model(
+        path / STAGE_FILE, StageFile(date=today(), T_rig_stage=RigidTransform.identity(), source="simulated")
+    )
     return load_rig(path)
