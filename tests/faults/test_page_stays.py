@@ -12,8 +12,8 @@ from page.browser import CHROMIUM, Browser, open_browser
 from page.viewer_process import ViewerProcess
 from played_rig import PATIENCE_S, PROCESSES, PlayedRig
 
-from rhot.rig import RegistrationFile, write_json_model
-from rhot.rig.folder import REGISTRATION_FILE, RIG_FILE
+from rhot.rig import write_json_model
+from rhot.rig.folder import NO_REGISTRATION, REGISTRATION_FILE, RIG_FILE
 from rhot_viewer.grasp.files import is_built
 
 pytestmark = [
@@ -39,7 +39,7 @@ async def shows(browser: Browser, name: str, after_s: float) -> None:
 async def test_the_page_comes_back_after_every_service(rig: PlayedRig, tmp_path: Path, free_port: int) -> None:
     with (rig.folder / RIG_FILE).open("a") as file:
         file.write('\n[objects.cube]\nsource = "simulated"\n')
-    write_json_model(rig.folder / REGISTRATION_FILE, RegistrationFile())
+    write_json_model(rig.folder / REGISTRATION_FILE, NO_REGISTRATION)
     objects = ["objects", "--rig", str(rig.folder), "--connect", rig.endpoint]
     await rig.supervisor.start("objects", objects)
     page = ViewerProcess(

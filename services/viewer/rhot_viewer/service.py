@@ -111,6 +111,7 @@ class ViewerService:
                 ", ".join(bus_config.connect or bus_config.listen),
                 {name: camera.rate_hz for name, camera in rig.config.cameras.items()},
                 has_feet=rig.config.feet is not None,
+                rig_path=rig.path,
             ),
             pictures,
             CamerasPanel(page, self._settings, self._inbox, tuple(own_paints(rig.config.markers)), pictures.select),

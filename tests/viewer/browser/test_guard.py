@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import socket
 import urllib.error
 import urllib.request
@@ -268,3 +269,24 @@ def test_kept_links_follow_the_page_to_https_and_to_another_port(tmp_path: Path)
     ]
     assert [line.partition("token=")[2] for line in lines] == [token, Access(token).view_token]
     assert file.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize("path", ["/%00", "/index.html%00", "/a%1b[2Jb", "/assets/%00.js"])
+async def test_addresses_with_control_characters_are_refused(page: Page, path: str) -> None:
+    status, _, body = await fetch(page, path)
+    assert (status, body) == (400, b"This is no address.\n")
+
+
+@pytest.mark.parametrize("data", [b"", b"\0" * 40, b"GET\r\n\r\n", b"\x16\x03\x01\x02\0" * 20, b"x" * 100_000])
+async def test_what_speaks_no_http_leaves_no_traceback(
+    page: Page, data: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("DEBUG", "websockets.server")
+    _, writer = await asyncio.open_connection("127.0.0.1", page.port)
+    writer.write(data)
+    with contextlib.suppress(ConnectionError):
+        await writer.drain()
+        writer.close()
+        await writer.wait_closed()
+    assert (await fetch(page))[0] == 200, "the page goes on"
+    assert not [record for record in caplog.records if record.exc_info]

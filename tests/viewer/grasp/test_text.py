@@ -92,7 +92,7 @@ def test_the_page_is_told_where_floor_and_desk_are(rig: Rig) -> None:
 
 
 def test_a_headset_is_aligned_by_its_own_registration(rig: Rig) -> None:
-    moved = RegistrationFile(T_rig_tracker=RigidTransform(position=(0.5, 0.0, 0.0)))
+    moved = RegistrationFile(T_rig_tracker=RigidTransform(position=(0.5, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0)))
     headset = {"head": ObjectConfig(source="webxr")}
     alone = dataclasses.replace(rig, config=rig.config.model_copy(update={"objects": headset}))
     assert webxr_of(rig) is None

@@ -15,6 +15,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any, Final
+from urllib.parse import unquote
 
 import msgspec
 import websockets.asyncio.server
@@ -25,6 +26,7 @@ from websockets.typing import Data
 
 from rhot.text import printable
 from rhot_viewer.browser.access import Access, PageRequest, Refusal, Role, is_websocket, token_in_link, tokens_in
+from rhot_viewer.browser.shell import dress, wants_light
 
 logger = logging.getLogger(__name__)
 
@@ -64,6 +66,7 @@ class Guard:
         self.elements: set[str] = set()
         self._access = access
         self._roles: dict[ServerConnection, Role] = {}
+        self._light: set[ServerConnection] = set()
 
     @contextlib.contextmanager
     def standing_in(self) -> Iterator[None]:
@@ -82,7 +85,12 @@ class Guard:
             def check(connection: ServerConnection, request: Request) -> Response | None:
                 return self.check(connection, request, process_request)
 
-            options |= {"process_request": check, "create_connection": Connection, "max_size": _MOST_BYTES}
+            options |= {
+                "process_request": check,
+                "create_connection": Connection,
+                "max_size": _MOST_BYTES,
+                "logger": _quiet_logger(),
+            }
             self.standing = True
             return real(*arguments, **options)
 
@@ -108,9 +116,14 @@ class Guard:
         """Return the role of a connected browser."""
         return self._roles.get(connection, "view")
 
+    def is_light(self, connection: ServerConnection) -> bool:
+        """Return whether a connected browser prefers light colours."""
+        return connection in self._light
+
     def forget(self, connection: ServerConnection) -> None:
         """Drop a connection that has ended."""
         self._roles.pop(connection, None)
+        self._light.discard(connection)
 
     def admits(self, connection: ServerConnection, data: Data) -> bool:
         """Return whether a browser may send a message."""
@@ -144,6 +157,9 @@ class Guard:
             is_websocket=is_websocket(headers),
             tokens=tokens_in(request.path, headers.get_all("Cookie"), cookie),
         )
+        if not _is_clean(request.path.partition("?")[0]):
+            self._count("page")
+            return _answer(http.HTTPStatus.BAD_REQUEST, "This is no address.")
         role = self._access.judge(asked)
         if isinstance(role, Refusal):
             self._log_refusal(asked, role)
@@ -156,7 +172,10 @@ class Guard:
                 self._count("connection")
                 return _answer(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{_MOST_BROWSERS} browsers look already.")
             self._roles[connection] = role
+            if wants_light(headers.get_all("Cookie")):
+                self._light.add(connection)
             return None
+        dress(response)
         for name, value in _HEADERS.items():
             response.headers[name] = value
         token = token_in_link(request.path)
@@ -183,6 +202,18 @@ class Guard:
 
     def _count(self, kind: str) -> None:
         self.refused[kind] += 1
+
+
+def _quiet_logger() -> logging.Logger:
+    """Return the logger of the server: every connection that speaks no HTTP would leave a traceback in it."""
+    quiet = logging.getLogger(f"{__name__}.connections")
+    quiet.setLevel(logging.CRITICAL)
+    return quiet
+
+
+def _is_clean(path: str) -> bool:
+    """Return whether a path names something: no file's name holds control characters, and NUL ends in an error."""
+    return all(character.isprintable() for character in unquote(path))
 
 
 def _only(headers: Headers, name: str) -> str:

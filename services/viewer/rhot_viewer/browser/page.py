@@ -77,20 +77,24 @@ class Page:
             raise DeviceError(cannot_listen(host, port))
         self.url = page_address(host, found)
         self.port = found
-        self._set_theme()
+        self.set_theme(self.server.gui, light=False)
+        self.server.gui.main_panel.dock_right()
+        self.server.gui.main_panel.set_width(PANEL_WIDTH_PX)
         self.server.on_client_connect(self._greet)
         self.server.on_client_disconnect(lambda client: self._soon(self._left, client.client_id))
 
-    def _set_theme(self) -> None:
+    @staticmethod
+    def set_theme(gui: viser.GuiApi, *, light: bool) -> None:
+        """Choose the colours of all browsers (the server's `gui`) or of one (a client's)."""
         # No share button: it would offer the page to the internet through a server of viser's makers.
-        self.server.gui.configure_theme(
-            dark_mode=True, show_logo=False, show_share_button=False, brand_color=_BRAND_RGB, control_width="large"
+        gui.configure_theme(
+            dark_mode=not light, show_logo=False, show_share_button=False, brand_color=_BRAND_RGB, control_width="large"
         )
-        self.server.gui.main_panel.dock_right()
-        self.server.gui.main_panel.set_width(PANEL_WIDTH_PX)
 
     def _greet(self, client: viser.ClientHandle) -> None:
         connection = self.server._websock_server._live_connections.get(client.client_id)
+        if connection is not None and self.guard.is_light(connection):
+            self.set_theme(client.gui, light=True)
         if connection is not None and self.guard.role_of(connection) == "view":
             client.add_notification(title="Looking only", body=_LOOKING_ONLY, with_close_button=True)
         self._soon(self._came, client.client_id)

@@ -39,7 +39,8 @@ SIDES: Final[tuple[Side, ...]] = ("right", "left")
 _HAND_AGE_S: Final = 0.4
 _SLOW_AGE_S: Final = 1.0
 _TRAIL_S: Final = 2.0
-_BACKGROUND: Final = (18, 20, 24)
+_FADED: Final = (96, 102, 112)
+"""Where trails fade to: faint before a dark background as before a light one."""
 _VOLUME_COLOR: Final = (70, 84, 104)
 _GRID_CELL_M: Final = 0.1
 _LIMIT_COLOR: Final = (240, 200, 90)
@@ -49,7 +50,7 @@ _LIMIT_COLOR: Final = (240, 200, 90)
 class Shown:
     """What the scene shows beside hands, markers and objects; each can be switched off in the page."""
 
-    ghost: bool = True
+    ghost: bool = False
     trails: bool = True
     markers: bool = True
     volume: bool = True
@@ -113,7 +114,7 @@ class RigScene:
         self._paths = scene.add_line_segments(
             "/trails",
             self._trails.lines.astype(np.float32),
-            self._trails.colors({**dict.fromkeys(tips, UNKNOWN_COLOR), **_tip_colors(rig, colors)}, _BACKGROUND),
+            self._trails.colors({**dict.fromkeys(tips, UNKNOWN_COLOR), **_tip_colors(rig, colors)}, _FADED),
             thickness=0.0022,
         )
         self._start_with(first_view(rig))

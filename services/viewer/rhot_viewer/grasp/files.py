@@ -58,7 +58,7 @@ def answer(request: Request, meshes: Callable[[str], bytes | None], bundle: Path
         return None
     try:
         return _response((bundle / name).read_bytes(), Path(name).suffix)
-    except OSError:
+    except (OSError, ValueError):  # ValueError: no file can be named so
         return None
 
 

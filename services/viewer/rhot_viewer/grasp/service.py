@@ -267,7 +267,7 @@ class GraspService:
             if devices.head is not None and HEAD in wanted:
                 node.publish("rhot/head", head_pose(devices.head, devices.t_ms, T_rig_webxr))
             if devices.controller is not None and CONTROLLER in wanted:
-                fixed = registration.T_tracker_object.get(CONTROLLER, RigidTransform()).matrix
+                fixed = registration.T_tracker_object.get(CONTROLLER, RigidTransform.identity()).matrix
                 pose = controller_pose(
                     devices.controller, devices.t_ms, T_rig_webxr, fixed, known_shape(self._rig, CONTROLLER)
                 )

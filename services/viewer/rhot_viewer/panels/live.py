@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import viser
 
 from rhot.messages import FootPose, ServiceStatus
+from rhot.rig.folder import CAMERAS_FILE, COLORS_FILE
 from rhot_viewer.browser.overview import Problems, feet_html, hands_html, problems_html, services_html
 from rhot_viewer.browser.rig_scene import RigScene
 from rhot_viewer.rig.inbox import Inbox
@@ -33,6 +35,7 @@ class LivePanel:
         rates_hz: Mapping[str, float],
         *,
         has_feet: bool,
+        rig_path: Path,
     ) -> None:
         """Prepare the tab.
 
@@ -43,6 +46,7 @@ class LivePanel:
             router: where the bus is, for people.
             rates_hz: frames per second of each camera as configured; empty in a rig that tracks feet alone.
             has_feet: whether the rig tracks feet.
+            rig_path: folder of the rig, for what is not calibrated yet.
         """
         self._scene = scene
         self._inbox = inbox
@@ -50,6 +54,7 @@ class LivePanel:
         self._router = router
         self._rates_hz = rates_hz
         self._has_feet = has_feet
+        self._rig_path = rig_path
 
     def build(self, gui: viser.GuiApi) -> None:
         """Add three tables."""
@@ -71,12 +76,24 @@ class LivePanel:
         self._trouble.content = problems_html(self._problems.newest)
 
     def _waiting_for(self, statuses: dict[str, ServiceStatus], needed: tuple[str, ...], else_: str) -> str:
-        alive = self._inbox.alive
-        if not alive:
+        """Return why nothing is tracked: the first cause on the way from the router to the hand, and the next step."""
+        if not self._inbox.alive:
             return f"No service is there. Looking for the rig's router at {self._router}; `rhot up` starts it."
+        causes = (self._not_running(needed), self._not_working(statuses), self._not_calibrated(else_))
+        return next(filter(None, causes), else_)
+
+    def _not_running(self, needed: tuple[str, ...]) -> str:
+        alive = self._inbox.alive
+        cameras = [name for name in self._rates_hz if f"capture/{name}" not in alive] if "capture" in needed else []
+        if cameras:
+            return f"No pictures: start `rhot capture --camera {cameras[0]}` on the machine of camera {cameras[0]}."
         missing = [kind for kind in needed if not any(n.startswith(f"{kind}/") for n in alive)]
-        if missing:
-            return f"Not running: {', '.join(missing)}."
+        return f"Not running: {', '.join(missing)}; `rhot up` starts them." if missing else ""
+
+    def _not_working(self, statuses: dict[str, ServiceStatus]) -> str:
+        failed = [status.last_error for _, status in sorted(statuses.items()) if _has_failed(status)]
+        if any(failed):
+            return next(filter(None, failed))
         if all(status.state == "waiting" for name, status in statuses.items() if not name.startswith("viewer/")):
             return "Every service waits; `rhot start` starts the rig."
         slow = [
@@ -85,6 +102,18 @@ class LivePanel:
             if (status := statuses.get(f"capture/{camera}"))
             and (rate := status.rates.get("frames", wanted)) < wanted / 2
         ]
-        if slow:
-            return f"Pictures a second are too few: {', '.join(slow)}. Is that machine overloaded?"
-        return else_
+        return f"Pictures a second are too few: {', '.join(slow)}. Is that machine overloaded?" if slow else ""
+
+    def _not_calibrated(self, else_: str) -> str:
+        if not self._rates_hz:
+            return ""
+        if not (self._rig_path / COLORS_FILE).exists():
+            return "The colours of the paints are not known yet: tab *Calibrate*, step *Colours*."
+        if not (self._rig_path / CAMERAS_FILE).exists():
+            return f"{else_} The cameras are not calibrated yet: tab *Calibrate*, step *Cameras*."
+        return ""
+
+
+def _has_failed(status: ServiceStatus) -> bool:
+    """Return whether a service waits although a session runs: its device cannot be used."""
+    return status.state == "waiting" and bool(status.session)
