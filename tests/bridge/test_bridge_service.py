@@ -192,6 +192,29 @@ async def test_without_a_floor_nothing_is_sent_and_it_is_said_once(
         await reader.close()
 
 
+async def test_fingers_of_an_avatar_need_no_floor(router: BusConfig) -> None:
+    """They turn against their hand; the floor, once known, changes nothing but adds what stands on it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.setblocking(False)
+        loop = asyncio.get_running_loop()
+        port = receiver.getsockname()[1]
+
+        async def bones() -> bytes:
+            while True:
+                packet = await asyncio.wait_for(loop.sock_recv(receiver, 65536), PATIENCE_S)
+                if b"/VMC/Ext/Bone/Pos" in packet:
+                    return packet
+
+        async with running(router, {"avatar": {"target": "vmc", "port": port}}, floor=False) as (bus, rig):
+            assert b"IndexProximal" in await bones()
+            await wait_for_status(bus, "bridge/avatar", lambda each: each.rates.get("output", 0.0) > 0)
+            found = await wait_for_status(bus, "bridge/avatar", lambda each: True)
+            assert found.problem == ""
+            rig.know_floor()
+            assert b"IndexProximal" in await bones()
+
+
 async def test_a_hand_that_is_gone_fades_and_then_is_not_sent(router: BusConfig, free_port: int) -> None:
     weights: list[float] = []
     async with running(router, {"page": {"target": "json", "port": free_port, "axes": "rig"}}) as (_, rig):

@@ -6,8 +6,10 @@ import asyncio
 import logging
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
+import numpy as np
 from pydantic import BaseModel
 
 from rhot.clock import SystemClock
@@ -16,6 +18,7 @@ from rhot.messages import Control
 from rhot.rig import BridgeConfig, BusConfig
 from rhot.service import Node
 from rhot.service.runner import serve
+from rhot_bridge.axes import Converter
 from rhot_bridge.feed import Feed
 from rhot_bridge.newest import Newest
 from rhot_bridge.output import SampleOutput, check_settings, make_output
@@ -55,6 +58,9 @@ class BridgeService:
         self._newest = Newest(config)
         self._pace = Pace(config.rate_hz, self._output.triggers)
         self._converter = feed.converter(self._output.axes)
+        # Fingers turn against their hand, so any rigid frame in place of the floor's gives the same.
+        is_fingers = config.target == "vmc" and config.body == "fingers"
+        self._floorless = Converter(self._output.axes, np.eye(4)) if is_fingers else None
         self._node: Node | None = None
         self._running = False
         self._warned_of_floor = False
@@ -88,11 +94,12 @@ class BridgeService:
         self._feed.attach(node, self)
 
     def _figures(self) -> tuple[Mapping[str, float], str]:
-        missing = self._converter is None and self._running
+        missing = self._converter is None and self._floorless is None and self._running
         return {}, self._no_floor() if missing else self._output.problem if self._running else ""
 
     def _no_floor(self) -> str:
-        return "no floor frame is known (rhot/space/stage), so nothing is sent; make one: `rhot calibrate stage`" + (
+        sent = "nothing is" if self._floorless is None else "only fingers are"
+        return f"no floor frame is known (rhot/space/stage), so {sent} sent; make one: `rhot calibrate stage`" + (
             "; or send the rig's own axes: --axes rig" if self._config.target in ("json", "lsl", "ros2") else ""
         )
 
@@ -141,10 +148,14 @@ class BridgeService:
         if node is None or not self._pace.due(now_ns, kind) or not self._output.wanted(now_ns):
             return
         self._pace.sent(now_ns)
-        if self._converter is None:
+        scene = self._newest.scene(now_ns)
+        if self._converter is not None:
+            scene = self._converter.scene(scene)
+        else:
             self._warn_of_missing_floor()
-            return
-        scene = self._converter.scene(self._newest.scene(now_ns))
+            if self._floorless is None:
+                return
+            scene = self._floorless.scene(replace(scene, objects={}, head=None, feet={}, body=None))
         sent, lost = self._output.send(scene, now_ns)
         if sent:
             node.status.tick("output")

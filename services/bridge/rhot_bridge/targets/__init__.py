@@ -51,8 +51,16 @@ class TargetKind:
 
 TARGETS: Final[Mapping[str, TargetKind]] = {
     "vmc": TargetKind("Avatars: VSeeFace, Warudo, VNyan, VMagicMirror, Blender.", "rhot_bridge.targets.vmc", 39539),
-    "vrchat": TargetKind("VRChat's trackers, and SlimeVR's with --port 9001.", "rhot_bridge.targets.vrchat", 9000),
-    "vmt": TargetKind("SteamVR on Windows, through Virtual Motion Tracker.", "rhot_bridge.targets.vmt", 39570),
+    "vrchat": TargetKind(
+        "VRChat's trackers, feet and hips but no fingers (vmt); SlimeVR's with --port 9001.",
+        "rhot_bridge.targets.vrchat",
+        9000,
+    ),
+    "vmt": TargetKind(
+        "SteamVR on Windows, and so fingers in VRChat, through Virtual Motion Tracker.",
+        "rhot_bridge.targets.vmt",
+        39570,
+    ),
     "json": TargetKind(
         "Unity, Godot, Blender, browsers, your program: JSON by WebSocket or UDP.",
         "rhot_bridge.targets.json_text",
