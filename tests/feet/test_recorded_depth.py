@@ -80,7 +80,7 @@ def test_times_and_lens_may_come_from_the_caller(folder: Path) -> None:
             "frame 6 has no picture",
         ),
         (lambda path: (path / "intrinsics.json").write_text("{"), "not JSON"),
-        (lambda path: (path / "intrinsics.json").write_bytes(b"\xff\xfe"), "cannot be read"),
+        (lambda path: (path / "intrinsics.json").write_bytes(b"\xff\xff"), "cannot be read"),
         (
             lambda path: (path / "intrinsics.json").write_text(json.dumps(LENS | {"distortion": [0.1]})),
             "14 coefficients, not 1",

@@ -23,6 +23,7 @@ from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread
 from rhot.service.grabber import GrabberCounts
+from rhot.service.rig_files import serve_rig_files
 from rhot.service.spaces import publish_spaces
 from rhot_feet.foot_stage import FootStage
 from rhot_feet.frames import DepthFrame, DepthSource
@@ -116,6 +117,7 @@ class FeetService:
         node.status.watch(self._figures)
         if self.owns_clock:
             publish_spaces(node, self._rig.path)
+            serve_rig_files(node.bus, self._rig.path)
 
     def _counts(self) -> Mapping[str, int]:
         counts = GrabberCounts() if self._grabber is None else self._grabber.counts

@@ -11,7 +11,6 @@ states no times or no lens, the caller may: `rate_hz` and `camera`.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +28,7 @@ from rhot.recording.folder import COLOR_FOLDER, DEPTH_FOLDER, INTRINSICS_FILE, T
 from rhot.recording.picture_file import read_picture
 from rhot.recording.tables import read_times
 from rhot.rig.calibration import Intrinsics
+from rhot.text_files import parse_json, read_text
 from rhot_feet.frames import DepthFrame, DepthImage, pinhole
 
 _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -173,11 +173,11 @@ def _camera(path: Path, camera: CameraModel | None) -> CameraModel:
             raise ConfigError(f"{path}: has no {INTRINSICS_FILE} (width, height, K, distortion); write one")
         return camera
     try:
-        lens = Intrinsics.model_validate(json.loads(file.read_text(encoding="utf-8")))
+        lens = Intrinsics.model_validate(parse_json(read_text(file)))
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"{file}: not JSON: {error}") from error
     except ValidationError as error:
         raise ConfigError(f"{file}: {first_problem(error)}") from error
+    except ValueError as error:
+        raise ConfigError(f"{file}: not JSON: {error}") from error
     return pinhole(lens.width, lens.height, np.array(lens.K), np.array(lens.distortion))

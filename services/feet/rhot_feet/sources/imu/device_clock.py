@@ -43,8 +43,9 @@ class DeviceClock:
         self.refused = 0
 
     def to_rig_ns(self, stamp: int, arrival_ns: int, kind: bytes = b"") -> int | None:
-        """Return the rig time of a sample, nanoseconds; None if its stamp is suspect (counted in `refused`), or if its
-        time would precede the last one of its kind.
+        """Return the rig time of a sample, nanoseconds; None if it cannot be.
+
+        Suspect stamps are counted in `refused`. None is also a time that would precede the last one of its kind.
 
         If the first samples were read late, the offset decreases by much; samples whose time would then precede their
         predecessor are dropped.
