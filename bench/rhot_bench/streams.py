@@ -22,7 +22,7 @@ from rhot_bench.measures.rows import Row, Section, check_output
 from rhot_bench.measures.streams import Stream, lateral_delay, measured_glitches, rest_noise_m, step_p99_m
 from rhot_bench.number_table import read_table
 from rhot_bench.output import counted, json_option, show
-from rhot_fusion.stage import FusionStage
+from rhot_fusion.core import FusionCore
 
 _STEP_MM: Final = {"hand_recovered": 40.0, "hand_as_sent": 60.0}
 _GLITCH_BITS: Final = 2 | 8
@@ -102,13 +102,13 @@ def _run(rig: Rig, recording: Recording, limit: int | None, progress: Progress) 
         measured=np.zeros((count, len(names)), dtype=np.bool_),
         views=np.zeros((count, len(names)), dtype=np.int64),
     )
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     task = progress.add_task(f"fusing frames of {recording.path.name}", total=count * len(tracks))
     for frame in marker_track_frames(rig, recording):
         row = row_of.get(frame.frame if frame.frame is not None else -1)
         if row is None:
             continue
-        for _, points in stage.feed(frame):
+        for _, points in core.feed(frame):
             for column, name in enumerate(names):
                 point = points.points.get(name) if isinstance(points, PointSet) else None
                 if point is not None:

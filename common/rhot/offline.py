@@ -6,12 +6,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Protocol
 
+from rhot.core import Output
 from rhot.errors import ConfigError
 from rhot.messages import HeadPose, MarkerFrame, Message, ObjectPose, PointSet
 from rhot.plugins import load_plugin
 from rhot.recording import Recording, TrackTiming, marker_track_frames
 from rhot.rig import Rig
-from rhot.stage import Output
 
 
 def core(name: str) -> Callable[..., Any]:
@@ -20,7 +20,7 @@ def core(name: str) -> Callable[..., Any]:
     Raises:
         ConfigError: it is not installed here.
     """
-    loaded: Callable[..., Any] = load_plugin("rhot.stages", name, "offline tracking", name)
+    loaded: Callable[..., Any] = load_plugin("rhot.cores", name, "offline tracking", name)
     return loaded
 
 

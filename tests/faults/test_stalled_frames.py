@@ -16,7 +16,7 @@ from marker_streams import EPOCH_NS, Motion, Seen, watch
 
 from rhot.messages import PointSet
 from rhot.rig import Rig
-from rhot_fusion.stage import FusionStage
+from rhot_fusion.core import FusionCore
 
 DELAY_S, JITTER_S = 0.020, 0.005
 STALL_SHARE, STALL_S = 0.01, 0.2
@@ -56,10 +56,10 @@ def over(links: dict[str, Link], frames: list[Seen]) -> list[Seen]:
 
 
 def published(rig: Rig, frames: list[Seen]) -> list[Published]:
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     found: list[Published] = []
     for one in frames:
-        for _, points in stage.feed(one.frame):
+        for _, points in core.feed(one.frame):
             assert isinstance(points, PointSet)
             measured = sum(point.state == "measured" for point in points.points.values())
             found.append(Published(one.arrival_s, (points.t_ns - EPOCH_NS) * 1e-9, measured))

@@ -14,7 +14,7 @@ from rhot.bus import Request
 from rhot.errors import ConfigError, DeviceError
 from rhot_feet import preview
 from rhot_feet.depth.tracker import DepthObservations
-from rhot_feet.foot_stage import FootStage
+from rhot_feet.foot_core import FootCore
 from rhot_feet.frames import ColorImage, DepthFrame
 from rhot_feet.preview import COLORS, REFUSED, FeetPreview, draw
 from rhot_feet.view import FootDetections
@@ -29,7 +29,7 @@ def request(**parameters: str) -> Request:
 @pytest.fixture(scope="module")
 def seen() -> tuple[DepthFrame, FootDetections]:
     """A standing person's picture, after the tracker has known the feet for a while."""
-    stage = FootStage(FEET)
+    stage = FootCore(FEET)
     for step in range(49):
         stage.add_head_pose(head(START_NS + step * 20_000_000))
     for index in range(16):

@@ -9,8 +9,8 @@ from rhot.messages import HandPose, MarkerFrame, PointSet
 from rhot.rig import Rig, load_rig, write_json_model
 from rhot.rig.template import rig_template
 from rhot_bench.speed.simulated import projected_frames, world_of
-from rhot_fusion.stage import FusionStage
-from rhot_ik.hand.stage import HandStage
+from rhot_fusion.core import FusionCore
+from rhot_ik.hand.core import HandCore
 from rhot_sim.rig.calibration import simulated_rig_calibration
 
 
@@ -38,13 +38,13 @@ def moved(frame: MarkerFrame, name: str, by_px: float) -> MarkerFrame:
 
 
 def test_a_wrong_position_is_rejected_with_its_distance(rig: Rig, frames: list[MarkerFrame]) -> None:
-    stage = FusionStage(rig)
-    assert isinstance(stage, Explaining)
+    core = FusionCore(rig)
+    assert isinstance(core, Explaining)
     for frame in frames[:-1]:
-        stage.feed(frame)
+        core.feed(frame)
     last = frames[-1]
-    stage.feed(moved(last, "index", 40.0))
-    rows = {row.cells[:2]: row for row in table(stage.explain(), "Gates").rows}
+    core.feed(moved(last, "index", 40.0))
+    rows = {row.cells[:2]: row for row in table(core.explain(), "Gates").rows}
     rejected = rows[last.camera, "index"]
     assert rejected.verdict == "rejected"
     assert 30.0 < abs(float(rejected.cells[2])) < 50.0
@@ -52,34 +52,34 @@ def test_a_wrong_position_is_rejected_with_its_distance(rig: Rig, frames: list[M
     others = [row for (_, name), row in rows.items() if name != "index"]
     assert {row.verdict for row in others} == {"accepted"}
     assert all(abs(float(row.cells[2])) < 5.0 * float(row.cells[3]) for row in others)
-    states = {row.cells[0]: row.cells for row in table(stage.explain(), "Filter").rows}
+    states = {row.cells[0]: row.cells for row in table(core.explain(), "Filter").rows}
     assert states["thumb"][1] == "measured"
     assert float(states["thumb"][4]) < 30.0, "last seen, ms ago"
 
 
 def test_a_marker_that_one_camera_sees_is_on_its_ray(rig: Rig, frames: list[MarkerFrame]) -> None:
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     for frame in frames:
         hidden = {name: marker for name, marker in frame.markers.items() if (name, frame.camera) != ("ring", "left")}
-        stage.feed(frame.model_copy(update={"markers": hidden}))
-    states = {row.cells[0]: row for row in table(stage.explain(), "Filter").rows}
+        core.feed(frame.model_copy(update={"markers": hidden}))
+    states = {row.cells[0]: row for row in table(core.explain(), "Filter").rows}
     assert states["ring"].cells[1] == "one_view"
     assert states["ring"].cells[-1] == "right"
 
 
 @pytest.mark.parametrize("method", ["filter", "triangulate", "disparity"])
 def test_explaining_changes_nothing(rig: Rig, frames: list[MarkerFrame], method: str) -> None:
-    plain, asked = FusionStage(rig), FusionStage(rig)
+    plain, asked = FusionCore(rig), FusionCore(rig)
     config = rig.config.fusion.model_copy(update={"method": method})
-    for stage in (plain, asked):
-        stage.configure(config)
+    for core in (plain, asked):
+        core.configure(config)
     for frame in frames:
         assert asked.feed(frame) == plain.feed(frame)
         assert asked.explain()
 
 
 def test_hand(rig: Rig, frames: list[MarkerFrame]) -> None:
-    fusion, plain, asked = FusionStage(rig), HandStage(rig), HandStage(rig)
+    fusion, plain, asked = FusionCore(rig), HandCore(rig), HandCore(rig)
     assert asked.explain()[0].rows[0].verdict == "rejected"
     hand = None
     for frame in frames:

@@ -17,9 +17,9 @@ from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vect
 from rhot.messages import HandPose, Point, PointSet, State
 from rhot.rig import CameraConfig, HandFile, MarkerConfig, Rig, RigConfig
 from rhot.rig.folder import NO_REGISTRATION
+from rhot_ik.hand.core import HandCore
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.solver import HandSolver
-from rhot_ik.hand.stage import HandStage
 from rhot_ik.hand.track import HandSolution
 
 MakePoints = Callable[..., PointSet]
@@ -40,11 +40,11 @@ a_sample = st.tuples(
 )
 
 
-def stage_of_right_hand() -> HandStage:
+def core_of_right_hand() -> HandCore:
     markers = {finger: MarkerConfig(joint=f"{finger}_tip") for finger in FINGERS}
     markers["base"] = MarkerConfig(joint="wrist", kind="patch", size_m=(0.04, 0.03))
     config = RigConfig(cameras={"left": CameraConfig()}, markers=markers)
-    return HandStage(Rig(Path(), config, {}, True, HandFile(), NO_REGISTRATION))
+    return HandCore(Rig(Path(), config, {}, True, HandFile(), NO_REGISTRATION))
 
 
 def check(pose: HandPose, model: HandModel) -> None:
@@ -62,7 +62,7 @@ def check(pose: HandPose, model: HandModel) -> None:
 def test_any_points_at_any_times_give_legal_finite_hands(
     samples: list[tuple[int, dict[str, tuple[float, float, float, float, bool]], bool]],
 ) -> None:
-    stage, model = stage_of_right_hand(), HandModel.from_file(HandFile(), "right")
+    core, model = core_of_right_hand(), HandModel.from_file(HandFile(), "right")
     t_ns = START_NS
     for step_ns, seen, flat in samples:
         t_ns += step_ns
@@ -75,7 +75,7 @@ def test_any_points_at_any_times_give_legal_finite_hands(
                 corners = ((x - size, y, z), (x, y - size, z), (x + size, y, z), (x, y + size, z))
             state: State = "measured" if measured else "predicted"
             points[name] = Point(position=(x, y, z), sigma=sigma, views=2, state=state, corners=corners)
-        for _, pose in stage.feed(PointSet(t_ns=t_ns, frame="rig", points=points)):
+        for _, pose in core.feed(PointSet(t_ns=t_ns, frame="rig", points=points)):
             assert isinstance(pose, HandPose)
             check(pose, model)
 
@@ -84,12 +84,12 @@ def test_any_points_at_any_times_give_legal_finite_hands(
 def test_a_still_hand_stays_where_it_is_whatever_the_time_between_samples(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist, dt_s: float
 ) -> None:
-    stage = HandStage(right_rig)
+    core = HandCore(right_rig)
     joints = right_hand.forward(wrist(), EASE)
     poses: list[HandPose] = []
     for k in range(60):
         t_s = k / 60.0 if k < 30 else 0.5 + (k - 30) * dt_s
-        for _, pose in stage.feed(make_points(right_hand, joints, right_rig.config.markers, t_s)):
+        for _, pose in core.feed(make_points(right_hand, joints, right_rig.config.markers, t_s)):
             assert isinstance(pose, HandPose)
             check(pose, right_hand)
             poses.append(pose)
@@ -107,13 +107,13 @@ def test_one_marker_alone_is_no_hand_and_holds_one_only_for_a_while(
     joints = right_hand.forward(wrist(), EASE)
     markers = right_rig.config.markers
     alone = tuple(name for name in NAMES if name != only)
-    assert HandStage(right_rig).feed(make_points(right_hand, joints, markers, 0.0, hide=alone)) == []
-    stage = HandStage(right_rig)
+    assert HandCore(right_rig).feed(make_points(right_hand, joints, markers, 0.0, hide=alone)) == []
+    core = HandCore(right_rig)
     for k in range(30):
-        stage.feed(make_points(right_hand, joints, markers, k / 60.0))
+        core.feed(make_points(right_hand, joints, markers, k / 60.0))
     last = []
     for k in range(30, 120):
-        last = stage.feed(make_points(right_hand, joints, markers, k / 60.0, hide=alone))
+        last = core.feed(make_points(right_hand, joints, markers, k / 60.0, hide=alone))
         for _, pose in last:
             assert isinstance(pose, HandPose)
             check(pose, right_hand)
@@ -125,7 +125,7 @@ def test_one_marker_alone_is_no_hand_and_holds_one_only_for_a_while(
 def test_a_hand_of_predicted_points_alone_is_predicted_and_ends(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
-    stage = HandStage(right_rig)
+    core = HandCore(right_rig)
     joints = right_hand.forward(wrist(), EASE)
     poses = []
     for k in range(120):
@@ -136,7 +136,7 @@ def test_a_hand_of_predicted_points_alone_is_predicted_and_ends(
                 for name, point in points.points.items()
             }
             points = points.model_copy(update={"points": bridged})
-        poses.append(stage.feed(points))
+        poses.append(core.feed(points))
     for out in poses[31:50]:
         ((_, pose),) = out
         assert isinstance(pose, HandPose)
@@ -185,7 +185,7 @@ def test_a_hand_taken_up_the_wrong_way_round_is_right_again_within_a_second(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
     """The first second shows a hand turned by half a turn about its long axis, then the true one goes on."""
-    stage = HandStage(right_rig)
+    core = HandCore(right_rig)
     T = wrist()
     turned = T.copy()
     turned[:3, :3] = T[:3, :3] @ rotation_from_vector(np.array([0.0, 2.0, 0.0]))
@@ -193,7 +193,7 @@ def test_a_hand_taken_up_the_wrong_way_round_is_right_again_within_a_second(
     for k in range(150):
         joints = right_hand.forward(turned if k < 60 else T, EASE)
         points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0)
-        for _, pose in stage.feed(points):
+        for _, pose in core.feed(points):
             assert isinstance(pose, HandPose)
             check(pose, right_hand)
             found = np.array([pose.joints[name].position for name in JOINTS])
@@ -207,7 +207,7 @@ def test_what_five_tips_have_met_is_not_overturned_by_two(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
     """Three tips vanish and the two that are left lie where this hand cannot have them, for two seconds."""
-    stage, T = HandStage(right_rig), wrist()
+    core, T = HandCore(right_rig), wrist()
     joints = right_hand.forward(T, EASE)
     markers = right_rig.config.markers
     turned = T[:3, :3] @ rotation_from_vector(np.array([0.0, 1.6, 0.0])) @ T[:3, :3].T
@@ -222,7 +222,7 @@ def test_what_five_tips_have_met_is_not_overturned_by_two(
                 moved = base + turned @ (np.array(point.position) - base)
                 seen[name] = point.model_copy(update={"position": tuple(moved.tolist())})
             points = points.model_copy(update={"points": seen})
-        for _, pose in stage.feed(points):
+        for _, pose in core.feed(points):
             assert isinstance(pose, HandPose)
             found = rotation_from_quaternion(np.array(pose.joints["wrist"].orientation))
             if k >= 30:
@@ -234,13 +234,13 @@ def test_a_hand_of_which_all_tips_say_that_it_was_turned_round_is_looked_for_at_
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
     """It is shown as it is found: fingers of another palm are not led in from where they were."""
-    stage, T = HandStage(right_rig), wrist()
+    core, T = HandCore(right_rig), wrist()
     turned = T.copy()
     turned[:3, :3] = T[:3, :3] @ rotation_from_vector(np.array([0.0, 2.0, 0.0]))
     for k in range(65):
         joints = right_hand.forward(turned if k < 60 else T, EASE)
         points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0)
-        ((_, pose),) = stage.feed(points)
+        ((_, pose),) = core.feed(points)
     assert isinstance(pose, HandPose)
     found = np.array([pose.joints[name].position for name in JOINTS])
     assert np.linalg.norm(found - joints.positions, axis=1).max() < 0.02

@@ -79,7 +79,7 @@ def test_a_recording_lies_in_the_rig_folder(tmp_path: Path) -> None:
     (tmp_path / "pen.csv").write_text("t_ns,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n10,0,0,0,0,0,0,1\n", encoding="utf-8")
     (plan,) = plan_sources(rig_with(tmp_path, '[objects.pen]\nsource = "recorded"\npath = "pen.csv"\n'))
     plan.source.open(START)
-    ((key, message),) = plan.stage.feed(plan.source.read(START), START)
+    ((key, message),) = plan.core.feed(plan.source.read(START), START)
     assert key == "rhot/object/pen"
     assert isinstance(message, ObjectPose)
     assert message.position == pytest.approx((0.5, 1.0, 1.5))
@@ -92,7 +92,7 @@ def test_simulated_objects_come_out_where_the_world_has_them(tmp_path: Path) -> 
     plan.source.open(START)
     for elapsed_s in (0.0, 1.5, 4.25, 60.0):
         now_ns = START + round(elapsed_s * 1e9)
-        ((_, message),) = plan.stage.feed(plan.source.read(now_ns), now_ns)
+        ((_, message),) = plan.core.feed(plan.source.read(now_ns), now_ns)
         assert isinstance(message, ObjectPose)
         true = world.truth(elapsed_s, now_ns).objects["cup"]
         error_mm = 1e3 * sum((a - b) ** 2 for a, b in zip(message.position, true.position, strict=True)) ** 0.5
@@ -125,7 +125,7 @@ def test_each_source_has_a_registration_of_its_own_else_the_one_of_all(tmp_path:
     }
     positions = {}
     for plan in plan_sources(rig):
-        for key, message in plan.stage.feed(here, START):
+        for key, message in plan.core.feed(here, START):
             assert isinstance(message, ObjectPose)
             positions[plan.name, key] = message.position
     assert positions["steamvr", "rhot/object/cup"] == (7.0, 0.0, 0.0)

@@ -66,7 +66,7 @@ def test_what_rig_toml_states_is_on_the_wire(
     rig = rig_with(tmp_path, f'[objects.cup]\nsource = "recorded"\npath = "cup.csv"\nshape = {text}\n')
     (plan,) = plan_sources(rig)
     level = PoseSample(1, Pose.from_arrays((0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)))
-    ((_, pose),) = plan.stage.feed({"cup": level}, 1)
+    ((_, pose),) = plan.core.feed({"cup": level}, 1)
     assert decode(encode(pose), ObjectPose).shape == shape
 
 
@@ -76,7 +76,7 @@ def test_a_mesh_is_on_the_wire_by_its_planes_and_a_bad_file_stops_the_start(tmp_
     rig = rig_with(tmp_path, cup)
     (plan,) = plan_sources(rig)
     level = PoseSample(1, Pose.from_arrays((0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)))
-    ((_, pose),) = plan.stage.feed({"cup": level}, 1)
+    ((_, pose),) = plan.core.feed({"cup": level}, 1)
     shape = decode(encode(pose), ObjectPose).shape
     assert isinstance(shape, MeshShape)
     assert shape.size == pytest.approx((0.08, 0.095, 0.115), abs=1e-4)

@@ -7,9 +7,9 @@ import pytest
 
 from rhot.messages import ObjectPose
 from rhot.rig import RegistrationFile, RigidTransform
+from rhot_objects.core import ObjectCore
 from rhot_objects.pose import Pose, angle_between
 from rhot_objects.registration import Registration
-from rhot_objects.stage import ObjectStage
 from rhot_sim.sources.objects import ORIENTATION_NOISE_RAD, POSITION_NOISE_M, SimulatedSource
 
 START = 1_700_000_000_000_000_000
@@ -35,11 +35,11 @@ def opened(*ids: str, seed: int = 1, registration: Registration = REGISTRATION) 
 
 
 def test_through_the_whole_chain_the_truth_comes_back_but_for_the_noise() -> None:
-    source, stage = opened("cup"), ObjectStage(REGISTRATION)
+    source, core = opened("cup"), ObjectCore(REGISTRATION)
     position_errors, angles = [], []
     for step in range(400):
         elapsed_ns = step * 11_111_111
-        ((key, message),) = stage.feed(source.read(START + elapsed_ns), START + elapsed_ns)
+        ((key, message),) = core.feed(source.read(START + elapsed_ns), START + elapsed_ns)
         assert key == "rhot/object/cup"
         assert isinstance(message, ObjectPose)
         assert (message.state, message.t_ns) == ("measured", START + elapsed_ns)

@@ -17,7 +17,7 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import Marker, MarkerFrame, PointSet
 from rhot.recording import MarkerTrack, load_recording, marker_track_frames
 from rhot.rig import CameraCalibration, CamerasFile, Rig, load_rig, write_json_model
-from rhot_fusion.stage import FusionStage
+from rhot_fusion.core import FusionCore
 
 SQUARE_M = 0.0259
 MARKERS = ("thumb", "index", "middle", "ring", "little", "base")
@@ -112,13 +112,13 @@ _loaded = cache(load_recording)
 
 def replay_figures(
     rig: Rig, recording_path: Path, seen_bits: int, rows: int | None = None
-) -> tuple[StreamFigures, FusionStage]:
+) -> tuple[StreamFigures, FusionCore]:
     """Run a recorded stream and measure it; `seen_bits` of masks.csv tell what was not truly seen.
 
     `rows` of that file end it sooner.
     """
     recording = _loaded(recording_path)
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     masks = np.loadtxt(recording_path / "masks.csv", delimiter=",", skiprows=1, dtype=np.int64)[:rows]
     last = int(masks[-1, 0])
     # Cameras are a frame or two apart: what follows the last one of both is not even made.
@@ -131,7 +131,7 @@ def replay_figures(
     places = np.full((len(masks), len(MARKERS), 3), np.nan)
     state = np.zeros((len(masks), len(MARKERS)), dtype=bool)
     began = time.perf_counter()
-    outputs = [(frame.frame, output) for frame in frames for output in stage.feed(frame)]
+    outputs = [(frame.frame, output) for frame in frames for output in core.feed(frame)]
     spent = time.perf_counter() - began
     for frame, (_, points) in outputs:
         assert isinstance(points, PointSet)
@@ -163,7 +163,7 @@ def replay_figures(
         delay_frames=_delay(u, places[:, :, 0] / places[:, :, 2], (masks[:, 1:7] == 0) & reported),
         seconds_per_frame=spent / len(frames),
     )
-    return figures, stage
+    return figures, core
 
 
 def _delay(u: FloatArray, x: FloatArray, clean: NDArray[np.bool_]) -> float:
@@ -315,13 +315,13 @@ class TruthFigures:
     measured: float
 
 
-def truth_figures(stage: FusionStage, motion: Motion, seen: list[Seen]) -> TruthFigures:
+def truth_figures(core: FusionCore, motion: Motion, seen: list[Seen]) -> TruthFigures:
     errors: list[FloatArray] = []
     lags: list[float] = []
     measured: list[bool] = []
     sets = 0
     for one in seen:
-        for _, points in stage.feed(one.frame):
+        for _, points in core.feed(one.frame):
             assert isinstance(points, PointSet)
             sets += 1
             t_s = (points.t_ns - EPOCH_NS) * 1e-9

@@ -10,7 +10,7 @@ import { IDENTITY, add, apply, compose, invert, sub } from "./math.js";
 import { Pace, isSoftware } from "./pace.js";
 import { restrained } from "./proxy.js";
 import { Rig } from "./rig.js";
-import { Stage } from "./scene.js";
+import { World } from "./scene.js";
 import { Body, UNKNOWN, halfHeight } from "./shapes.js";
 import { BENDING, FINGERS, PALM, WRIST } from "./skeleton.js";
 import { drawPlainly } from "./surfaces.js";
@@ -34,7 +34,7 @@ const renderer = makeRenderer();
 if (pace.software) renderer.xr.setFramebufferScaleFactor(0.5);
 renderer.shadowMap.enabled = !pace.software;
 renderer.shadowMap.type = PCFSoftShadowMap;
-const stage = new Stage(!pace.software);
+const world = new World(!pace.software);
 const camera = new PerspectiveCamera(42, 1, 0.02, 20);
 const controls = new OrbitControls(camera, canvas);
 controls.enableDamping = true;
@@ -42,7 +42,7 @@ controls.minDistance = 0.12;
 controls.maxDistance = 6;
 const labels = new Labels($("tags"));
 const signs = new Signs();
-stage.root.add(signs);
+world.root.add(signs);
 const link = new Link(hear);
 const timing = new Timing();
 /** Whether a pose has come that is not drawn yet. */
@@ -66,7 +66,7 @@ const seen = (window.rhot = {
   bones: (side) => views.get(side)?.bones.map((bone) => bone.getWorldPosition(new Vector3()).toArray()),
   /** Where a thing is drawn: its middle and its edges along the axes of desktop or headset; null while it is not. */
   drawnThing(name) {
-    const mesh = stage.drawn(name);
+    const mesh = world.drawn(name);
     if (!mesh) return null;
     const box = new Box3().setFromObject(mesh);
     return { middle: box.getCenter(new Vector3()).toArray(), size: box.getSize(new Vector3()).toArray(), model: mesh.isGroup ?? false };
@@ -113,7 +113,7 @@ function begin() {
   if (wanted !== models) {
     models = wanted;
     for (const view of [...views.values(), ...ghosts.values()]) {
-      stage.root.remove(view);
+      world.root.remove(view);
       view.dispose();
     }
     views.clear();
@@ -121,8 +121,8 @@ function begin() {
   }
   const middle = apply(rig.T_stage_rig, hello.desk.middle);
   deskHeight = hello.desk.shown ? middle[1] : 0;
-  stage.placeDesk(middle, hello.desk.shown);
-  stage.models.tell(hello.meshes);
+  world.placeDesk(middle, hello.desk.shown);
+  world.models.tell(hello.meshes);
   const at = add(middle, BALL_FROM_MIDDLE);
   ball = new VirtualThing({ p: [at[0], deskHeight + BALL.radius, at[2]], q: [0, 0, 0, 1] }, (q) => halfHeight(BALL, q));
   headset.published = hello.may_publish && hello.devices.length > 0;
@@ -149,7 +149,7 @@ function begin() {
 function viewOf(side) {
   if (!views.has(side)) {
     const view = new HandView(side, hello.hands[side], hello.paint[side]);
-    stage.root.add(view);
+    world.root.add(view);
     views.set(side, view);
   }
   return views.get(side);
@@ -159,7 +159,7 @@ function ghostOf(side) {
   if (!ghosts.has(side)) {
     const ghost = new HandView(side, hello.hands[side], {});
     ghost.ghost(GREEN);
-    stage.root.add(ghost);
+    world.root.add(ghost);
     ghosts.set(side, ghost);
   }
   return ghosts.get(side);
@@ -179,8 +179,8 @@ function gripOf(side, name) {
 function placeInHeadset() {
   const registered = rig.webxr !== null;
   const T = headset.on && registered ? compose(invert(rig.webxr), rig.stage ?? IDENTITY) : IDENTITY;
-  stage.root.position.set(...T.p);
-  stage.root.quaternion.set(...T.q);
+  world.root.position.set(...T.p);
+  world.root.quaternion.set(...T.q);
   seen.T_webxr_rig = headset.on ? compose(T, rig.T_stage_rig) : null;
 }
 
@@ -197,7 +197,7 @@ function frame(nowMs, xrFrame) {
   lastMs = nowMs;
   placeInHeadset();
   if (!xrFrame) fit();
-  renderer.render(stage.scene, camera);
+  renderer.render(world.scene, camera);
   // Without a graphics card the drawing goes on after `render`: reading a pixel waits for it.
   if (pace.software && !xrFrame) renderer.getContext().readPixels(0, 0, 1, 1, 6408, 5121, new Uint8Array(4));
   const done = performance.now();
@@ -243,30 +243,30 @@ function update(t, displayMs, elapsed) {
     view.visible = true;
     view.show(poses, hand.predicted, hand.state);
     seen.drawn[side] = { tracked: hand.poses, drawn: poses };
-    stage.shade(side, poses[PALM].p, 0.09, deskHeight);
+    world.shade(side, poses[PALM].p, 0.09, deskHeight);
     tags.set(side, [hand.state === "predicted" ? `${side} hand, predicted` : `tracked ${side} hand`, poses[WRIST].p]);
     if (hand.predicted.length && hand.state !== "predicted") {
       const row = BENDING[FINGERS.indexOf(hand.predicted.at(-1))][1];
       tags.set(`${side} predicted`, [`not seen, predicted: ${hand.predicted.join(", ")}`, add(poses[row].p, [0, 0.05, 0])]);
     }
   }
-  for (const side of ["left", "right"]) if (!hands.has(side)) stage.shade(side, null);
+  for (const side of ["left", "right"]) if (!hands.has(side)) world.shade(side, null);
   for (const [name, { shape, state, at }] of objects) {
-    stage.shade(name, at.p, 1.3 * bodies.get(name).reach, deskHeight);
-    stage.thing(name, shape, at, { predicted: state === "predicted", lit: holds(name) });
+    world.shade(name, at.p, 1.3 * bodies.get(name).reach, deskHeight);
+    world.thing(name, shape, at, { predicted: state === "predicted", lit: holds(name) });
     const note = shape ? "" : " (shape not known: a 6 cm box)";
     tags.set(`thing ${name}`, [`${name}: twin of the tracked object${holds(name) ? ", held" : note}`, sub(at.p, [0, halfHeight(shape ?? UNKNOWN, at.q) + 0.01, 0])]);
   }
   for (const name of bodiesGone(bodies)) {
-    stage.thing(name, null, null);
-    stage.shade(name, null);
+    world.thing(name, null, null);
+    world.shade(name, null);
   }
-  stage.shade(" ball", hello.desk.shown ? ball.at.p : null, 1.6 * BALL.radius, deskHeight);
-  stage.thing(" ball", BALL, hello.desk.shown ? ball.at : null, { virtual: true, lit: holds("") });
+  world.shade(" ball", hello.desk.shown ? ball.at.p : null, 1.6 * BALL.radius, deskHeight);
+  world.thing(" ball", BALL, hello.desk.shown ? ball.at : null, { virtual: true, lit: holds("") });
   if (hello.desk.shown) tags.set("ball", [holds("") ? "virtual ball · held" : "a ball that exists only here", ball.at.p]);
   const feet = rig.thingsAt(rig.feet, t);
-  for (const side of ["left", "right"]) stage.foot(side, feet.get(side)?.at ?? null, feet.get(side)?.state === "predicted");
-  stage.body(rig.bodyAt(t), rig.body?.predicted ?? []);
+  for (const side of ["left", "right"]) world.foot(side, feet.get(side)?.at ?? null, feet.get(side)?.state === "predicted");
+  world.body(rig.bodyAt(t), rig.body?.predicted ?? []);
   showTruth(hands);
   follow(hands, elapsed);
   if (!headset.on) labels.set(tags, camera, innerWidth, innerHeight);
@@ -380,16 +380,16 @@ function note(text) {
 }
 
 headset.started = (entered) => {
-  stage.surroundings.visible = entered === "immersive-vr";
-  stage.scene.background = entered === "immersive-vr" ? stage.background : null;
+  world.surroundings.visible = entered === "immersive-vr";
+  world.scene.background = entered === "immersive-vr" ? world.background : null;
   $("tags").hidden = true;
   if (!hello?.may_publish) note("Looking only: this link does not let the headset tell the rig where it is.");
   else if (!hello.devices.length) note("To align headset and rig, rig.toml needs [objects.head] and [objects.controller] with source = \"webxr\"; see docs/grasp.md.");
   else if (!rig.webxr) note("Not aligned with the rig yet: `rhot calibrate objects --live --object controller` takes ten places.");
 };
 headset.ended = () => {
-  stage.surroundings.visible = true;
-  stage.scene.background = stage.background;
+  world.surroundings.visible = true;
+  world.scene.background = world.background;
   $("tags").hidden = false;
   note("");
 };

@@ -67,7 +67,7 @@ export function geometryOf(shape) {
 /** What a thing's drawing depends on: the planes of a mesh are many, and its file and size tell it. */
 const keyOf = (shape) => (shape.kind === "mesh" ? `mesh ${shape.file} ${shape.size}` : JSON.stringify(shape));
 
-export class Stage {
+export class World {
   #things = new Map();
   #feet = new Map();
   #bones = new Map();

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from rhot.messages import HeadPose
+from rhot_objects.core import ObjectCore
 from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
 from rhot_objects.sources import HEAD
-from rhot_objects.stage import ObjectStage
 from rhot_sim.sources.objects import SimulatedSource
 from rhot_sim.walker.world import WalkerWorld
 
@@ -28,7 +28,7 @@ class Heads:
         registration = Registration(Pose.from_matrix(np.eye(4)), {})
         self._source = SimulatedSource(partial(_head, world), registration, frozenset({HEAD}), seed)
         self._source.open(START_NS)
-        self._stage = ObjectStage(registration)
+        self._stage = ObjectCore(registration)
         self._next = 0
 
     def until(self, now_s: float) -> list[HeadPose]:

@@ -24,9 +24,9 @@ from rhot.rig.feet_config import FeetConfig, FootConfig, WalkProgram
 from rhot_bench.feet.heads import START_NS, Heads
 from rhot_bench.feet.knees import knee_errors
 from rhot_bench.feet.thesis import ThesisTracker
-from rhot_feet.foot_stage import FootStage
+from rhot_feet.foot_core import FootCore
 from rhot_feet.frames import DepthFrame, pinhole
-from rhot_ik.legs.body_stage import BodyStage
+from rhot_ik.legs.body_core import BodyCore
 from rhot_sim.sources.imu import SimulatedSource
 from rhot_sim.walker.person import person_of
 from rhot_sim.walker.pictures.disturbances import Cover, Disturbances
@@ -187,7 +187,7 @@ class _Playing:
         self._world = _world(run, rig, feet, seed, seconds)
         self._blackouts, self._blackout_sides = _blackouts(run, self._world, seconds)
         self._camera = pinhole(feet.camera.width, feet.camera.height, self._world.intrinsics, np.empty(0))
-        self._stage, self._thesis, self._body = FootStage(feet), ThesisTracker(feet), BodyStage(rig)
+        self._stage, self._thesis, self._body = FootCore(feet), ThesisTracker(feet), BodyCore(rig)
         self._heads = Heads(self._world, seed)
         self._sensors = {side: SimulatedSource(self._world, side) for side in feet.feet if side not in run.without_imu}
         for sensor in self._sensors.values():

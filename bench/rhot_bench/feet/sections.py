@@ -59,12 +59,12 @@ def _stationary_rows(done: Done) -> list[Row]:
         rows += _pair("sudden move, average", done["sudden"], np.mean, None, "", _moving)
         rows += _pair("sudden move, worst", done["sudden"], np.max, None, "", _moving)
     if "marker_moving_depth" in done:
-        rows += _pair("depth stage, moving, average", done["marker_moving_depth"], np.mean, 15.0, "41.0 mm", _by_depth)
+        rows += _pair("by depth, moving, average", done["marker_moving_depth"], np.mean, 15.0, "41.0 mm", _by_depth)
     if "inertial" in done:
         ends, backs = _hidden(done["inertial"])
         note = "no picture for 1 s from the moment at which the foot lifts off; predicted poses count, too"
         rows += [
-            Row("inertial stage, 1 s after it was hidden in a step, average", _of(np.mean, ends), "mm", most=60.0,
+            Row("by inertial, 1 s after it was hidden in a step, average", _of(np.mean, ends), "mm", most=60.0,
                 peer="169 mm", note=note),
             Row("the same, worst", _of(np.max, ends), "mm", peer="481 mm", note=note),
             Row("within 20 mm, 0.1 s after its marker is believed again",

@@ -58,7 +58,7 @@ class Cell:
     @property
     def title(self) -> str:
         """For people."""
-        return f"{_TESTS[self.test]}, {self.stage} stage"
+        return f"{_TESTS[self.test]}, by {self.stage}"
 
     def counts(self, played: Played, track: Track) -> BoolArray:
         """Return (N,) the moments of a run that count for a foot."""

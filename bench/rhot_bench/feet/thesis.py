@@ -1,4 +1,4 @@
-"""The 2021 thesis's whole foot tracker behind the calls of `rhot_feet.foot_stage.FootStage`, for comparison."""
+"""The 2021 thesis's whole foot tracker behind the calls of `rhot_feet.foot_core.FootCore`, for comparison."""
 
 from __future__ import annotations
 

@@ -32,21 +32,21 @@ from rhot_bench.rig.depth import depth_plot, depth_sections
 from rhot_bench.rig.grasps import grasps
 from rhot_bench.rig.heard import Heard, listen
 from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
+from rhot_bench.rig.latency import latencies_of, latency_sections, thread_section
 from rhot_bench.rig.session import depth_rows, pictures_of
 from rhot_bench.rig.simulated import simulated_truth
-from rhot_bench.rig.stages import stage_sections, stage_times, thread_section
 from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.sources.pictures import read_pictures
 
-PARTS: Final = ("still", "stages", "depth", "grasp")
+PARTS: Final = ("still", "latency", "depth", "grasp")
 _PICTURES: Final = 12
 _LOOK_S: Final = 3.0
 """So long is it listened whether a simulated rig tells its truth: it does so sixty times a second."""
 _DISTANCES_CM: Final = "30,35,40,45,50,55,60,65,70,75,80,85,90"
 _SAY: Final = {
     "still": "hold the hand still, on something, all markers in view",
-    "stages": "let the rig run",
+    "latency": "let the rig run",
     "depth": "move the hand slowly towards the cameras and away",
     "grasp": "take hold of the object, carry it, put it down, a few times",
 }
@@ -92,19 +92,19 @@ def rig(
     connect: tuple[str, ...],
     namespace: str | None,
 ) -> None:
-    """Measure your own rig: jitter, stage times, threads, depth and grasping, with uncertainties, as one report.
+    """Measure your own rig: jitter, latency, threads, depth and grasping, with uncertainties, as one report.
 
     Either on the running rig, part by part (it says what to do), or on a RECORDING: an MCAP file of `rhot record`, or a
     folder of pictures or marker tracks:
 
     \b
-    rhot evaluate rig --rig RIG --live still --live stages --report rig.html
+    rhot evaluate rig --rig RIG --live still --live latency --report rig.html
     rhot evaluate rig --rig RIG --live depth --distances 40,50,60,70,80,90
     rhot evaluate rig --rig RIG take.mcap --report take.html
 
     \b
     still   jitter of each marker, in pixels and millimetres, while the hand rests
-    stages  retrieval, detection, sending and all of it, per camera; threads against time of a frame
+    latency retrieval, detection, sending and all of it, per camera; threads against time of a frame
     depth   disparity at measured distances, and the depth law through them (see `rhot calibrate depth`)
     grasp   the phases of grasping, as `rhot evaluate grasp`
 
@@ -211,16 +211,16 @@ def _listened(part: str, session: _Session) -> tuple[Sequence[Section], Sequence
     truth = simulated_truth(rig, heard)
     if part == "grasp":
         return grasps(rig, heard), ()
-    if part == "stages":
-        times = stage_times(heard) if truth is None else stage_times(heard, truth.exposed_ns)
+    if part == "latency":
+        times = latencies_of(heard) if truth is None else latencies_of(heard, truth.exposed_ns)
         pictures = asyncio.run(pictures_of(session.bus, tuple(rig.cameras), _PICTURES))
-        return [*stage_sections(heard, times), _threads(rig, pictures)], ()
+        return [*latency_sections(heard, times), _threads(rig, pictures)], ()
     jitter = still_jitter(heard, rests_only=False, cameras=None if truth is None else truth.cameras)
     return jitter_sections(jitter), jitter_plots(jitter)
 
 
 def _recorded(rig: Rig, path: Path) -> tuple[list[Section], list[str]]:
-    """Judge a recording: jitter where the hand rests, stages that it tells, and threads where there are pictures."""
+    """Judge a recording: jitter where the hand rests, latency, and threads where there are pictures."""
     if path.is_file():
         # What was published is in it: nothing is tracked again.
         heard, recording = Heard.of(RecordedMessages(path)), pictures_beside(path)
@@ -230,7 +230,7 @@ def _recorded(rig: Rig, path: Path) -> tuple[list[Section], list[str]]:
     if not heard.frames:
         raise ConfigError(f"{path}: no camera's markers are in it; record with `rhot record`, or name a folder")
     jitter = still_jitter(heard, rests_only=True)
-    sections = [*jitter_sections(jitter), *stage_sections(heard, stage_times(heard))]
+    sections = [*jitter_sections(jitter), *latency_sections(heard, latencies_of(heard))]
     cameras = {} if recording is None else recording.cameras
     tracks = {name: each for name, each in cameras.items() if not isinstance(each, MarkerTrack)}
     if tracks:

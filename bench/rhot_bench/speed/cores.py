@@ -21,10 +21,10 @@ from rhot_bench.thesis.capture import ThesisDetector
 from rhot_bench.thesis.fusion import Arrival, ThesisFusion
 from rhot_bench.thesis.ik import HINGES_DEG, ROTOR_DEG, ThesisFinger, ThesisHand, Vector
 from rhot_bench.thesis.paint_samples import thesis_boxes
-from rhot_fusion.stage import FusionStage
+from rhot_fusion.core import FusionCore
+from rhot_ik.hand.core import HandCore
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-from rhot_ik.hand.stage import HandStage
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.world.world import World
 
@@ -59,7 +59,7 @@ class Scene:
             advance()
         capture = Capture(rig)
         self.frames = [capture.frame(moment, image) for moment, image in self.shots]
-        self.points = points_of(FusionStage(rig), self.frames)
+        self.points = points_of(FusionCore(rig), self.frames)
 
     @property
     def pictures(self) -> list[ImageArray]:
@@ -68,9 +68,9 @@ class Scene:
         return [image for moment, image in self.shots if moment.camera == first]
 
 
-def points_of(stage: FusionStage, frames: Sequence[MarkerFrame]) -> list[PointSet]:
-    """Return what a fusion stage publishes of frames."""
-    return [cast(PointSet, points) for frame in frames for _, points in stage.feed(frame)]
+def points_of(core: FusionCore, frames: Sequence[MarkerFrame]) -> list[PointSet]:
+    """Return what a fusion core publishes of frames."""
+    return [cast(PointSet, points) for frame in frames for _, points in core.feed(frame)]
 
 
 def capture_section(scene: Scene) -> tuple[Section, dict[str, Spread]]:
@@ -113,7 +113,7 @@ def capture_section(scene: Scene) -> tuple[Section, dict[str, Spread]]:
 
 def fusion_section(scene: Scene) -> tuple[Section, dict[str, Spread]]:
     """Time one camera frame through fusion."""
-    stage = FusionStage(scene.rig)
+    core = FusionCore(scene.rig)
     first = next(iter(true_cameras(scene.rig).values()))
     thesis = ThesisFusion(float(first.K[0, 0]), (float(first.K[0, 2]), float(first.K[1, 2])))
     names = dict(zip(scene.rig.config.cameras, ("left", "right"), strict=False))
@@ -122,7 +122,7 @@ def fusion_section(scene: Scene) -> tuple[Section, dict[str, Spread]]:
         markers = {name: (marker.u, marker.v) for name, marker in frame.markers.items()}
         thesis.feed(names[frame.camera], Arrival((frame.t_ns - scene.frames[0].t_ns) * 1e-9, markers))
 
-    spreads = interleaved(scene.frames, {"ours": stage.feed, "thesis": thesis_feed})
+    spreads = interleaved(scene.frames, {"ours": core.feed, "thesis": thesis_feed})
     method = scene.rig.config.fusion.method
     rows = (
         *time_rows(f"one camera frame, {method}", spreads["ours"], "µs", MICRO, most=250.0),
@@ -161,7 +161,7 @@ def ik_section(scene: Scene) -> tuple[Section, dict[str, Spread]]:
     side = scene.rig.config.sides[0]
     model = HandModel.from_file(scene.rig.hand, side)
     geometry = FingerGeometry.of(model, scene.rig.config.markers)
-    solver, stage, thesis = AnalyticFingers(geometry), HandStage(scene.rig), ThesisHand(thesis_fingers(model))
+    solver, core, thesis = AnalyticFingers(geometry), HandCore(scene.rig), ThesisHand(thesis_fingers(model))
     t_s = FROM_S + np.linspace(0.0, scene.shots[-1][0].t_first_row_s - FROM_S, len(scene.points))
     angles = scene.world.sample(t_s).angles[side]
     targets = geometry.marker_points(angles)
@@ -172,7 +172,7 @@ def ik_section(scene: Scene) -> tuple[Section, dict[str, Spread]]:
         work,
         {
             "fingers": lambda item: solver.solve(item[0]),
-            "hand": lambda item: stage.feed(item[2]),
+            "hand": lambda item: core.feed(item[2]),
             "thesis": lambda item: thesis.solve(item[1]),
         },
     )
@@ -196,7 +196,7 @@ def _middle_mm(found: FloatArray, true: FloatArray) -> float:
 
 def pipeline_section(scene: Scene) -> tuple[Section, Spread]:
     """Time the way from a picture in memory to the encoded pose in one process, both cameras' frames in a row."""
-    capture, fusion, ik = Capture(scene.rig), FusionStage(scene.rig), HandStage(scene.rig)
+    capture, fusion, ik = Capture(scene.rig), FusionCore(scene.rig), HandCore(scene.rig)
     sent: list[int] = []
 
     def run(moment: Moment, image: ImageArray) -> None:

@@ -21,8 +21,8 @@ from rhot_bench.speed.interleaved import lockstep
 from rhot_bench.speed.simulated import projected_frames, with_cameras, with_rate, world_of
 from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.detector import MarkerDetector
-from rhot_fusion.stage import FusionStage
-from rhot_ik.hand.stage import HandStage
+from rhot_fusion.core import FusionCore
+from rhot_ik.hand.core import HandCore
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.rig.folder import CAMERA_NAMES
 
@@ -83,10 +83,10 @@ def camera_growth(folder: Path, seconds: float, advance: Advance) -> tuple[Row, 
     }
     named = dict(zip(frames, rigs.values(), strict=True))
     advance()
-    fusion = lockstep({name: FusionStage(rig).feed for name, rig in named.items()}, frames, 4 * max(CAMERA_COUNTS))
+    fusion = lockstep({name: FusionCore(rig).feed for name, rig in named.items()}, frames, 4 * max(CAMERA_COUNTS))
     advance()
-    sets = {name: points_of(FusionStage(rig), frames[name]) for name, rig in named.items()}
-    ik = lockstep({name: HandStage(rig).feed for name, rig in named.items()}, sets)
+    sets = {name: points_of(FusionCore(rig), frames[name]) for name, rig in named.items()}
+    ik = lockstep({name: HandCore(rig).feed for name, rig in named.items()}, sets)
     advance()
     rows = [Row(f"fusion, {name}, a camera frame", spread.median * MICRO, "µs") for name, spread in fusion.items()]
     rows += [Row(f"ik, {name}, a point set", spread.median * MICRO, "µs") for name, spread in ik.items()]
@@ -108,7 +108,7 @@ def rate_growth(rig: Rig, seconds: float, advance: Advance) -> tuple[Row, ...]:
     """Return the cost of fusion as two cameras go faster."""
     rigs = {f"{rate_hz:g} Hz": with_rate(rig, rate_hz) for rate_hz in RATES_HZ}
     frames = {name: _frames(some, seconds * 60.0 / float(name.split()[0]), 2) for name, some in rigs.items()}
-    spreads = lockstep({name: FusionStage(some).feed for name, some in rigs.items()}, frames)
+    spreads = lockstep({name: FusionCore(some).feed for name, some in rigs.items()}, frames)
     advance()
     rows = [Row(f"fusion, 2 cameras at {name}, a camera frame", s.median * MICRO, "µs") for name, s in spreads.items()]
     a_second = [spread.median * rate_hz for spread, rate_hz in zip(spreads.values(), RATES_HZ, strict=True)]

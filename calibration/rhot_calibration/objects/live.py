@@ -17,9 +17,9 @@ from rhot.operation.control import newest_control
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import registration_name, registration_path
 from rhot_calibration.objects.collector import Place, PlaceCollector
+from rhot_objects.core import key_of
 from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
-from rhot_objects.stage import key_of
 
 CONNECT_TIMEOUT_S: Final = 5.0
 HINT_S: Final = 0.5

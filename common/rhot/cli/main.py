@@ -93,7 +93,7 @@ _EVALUATIONS: Final = {
     "headset": LazyCommand("Find the feet's camera on simulated headsets, and compare with the truth.", extra="bench"),
     "steps": LazyCommand("Track feet on recordings of real sensors and cameras.", extra="bench"),
     "thesis": LazyCommand("Repeat the 2018 thesis's tables, with our figures beside them.", extra="bench"),
-    "rig": LazyCommand("Measure your own rig: jitter, stage times, depth and grasping, as one report.", extra="bench"),
+    "rig": LazyCommand("Measure your own rig: jitter, latency, depth and grasping, as one report.", extra="bench"),
     "calibration": LazyCommand("Check whether the cameras have moved since they were calibrated.", extra="pc"),
     "page": LazyCommand("Write measured figures as a page of the documentation.", extra="bench"),
 }

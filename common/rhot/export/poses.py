@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rhot.anatomy.skeleton import BODY_PARENTS, JOINTS, PARENTS
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
+from rhot.export.columns import angle_name
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import BodyPose, FootPose, HandPose, Message, ObjectPose, Side
 from rhot.messages.base import Pose
@@ -170,7 +171,7 @@ def _radius(pose: Pose) -> float:
 def _angles(message: HandPose | BodyPose | FootPose | ObjectPose) -> dict[str, float]:
     if not isinstance(message, HandPose | BodyPose):
         return {}
-    return {f"{part}_{name}": value for part, angles in message.angles.items() for name, value in angles}
+    return {angle_name(part, name): value for part, angles in message.angles.items() for name, value in angles}
 
 
 def _with_one_body(found: Mapping[str, _Collected]) -> dict[str, _Collected]:

@@ -14,6 +14,7 @@ import numpy as np
 from rhot.anatomy.skeleton import PARENTS
 from rhot.atomic_file import replacing
 from rhot.errors import ConfigError
+from rhot.export.columns import angle_name
 from rhot.messages import HandPose, MarkerFrame, Message, ObjectPose, PointSet
 from rhot.recording.mcap.beside import StoredPicture
 from rhot.rig import CameraCalibration
@@ -107,7 +108,7 @@ def _parts(rerun: Any, key: str, message: Message) -> list[tuple[str, Any]]:
                 (f"{path}/joints", balls),
                 (f"{path}/bones", rerun.LineStrips3D(bones, radii=_BONE_M, colors=color)),
                 *(
-                    (f"angles/{finger}/{name}", rerun.Scalars(float(np.degrees(angle))))
+                    (f"angles/{angle_name(finger, name)}", rerun.Scalars(float(np.degrees(angle))))
                     for finger, angles in message.angles.items()
                     for name, angle in angles
                 ),

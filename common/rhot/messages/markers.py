@@ -57,7 +57,7 @@ class MarkerFrame(Message):
         camera: name of the camera in `rig.toml`.
         width, height: size of the image, pixels.
         markers: observations by marker name.
-        timing: seconds per stage of the capture service: `age`, from mid-exposure of the middle row to the start of
+        timing: seconds of the capture service: `age`, from mid-exposure of the middle row to the start of
             detection, and `detect`, duration of the detection.
         frame: the source's frame counter; a gap means frames lost before detection.
     """

@@ -50,7 +50,7 @@ class ServiceStatus(Message):
         uptime_s: seconds since the process started.
         rates: events per second over the last interval, by name.
         counts: events since the start of the process, by name: `invalid`, `dropped_late`, `missed`, …
-        latency_s: percentiles over the last seconds, by stage: `{"total": {"p50": …, "p99": …}}`.
+        latency_s: percentiles over the last seconds, by part of the way: `{"total": {"p50": …, "p99": …}}`.
         figures: other figures of this service, such as `epipolar_px`, the mean epipolar residual.
         problem: present problem of the rig, one sentence; empty when none.
         last_error: newest error; empty when none.

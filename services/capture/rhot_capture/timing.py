@@ -51,7 +51,7 @@ def marker_frame(
         exposure_s: exposure time of each row.
         readout_s: time between the read-out of the first and of the last row.
         frame: the source's frame counter.
-        timing: seconds per stage.
+        timing: seconds of each part.
         outlines: send the outlines too.
     """
     width, height = size

@@ -7,13 +7,13 @@ from typing import Final
 
 import numpy as np
 
+from rhot.core import Output
 from rhot.errors import ConfigError
 from rhot.messages import HeadPose, Side
 from rhot.recording import Recording
 from rhot.recording.feet.tables import HEAD_FILE, HEAD_HEADER, read_table, sensor_file
 from rhot.rig import Rig
-from rhot.stage import Output
-from rhot_feet.foot_stage import RIG_FRAME, FootStage
+from rhot_feet.foot_core import RIG_FRAME, FootCore
 from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.sources.depth_camera.recorded_frames import load_depth_recording
 from rhot_feet.sources.imu.recorded import read_samples
@@ -45,7 +45,7 @@ class RecordedFeet:
             raise ConfigError(f"{rig.path / 'rig.toml'} names no feet; add [feet.left] or [feet.right] with marker_id")
         if folder is None:
             raise ConfigError(f"{recording.path}: holds no depth camera's pictures; `rhot record --frames` takes them")
-        self._stage = FootStage(feet, rig.T_head_camera)
+        self._stage = FootCore(feet, rig.T_head_camera)
         self._frames = load_depth_recording(folder, complete=recording.complete)
         self._heads = recorded_heads(folder)
         self._sensors: dict[Side, ImuSamples] = {

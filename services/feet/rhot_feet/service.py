@@ -25,7 +25,7 @@ from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread
 from rhot.service.grabber import GrabberCounts
 from rhot.service.rig_files import serve_rig_files
 from rhot.service.spaces import publish_spaces
-from rhot_feet.foot_stage import FootStage
+from rhot_feet.foot_core import FootCore
 from rhot_feet.frames import DepthFrame, DepthSource
 from rhot_feet.imu.samples import ImuSource
 from rhot_feet.input_stream import CAMERA, InputStream
@@ -81,7 +81,7 @@ class FeetService:
         # A rig without hands has no fusion service, which owns the rig clock otherwise.
         self.owns_clock = not rig.config.cameras
         self._T_head_camera = rig.T_head_camera
-        self._stage = FootStage(self._config, self._T_head_camera)
+        self._stage = FootCore(self._config, self._T_head_camera)
         sensors(rig, self._config)
         self._sensors: dict[Side, ImuSource] = {}
         self._failures: dict[Side, asyncio.Future[None]] = {}
@@ -301,4 +301,4 @@ class FeetService:
         self._start_over()
 
     def _start_over(self) -> None:
-        self._stage = FootStage(self._config, self._T_head_camera)
+        self._stage = FootCore(self._config, self._T_head_camera)

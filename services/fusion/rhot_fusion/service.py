@@ -8,18 +8,18 @@ from __future__ import annotations
 from rhot.messages import MarkerFrame
 from rhot.rig import FusionConfig, Rig
 from rhot.rig.folder import latest_rig
-from rhot.service import Node, StageService
+from rhot.service import CoreService, Node
 from rhot.service.rig_files import serve_rig_files
 from rhot.service.spaces import publish_spaces
-from rhot_fusion.stage import FusionStage
+from rhot_fusion.core import FusionCore
 
 
-class _FusionService(StageService[MarkerFrame, FusionConfig]):
+class _FusionService(CoreService[MarkerFrame, FusionConfig]):
     def __init__(self, rig: Rig) -> None:
-        def make_stage(config: FusionConfig) -> FusionStage:
-            stage = FusionStage(latest_rig(rig))
-            stage.configure(config)
-            return stage
+        def make_core(config: FusionConfig) -> FusionCore:
+            core = FusionCore(latest_rig(rig))
+            core.configure(config)
+            return core
 
         super().__init__(
             "fusion",
@@ -27,7 +27,7 @@ class _FusionService(StageService[MarkerFrame, FusionConfig]):
             model=MarkerFrame,
             key_of=lambda frame: f"rhot/markers/{frame.camera}",
             config=rig.config.fusion,
-            make_stage=make_stage,
+            make_core=make_core,
             owns_clock=True,
         )
         self._rig_path = rig.path
@@ -38,6 +38,6 @@ class _FusionService(StageService[MarkerFrame, FusionConfig]):
         serve_rig_files(node.bus, self._rig_path)
 
 
-def fusion_service(rig: Rig) -> StageService[MarkerFrame, FusionConfig]:
+def fusion_service(rig: Rig) -> CoreService[MarkerFrame, FusionConfig]:
     """Return the service that computes `rhot/points` from `rhot/markers/*`."""
     return _FusionService(rig)

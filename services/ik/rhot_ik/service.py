@@ -5,27 +5,27 @@ from __future__ import annotations
 from rhot.messages import FootPose, HeadPose, ObjectPose, PointSet
 from rhot.rig import IkConfig, Rig
 from rhot.rig.folder import latest_rig
-from rhot.service import StageService
-from rhot_ik.stage import IkStage
+from rhot.service import CoreService
+from rhot_ik.core import IkCore
 
 
-def ik_service(rig: Rig) -> StageService[PointSet | ObjectPose | HeadPose | FootPose, IkConfig]:
+def ik_service(rig: Rig) -> CoreService[PointSet | ObjectPose | HeadPose | FootPose, IkConfig]:
     """Return the service that turns `rhot/points` into `rhot/hand/<side>`, and head and feet into `rhot/body`."""
 
-    def make_stage(config: IkConfig) -> IkStage:
-        stage = IkStage(latest_rig(rig))
-        stage.configure(config)
-        return stage
+    def make_core(config: IkConfig) -> IkCore:
+        core = IkCore(latest_rig(rig))
+        core.configure(config)
+        return core
 
     side_inputs: dict[str, type[PointSet | ObjectPose | HeadPose | FootPose]] = {"rhot/object/*": ObjectPose}
     if rig.config.feet:
         side_inputs |= {"rhot/head": HeadPose, "rhot/foot/*": FootPose}
-    return StageService[PointSet | ObjectPose | HeadPose | FootPose, IkConfig](
+    return CoreService[PointSet | ObjectPose | HeadPose | FootPose, IkConfig](
         "ik",
         input_keys="rhot/points",
         model=PointSet,
         key_of=None,
         config=rig.config.ik,
-        make_stage=make_stage,
+        make_core=make_core,
         side_inputs=side_inputs,
     )

@@ -9,28 +9,28 @@ from rhot.errors import ConfigError
 from rhot.object_mesh import object_shape
 from rhot.plugins import load_simulated
 from rhot.rig import ObjectConfig, Rig
+from rhot_objects.core import ObjectCore
 from rhot_objects.registration import Registration
 from rhot_objects.sources import PoseSource
 from rhot_objects.sources.recorded import RecordedSource
 from rhot_objects.sources.steamvr import SteamVrSource
-from rhot_objects.stage import ObjectStage
 
 
 @dataclass(frozen=True, slots=True)
 class SourcePlan:
-    """One source and its stage; the service polls each source separately.
+    """One source and its core; the service polls each source separately.
 
     Attributes:
         name: for status and logs: `steamvr`, `simulated` or `recorded.<object id>`.
         rate_hz: rate of reading, the highest of its objects.
         source: not yet open.
-        stage: converts its readings to messages.
+        core: converts its readings to messages.
     """
 
     name: str
     rate_hz: float
     source: PoseSource
-    stage: ObjectStage
+    core: ObjectCore
 
 
 def plan_sources(rig: Rig) -> list[SourcePlan]:
@@ -70,7 +70,7 @@ def _plan(rig: Rig, name: str, source: PoseSource, configs: Mapping[str, ObjectC
     shapes = {name: shape for name in rig.config.objects if (shape := object_shape(rig, name)) is not None}
     registration = Registration.from_file(rig.registration_of(source_kind(name)))
     rate_hz = max(config.rate_hz for config in configs.values())
-    return SourcePlan(name, rate_hz, source, ObjectStage(registration, shapes=shapes))
+    return SourcePlan(name, rate_hz, source, ObjectCore(registration, shapes=shapes))
 
 
 def source_kind(name: str) -> str:

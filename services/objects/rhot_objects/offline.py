@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rhot.core import Output
 from rhot.rig import Rig
-from rhot.stage import Output
 from rhot_objects.assemble import SourcePlan, recorded_sources
 
 
@@ -37,7 +37,7 @@ class PlayedObjects:
         for place, plan in enumerate(self._plans):
             while self._next_ns[place] <= t_ns:
                 now_ns = self._next_ns[place]
-                outputs += plan.stage.feed(plan.source.read(now_ns), now_ns)
+                outputs += plan.core.feed(plan.source.read(now_ns), now_ns)
                 self._next_ns[place] += round(1e9 / plan.rate_hz)
         return outputs
 

@@ -78,7 +78,7 @@ class ObjectsService:
         node.status.watch(self._figures)
 
     def _counts(self) -> dict[str, int]:
-        return {"unusable": sum(plan.stage.unusable for plan in self._plans.values())}
+        return {"unusable": sum(plan.core.unusable for plan in self._plans.values())}
 
     def _figures(self) -> tuple[Mapping[str, float], str]:
         return {}, "; ".join(self._troubles.values())
@@ -148,7 +148,7 @@ class ObjectsService:
             await asyncio.sleep(_RETRY_S)
         self._outdated.pop(name, None)
         plan = self._plans[name]
-        self._plans[name] = dataclasses.replace(plan, stage=plan.stage.registered(Registration.from_file(new)))
+        self._plans[name] = dataclasses.replace(plan, core=plan.core.registered(Registration.from_file(new)))
         return new
 
     async def _poll(self, node: Node, name: str, device: DeviceThread) -> None:
@@ -161,7 +161,7 @@ class ObjectsService:
             node.status.tick("reads")
             if name not in self._outdated:
                 self._troubles.pop(name, None)
-            for key, message in plan.stage.feed(samples, node.clock.now_ns()):
+            for key, message in plan.core.feed(samples, node.clock.now_ns()):
                 node.publish(key, message)
             # If reading is slower than the rate, missed readings are skipped.
             due = max(due + period_s, loop.time())

@@ -98,7 +98,7 @@ def test_a_foot_is_back_when_its_marker_is() -> None:
         blackout_sides=["left"],
     )
     rows = {row.name: row.value for section in feet_sections({run.name: [hidden]}) for row in section.rows}
-    assert rows["inertial stage, 1 s after it was hidden in a step, average"] == pytest.approx(200.0)
+    assert rows["by inertial, 1 s after it was hidden in a step, average"] == pytest.approx(200.0)
     assert rows["within 20 mm, 0.1 s after its marker is believed again"] == pytest.approx(100.0)
 
 
@@ -142,7 +142,7 @@ def test_a_cell_counts_what_its_stage_is_about() -> None:
     error_m[401:] = 0.009
     run = RUNS["still_depth"]
     rows = rows_of(made_up(run, error_m, measured=measured))
-    assert rows["standing still, depth stage, average"] == pytest.approx(9.0)
+    assert rows["standing still, by depth, average"] == pytest.approx(9.0)
     error_m[:], error_m[500:600] = 0.001, 0.02
     dark = replace(
         made_up(RUNS["still_inertial"], error_m, measured=measured),
@@ -150,10 +150,10 @@ def test_a_cell_counts_what_its_stage_is_about() -> None:
         blackout_sides=["left"],
     )
     rows = rows_of(dark)
-    assert rows["standing still, inertial stage, average"] == pytest.approx(20.0)
+    assert rows["standing still, by inertial, average"] == pytest.approx(20.0)
     assert rows["cells of 1 in which ours errs less than the thesis's tracker, average"] == 1.0
     (plot,) = cell_plots({dark.run.name: [dark]})
-    assert "standing still, inertial stage" in plot
+    assert "standing still, by inertial" in plot
     assert plot.count("<polyline") == 3
 
 

@@ -17,8 +17,8 @@ from rhot_bench.rig.depth import depth_sections, rows_by_truth
 from rhot_bench.rig.grasps import drift_figure, grasps, hand_deviations
 from rhot_bench.rig.heard import Heard
 from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
+from rhot_bench.rig.latency import latencies_of, latency_sections
 from rhot_bench.rig.simulated import simulated_truth
-from rhot_bench.rig.stages import stage_sections, stage_times
 from rhot_bench.rig.statistics import Figure
 from rhot_sim.rig import folder
 
@@ -90,16 +90,16 @@ def test_a_drift_may_be_error_alone_but_not_one_that_is_larger_than_that(rig: Ri
     assert 1e-3 < np.nanmedian(doubt_m) < 15e-3
 
 
-def test_stages_and_clocks(rig: Rig, moving: Heard) -> None:
+def test_latencies_and_clocks(rig: Rig, moving: Heard) -> None:
     truth = simulated_truth(rig, moving)
     assert truth is not None
-    rows = checks(stage_sections(moving, stage_times(moving, truth.exposed_ns)))
+    rows = checks(latency_sections(moving, latencies_of(moving, truth.exposed_ns)))
     assert len(rows) == 6
     assert wrong(rows) == []
     # A clock that is further off than it says is told.
     for name, status in list(moving.statuses.items()):
         moving.statuses[name] = status.model_copy(update={"clock_uncertainty_s": 0.5 * abs(LATE_S["right"])})
-    rows = checks(stage_sections(moving, stage_times(moving, truth.exposed_ns)))
+    rows = checks(latency_sections(moving, latencies_of(moving, truth.exposed_ns)))
     assert wrong(rows)
 
 

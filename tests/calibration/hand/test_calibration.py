@@ -17,7 +17,7 @@ from rhot.recording import load_recording, marker_track_frames
 from rhot.rig import HandFile, Rig
 from rhot_calibration.hand.calibration import measure_hand
 from rhot_calibration.hand.samples.phases import Phases, Window
-from rhot_fusion.stage import FusionStage
+from rhot_fusion.core import FusionCore
 
 SHORTEST_M, LONGEST_M = 0.165, 0.212
 """About the 5th percentile of women to the 95th of men."""
@@ -179,7 +179,7 @@ def test_without_corners_reaches_alone_give_a_rough_hand(person: Callable[..., A
 def test_recorded_hand_is_an_adults(tmp_path: Path, shared_data: Path) -> None:
     thesis = shared_data / "thesis_rig"
     rig = make_rig(tmp_path, thesis_cameras(thesis))
-    fusion = FusionStage(rig)
+    fusion = FusionCore(rig)
     frames = marker_track_frames(rig, load_recording(thesis / "recordings" / "hand_recovered"))
     # The first 50 s: they show the hand at its flattest.
     points = [found for frame in islice(frames, 3000) for _, found in fusion.feed(frame) if isinstance(found, PointSet)]

@@ -8,7 +8,7 @@ from dataclasses import replace
 from marker_streams import Motion, Seen, pinhole_cameras, watch
 
 from rhot.rig import Rig
-from rhot_fusion.stage import FusionStage
+from rhot_fusion.core import FusionCore
 
 MakeRig = Callable[..., Rig]
 
@@ -22,10 +22,10 @@ def lowered(seen: Seen, camera: str, by_px: float) -> Seen:
 
 
 def problem_after(rig: Rig, seen: list[Seen]) -> str:
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     for one in seen:
-        stage.feed(one.frame)
-    return stage.problem
+        core.feed(one.frame)
+    return core.problem
 
 
 def test_a_bumped_camera_is_reported(make_rig: MakeRig) -> None:
@@ -39,7 +39,7 @@ def test_a_bumped_camera_is_reported(make_rig: MakeRig) -> None:
 
 def test_a_well_calibrated_rig_is_not_accused_in_a_minute(make_rig: MakeRig) -> None:
     rig = make_rig(pinhole_cameras(2), rate_hz=30.0)
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     for one in watch(rig, Motion(), 60.0, rate_hz=30.0, noise_px=0.3):
-        stage.feed(one.frame)
-        assert stage.problem == ""
+        core.feed(one.frame)
+        assert core.problem == ""

@@ -13,10 +13,10 @@ from rhot.anatomy.hand import HandModel
 from rhot.geometry.camera import CameraModel
 from rhot.messages import PointSet
 from rhot.rig import Rig
+from rhot_fusion.core import FusionCore
 from rhot_fusion.filter.acquisition import hands_of
 from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.tracker import FilterTracker
-from rhot_fusion.stage import FusionStage
 from rhot_fusion.views.vectors import vector
 
 MakeRig = Callable[..., Rig]
@@ -26,10 +26,10 @@ SLOW = Motion(frequency_hz=(0.35, 0.45, 0.25))
 FILTER = 'method = "filter"'
 
 
-def run(stage: FusionStage, frames: list[Seen]) -> list[PointSet]:
+def run(core: FusionCore, frames: list[Seen]) -> list[PointSet]:
     sets = []
     for one in frames:
-        for _, points in stage.feed(one.frame):
+        for _, points in core.feed(one.frame):
             assert isinstance(points, PointSet)
             sets.append(points)
     return sets
@@ -45,7 +45,7 @@ def test_nearer_to_the_truth_than_triangulation(make_rig: MakeRig, motion: Motio
     figures = {}
     for method in ("filter", "triangulate"):
         rig = make_rig(fusion=f'method = "{method}"')
-        figures[method] = truth_figures(FusionStage(rig), motion, watch(rig, motion, 3.0, readout_s=0.012))
+        figures[method] = truth_figures(FusionCore(rig), motion, watch(rig, motion, 3.0, readout_s=0.012))
     ours, theirs = figures["filter"], figures["triangulate"]
     assert ours.median_mm < 0.8 * theirs.median_mm
     assert ours.p95_mm < theirs.p95_mm
@@ -58,7 +58,7 @@ def test_nearer_to_the_truth_than_triangulation(make_rig: MakeRig, motion: Motio
 
 def test_still_markers_freeze(make_rig: MakeRig) -> None:
     rig = make_rig(pinhole_cameras(2), fusion=FILTER)
-    sets = run(FusionStage(rig), watch(rig, STILL, 4.0, noise_px=0.08))[200:]
+    sets = run(FusionCore(rig), watch(rig, STILL, 4.0, noise_px=0.08))[200:]
     track = np.array([points.points["index"].position for points in sets]) * 1e3
     truth = STILL.at(0.0)[0, MARKERS.index("index")] * 1e3
     assert np.abs(track.mean(axis=0) - truth).max() < 0.8
@@ -69,7 +69,7 @@ def test_still_markers_freeze(make_rig: MakeRig) -> None:
 def test_stated_sigma_covers_the_error(make_rig: MakeRig) -> None:
     rig = make_rig(pinhole_cameras(2), fusion=FILTER)
     relative = []
-    for points in run(FusionStage(rig), watch(rig, SLOW, 3.0))[120:]:
+    for points in run(FusionCore(rig), watch(rig, SLOW, 3.0))[120:]:
         truth = SLOW.at((points.t_ns - EPOCH_NS) * 1e-9)[0]
         # A patch; caps of unknown direction have larger standard deviations.
         point = points.points["base"]
@@ -87,9 +87,9 @@ def test_late_frames_change_little(make_rig: MakeRig) -> None:
         (replace(one, arrival_s=one.arrival_s + 0.02 * (one.frame.camera == "right")) for one in seen),
         key=lambda one: one.arrival_s,
     )
-    stage = FusionStage(rig)
-    figures = truth_figures(stage, SLOW, late)
-    assert stage.counts["late_frames"] > 100
+    core = FusionCore(rig)
+    figures = truth_figures(core, SLOW, late)
+    assert core.counts["late_frames"] > 100
     assert figures.median_mm < 3.0
     assert figures.measured > 0.98
 
@@ -110,11 +110,11 @@ def test_frames_in_another_order_leave_the_same_paint(make_rig: MakeRig) -> None
             (replace(one, arrival_s=one.arrival_s + delay_s * (one.frame.camera == "right")) for one in fading),
             key=lambda one: one.arrival_s,
         )
-        stage = FusionStage(rig)
+        core = FusionCore(rig)
         for one in in_order:
-            stage.feed(one.frame)
-        assert (stage.counts["late_frames"] > 50) is (delay_s > 0.0)
-        tracker = stage._tracker
+            core.feed(one.frame)
+        assert (core.counts["late_frames"] > 50) is (delay_s > 0.0)
+        tracker = core._tracker
         assert isinstance(tracker, FilterTracker)
         return [(shown.shrinking, shown.width_m) for cameras in tracker._paint._shown for shown in cameras]
 
@@ -124,18 +124,18 @@ def test_frames_in_another_order_leave_the_same_paint(make_rig: MakeRig) -> None
 def test_views_nanoseconds_apart_are_taken(make_rig: MakeRig) -> None:
     """As of a program that counts milliseconds: another camera's newest view is near, this camera's own is not."""
     rig = make_rig(fusion=FILTER)
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     for one in watch(rig, SLOW, 1.0):
         t_ns = EPOCH_NS + round((one.frame.t_ns - EPOCH_NS) / 1e6)
         markers = {name: marker.model_copy(update={"t_ns": None}) for name, marker in one.frame.markers.items()}
-        stage.feed(one.frame.model_copy(update={"t_ns": t_ns, "markers": markers}))
-    assert stage.counts["published"] > 0
+        core.feed(one.frame.model_copy(update={"t_ns": t_ns, "markers": markers}))
+    assert core.counts["published"] > 0
 
 
 def test_looking_back_stays_on_the_path_where_nothing_is_calibrated(make_rig: MakeRig) -> None:
     """Whole pixels, stamps that err by 6 ms and a wrong blob in twenty: the smoothed path holds, and says how well."""
     rig, motion, rng = make_rig(fusion=FILTER, rate_hz=30.0), Motion(), np.random.default_rng(3)
-    stage = FusionStage(rig, record=True)
+    core = FusionCore(rig, record=True)
     for one in watch(rig, motion, 3.0, rate_hz=30.0, noise_px=0.5):
         late_ns, markers = round(rng.normal(0.0, 6e6)), {}
         for name, marker in one.frame.markers.items():
@@ -143,9 +143,9 @@ def test_looking_back_stays_on_the_path_where_nothing_is_calibrated(make_rig: Ma
             wrong = float(rng.choice([-25.0, -12.0, 12.0, 25.0])) if rng.random() < 0.05 else 0.0
             moved = {"u": round(marker.u) + wrong, "v": round(marker.v) + wrong / 3.0, "t_ns": marker.t_ns + late_ns}
             markers[name] = marker.model_copy(update=moved)
-        stage.feed(one.frame.model_copy(update={"t_ns": one.frame.t_ns + late_ns, "markers": markers}))
+        core.feed(one.frame.model_copy(update={"t_ns": one.frame.t_ns + late_ns, "markers": markers}))
     error, ratio, seen = [], [], []
-    for points in stage.smoothed():
+    for points in core.smoothed():
         t_s = (points.t_ns - EPOCH_NS) * 1e-9
         truth = motion.at(t_s)[0]
         for index, name in enumerate(MARKERS):
@@ -164,7 +164,7 @@ def test_looking_back_stays_on_the_path_where_nothing_is_calibrated(make_rig: Ma
 def test_slow_cameras_out_of_step_begin_a_hand(make_rig: MakeRig) -> None:
     """At 15 frames per second and out of step by half a period, the first two views leave decimetres of depth open."""
     rig = make_rig(pinhole_cameras(2), fusion=FILTER, rate_hz=15.0)
-    sets = run(FusionStage(rig), watch(rig, SLOW, 2.0, rate_hz=15.0, phase_s=0.033))
+    sets = run(FusionCore(rig), watch(rig, SLOW, 2.0, rate_hz=15.0, phase_s=0.033))
     late = [points for points in sets if points.t_ns - EPOCH_NS > 1.0e9]
     assert all(points.points[name].state == "measured" for points in late for name in MARKERS)
     sigma_m = [point.sigma for points in sets for point in points.points.values()]
@@ -175,7 +175,7 @@ def test_a_marker_seen_by_one_camera_grows_less_sure(make_rig: MakeRig) -> None:
     rig = make_rig(fusion=FILTER)
     seen = watch(rig, Motion(), 1.4)
     sets = run(
-        FusionStage(rig),
+        FusionCore(rig),
         [without(one, "index") if one.frame.camera == "right" and 1.0 < one.arrival_s < 1.2 else one for one in seen],
     )
     bridged = [points for points in sets if 1.03e9 < points.t_ns - EPOCH_NS < 1.2e9]
@@ -202,7 +202,7 @@ def test_exchanged_labels_do_not_exchange_markers(make_rig: MakeRig) -> None:
         markers["ring"], markers["middle"] = markers["middle"], markers["ring"]
         return replace(one, frame=one.frame.model_copy(update={"markers": markers}))
 
-    sets = run(FusionStage(rig), [exchanged(one) for one in watch(rig, SLOW, 1.6)])
+    sets = run(FusionCore(rig), [exchanged(one) for one in watch(rig, SLOW, 1.6)])
     assert {"middle", "ring"} <= sets[-1].points.keys(), "both are back"
     for points in sets:
         t_s = (points.t_ns - EPOCH_NS) * 1e-9
@@ -228,9 +228,9 @@ def test_glitches_are_never_measured(make_rig: MakeRig) -> None:
             frames.append(replace(one, frame=frame))
         else:
             frames.append(one)
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     for one in frames:
-        for _, points in stage.feed(one.frame):
+        for _, points in core.feed(one.frame):
             assert isinstance(points, PointSet)
             if (one.frame.camera, one.frame.frame) in wrong:
                 assert points.points["index"].state != "measured"
@@ -242,7 +242,7 @@ def test_a_marker_found_where_it_was_expected_is_measured_at_once(make_rig: Make
     rig = make_rig(fusion=FILTER)
     seen = watch(rig, SLOW, 1.5, phase_s=0.0)
     sets = run(
-        FusionStage(rig),
+        FusionCore(rig),
         [without(one, "index") if (one.frame.camera, one.frame.frame) == ("right", 60) else one for one in seen],
     )
     states = {round((points.t_ns - EPOCH_NS) * 60e-9): points.points["index"].state for points in sets if points.points}
@@ -263,7 +263,7 @@ def test_positions_that_a_camera_repeats_are_not_measured(make_rig: MakeRig) -> 
                 again = held.model_copy(update={"t_ns": frame.markers["index"].t_ns})
                 frame = frame.model_copy(update={"markers": {**frame.markers, "index": again}})
         frames.append(replace(one, frame=frame))
-    meanwhile = [points for points in run(FusionStage(rig), frames) if 1.03e9 < points.t_ns - EPOCH_NS < 1.1e9]
+    meanwhile = [points for points in run(FusionCore(rig), frames) if 1.03e9 < points.t_ns - EPOCH_NS < 1.1e9]
     assert len(meanwhile) > 2
     assert all(points.points["index"].state != "measured" for points in meanwhile)
 
@@ -272,7 +272,7 @@ def test_prediction_is_stamped_and_placed_ahead(make_rig: MakeRig) -> None:
     rig = make_rig(fusion=FILTER + "\npredict_s = 0.02")
     motion = Motion()
     seen = watch(rig, motion, 3.0)
-    figures = truth_figures(FusionStage(rig), motion, seen)
+    figures = truth_figures(FusionCore(rig), motion, seen)
     assert figures.lag_ms == pytest.approx(-20.0, abs=1.0)
     # 20 ms at 0.4 m/s would be 8 mm.
     assert figures.lateral_mm < 2.0
@@ -294,7 +294,7 @@ def test_what_is_found_is_measured_once_it_stays(make_rig: MakeRig, length: int,
     rig = make_rig(fusion=FILTER)
     frames = watch(rig, STILL, 2.0)
     shown = range(150, 150 + length)
-    sets = run(FusionStage(rig), [flashing(one, "index", shown, number) for number, one in enumerate(frames)])
+    sets = run(FusionCore(rig), [flashing(one, "index", shown, number) for number, one in enumerate(frames)])
     after = [points for points in sets if points.t_ns >= frames[150].frame.t_ns]
     found = [points.points["index"] for points in after if "index" in points.points]
     assert found or not measured

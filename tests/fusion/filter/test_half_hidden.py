@@ -11,7 +11,7 @@ from marker_streams import EPOCH_NS, MARKERS, Motion, Seen, pinhole_cameras, wat
 
 from rhot.messages import PointSet
 from rhot.rig import Rig
-from rhot_fusion.stage import FusionStage
+from rhot_fusion.core import FusionCore
 
 MakeRig = Callable[..., Rig]
 
@@ -44,9 +44,9 @@ def test_what_either_camera_sees_of_it_does_not_become_depth(make_rig: MakeRig, 
     rig = make_rig(pinhole_cameras(2), fusion='method = "filter"\nhold_s = 0.2')
     truth = STILL.at(0.0)[0, MARKERS.index("base")]
     off_mm = []
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     for one in behind(watch(rig, STILL, 1.6), visible, 1.2, 2.0):
-        for _, points in stage.feed(one.frame):
+        for _, points in core.feed(one.frame):
             assert isinstance(points, PointSet)
             base = points.points.get("base")
             if points.t_ns > EPOCH_NS + 1_200_000_000 and base is not None and base.state == "measured":
@@ -58,15 +58,15 @@ def test_what_either_camera_sees_of_it_does_not_become_depth(make_rig: MakeRig, 
 def test_a_tip_of_which_little_is_left_is_less_certain_live_and_looked_back_at(make_rig: MakeRig) -> None:
     """Both cameras lose most of its paint alike, so they agree on where it is; its middle may be elsewhere."""
     rig = make_rig(pinhole_cameras(2), fusion='method = "filter"')
-    stage = FusionStage(rig, record=True)
+    core = FusionCore(rig, record=True)
     live = []
     for one in watch(rig, STILL, 2.0):
         share = 0.1 if one.arrival_s > 1.0 else 1.0
         areas = {"index": share * NEAR_TIP_PX, "base": WHOLE_PX}
         seen = one.frame.markers.items()
         markers = {name: each.model_copy(update={"area": areas.get(name, NEAR_TIP_PX)}) for name, each in seen}
-        live += [points for _, points in stage.feed(one.frame.model_copy(update={"markers": markers}))]
-    for every in (live, stage.smoothed()):
+        live += [points for _, points in core.feed(one.frame.model_copy(update={"markers": markers}))]
+    for every in (live, core.smoothed()):
         before, after = [], []
         for points in every:
             assert isinstance(points, PointSet)

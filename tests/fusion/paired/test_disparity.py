@@ -11,8 +11,8 @@ from marker_streams import Motion, models, truth_figures, watch
 
 from rhot.errors import ConfigError
 from rhot.rig import Rig
+from rhot_fusion.core import FusionCore
 from rhot_fusion.paired.disparity import DisparityLaw, depth_from_disparity, disparity_from_depth
-from rhot_fusion.stage import FusionStage
 from rhot_fusion.views.triangulate import Prior, Views
 
 LAW = (4543.3, -1.035)
@@ -96,6 +96,6 @@ def test_method_follows_a_moving_hand(make_rig: Callable[..., Rig]) -> None:
     # A pinhole pair of 75 mm has d = f·B / Z: stated as a law, the method is exact but for noise and motion.
     rig = make_rig(fusion=f'method = "disparity"\ndepth_law = [{0.075 * 530.3 * 100.0}, -1.0]')
     motion = Motion(frequency_hz=(0.35, 0.45, 0.25))
-    figures = truth_figures(FusionStage(rig), motion, watch(rig, motion, 3.0))
+    figures = truth_figures(FusionCore(rig), motion, watch(rig, motion, 3.0))
     assert figures.median_mm < 3.5
     assert figures.measured > 0.99

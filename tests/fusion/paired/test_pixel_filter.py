@@ -10,8 +10,8 @@ from marker_streams import EPOCH_NS, MARKERS, Motion, Seen, pinhole_cameras, tru
 
 from rhot.messages import PointSet
 from rhot.rig import FusionConfig, Rig
+from rhot_fusion.core import FusionCore
 from rhot_fusion.paired.pixel_filter import PixelFilters
-from rhot_fusion.stage import FusionStage
 
 MakeRig = Callable[..., Rig]
 PIXELS = FusionConfig(method="triangulate", one_euro="pixels")
@@ -54,11 +54,11 @@ def test_switched_off_it_changes_nothing_and_forgets() -> None:
     assert filters.smoothed(0, marker, np.array([0.02]), views, FAST_RATE).tolist() == views.tolist()
 
 
-def jitter_mm(stage: FusionStage, seen: list[Seen]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def jitter_mm(core: FusionCore, seen: list[Seen]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Standard deviations x, y, z of still markers after a second, averaged."""
     found: dict[str, list[object]] = {name: [] for name in MARKERS}
     for one in seen:
-        for _, points in stage.feed(one.frame):
+        for _, points in core.feed(one.frame):
             assert isinstance(points, PointSet)
             if points.t_ns > EPOCH_NS + 700_000_000:
                 for name, point in points.points.items():
@@ -73,7 +73,7 @@ def jitter_mm(stage: FusionStage, seen: list[Seen]) -> np.ndarray[tuple[int], np
 def test_a_still_hand_is_quieter_than_with_the_filter_on_points(make_rig: MakeRig, method: str) -> None:
     rig = make_rig(fusion=f'method = "{method}"')
     seen = watch(rig, STILL, 2.0)
-    points, pixels = FusionStage(rig), FusionStage(rig)
+    points, pixels = FusionCore(rig), FusionCore(rig)
     pixels.configure(FusionConfig.model_validate({"method": method, "one_euro": "pixels"}))
     before, after = jitter_mm(points, seen), jitter_mm(pixels, seen)
     # Measured over seeds: 0.65 sideways, 0.77 in depth.
@@ -84,6 +84,6 @@ def test_a_still_hand_is_quieter_than_with_the_filter_on_points(make_rig: MakeRi
 def test_a_moving_hand_does_not_lag(make_rig: MakeRig) -> None:
     rig = make_rig(pinhole_cameras(2), fusion='method = "triangulate"\none_euro = "pixels"')
     motion = Motion()
-    figures = truth_figures(FusionStage(rig), motion, watch(rig, motion, 2.0))
+    figures = truth_figures(FusionCore(rig), motion, watch(rig, motion, 2.0))
     assert figures.median_mm < 3.5
     assert figures.lateral_mm < 1.2

@@ -9,11 +9,11 @@ from hands.moving_hand import MakePoints, Wrist, moving_angles, positions
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import FloatArray
+from rhot.core import Output
 from rhot.messages import HandPose, PointSet
 from rhot.rig import Rig
-from rhot.stage import Output
 from rhot_ik.hand.block_smoothing import BlockSmoother
-from rhot_ik.hand.stage import HandStage
+from rhot_ik.hand.core import HandCore
 
 RATE_HZ = 40.0
 TIP = JOINTS.index("ring_tip")
@@ -58,10 +58,10 @@ def tips_of(hands: list[tuple[PointSet, list[Output]]]) -> FloatArray:
 
 def test_a_hidden_finger_goes_to_where_it_comes_out(right_rig: Rig, clip: Clip) -> None:
     sets, truth = clip
-    live = tips_of([(points, stage.feed(points)) for stage in [HandStage(right_rig)] for points in sets])
-    stage = HandStage(right_rig)
-    assert all(stage.feed_smoothed(points) == [] for points in sets)
-    smooth = tips_of(stage.finish())
+    live = tips_of([(points, core.feed(points)) for core in [HandCore(right_rig)] for points in sets])
+    core = HandCore(right_rig)
+    assert all(core.feed_smoothed(points) == [] for points in sets)
+    smooth = tips_of(core.finish())
     hidden = slice(24, 52)
     before, after = (np.linalg.norm(found - truth, axis=1)[hidden] for found in (live, smooth))
     assert after.max() < 0.6 * before.max()
@@ -76,9 +76,9 @@ def test_a_finger_that_moved_fast_while_hidden_comes_out_without_a_jump(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
     sets, truth = clip_of(right_rig, right_hand, make_points, wrist, closes=(40, 48), hidden=(41, 48))
-    stage = HandStage(right_rig)
-    assert all(stage.feed_smoothed(points) == [] for points in sets)
-    smooth = tips_of(stage.finish())
+    core = HandCore(right_rig)
+    assert all(core.feed_smoothed(points) == [] for points in sets)
+    smooth = tips_of(core.finish())
     steps = np.linalg.norm(np.diff(smooth, axis=0), axis=1)
     fastest_m = np.linalg.norm(np.diff(truth, axis=0), axis=1).max()
     assert steps[41:50].max() < 2.0 * fastest_m
@@ -86,7 +86,7 @@ def test_a_finger_that_moved_fast_while_hidden_comes_out_without_a_jump(
 
 def test_pieces_come_in_order_and_all_of_them(right_rig: Rig, clip: Clip) -> None:
     sets, _ = clip
-    whole, pieces = HandStage(right_rig), HandStage(right_rig)
+    whole, pieces = HandCore(right_rig), HandCore(right_rig)
     pieces._block_smoother = BlockSmoother(pieces._solvers, ahead_ns=1_000_000_000, piece_ns=300_000_000)
     for points in sets:
         whole.feed_smoothed(points)

@@ -10,14 +10,14 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vector
 from rhot.messages import CylinderShape, HandPose, ObjectPose
 from rhot.rig import Rig
-from rhot_ik.hand.stage import HandStage
-from rhot_ik.stage import IkStage
+from rhot_ik.core import IkCore
+from rhot_ik.hand.core import HandCore
 
 
 def test_hidden_finger_is_held_and_rejoins_without_a_step(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
-    stage = HandStage(right_rig)
+    core = HandCore(right_rig)
     previous, largest_step, largest_true = None, 0.0, 0.0
     before = None
     for k in range(150):
@@ -25,7 +25,7 @@ def test_hidden_finger_is_held_and_rejoins_without_a_step(
         joints = right_hand.forward(wrist(), moving_angles(t_s, right_hand))
         hidden = 60 <= k < 85
         points = make_points(right_hand, joints, right_rig.config.markers, t_s, hide=("ring",) if hidden else ())
-        pose = only_pose(stage, points)
+        pose = only_pose(core, points)
         assert pose.fingers["ring"] == ("predicted" if hidden else "measured")
         assert ("ring" in pose.residual) != hidden
         assert pose.state == "measured"
@@ -40,14 +40,14 @@ def test_hidden_finger_is_held_and_rejoins_without_a_step(
 def test_hidden_base_is_carried_by_the_tips_then_given_up(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
-    stage = HandStage(right_rig)
+    core = HandCore(right_rig)
     previous, steps = None, []
     for k in range(60):
         T = wrist()
         T[0, 3] += 0.2 * k / 60.0
         joints = right_hand.forward(T, EASE)
         hide = ("base",) if 20 <= k < 40 else ()
-        pose = only_pose(stage, make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide))
+        pose = only_pose(core, make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide))
         assert pose.state == ("predicted" if hide else "measured")
         now = positions(pose)
         if previous is not None and k > 15:
@@ -56,7 +56,7 @@ def test_hidden_base_is_carried_by_the_tips_then_given_up(
         assert np.linalg.norm(now - joints.positions, axis=1).max() < 0.012
     assert max(steps) < 0.2 / 60.0 + 0.003
     late = [
-        stage.feed(make_points(right_hand, joints, right_rig.config.markers, 1.0 + k / 60.0, hide=("base",)))
+        core.feed(make_points(right_hand, joints, right_rig.config.markers, 1.0 + k / 60.0, hide=("base",)))
         for k in range(60)
     ]
     published = [bool(out) for out in late]
@@ -68,7 +68,7 @@ def test_a_tip_that_returns_far_from_where_it_was_held_makes_no_jump(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
     """The ring finger curls alone while it is hidden, so that no neighbour tells of it."""
-    stage, steps, errors = HandStage(right_rig), [], []
+    core, steps, errors = HandCore(right_rig), [], []
     previous = None
     for k in range(180):
         angles = EASE.copy()
@@ -77,9 +77,7 @@ def test_a_tip_that_returns_far_from_where_it_was_held_makes_no_jump(
         angles[3, 3] = right_hand.coupling[3] * angles[3, 2]
         joints = right_hand.forward(wrist(), right_hand.clamp(angles))
         hide = ("ring",) if 60 <= k < 100 else ()
-        now = positions(
-            only_pose(stage, make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide))
-        )
+        now = positions(only_pose(core, make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide)))
         errors.append(np.linalg.norm(now - joints.positions, axis=1).max())
         if previous is not None and k >= 95:
             steps.append(np.linalg.norm(now - previous, axis=1).max())
@@ -93,7 +91,7 @@ def test_a_ray_and_the_length_of_the_finger_give_its_depth(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
     """One camera sees the index finger: 100 mm unsure along its ray, and 60 mm off there."""
-    stage = HandStage(right_rig)
+    core = HandCore(right_rig)
     tip = JOINTS.index("index_tip")
     errors = []
     for k in range(120):
@@ -107,7 +105,7 @@ def test_a_ray_and_the_length_of_the_finger_give_its_depth(
             xx, xy, xz, yy, yz, zz = spread[np.triu_indices(3)].tolist()
             update = {"position": (x, y, z), "covariance": (xx, xy, xz, yy, yz, zz), "state": "one_view", "views": 1}
             points = points.model_copy(update={"points": points.points | {"index": seen.model_copy(update=update)}})
-        pose = only_pose(stage, points)
+        pose = only_pose(core, points)
         assert pose.fingers["index"] == "measured"
         errors.append(np.linalg.norm(positions(pose)[tip] - joints.positions[tip]))
     assert np.median(errors[60:]) < 0.008
@@ -117,7 +115,7 @@ def test_a_ray_and_the_length_of_the_finger_give_its_depth(
 def test_a_hidden_finger_closes_with_its_neighbours(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
-    stage, tip = HandStage(right_rig), JOINTS.index("ring_tip")
+    core, tip = HandCore(right_rig), JOINTS.index("ring_tip")
     errors = []
     for k in range(120):
         angles = EASE.copy()
@@ -127,7 +125,7 @@ def test_a_hidden_finger_closes_with_its_neighbours(
         angles[:, 3] = right_hand.coupling * angles[:, 2]
         joints = right_hand.forward(wrist(), right_hand.clamp(angles))
         hide = ("ring",) if k >= 45 else ()
-        pose = only_pose(stage, make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide))
+        pose = only_pose(core, make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide))
         errors.append(np.linalg.norm(positions(pose)[tip] - joints.positions[tip]))
     assert max(errors[45:]) < 0.025
 
@@ -146,13 +144,13 @@ def test_hidden_fingers_stop_at_the_cylinder_that_the_hand_holds(
     tips = [JOINTS.index(f"{finger}_tip") for finger in FINGERS[1:]]
     depth = {}
     for shape in (None, CylinderShape(radius=radius, height=0.2)):
-        stage = IkStage(right_rig)
+        core = IkCore(right_rig)
         for k in range(150):
             points = make_points(right_hand, joints, markers, k / 60.0, hide=() if k < 30 else FINGERS[1:])
             place = {"position": tuple(middle.tolist()), "orientation": (x, y, z, w)}
             held = {"t_ns": points.t_ns, "frame": "rig", "state": "measured", "shape": shape} | place
-            assert stage.feed(ObjectPose.model_validate(held)) == []
-            ((_, pose),) = stage.feed(points)
+            assert core.feed(ObjectPose.model_validate(held)) == []
+            ((_, pose),) = core.feed(points)
             assert isinstance(pose, HandPose)
             off = positions(pose)[tips] - middle
         off -= np.outer(off @ along, along)
@@ -165,7 +163,7 @@ def test_a_tip_that_returns_and_moves_on_is_not_followed_behind(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
     """The ring finger comes back bent by some 25° more at either hinge, and bends on, its tip at 0.4 m/s."""
-    stage, T = HandStage(right_rig), wrist()
+    core, T = HandCore(right_rig), wrist()
     tip, errors = JOINTS.index("ring_tip"), []
     for k in range(130):
         bent = np.clip(k - 75, 0.0, 1.0) + np.clip((k - 98) / 12.0, 0.0, 1.5)
@@ -176,6 +174,6 @@ def test_a_tip_that_returns_and_moves_on_is_not_followed_behind(
         joints = right_hand.forward(T, right_hand.clamp(angles))
         hide = ("ring",) if 60 <= k < 98 else ()
         points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide)
-        errors.append(float(np.linalg.norm(positions(only_pose(stage, points))[tip] - joints.positions[tip])))
+        errors.append(float(np.linalg.norm(positions(only_pose(core, points))[tip] - joints.positions[tip])))
     assert errors[98] > 0.02
     assert max(errors[110:]) < 0.006

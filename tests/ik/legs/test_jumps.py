@@ -14,7 +14,7 @@ from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import BodyPose, FootPose, HeadPose, Side
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import BodyConfig, load_rig
-from rhot_ik.legs.body_stage import BodyStage
+from rhot_ik.legs.body_core import BodyCore
 from rhot_ik.legs.jumps import FOOT, HEAD, JumpBridge
 from rhot_sim.walker.person import Person, person_of
 from rhot_sim.walker.plan import SIDES
@@ -111,10 +111,10 @@ def test_after_a_long_silence_nothing_is_bridged() -> None:
     np.testing.assert_array_equal(after.position, [1.0, 0.0, 0.0])
 
 
-def stage_of(rig_folder: Path) -> BodyStage:
+def core_of(rig_folder: Path) -> BodyCore:
     rig_file = rig_folder / "rig.toml"
     rig_file.write_text(rig_file.read_text() + FEET)
-    return BodyStage(load_rig(rig_folder))
+    return BodyCore(load_rig(rig_folder))
 
 
 def foot_pose(side: Side, t_ns: int, T: FloatArray, velocity: FloatArray) -> FootPose:
@@ -131,12 +131,12 @@ def foot_pose(side: Side, t_ns: int, T: FloatArray, velocity: FloatArray) -> Foo
     )
 
 
-def played(rig_folder: Path, *, foot_m: FloatArray, head_m: FloatArray) -> tuple[list[BodyPose], FloatArray, BodyStage]:
+def played(rig_folder: Path, *, foot_m: FloatArray, head_m: FloatArray) -> tuple[list[BodyPose], FloatArray, BodyCore]:
     """Return the bodies of a walker whose left foot's and head's trackers are off by (N, 3), and the true left knee.
 
     As from a tracker, a foot's velocity is that of its positions, jumps included.
     """
-    stage = stage_of(rig_folder)
+    core = core_of(rig_folder)
     world = WalkerWorld(3, person_of(BodyModel.from_config(BodyConfig()), 3), "walk")
     t_s = np.arange(len(foot_m)) / RATE_HZ
     heads, feet = world.head(t_s), world.feet(t_s)
@@ -146,7 +146,7 @@ def played(rig_folder: Path, *, foot_m: FloatArray, head_m: FloatArray) -> tuple
     for k in range(len(t_s)):
         t_ns = START_NS + round(1e9 * t_s[k])
         orientation = wire_quaternion(quaternion_from_rotation(heads[k, :3, :3]))
-        stage.feed(
+        core.feed(
             HeadPose(
                 t_ns=t_ns,
                 frame="rig",
@@ -157,9 +157,9 @@ def played(rig_folder: Path, *, foot_m: FloatArray, head_m: FloatArray) -> tuple
         )
         for side in SIDES:
             velocity = (feet[side][k] - feet[side][max(k - 1, 0)])[:3, 3] * RATE_HZ
-            found += [body for _, body in stage.feed(foot_pose(side, t_ns, feet[side][k], velocity))
+            found += [body for _, body in core.feed(foot_pose(side, t_ns, feet[side][k], velocity))
                       if isinstance(body, BodyPose)]  # fmt: skip
-    return found, world.joints(t_s)["left_knee"][:, :3, 3], stage
+    return found, world.joints(t_s)["left_knee"][:, :3, 3], core
 
 
 def fastest(bodies: list[BodyPose], joint: str) -> float:
@@ -176,12 +176,12 @@ def test_no_joint_of_a_body_moves_faster_than_a_person_can(rig_folder: Path, jum
     off = np.zeros((count, 3))
     lost, again = round(2.0 * RATE_HZ), round(3.5 * RATE_HZ)
     off[lost:again] = jump_m * np.array([0.48, 0.6, 0.64])
-    bodies, knees, stage = played(rig_folder, foot_m=off, head_m=np.zeros((count, 3)))
+    bodies, knees, core = played(rig_folder, foot_m=off, head_m=np.zeros((count, 3)))
     assert fastest(bodies, "left_ankle") < WALKING_ANKLE_M_S
     assert fastest(bodies, "left_knee") < WALKING_KNEE_M_S
     at_loss = min(bodies, key=lambda body: abs(body.t_ns - START_NS - round(1e9 * lost / RATE_HZ)))
     assert at_loss.legs.get("left") == ("predicted" if jump_m else "measured")
-    assert stage.counts["jumps"] == (2 if jump_m else 0)
+    assert core.counts["jumps"] == (2 if jump_m else 0)
     late = [body for body in bodies if body.t_ns - START_NS > 5_000_000_000]
     true = [knees[round((body.t_ns - START_NS) * 1e-9 * RATE_HZ)] for body in late]
     errors = np.linalg.norm(np.array([body.joints["left_knee"].position for body in late]) - true, axis=1)
@@ -193,8 +193,8 @@ def test_a_head_that_jumps_takes_no_joint_along_faster_than_a_person_can(rig_fol
     count = round(5.0 * RATE_HZ)
     off = np.zeros((count, 3))
     off[round(2.0 * RATE_HZ) :] = [0.3, 0.0, 0.2]
-    bodies, _, stage = played(rig_folder, foot_m=np.zeros((count, 3)), head_m=off)
-    assert stage.counts["jumps"] == 1
+    bodies, _, core = played(rig_folder, foot_m=np.zeros((count, 3)), head_m=off)
+    assert core.counts["jumps"] == 1
     assert fastest(bodies, "hips") < 4.0
     assert fastest(bodies, "left_knee") < WALKING_KNEE_M_S
     assert "predicted" in {body.state for body in bodies}

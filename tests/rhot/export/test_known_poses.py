@@ -13,16 +13,18 @@ from pathlib import Path
 import c3d
 import numpy as np
 import pytest
-from bridged.poses import POSES, hand
+from bridged.poses import POSES, T_RIG_STAGE, hand, hand_message
 from click.testing import CliRunner
 from exported import person
 from exported.bvh_reader import read_bvh_file, world_positions
 from exported.gltf_reader import GltfScene
+from scipy.spatial.transform import Rotation
 from trc import TRCData
 
 from rhot.anatomy.skeleton import CHAINS, JOINTS
 from rhot.arrays import FloatArray
 from rhot.cli.recordings.export import export
+from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import Side
 
 At = Callable[[float, str], FloatArray]
@@ -159,7 +161,13 @@ def test_angles_are_degrees_by_opensims_names_and_signs(poses_recording: Path, t
     fist = np.abs(columns["time"] - 0.75).argmin()
     assert time_range[0] == 0.0
     assert columns["hand_left_index_pip_flexion"][fist] == pytest.approx(np.degrees(1.7), abs=1e-4)
-    assert columns["hand_right_thumb_mcp_flexion"][fist] == pytest.approx(np.degrees(0.6), abs=1e-4)
+    thumb = [name.removeprefix("hand_right_thumb_") for name in columns if name.startswith("hand_right_thumb_")]
+    assert sorted(thumb) == ["cmc_abduction", "cmc_flexion", "ip_flexion", "mcp_flexion"]
+    assert columns["hand_right_thumb_cmc_flexion"][fist] == pytest.approx(np.degrees(0.6), abs=1e-4)
+    wrist = hand_message("fist", "right", 0).joints["wrist"].orientation
+    R = T_RIG_STAGE[:3, :3].T @ rotation_from_quaternion(np.array(wrist))
+    yaw, pitch, roll = (float(columns[f"hand_right_wrist_{name}"][fist]) for name in ("yaw", "pitch", "roll"))
+    np.testing.assert_allclose(Rotation.from_euler("YXZ", [yaw, pitch, roll], degrees=True).as_matrix(), R, atol=1e-6)
     assert columns["knee_angle_r"][fist] == pytest.approx(np.degrees(person.KNEE_RAD), abs=1e-4)
     assert columns["hip_adduction_l"][fist] == pytest.approx(-np.degrees(0.05), abs=1e-4)
     assert columns["hip_rotation_l"][fist] == pytest.approx(-np.degrees(0.02), abs=1e-4)

@@ -30,7 +30,7 @@ from rhot.clock import SystemClock
 from rhot.errors import ConfigError, DeviceError, WireError
 from rhot.messages import Control, Marker, MarkerFrame, ServiceStatus, encode
 from rhot.rig import BusConfig, FusionConfig
-from rhot.service import Node, StageService, configuration
+from rhot.service import CoreService, Node, configuration
 from rhot.service.runner import serve
 
 
@@ -91,7 +91,7 @@ async def test_a_sample_that_the_core_cannot_digest_costs_only_itself(router: Bu
 async def test_a_service_ends_with_the_task_that_runs_it(router: BusConfig) -> None:
     ended = asyncio.Event()
 
-    class Noting(StageService[MarkerFrame, FusionConfig]):
+    class Noting(CoreService[MarkerFrame, FusionConfig]):
         async def run(self, node: Node, start: Control) -> None:
             try:
                 await super().run(node, start)
@@ -170,7 +170,7 @@ async def test_the_router_may_die_and_come_back(endpoint: str) -> None:
             assert time.monotonic() - begun < 3.0
 
 
-class Failing(StageService[MarkerFrame, FusionConfig]):
+class Failing(CoreService[MarkerFrame, FusionConfig]):
     """A service whose device is absent at first."""
 
     tries = 0

@@ -202,12 +202,12 @@ def test_figures_of_a_record() -> None:
 
 
 def test_fusion_reports_its_correction(make_rig: Callable[..., Rig]) -> None:
-    from rhot_fusion.stage import FusionStage
+    from rhot_fusion.core import FusionCore
 
     cameras = pinhole_cameras(2)
     for degrees, low, high in (((0.0, 0.0, 0.0), 0.0, 0.2), ((0.2, 0.0, 0.0), 1.5, 2.1)):
-        stage = FusionStage(make_rig(cameras))
-        assert stage.figures["epipolar_correction_px"] == 0.0
+        core = FusionCore(make_rig(cameras))
+        assert core.figures["epipolar_correction_px"] == 0.0
         for frame in seen_by({**cameras, "camera1": turned(cameras["camera1"], degrees)}, 2.5):
-            stage.feed(frame)
-        assert low <= stage.figures["epipolar_correction_px"] <= high
+            core.feed(frame)
+        assert low <= core.figures["epipolar_correction_px"] <= high

@@ -1,4 +1,4 @@
-"""A hand that moves smoothly, and what a stage makes of its markers."""
+"""A hand that moves smoothly, and what a core makes of its markers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rhot.anatomy.hand import HandJoints, HandModel
 from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import FloatArray
 from rhot.messages import HandPose, PointSet
-from rhot_ik.hand.stage import HandStage
+from rhot_ik.hand.core import HandCore
 
 MakePoints = Callable[..., PointSet]
 Wrist = Callable[..., FloatArray]
@@ -31,8 +31,8 @@ def moving_joints(t_s: float, model: HandModel, wrist: Wrist) -> HandJoints:
     return model.forward(wrist(), moving_angles(t_s, model))
 
 
-def only_pose(stage: HandStage, points: PointSet) -> HandPose:
-    ((key, pose),) = stage.feed(points)
+def only_pose(core: HandCore, points: PointSet) -> HandPose:
+    ((key, pose),) = core.feed(points)
     assert isinstance(pose, HandPose)
     assert key == f"rhot/hand/{pose.side}"
     return pose

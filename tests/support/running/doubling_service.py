@@ -9,18 +9,18 @@ from contextlib import asynccontextmanager
 
 from rhot.bus import Bus
 from rhot.clock import SystemClock
+from rhot.core import Output
 from rhot.errors import ConfigError
 from rhot.messages import Control, Marker, MarkerFrame, Point, PointSet, ServiceStatus, decode
 from rhot.rig import BusConfig, FusionConfig
-from rhot.service import StageService
+from rhot.service import CoreService
 from rhot.service.runner import serve
-from rhot.stage import Output
 
 LIMIT_S = 60.0
 
 
 class Doubler:
-    """A stage that puts each marker into space, and can be told to fail."""
+    """A core that puts each marker into space, and can be told to fail."""
 
     def __init__(self, config: FusionConfig) -> None:
         self.config = config
@@ -45,7 +45,7 @@ class Doubler:
         return [("rhot/points", PointSet(t_ns=message.t_ns, frame="rig", points=points))]
 
 
-Doubling = StageService[MarkerFrame, FusionConfig]
+Doubling = CoreService[MarkerFrame, FusionConfig]
 
 
 def doubler(*, owns_clock: bool = True, name: str = "fusion", kind: type[Doubling] = Doubling) -> Doubling:
@@ -55,7 +55,7 @@ def doubler(*, owns_clock: bool = True, name: str = "fusion", kind: type[Doublin
         model=MarkerFrame,
         key_of=lambda frame: f"rhot/markers/{frame.camera}",
         config=FusionConfig(),
-        make_stage=Doubler,
+        make_core=Doubler,
         owns_clock=owns_clock,
     )
 
@@ -66,7 +66,7 @@ def frame(t_ns: int, camera: str = "left") -> MarkerFrame:
 
 
 @asynccontextmanager
-async def running(service: StageService[MarkerFrame, FusionConfig], bus: BusConfig) -> AsyncIterator[None]:
+async def running(service: CoreService[MarkerFrame, FusionConfig], bus: BusConfig) -> AsyncIterator[None]:
     """Run a service beside the test; ends it as a signal would."""
     task = asyncio.create_task(serve(service, bus, SystemClock()))
     try:

@@ -11,8 +11,8 @@ from rhot.messages import HandPose, Joint, Message, State, encode, encoding_of
 from rhot.recording.mcap.writer import McapWriter
 from rhot.rig import RegistrationFile, Rig, RigidTransform, write_json_model
 from rhot.rig.folder import registration_name
+from rhot_objects.core import ObjectCore
 from rhot_objects.registration import Registration
-from rhot_objects.stage import ObjectStage
 from rhot_sim.rig.folder import with_motion, write_simulated_rig
 from rhot_sim.sources.objects import simulated_objects
 from rhot_sim.world.world import World
@@ -42,7 +42,7 @@ def take(
     world = World.from_rig(rig)
     space = RegistrationFile.model_validate_json((rig_path / registration_name("simulated")).read_text())
     registration = Registration.from_file(space)
-    source, stage = simulated_objects(rig, registration, frozenset({"cube"})), ObjectStage(registration)
+    source, core = simulated_objects(rig, registration, frozenset({"cube"})), ObjectCore(registration)
     source.open(START_NS)
     rng = np.random.default_rng(seed)
     t_s = np.arange(0.0, seconds, 1.0 / RATE_HZ)
@@ -67,7 +67,7 @@ def take(
                 state=hand,
             ),
         )
-        yield from stage.feed(source.read(t_ns), t_ns)
+        yield from core.feed(source.read(t_ns), t_ns)
 
 
 def write_take(file: Path, messages: Iterator[tuple[str, Message]]) -> Path:

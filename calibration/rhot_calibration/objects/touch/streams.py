@@ -18,9 +18,9 @@ from rhot.rig.shape_config import MeshConfig
 from rhot_calibration.objects.touch.collector import TouchCollector
 from rhot_calibration.objects.touch.faces import face_named, usual_faces
 from rhot_calibration.objects.touch.fit import Touch
+from rhot_objects.core import key_of
 from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
-from rhot_objects.stage import key_of
 
 TOUCHES_A_FACE: Final = 4
 """One near each corner of a box's face; of a surface that goes all round, thrice as many."""

@@ -71,8 +71,24 @@ def frames_of(motions: Sequence[Motion], rate_hz: float | None = None) -> Frames
         marked, positions = _markers(motion)
         names += marked
         columns.append(_read(at_s, positions.reshape(len(at_s), -1), t_s).reshape(len(t_s), -1, 3))
-        angles |= {f"{motion.name}_{name}": _read(at_s, v[:, None], t_s)[:, 0] for name, v in motion.angles.items()}
+        angled = {**motion.angles, **(wrist_angles(motion) if motion.name.startswith("hand_") else {})}
+        angles |= {f"{motion.name}_{name}": _read(at_s, v[:, None], t_s)[:, 0] for name, v in angled.items()}
     return Frames(rate, t_s, tuple(names), np.concatenate(columns, axis=1), angles)
+
+
+def wrist_angles(motion: Motion) -> dict[str, FloatArray]:
+    """Return yaw, pitch and roll (N,), radians, of a hand's wrist against the axes of the motion's frame.
+
+    R = Ry(yaw)·Rx(pitch)·Rz(roll) with OpenXR's axes of the wrist (−z along the fingers, +y out of the back of the
+    hand). In the stage: yaw to the left, fingers up and, seen by the person, counter-clockwise are positive. They are
+    not flexion and deviation: those are against the forearm, which no marker shows. Yaw and roll go on over ±180°.
+    """
+    R = motion.rotations[:, motion.root]
+    return {
+        "wrist_yaw": np.unwrap(np.arctan2(R[:, 0, 2], R[:, 2, 2])),
+        "wrist_pitch": np.arcsin(np.clip(-R[:, 1, 2], -1.0, 1.0)),
+        "wrist_roll": np.unwrap(np.arctan2(R[:, 1, 0], R[:, 1, 1])),
+    }
 
 
 def real_rate_hz(t_ns: NDArray[np.int64]) -> float:

@@ -10,7 +10,7 @@ Muscle-Driven Simulation of Human Gait"): with s = r or l,
     hip_flexion_s = hip_flexion,  hip_adduction_s = −hip_abduction,  hip_rotation_s = −hip_rotation (inwards positive),
     knee_angle_s = knee_flexion,  ankle_angle_s = ankle_flexion.
 
-Fingers carry our own names, `hand_right_index_mcp_flexion`: no model of a hand is standard.
+Fingers and wrist carry our own names, `hand_right_index_mcp_flexion`: no model of a hand is standard.
 """
 
 from __future__ import annotations

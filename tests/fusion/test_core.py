@@ -17,7 +17,7 @@ from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Marker, MarkerFrame, PointSet
 from rhot.rig import FusionConfig, Rig
-from rhot_fusion.stage import FusionStage
+from rhot_fusion.core import FusionCore
 
 STILL = Motion(amplitude_m=(0.0, 0.0, 0.0))
 SLOW = Motion(frequency_hz=(0.35, 0.45, 0.25))
@@ -26,10 +26,10 @@ DISTORTION = np.array([0.19, -0.48, 0.001, -0.0007, 0.30])
 MakeRig = Callable[..., Rig]
 
 
-def run(stage: FusionStage, frames: Iterable[Seen]) -> list[PointSet]:
+def run(core: FusionCore, frames: Iterable[Seen]) -> list[PointSet]:
     sets = []
     for one in frames:
-        for key, points in stage.feed(one.frame):
+        for key, points in core.feed(one.frame):
             assert key == "rhot/points"
             assert isinstance(points, PointSet)
             sets.append(points)
@@ -63,7 +63,7 @@ def moved(seen: Seen, name: str, du: float, dv: float = 0.0) -> Seen:
 @pytest.mark.parametrize("cameras", [2, 3, 5])
 def test_any_number_of_cameras_out_of_step(make_rig: MakeRig, cameras: int) -> None:
     rig = make_rig(pinhole_cameras(cameras, DISTORTION))
-    figures = truth_figures(FusionStage(rig), SLOW, watch(rig, SLOW, 2.5, phase_s=0.0041))
+    figures = truth_figures(FusionCore(rig), SLOW, watch(rig, SLOW, 2.5, phase_s=0.0041))
     assert figures.median_mm < (3.0 if cameras == 2 else 2.0)
     assert figures.p95_mm < 7.0
     assert figures.measured > 0.99
@@ -73,7 +73,7 @@ def test_any_number_of_cameras_out_of_step(make_rig: MakeRig, cameras: int) -> N
 def test_rolling_shutters_7_ms_out_of_step(make_rig: MakeRig, extrapolation: float) -> None:
     rig = make_rig(fusion=f"extrapolation = {extrapolation}")
     motion = Motion()
-    figures = truth_figures(FusionStage(rig), motion, watch(rig, motion, 3.0, readout_s=0.012))
+    figures = truth_figures(FusionCore(rig), motion, watch(rig, motion, 3.0, readout_s=0.012))
     # Speeds up to 0.4 m/s sideways and 0.16 m/s in depth; taking two frames as simultaneous errs by 12 mm.
     assert figures.median_mm < 4.0
     assert figures.p95_mm < 9.0
@@ -88,26 +88,26 @@ def test_taking_frames_as_simultaneous_would_be_far_worse(make_rig: MakeRig) -> 
     motion = Motion()
     honest = watch(rig, motion, 2.0)
     lied = [delayed(one, -7_000_000) if one.frame.camera == "right" else one for one in honest]
-    good, bad = (truth_figures(FusionStage(rig), motion, seen) for seen in (honest, lied))
+    good, bad = (truth_figures(FusionCore(rig), motion, seen) for seen in (honest, lied))
     assert bad.median_mm > 3.0 * good.median_mm
 
 
 def test_cameras_in_step_give_one_set_a_pair(make_rig: MakeRig) -> None:
     rig = make_rig()
-    sets = run(FusionStage(rig), watch(rig, SLOW, 1.0, phase_s=0.0))
+    sets = run(FusionCore(rig), watch(rig, SLOW, 1.0, phase_s=0.0))
     assert 59 <= len(sets) <= 61
     assert [points.seq for points in sets] == list(range(len(sets)))
 
 
 def test_set_times_increase_and_are_observation_times(make_rig: MakeRig) -> None:
     rig = make_rig()
-    sets = run(FusionStage(rig), watch(rig, SLOW, 1.0))
+    sets = run(FusionCore(rig), watch(rig, SLOW, 1.0))
     assert all(before.t_ns < after.t_ns for before, after in pairwise(sets))
 
 
 def test_still_marker_is_quiet_and_true(make_rig: MakeRig) -> None:
     rig = make_rig()
-    sets = run(FusionStage(rig), watch(rig, STILL, 3.0, noise_px=0.15))[120:]
+    sets = run(FusionCore(rig), watch(rig, STILL, 3.0, noise_px=0.15))[120:]
     track = np.array([place(points, "index") for points in sets]) * 1e3
     truth = STILL.at(0.0)[0, MARKERS.index("index")] * 1e3
     assert np.abs(track.mean(axis=0) - truth).max() < 1.0
@@ -118,7 +118,7 @@ def test_still_marker_is_quiet_and_true(make_rig: MakeRig) -> None:
 @pytest.mark.parametrize(("method", "low_m", "high_m"), [("triangulate", 0.004, 0.010), ("filter", 0.003, 0.009)])
 def test_sigma_matches_the_error(make_rig: MakeRig, method: str, low_m: float, high_m: float) -> None:
     rig = make_rig(fusion=f'method = "{method}"')
-    points = run(FusionStage(rig), watch(rig, STILL, 2.0, noise_px=0.3, phase_s=0.0))[-1].points["index"]
+    points = run(FusionCore(rig), watch(rig, STILL, 2.0, noise_px=0.3, phase_s=0.0))[-1].points["index"]
     assert points.views == 2
     # 0.3 px at 530 px of focal length, 75 mm of baseline, 0.8 m: 6.8 mm in depth before filtering. The filter averages
     # over all of the past; what remains is mostly that nobody has calibrated the cameras.
@@ -128,10 +128,10 @@ def test_sigma_matches_the_error(make_rig: MakeRig, method: str, low_m: float, h
 @pytest.mark.parametrize(("method", "growth"), [("triangulate", 2.0), ("filter", 1.3)])
 def test_marker_lost_by_one_camera_is_bridged_along_its_ray(make_rig: MakeRig, method: str, growth: float) -> None:
     rig = make_rig(fusion=f'method = "{method}"')
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     seen = watch(rig, SLOW, 1.4)
     sets = run(
-        stage,
+        core,
         (without(one, "index") if one.frame.camera == "right" and 1.0 < one.arrival_s < 1.15 else one for one in seen),
     )
     bridged = [points for points in sets if 1.03e9 < points.t_ns - EPOCH_NS < 1.15e9]
@@ -156,7 +156,7 @@ def test_marker_lost_entirely_is_held_then_absent(make_rig: MakeRig) -> None:
     rig = make_rig(fusion="hold_s = 0.2")
     seen = [without(one, "index") if one.arrival_s > 1.0 else one for one in watch(rig, STILL, 2.0)]
     held = absent = 0
-    for points in run(FusionStage(rig), seen):
+    for points in run(FusionCore(rig), seen):
         t_s = (points.t_ns - EPOCH_NS) * 1e-9
         if 1.03 < t_s < 1.18:
             held += 1
@@ -178,7 +178,7 @@ def test_glitches_of_hundreds_of_pixels_leave_no_trace(make_rig: MakeRig) -> Non
         else one
         for one in clean
     ]
-    figures = truth_figures(FusionStage(rig), SLOW, glitched)
+    figures = truth_figures(FusionCore(rig), SLOW, glitched)
     assert figures.median_mm < 3.0
     assert figures.p95_mm < 12.0
 
@@ -187,7 +187,7 @@ def test_real_jump_is_accepted_once_it_repeats(make_rig: MakeRig) -> None:
     rig = make_rig()
     # 60 px in both pictures: 90 mm to the side within one frame, beyond what the gate lets through.
     seen = [moved(one, "index", 60.0) if one.arrival_s > 1.0 else one for one in watch(rig, STILL, 1.6, phase_s=0.0)]
-    sets = run(FusionStage(rig), seen)
+    sets = run(FusionCore(rig), seen)
     target = STILL.at(0.0)[0, 1] + np.array([60.0 / 530.3 * 0.8, 0.0, 0.0])
     # The marker is absent until it is accepted again.
     at = {round((points.t_ns - EPOCH_NS) * 1e-6): place(points, "index") for points in sets if "index" in points.points}
@@ -204,62 +204,62 @@ def test_swapped_cameras_are_rejected_and_named(make_rig: MakeRig) -> None:
     for method in ("triangulate", "disparity"):
         rig = make_rig(fusion=f'method = "{method}"')
         other = {"left": "right", "right": "left"}
-        stage = FusionStage(rig)
+        core = FusionCore(rig)
         swapped = [
             replace(one, frame=one.frame.model_copy(update={"camera": other[one.frame.camera]}))
             for one in watch(rig, STILL, 1.0)
         ]
-        assert all(not points.points for points in run(stage, swapped))
-        assert stage.counts["behind_cameras"] > 50
-        assert "left and right are probably swapped" in stage.problem
+        assert all(not points.points for points in run(core, swapped))
+        assert core.counts["behind_cameras"] > 50
+        assert "left and right are probably swapped" in core.problem
 
 
 def test_drift_of_a_mount_is_estimated_and_reported(make_rig: MakeRig) -> None:
     rig = make_rig()
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     seen = watch(rig, SLOW, 4.0)
     for name in MARKERS:
         seen = [moved(one, name, 0.0, 6.0) if one.frame.camera == "right" else one for one in seen]
-    figures = truth_figures(stage, SLOW, seen)
+    figures = truth_figures(core, SLOW, seen)
     assert figures.measured > 0.98
-    assert stage.epipolar_px[0] < 0.6
+    assert core.epipolar_px[0] < 0.6
     # The uncorrected 6 px would put points 4.5 mm too low.
     assert figures.median_mm < 4.0
-    assert stage.problem == ""
+    assert core.problem == ""
 
 
 def test_points_outside_the_volume_are_not_published(make_rig: MakeRig) -> None:
     rig = make_rig(fusion="volume_m = [[-0.8, -0.6, 0.9], [0.8, 0.6, 1.4]]")
-    stage = FusionStage(rig)
-    assert all(not points.points for points in run(stage, watch(rig, STILL, 0.5)))
-    assert stage.counts["gated"] > 100
+    core = FusionCore(rig)
+    assert all(not points.points for points in run(core, watch(rig, STILL, 0.5)))
+    assert core.counts["gated"] > 100
 
 
 def test_settings_change_while_running(make_rig: MakeRig) -> None:
     rig = make_rig()
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     seen = watch(rig, STILL, 2.0)
     half = len(seen) // 2
-    before = run(stage, seen[:half])[-1]
-    stage.configure(FusionConfig(min_cutoff_hz=1.0))
-    after = run(stage, seen[half:])
+    before = run(core, seen[:half])[-1]
+    core.configure(FusionConfig(min_cutoff_hz=1.0))
+    after = run(core, seen[half:])
     assert np.linalg.norm(place(after[0], "index") - place(before, "index")) < 0.005
-    stage.configure(FusionConfig(method="disparity"))
-    again = run(stage, [delayed(one, 2_100_000_000) for one in seen[:60]])
+    core.configure(FusionConfig(method="disparity"))
+    again = run(core, [delayed(one, 2_100_000_000) for one in seen[:60]])
     assert again[-1].points["index"].position[2] == pytest.approx(0.8, abs=0.05)
 
 
 def test_rejected_settings_leave_the_old_ones(make_rig: MakeRig) -> None:
     rig = make_rig(places={"left": 0.0, "right": 0.0})
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     with pytest.raises(ConfigError):
-        stage.configure(FusionConfig(method="disparity"))
-    run(stage, watch(make_rig(places={"left": 0.0, "right": 0.0}), STILL, 0.2))
+        core.configure(FusionConfig(method="disparity"))
+    run(core, watch(make_rig(places={"left": 0.0, "right": 0.0}), STILL, 0.2))
 
 
 def test_one_camera_is_not_enough(make_rig: MakeRig) -> None:
     with pytest.raises(ConfigError, match="at least two cameras"):
-        FusionStage(make_rig(places={"left": 0.0}))
+        FusionCore(make_rig(places={"left": 0.0}))
 
 
 def test_patch_has_corners_in_space(make_rig: MakeRig) -> None:
@@ -271,7 +271,7 @@ def test_patch_has_corners_in_space(make_rig: MakeRig) -> None:
         corners = tuple((base.u + a * half_u, base.v + b * half_v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
         markers = {**one.frame.markers, "base": base.model_copy(update={"corners": corners})}
         seen.append(replace(one, frame=one.frame.model_copy(update={"markers": markers})))
-    points = run(FusionStage(rig), seen)[-1]
+    points = run(FusionCore(rig), seen)[-1]
     assert points.points["thumb"].corners is None
     quad = points.points["base"].corners
     assert quad is not None
@@ -281,14 +281,14 @@ def test_patch_has_corners_in_space(make_rig: MakeRig) -> None:
 
 def test_restarted_stream_is_followed(make_rig: MakeRig) -> None:
     rig = make_rig()
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     seen = watch(rig, STILL, 0.6)
     later = [delayed(one, 10**13) for one in seen]
-    assert run(stage, later)[-1].points
-    again = run(stage, seen)
+    assert run(core, later)[-1].points
+    again = run(core, seen)
     assert again[-1].points
     assert again[-1].t_ns < later[0].frame.t_ns
-    assert stage.counts["restarts"] == 1
+    assert core.counts["restarts"] == 1
 
 
 numbers = st.one_of(st.floats(-1e5, 1e5, allow_nan=False), st.sampled_from([0.0, 1e5, -1e5, 320.0, 639.49]))
@@ -316,9 +316,9 @@ frames = st.builds(
 @settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(frames, max_size=20))
 def test_valid_but_absurd_frames_never_break_the_stage(make_rig: MakeRig, absurd: list[MarkerFrame]) -> None:
-    stage = FusionStage(make_rig())
+    core = FusionCore(make_rig())
     for frame in absurd:
-        for _, points in stage.feed(frame):
+        for _, points in core.feed(frame):
             assert isinstance(points, PointSet)
             assert all(np.isfinite(point.position).all() for point in points.points.values())
 
@@ -326,9 +326,9 @@ def test_valid_but_absurd_frames_never_break_the_stage(make_rig: MakeRig, absurd
 def test_absurd_frames_leave_the_points_untouched(make_rig: MakeRig) -> None:
     rig = make_rig()
     seen = watch(rig, SLOW, 1.5)
-    clean = run(FusionStage(rig), seen)
+    clean = run(FusionCore(rig), seen)
     rng = np.random.default_rng(12)
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     mixed = []
     for one in seen:
         mixed.append(one)
@@ -341,23 +341,23 @@ def test_absurd_frames_leave_the_points_untouched(make_rig: MakeRig) -> None:
             frame,
         ]
         mixed.append(Seen(one.arrival_s, bad[int(rng.integers(len(bad)))]))
-    dirty = run(stage, mixed)
+    dirty = run(core, mixed)
     assert len(dirty) == len(clean)
     for a, b in zip(clean, dirty, strict=True):
         assert a.points == b.points
-    refused = sum(stage.counts[reason] for reason in ("wrong_time", "unknown_camera", "wrong_size", "duplicate"))
+    refused = sum(core.counts[reason] for reason in ("wrong_time", "unknown_camera", "wrong_size", "duplicate"))
     assert refused == len(seen)
 
 
 def test_a_frame_costs_less_than_its_share(make_rig: MakeRig) -> None:
     cv2.setNumThreads(1)
     rig = make_rig()
-    stage = FusionStage(rig)
+    core = FusionCore(rig)
     spent = []
     for one in watch(rig, SLOW, 3.0):
         # Of the processor, not of the clock: that is what its share is a share of.
         began = thread_time()
-        stage.feed(one.frame)
+        core.feed(one.frame)
         spent.append(thread_time() - began)
     # About 1.1 ms on the machine it was written on; 120 frames a second may not take a fifth of a core.
     assert np.median(spent) < 1.6e-3
@@ -367,8 +367,8 @@ def test_what_a_lens_cannot_have_shown_counts_for_nothing(make_rig: MakeRig, mon
     rig = make_rig()
     seen = watch(rig, SLOW, 1.5)
     wrong = seen[40::10]
-    without_it = run(FusionStage(rig), [without(one, "index") if one in wrong else one for one in seen])
-    stage, undistort = FusionStage(rig), CameraModel.undistort
+    without_it = run(FusionCore(rig), [without(one, "index") if one in wrong else one for one in seen])
+    core, undistort = FusionCore(rig), CameraModel.undistort
     published = []
     for one in seen:
         place_of_index = [name for name in MARKERS if name in one.frame.markers].index("index")
@@ -379,6 +379,6 @@ def test_what_a_lens_cannot_have_shown_counts_for_nothing(make_rig: MakeRig, mon
             return xy
 
         monkeypatch.setattr(CameraModel, "undistort", outside if one in wrong else undistort)
-        published += run(stage, [one])
-    assert stage.counts["outside"] == len(wrong)
+        published += run(core, [one])
+    assert core.counts["outside"] == len(wrong)
     assert [points.points for points in published] == [points.points for points in without_it]

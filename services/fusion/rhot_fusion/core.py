@@ -1,4 +1,4 @@
-"""The fusion stage: computes point sets from marker frames."""
+"""The fusion core: computes point sets from marker frames."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from statistics import median
 
 import numpy as np
 
+from rhot.core import Output
 from rhot.errors import ConfigError
 from rhot.explain import Explanation
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, Point, PointSet, PointState, Position
 from rhot.messages.base import wire_position
 from rhot.rig import FusionConfig, Rig
-from rhot.stage import Output
 from rhot_fusion.explain import tracker_tables
 from rhot_fusion.filter.tracker import FilterTracker
 from rhot_fusion.paired.tracker import PairedTracker
@@ -33,7 +33,7 @@ _SWAP_EVIDENCE = 50
 a hand. Chosen."""
 
 
-class FusionStage:
+class FusionCore:
     """Computes PointSets in the rig frame from MarkerFrames of any number of cameras, in any order of arrival.
 
     Attributes:
@@ -41,7 +41,7 @@ class FusionStage:
     """
 
     def __init__(self, rig: Rig, *, record: bool = False) -> None:
-        """Build the stage of a rig; `record` stores the frames for `smoothed`.
+        """Build the core of a rig; `record` stores the frames for `smoothed`.
 
         Raises:
             ConfigError: fewer than two cameras, or cameras that the configured method cannot use.

@@ -11,11 +11,11 @@ import numpy as np
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import BoolArray
+from rhot.core import Output
 from rhot.explain import Explanation
 from rhot.geometry.covariances import has_covariance
 from rhot.messages import FingerAngles, HandPose, ObjectPose, ObjectShape, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
-from rhot.stage import Output
 from rhot_ik.hand.block_smoothing import BlockSmoother
 from rhot_ik.hand.contact import Shape, shape_of
 from rhot_ik.hand.explain import solver_tables
@@ -34,7 +34,7 @@ _ANY: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 """Covariance, m², of a tip that is not there."""
 
 
-class HandStage:
+class HandCore:
     """The core of the ik service: one solver per hand that wears a marker on its back.
 
     Args:

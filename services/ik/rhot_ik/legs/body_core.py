@@ -9,6 +9,7 @@ import numpy as np
 
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.arrays import FloatArray
+from rhot.core import Output
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.geometry.transforms import rigid
 from rhot.messages import (
@@ -25,7 +26,6 @@ from rhot.messages import (
 )
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import Rig
-from rhot.stage import Output
 from rhot_ik.legs.body_solver import solve_body
 from rhot_ik.legs.foot_track import LEAD_S, FootTrack, HipMotion
 from rhot_ik.legs.hips import OUTWARDS, hip_joint, hips_under_head, stride, within_reach
@@ -51,7 +51,7 @@ _MEASURED: Final = frozenset({"head", *(f"{side}_{end}" for side in OUTWARDS for
 """Joints next to which something is tracked; the others are inferred."""
 
 
-class BodyStage:
+class BodyCore:
     """The core of the body: keeps the newest head, feet and hands, and solves when all tracked feet have moved on.
 
     Args:

@@ -13,7 +13,7 @@ from still_feet import FEET, head, picture, positions, standing_samples
 from rhot.messages import FootPose, Side
 from rhot_feet.depth.floor import FloorPlane
 from rhot_feet.depth.tracker import DepthObservations, FootDepth
-from rhot_feet.foot_stage import FootStage
+from rhot_feet.foot_core import FootCore
 from rhot_feet.frames import DepthFrame
 from rhot_feet.marker.tracker import MarkerObservations, MarkerTracker
 from rhot_feet.prediction import FootPrediction
@@ -27,7 +27,7 @@ def ns(t_s: float) -> int:
     return START_NS + round(1e9 * t_s)
 
 
-def see(stage: FootStage, first: int, count: int, shift_m: NDArray[np.float64] | None = None) -> int:
+def see(stage: FootCore, first: int, count: int, shift_m: NDArray[np.float64] | None = None) -> int:
     """Show pictures with the head's poses around them; return the time of the last."""
     t_ns = START_NS
     for k in range(first, first + count):
@@ -38,7 +38,7 @@ def see(stage: FootStage, first: int, count: int, shift_m: NDArray[np.float64] |
     return t_ns
 
 
-def poses(stage: FootStage, t_ns: int) -> dict[str, FootPose]:
+def poses(stage: FootCore, t_ns: int) -> dict[str, FootPose]:
     return {key: message for key, message in stage.poses(t_ns) if isinstance(message, FootPose)}
 
 
@@ -48,7 +48,7 @@ def off_mm(pose: FootPose) -> float:
 
 @pytest.mark.parametrize("method", ["filter", "thesis"])
 def test_standing_feet_are_found_where_they_are(method: str) -> None:
-    stage = FootStage(FEET.model_copy(update={"method": method}))
+    stage = FootCore(FEET.model_copy(update={"method": method}))
     t_ns = see(stage, 0, 20)
     assert stage.due_ns(t_ns + 30_000_000) == t_ns
     found = poses(stage, t_ns)
@@ -59,14 +59,14 @@ def test_standing_feet_are_found_where_they_are(method: str) -> None:
 
 
 def test_pictures_without_a_head_are_counted_and_not_used() -> None:
-    stage = FootStage(FEET)
+    stage = FootCore(FEET)
     stage.process(picture(0, START_NS))
     assert (stage.counts["frames"], stage.counts["no_head"]) == (1, 1)
     assert poses(stage, START_NS) == {}
 
 
 def test_an_unseen_foot_without_a_sensor_is_soon_gone() -> None:
-    stage = FootStage(FEET)
+    stage = FootCore(FEET)
     last_ns = see(stage, 0, 12)
     soon = poses(stage, last_ns + 50_000_000)["rhot/foot/right"]
     assert soon.state == "measured"
@@ -76,7 +76,7 @@ def test_an_unseen_foot_without_a_sensor_is_soon_gone() -> None:
 
 
 def test_a_sensor_that_feels_its_foot_stand_keeps_it_measured() -> None:
-    stage = FootStage(FEET)
+    stage = FootCore(FEET)
     for k in range(30):
         see(stage, k, 1)
         stage.add_imu_samples("left", standing_samples(START_NS + k * FRAME_NS - 30_000_000, 3))
@@ -90,7 +90,7 @@ def test_a_sensor_that_feels_its_foot_stand_keeps_it_measured() -> None:
 
 
 def test_a_foot_whose_sensor_is_shaken_is_not_held_where_it_was() -> None:
-    stage = FootStage(FEET)
+    stage = FootCore(FEET)
     for k in range(12):
         see(stage, k, 1)
         stage.add_imu_samples("left", standing_samples(START_NS + k * FRAME_NS - 30_000_000, 3))
@@ -117,12 +117,12 @@ def test_markers_are_detected_with_the_floor_known(monkeypatch: pytest.MonkeyPat
         return detect(self, frame, expected, up_camera, floor)
 
     monkeypatch.setattr(MarkerTracker, "detect", noted)
-    see(FootStage(FEET), 0, 4)
+    see(FootCore(FEET), 0, 4)
     assert floors and all(floor is not None for floor in floors)
 
 
 def test_feet_are_found_again_where_nobody_expected_them() -> None:
-    stage = FootStage(FEET)
+    stage = FootCore(FEET)
     see(stage, 0, 12)
     shift_m = np.array([0.0, 0.0, 1.0])
     # A gap, as when a headset finds itself elsewhere: between the two positions nothing is known.
@@ -134,7 +134,7 @@ def test_feet_are_found_again_where_nobody_expected_them() -> None:
 
 def test_a_foot_found_by_depth_where_the_others_marker_is_seen_is_given_up() -> None:
     """The blob of the right foot was taken for the left one, whose marker is not in sight."""
-    stage = FootStage(FEET)
+    stage = FootCore(FEET)
     t_ns = see(stage, 0, 12)
     for k in range(40):
         stage.add_head_pose(head(t_ns + k * FRAME_NS))
@@ -150,7 +150,7 @@ def test_a_foot_found_by_depth_where_the_others_marker_is_seen_is_given_up() -> 
 
 
 def test_poses_go_on_a_little_behind_now_when_nothing_is_measured() -> None:
-    stage = FootStage(FEET.model_copy(update={"predict_s": 0.02}))
+    stage = FootCore(FEET.model_copy(update={"predict_s": 0.02}))
     t_ns = see(stage, 0, 12)
     assert stage.due_ns(t_ns) == t_ns + 20_000_000
     assert stage.due_ns(t_ns + 500_000_000) == t_ns + 460_000_000

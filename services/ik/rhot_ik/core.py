@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from rhot.core import Output
 from rhot.explain import Explanation
 from rhot.messages import FootPose, HandPose, HeadPose, ObjectPose, PointSet
 from rhot.rig import IkConfig, Rig
-from rhot.stage import Output
-from rhot_ik.hand.stage import HandStage
-from rhot_ik.legs.body_stage import BodyStage
+from rhot_ik.hand.core import HandCore
+from rhot_ik.legs.body_core import BodyCore
 
 
-class IkStage:
+class IkCore:
     """Passes points and objects to the hands' core; head, feet and solved hands to that of the body.
 
     Args:
@@ -20,8 +20,8 @@ class IkStage:
     """
 
     def __init__(self, rig: Rig) -> None:
-        self._hands = HandStage(rig)
-        self._body = BodyStage(rig)
+        self._hands = HandCore(rig)
+        self._body = BodyCore(rig)
 
     def configure(self, config: IkConfig) -> None:
         """Switch to another configuration from the next sample on."""
@@ -59,7 +59,7 @@ class IkStage:
         return self._body.feed(message)
 
     def feed_smoothed(self, points: PointSet) -> list[tuple[PointSet, list[Output]]]:
-        """Process points, and return earlier ones with their smoothed hands; see `HandStage.feed_smoothed`."""
+        """Process points, and return earlier ones with their smoothed hands; see `HandCore.feed_smoothed`."""
         return self._hands.feed_smoothed(points)
 
     def finish(self) -> list[tuple[PointSet, list[Output]]]:

@@ -13,16 +13,16 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import HandPose, PointSet, decode, encode
 from rhot.rig import HandFile, IkConfig, Rig
+from rhot_ik.hand.core import HandCore
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
-from rhot_ik.hand.stage import HandStage
 
 
 def test_first_sample_gives_a_full_valid_message(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
     joints = right_hand.forward(wrist(), EASE)
-    pose = only_pose(HandStage(right_rig), make_points(right_hand, joints, right_rig.config.markers, 0.0))
+    pose = only_pose(HandCore(right_rig), make_points(right_hand, joints, right_rig.config.markers, 0.0))
     assert tuple(pose.joints) == JOINTS
     assert decode(encode(pose), HandPose) == pose
     assert pose.state == "measured"
@@ -38,7 +38,7 @@ def test_a_finger_that_cameras_see_badly_is_seen(
     points = make_points(right_hand, right_hand.forward(wrist(), EASE), right_rig.config.markers, 0.0)
     badly = points.points["ring"].model_copy(update={"state": "predicted", "views": views, "sigma": 0.03})
     points = points.model_copy(update={"points": {**points.points, "ring": badly}})
-    assert only_pose(HandStage(right_rig), points).fingers["ring"] == ("measured" if views else "predicted")
+    assert only_pose(HandCore(right_rig), points).fingers["ring"] == ("measured" if views else "predicted")
 
 
 @pytest.mark.parametrize("state", ["predicted", "measured"])
@@ -48,7 +48,7 @@ def test_a_hand_is_not_begun_by_a_tip_that_cameras_see_badly(
     points = make_points(right_hand, right_hand.forward(wrist(), EASE), right_rig.config.markers, 0.0)
     ring = points.points["ring"].model_copy(update={"state": state})
     points = points.model_copy(update={"points": {"base": points.points["base"], "ring": ring}})
-    assert bool(HandStage(right_rig).feed(points)) == (state == "measured")
+    assert bool(HandCore(right_rig).feed(points)) == (state == "measured")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +65,8 @@ CASES = [Case(s, c, mm) for s in ("filter", "analytic", "fabrik") for c, mm in (
 def test_moving_hand_is_followed(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist, case: Case
 ) -> None:
-    stage = HandStage(right_rig)
-    stage.configure(IkConfig.model_validate({"solver": case.solver}))
+    core = HandCore(right_rig)
+    core.configure(IkConfig.model_validate({"solver": case.solver}))
     tips = [JOINTS.index(f"{finger}_tip") for finger in FINGERS]
     middle = [k for k, name in enumerate(JOINTS) if name.endswith(("proximal", "intermediate", "distal"))]
     errors = []
@@ -76,7 +76,7 @@ def test_moving_hand_is_followed(
         T[0, 3] += 0.1 * np.sin(3.0 * t_s)
         joints = right_hand.forward(T, moving_angles(t_s, right_hand))
         points = make_points(right_hand, joints, right_rig.config.markers, t_s, corners=case.corners)
-        errors.append(np.linalg.norm(positions(only_pose(stage, points)) - joints.positions, axis=1) * 1e3)
+        errors.append(np.linalg.norm(positions(only_pose(core, points)) - joints.positions, axis=1) * 1e3)
     settled = np.array(errors)[15:]
     assert np.percentile(settled[:, tips], 95) < 1.5
     assert np.percentile(settled[:, middle], 95) < case.middle_mm
@@ -85,42 +85,42 @@ def test_moving_hand_is_followed(
 def test_noise_of_a_millimetre_stays_a_few_millimetres(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
-    stage = HandStage(right_rig)
+    core = HandCore(right_rig)
     joints = right_hand.forward(wrist((0.2, 0.1, -0.2)), EASE)
     rng = np.random.default_rng(1)
     seen = []
     for k in range(120):
         noise = rng.normal(0.0, 0.001, (6, 3))
         points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0, noise=noise)
-        seen.append(positions(only_pose(stage, points)))
+        seen.append(positions(only_pose(core, points)))
     error = np.linalg.norm(np.array(seen) - joints.positions, axis=-1)
     assert np.percentile(error, 95) < 0.008
 
 
 def test_nothing_seen_nothing_published(right_rig: Rig) -> None:
-    stage = HandStage(right_rig)
-    assert stage.feed(PointSet(t_ns=10**18, frame="rig", points={})) == []
-    assert stage.counts["no_hand"] == 1
-    assert stage.counts["hands"] == 0
+    core = HandCore(right_rig)
+    assert core.feed(PointSet(t_ns=10**18, frame="rig", points={})) == []
+    assert core.counts["no_hand"] == 1
+    assert core.counts["hands"] == 0
 
 
 def test_time_may_stand_still_jump_and_go_back(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
-    stage = HandStage(right_rig)
+    core = HandCore(right_rig)
     joints = right_hand.forward(wrist(), EASE)
     for t_s in (0.0, 0.0, 0.016, 1000.0, 1000.016, 3.0, 3.016, 3.016):
-        pose = only_pose(stage, make_points(right_hand, joints, right_rig.config.markers, t_s))
+        pose = only_pose(core, make_points(right_hand, joints, right_rig.config.markers, t_s))
         assert np.isfinite(positions(pose)).all()
         assert np.linalg.norm(positions(pose) - joints.positions, axis=1).max() < 0.012
     # A sample that only came out of order is left out.
-    assert stage.feed(make_points(right_hand, joints, right_rig.config.markers, 3.0)) == []
+    assert core.feed(make_points(right_hand, joints, right_rig.config.markers, 3.0)) == []
 
 
 def test_wild_points_never_break_it(
     right_rig: Rig, make_points: MakePoints, right_hand: HandModel, wrist: Wrist
 ) -> None:
-    stage = HandStage(right_rig)
+    core = HandCore(right_rig)
     joints = right_hand.forward(wrist(), EASE)
     rng = np.random.default_rng(8)
     names = list(right_rig.config.markers)
@@ -129,7 +129,7 @@ def test_wild_points_never_break_it(
         hide = tuple(name for name in names if rng.random() < 0.3)
         noise = rng.normal(0.0, scale, (6, 3))
         points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide, noise=noise)
-        for _, pose in stage.feed(points):
+        for _, pose in core.feed(points):
             assert isinstance(pose, HandPose)
             assert np.isfinite(positions(pose)).all()
             for index, finger in enumerate(FINGERS):
@@ -150,15 +150,15 @@ def test_a_point_where_it_cannot_be_counts_as_not_seen(
     position: tuple[float, float, float],
 ) -> None:
     """The farthest that a message can say, and a tip half a metre from its palm."""
-    stage, without = HandStage(right_rig), HandStage(right_rig)
+    core, without = HandCore(right_rig), HandCore(right_rig)
     joints = right_hand.forward(wrist(), EASE)
     for k in range(30):
         points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0)
         hidden = make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=(name,))
         wild = points.points | {name: points.points[name].model_copy(update={"position": position})}
         seen, expected = (points, points) if k < 10 else (points.model_copy(update={"points": wild}), hidden)
-        assert np.allclose(positions(only_pose(stage, seen)), positions(only_pose(without, expected)))
-    assert stage.counts["outside"] + stage.counts["not_of_this_hand"] == 20
+        assert np.allclose(positions(only_pose(core, seen)), positions(only_pose(without, expected)))
+    assert core.counts["outside"] + core.counts["not_of_this_hand"] == 20
 
 
 @pytest.mark.parametrize("covariance", [(1e-4, 0, 0, -2e-3, 0, 1e-2), (1e-4, 2e-4, 0, 1e-4, 0, 1e-4)])
@@ -169,19 +169,19 @@ def test_a_point_without_a_possible_covariance_counts_as_not_seen(
     wrist: Wrist,
     covariance: tuple[float, ...],
 ) -> None:
-    stage, without = HandStage(right_rig), HandStage(right_rig)
+    core, without = HandCore(right_rig), HandCore(right_rig)
     joints = right_hand.forward(wrist(), EASE)
     for k in range(10):
         points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0)
         hidden = make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=("ring",))
         wild = points.points | {"ring": points.points["ring"].model_copy(update={"covariance": covariance})}
         seen = points.model_copy(update={"points": wild})
-        assert np.allclose(positions(only_pose(stage, seen)), positions(only_pose(without, hidden)))
-    assert stage.counts["no_covariance"] == 10
+        assert np.allclose(positions(only_pose(core, seen)), positions(only_pose(without, hidden)))
+    assert core.counts["no_covariance"] == 10
 
 
 def test_two_hands_mirror_each_other(two_hands_rig: Rig, make_points: MakePoints, wrist: Wrist) -> None:
-    stage = HandStage(two_hands_rig)
+    core = HandCore(two_hands_rig)
     mirror = np.diag([-1.0, 1.0, 1.0])
     T_right = wrist((0.1, 0.2, 0.15))
     T_left = T_right.copy()
@@ -193,7 +193,7 @@ def test_two_hands_mirror_each_other(two_hands_rig: Rig, make_points: MakePoints
             model = HandModel.from_file(HandFile(), "right" if side == "right" else "left")
             made = make_points(model, model.forward(T, EASE), two_hands_rig.config.markers, k / 60.0)
             points.update(made.points)
-        poses = dict(stage.feed(PointSet(t_ns=made.t_ns, frame="rig", points=points)))
+        poses = dict(core.feed(PointSet(t_ns=made.t_ns, frame="rig", points=points)))
         right, left = poses["rhot/hand/right"], poses["rhot/hand/left"]
         assert isinstance(right, HandPose)
         assert isinstance(left, HandPose)
@@ -210,7 +210,7 @@ def test_same_input_gives_the_same_output(
         )
         for k in range(20)
     ]
-    one, other = HandStage(right_rig), HandStage(right_rig)
+    one, other = HandCore(right_rig), HandCore(right_rig)
     assert [one.feed(sample) for sample in samples] == [other.feed(sample) for sample in samples]
 
 
@@ -226,7 +226,7 @@ def least_s(call: Callable[[], object], times: int) -> float:
 
 @pytest.fixture
 def costs_s(right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist) -> tuple[float, float, float]:
-    """Five fingers in closed form; a sample; a stage and its first sample."""
+    """Five fingers in closed form; a sample; a core and its first sample."""
     markers = right_rig.config.markers
     samples = [
         make_points(right_hand, right_hand.forward(wrist(), moving_angles(k / 60, right_hand)), markers, k / 60)
@@ -234,15 +234,15 @@ def costs_s(right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wris
     ]
     geometry = FingerGeometry.of(right_hand, markers)
     closed_form, tips = AnalyticFingers(geometry), geometry.marker_points(EASE)
-    stage, coming = HandStage(right_rig), iter(samples)
-    sample_s = least_s(lambda: stage.feed(next(coming)), len(samples))
-    first_s = least_s(lambda: HandStage(right_rig).feed(samples[50]), 5)
+    core, coming = HandCore(right_rig), iter(samples)
+    sample_s = least_s(lambda: core.feed(next(coming)), len(samples))
+    first_s = least_s(lambda: HandCore(right_rig).feed(samples[50]), 5)
     return least_s(lambda: closed_form.solve(tips), 200), sample_s, first_s
 
 
 def test_a_stage_and_its_first_sample_cost_little(costs_s: tuple[float, float, float]) -> None:
     closed_form_s, _, first_s = costs_s
-    # Development machine, busy: 57 us in closed form, 10 ms a stage and its first one.
+    # Development machine, busy: 57 us in closed form, 10 ms a core and its first one.
     assert closed_form_s < 400e-6
     assert first_s < 300.0 * closed_form_s
 
@@ -259,13 +259,13 @@ def test_points_with_a_larger_sigma_weigh_less(
     joints = right_hand.forward(wrist(), EASE)
     tremble = []
     for sigma in (0.0005, 0.03):
-        stage, wrists = HandStage(right_rig), []
+        core, wrists = HandCore(right_rig), []
         for k in range(60):
             shift = np.zeros((6, 3))
             shift[5, 2] = 0.012 * (-1.0) ** k
             points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0, noise=shift)
             base = points.points["base"].model_copy(update={"sigma": sigma})
-            pose = only_pose(stage, points.model_copy(update={"points": points.points | {"base": base}}))
+            pose = only_pose(core, points.model_copy(update={"points": points.points | {"base": base}}))
             wrists.append(positions(pose)[1])
         tremble.append(np.std(wrists[30:], axis=0).max())
     assert tremble[0] > 0.006
@@ -276,7 +276,7 @@ def test_where_the_patch_sits_and_how_long_fingers_are_is_learned(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
     """A patch 8 mm nearer to the fingers and tilted by 5° than the model has it."""
-    stage, T, late = HandStage(right_rig), wrist(), []
+    core, T, late = HandCore(right_rig), wrist(), []
     R = T[:3, :3] @ rotation_from_vector(np.radians([5.0, 0.0, 0.0])) @ T[:3, :3].T
     for k in range(400):
         joints = moving_joints(k / 60.0, right_hand, wrist)
@@ -286,7 +286,7 @@ def test_where_the_patch_sits_and_how_long_fingers_are_is_learned(
         corners = tuple(tuple((middle + shift + R @ (np.array(c) - middle)).tolist()) for c in base.corners or ())
         x, y, z = (middle + shift).tolist()
         moved = base.model_copy(update={"position": (x, y, z), "corners": corners})
-        pose = only_pose(stage, points.model_copy(update={"points": points.points | {"base": moved}}))
+        pose = only_pose(core, points.model_copy(update={"points": points.points | {"base": moved}}))
         late.append(np.linalg.norm(positions(pose) - joints.positions, axis=1).mean())
     # A hand on the patch as the model has it would be off by 8 mm and 5°, which is 8 mm more at the knuckles.
     assert np.mean(late[300:]) < 0.006

@@ -1,4 +1,4 @@
-"""How long each stage takes, from light to pose (the thesis's tables 6.1 and 6.2)."""
+"""How long each part takes, from light to pose (the thesis's tables 6.1 and 6.2)."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ _ROUNDS: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
-class StageTimes:
+class Latencies:
     """Seconds of each frame of one camera, in order.
 
     Attributes:
-        stages: by name: (N,) seconds; `retrieval`, `detection`, and where arrivals were timed `sending` and `in all`.
+        parts: by name: (N,) seconds; `retrieval`, `detection`, and where arrivals were timed `sending` and `in all`.
             The first two are taken by the camera's clock alone, the others begin by it and end by the rig's.
         clock_s: bound of the error between the two clocks.
         stamped_late_s: (N,) how much later than it truly was each frame's stamp is; only of a simulated rig.
     """
 
-    stages: Mapping[str, FloatArray]
+    parts: Mapping[str, FloatArray]
     clock_s: float
     stamped_late_s: FloatArray | None = None
 
 
-def stage_times(heard: Heard, true_ns: Callable[[MarkerFrame], int | None] = lambda _: None) -> dict[str, StageTimes]:
-    """Return the stages of each camera whose frames tell them.
+def latencies_of(heard: Heard, true_ns: Callable[[MarkerFrame], int | None] = lambda _: None) -> dict[str, Latencies]:
+    """Return the latency of each camera whose frames tell them.
 
     Args:
         heard: frames of all cameras.
@@ -64,36 +64,36 @@ def stage_times(heard: Heard, true_ns: Callable[[MarkerFrame], int | None] = lam
     found = {}
     for camera, each in sorted(rows.items()):
         age, detect, whole, late = np.array(each).T
-        stages = {"retrieval": age, "detection": detect}
+        parts = {"retrieval": age, "detection": detect}
         if timed:
-            stages |= {"sending": whole - age - detect, "in all": whole}
+            parts |= {"sending": whole - age - detect, "in all": whole}
         status = heard.statuses.get(f"capture/{camera}")
         clock_s = ((status.clock_uncertainty_s if status is not None else None) or 0.0) + heard.clock_s
-        found[camera] = StageTimes(stages, clock_s, late if np.isfinite(late).all() else None)
+        found[camera] = Latencies(parts, clock_s, late if np.isfinite(late).all() else None)
     return found
 
 
-def stage_sections(heard: Heard, times: Mapping[str, StageTimes]) -> list[Section]:
+def latency_sections(heard: Heard, times: Mapping[str, Latencies]) -> list[Section]:
     """Return a table a camera, and one of the services behind them."""
     sections = []
     for camera, of in times.items():
         rows: list[Row] = []
-        for name, seconds in of.stages.items():
+        for name, seconds in of.parts.items():
             figure = _mean_of(of, name)
             spread = deviation(seconds).scaled(_MS)
             rows.append(
                 figure_row(f"{name}, mean", figure.scaled(_MS), "ms", peer=_THESIS.get(name, ""), note=_ABOUT[name])
             )
             rows.append(figure_row(f"{name}, deviation", spread, "ms"))
-        sections.append(Section(f"Stages of camera {camera}", tuple(rows)))
+        sections.append(Section(f"Latency of camera {camera}", tuple(rows)))
     beside = [row for camera, of in times.items() for row in _beside_truth(camera, of)]
     if beside:
-        sections.append(Section("Stages beside the simulator's truth (1: within its interval)", tuple(beside)))
+        sections.append(Section("Latency beside the simulator's truth (1: within its interval)", tuple(beside)))
     behind = [
-        Row(f"{who}, {stage}, {share}", _MS * seconds, "ms", note="from the service's status: its last seconds")
+        Row(f"{who}, {part}, {share}", _MS * seconds, "ms", note="from the service's status: its last seconds")
         for who, status in sorted(heard.statuses.items())
         if who.split("/", 1)[0] in ("fusion", "ik", "objects")
-        for stage, shares in status.latency_s.items()
+        for part, shares in status.latency_s.items()
         for share, seconds in shares.items()
     ]
     return [*sections, Section("Services behind the cameras", tuple(behind))] if behind else sections
@@ -129,22 +129,22 @@ def thread_section(
     return Section("Threads against time of a frame, on this machine", tuple(rows))
 
 
-def _mean_of(of: StageTimes, name: str) -> Figure:
-    """Return the mean of a stage; what the clocks may be off shifts one that spans both as a whole."""
-    figure = mean(of.stages[name])
+def _mean_of(of: Latencies, name: str) -> Figure:
+    """Return the mean of a part; what the clocks may be off shifts one that spans both as a whole."""
+    figure = mean(of.parts[name])
     by = of.clock_s if name in _BY_BOTH_CLOCKS else 0.0
     return replace(figure, low=figure.low - by, high=figure.high + by)
 
 
-def _beside_truth(camera: str, of: StageTimes) -> list[Row]:
-    """Return how the camera's stamps and the stages that begin with them stand to the simulated world's own time."""
+def _beside_truth(camera: str, of: Latencies) -> list[Row]:
+    """Return how the camera's stamps and the parts that begin with them stand to the simulated world's own time."""
     if of.stamped_late_s is None:
         return []
     late_s = float(of.stamped_late_s.mean())
     clock = Figure(0.0, -of.clock_s, of.clock_s, len(of.stamped_late_s), len(of.stamped_late_s))
     rows = [truth_row(f"{camera}, its clock against the rig's", clock.scaled(_MS), _MS * late_s, "ms")]
     for name in _BY_BOTH_CLOCKS:
-        if name in of.stages:
-            true_s = float((of.stages[name] + of.stamped_late_s).mean())
+        if name in of.parts:
+            true_s = float((of.parts[name] + of.stamped_late_s).mean())
             rows.append(truth_row(f"{camera}, {name}", _mean_of(of, name).scaled(_MS), _MS * true_s, "ms"))
     return rows

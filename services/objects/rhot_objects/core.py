@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from rhot.core import Output
 from rhot.messages import HeadPose, ObjectPose, ObjectShape, State
 from rhot.messages.base import wire_position, wire_quaternion
-from rhot.stage import Output
 from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
 from rhot_objects.sources import HEAD, PoseSample
@@ -22,7 +22,7 @@ _MAX_DISTANCE_M: Final = 1e3
 """Limit of the message; a larger distance is an error of the tracking system."""
 
 
-class ObjectStage:
+class ObjectCore:
     """Transforms the poses of one source to the rig frame, and holds poses during short losses.
 
     One instance per source: an object that is absent from a reading counts as lost.
@@ -48,9 +48,9 @@ class ObjectStage:
         self.unusable = 0
         """Number of samples since the start that were beyond the limits of a message."""
 
-    def registered(self, registration: Registration) -> ObjectStage:
-        """Return a new stage for the same objects with another registration."""
-        return ObjectStage(registration, self._hold_ns / 1e9, self._shapes)
+    def registered(self, registration: Registration) -> ObjectCore:
+        """Return a new core for the same objects with another registration."""
+        return ObjectCore(registration, self._hold_ns / 1e9, self._shapes)
 
     def feed(self, samples: Mapping[str, PoseSample], now_ns: int) -> list[Output]:
         """Process one reading and return the messages to publish.

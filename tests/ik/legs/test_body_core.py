@@ -25,7 +25,7 @@ from rhot.messages import (
 )
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import BodyConfig, load_rig
-from rhot_ik.legs.body_stage import BodyStage
+from rhot_ik.legs.body_core import BodyCore
 from rhot_sim.walker.person import person_of
 from rhot_sim.walker.world import WalkerWorld
 
@@ -49,14 +49,14 @@ marker_id = 2
 
 
 @pytest.fixture
-def stage(rig_folder: Path) -> BodyStage:
-    return make_stage(rig_folder, FEET)
+def core(rig_folder: Path) -> BodyCore:
+    return make_core(rig_folder, FEET)
 
 
-def make_stage(rig_folder: Path, feet: str) -> BodyStage:
+def make_core(rig_folder: Path, feet: str) -> BodyCore:
     rig_file = rig_folder / "rig.toml"
     rig_file.write_text(rig_file.read_text() + feet)
-    return BodyStage(load_rig(rig_folder))
+    return BodyCore(load_rig(rig_folder))
 
 
 def head(t_ns: int) -> HeadPose:
@@ -86,10 +86,10 @@ def hand(side: Side, t_ns: int, wrist: Position, *, frame: str = "rig", state: S
     )
 
 
-def bodies(stage: BodyStage, *messages: HeadPose | FootPose | HandPose) -> list[BodyPose]:
+def bodies(core: BodyCore, *messages: HeadPose | FootPose | HandPose) -> list[BodyPose]:
     found = []
     for message in messages:
-        for key, body in stage.feed(message):
+        for key, body in core.feed(message):
             assert key == "rhot/body"
             assert isinstance(body, BodyPose)
             found.append(decode(encode(body), BodyPose))
@@ -101,7 +101,7 @@ def walk(rig_folder: Path, seed: int, *, lost_s: float = 0.0) -> FloatArray:
 
     A foot is lost for `lost_s` whenever it lifts off.
     """
-    stage = make_stage(rig_folder, PLAIN_FEET)
+    core = make_core(rig_folder, PLAIN_FEET)
     person = person_of(BodyModel.from_config(BodyConfig()), seed)
     world = WalkerWorld(seed, person, "walk")
     t_s = np.arange(0.0, 8.0, 0.04)
@@ -128,7 +128,7 @@ def walk(rig_folder: Path, seed: int, *, lost_s: float = 0.0) -> FloatArray:
                 "stationary": bool(flat[side][k]),
             }
             messages.append(foot(side, t_ns).model_copy(update=change))
-        for body in bodies(stage, *messages)[-1:]:
+        for body in bodies(core, *messages)[-1:]:
             for side in body.legs:
                 off = np.array(body.joints[f"{side}_knee"].position) - joints[f"{side}_knee"][k, :3, 3]
                 errors_m.append(float(np.linalg.norm(off)))
@@ -139,20 +139,20 @@ def wire(T: FloatArray) -> tuple[Position, Quaternion]:
     return wire_position(T[:3, 3]), wire_quaternion(quaternion_from_rotation(T[:3, :3]))
 
 
-def test_both_feet_give_one_body_with_both_legs(stage: BodyStage) -> None:
-    poses = bodies(stage, head(100 * MS), foot("left", 100 * MS), foot("right", 100 * MS))
+def test_both_feet_give_one_body_with_both_legs(core: BodyCore) -> None:
+    poses = bodies(core, head(100 * MS), foot("left", 100 * MS), foot("right", 100 * MS))
     last = poses[-1]
     assert set(last.joints) == {"hips", "spine_lower", "chest", "neck", "head"} | {
         f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "knee", "ankle", "foot")
     }
     assert last.state == "measured"
     assert last.joints["left_ankle"].position == pytest.approx((-0.1, 0.08, 0.0), abs=0.002)
-    later = bodies(stage, foot("left", 117 * MS), foot("right", 117 * MS))
+    later = bodies(core, foot("left", 117 * MS), foot("right", 117 * MS))
     assert [pose.t_ns for pose in later] == [117 * MS], "one body for each moment"
     assert later[0].angles["right"].knee_flexion >= 0.0
 
 
-def test_the_tilt_of_a_marker_on_its_instep_is_learned_while_the_foot_stands(stage: BodyStage) -> None:
+def test_the_tilt_of_a_marker_on_its_instep_is_learned_while_the_foot_stands(core: BodyCore) -> None:
     tilt_rad = np.radians(18.0)
     orientation = (-float(np.sin(tilt_rad / 2)), 0.0, 0.0, float(np.cos(tilt_rad / 2)))
     found: list[BodyPose] = []
@@ -160,7 +160,7 @@ def test_the_tilt_of_a_marker_on_its_instep_is_learned_while_the_foot_stands(sta
         t_ns = step * 17 * MS
         change = {"orientation": orientation, "stationary": True}
         stands = [foot(side, t_ns).model_copy(update=change) for side in ("left", "right")]
-        found += bodies(stage, head(t_ns), *stands)
+        found += bodies(core, head(t_ns), *stands)
     last = found[-1]
     for side in ("left", "right"):
         real_part = abs(last.joints[f"{side}_foot"].orientation[3])
@@ -169,7 +169,7 @@ def test_the_tilt_of_a_marker_on_its_instep_is_learned_while_the_foot_stands(sta
     assert 0.0 < drop_m < 0.06, "the ball is a little lower than the ankle"
 
 
-def test_a_marker_that_sits_higher_bends_no_knee_of_who_stands(stage: BodyStage) -> None:
+def test_a_marker_that_sits_higher_bends_no_knee_of_who_stands(core: BodyCore) -> None:
     found: list[BodyPose] = []
     for step in range(1, 120):
         left, right = (foot(side, step * 25 * MS).model_copy(update={"stationary": True}) for side in ("left", "right"))
@@ -177,7 +177,7 @@ def test_a_marker_that_sits_higher_bends_no_knee_of_who_stands(stage: BodyStage)
         # The left ankle is at 80 mm.
         raised = right.model_copy(update={"position": (x, y - 0.01, z)})
         tall = head(step * 25 * MS).model_copy(update={"position": (0.0, 1.66, -0.09)})
-        found += bodies(stage, tall, left, raised)
+        found += bodies(core, tall, left, raised)
     bends = {
         name: np.degrees([pose.angles[side].knee_flexion for side in ("left", "right")])
         for name, pose in (("first", found[1]), ("last", found[-1]))
@@ -187,16 +187,16 @@ def test_a_marker_that_sits_higher_bends_no_knee_of_who_stands(stage: BodyStage)
     assert bends["last"].max() < 15.0
 
 
-def test_a_foot_that_is_gone_takes_its_leg_along(stage: BodyStage) -> None:
-    bodies(stage, head(100 * MS), foot("left", 100 * MS), foot("right", 100 * MS))
-    poses = bodies(stage, head(600 * MS), foot("right", 600 * MS))
+def test_a_foot_that_is_gone_takes_its_leg_along(core: BodyCore) -> None:
+    bodies(core, head(100 * MS), foot("left", 100 * MS), foot("right", 100 * MS))
+    poses = bodies(core, head(600 * MS), foot("right", 600 * MS))
     assert list(poses[-1].legs) == ["right"]
     assert "left_knee" not in poses[-1].joints
 
 
-def test_a_late_foot_is_carried_on_by_its_velocity(stage: BodyStage) -> None:
-    bodies(stage, head(100 * MS), foot("left", 100 * MS, velocity_m_s=0.5), foot("right", 100 * MS))
-    (body,) = bodies(stage, foot("right", 170 * MS))
+def test_a_late_foot_is_carried_on_by_its_velocity(core: BodyCore) -> None:
+    bodies(core, head(100 * MS), foot("left", 100 * MS, velocity_m_s=0.5), foot("right", 100 * MS))
+    (body,) = bodies(core, foot("right", 170 * MS))
     moved_m = body.joints["left_ankle"].position[1] - 0.08
     # Some of it is the pendulum's already, which comes down again.
     assert 0.6 * 0.5 * 0.070 < moved_m < 0.5 * 0.070
@@ -216,13 +216,13 @@ def test_knees_of_feet_that_are_lost_at_every_step(rig_folder: Path) -> None:
     assert errors_m.max() < 0.100
 
 
-def test_without_a_head_there_is_no_body(stage: BodyStage) -> None:
-    assert bodies(stage, foot("left", 100 * MS), foot("right", 100 * MS)) == []
-    assert bodies(stage, head(100 * MS), foot("left", 900 * MS), foot("right", 900 * MS)) == []
-    assert stage.counts["no_head"] > 0
+def test_without_a_head_there_is_no_body(core: BodyCore) -> None:
+    assert bodies(core, foot("left", 100 * MS), foot("right", 100 * MS)) == []
+    assert bodies(core, head(100 * MS), foot("left", 900 * MS), foot("right", 900 * MS)) == []
+    assert core.counts["no_head"] > 0
 
 
-def test_wild_poses_never_break_it(stage: BodyStage) -> None:
+def test_wild_poses_never_break_it(core: BodyCore) -> None:
     rng = np.random.default_rng(3)
     t_ns = 0
     count = 0
@@ -236,15 +236,15 @@ def test_wild_poses_never_break_it(stage: BodyStage) -> None:
             head(t_ns).model_copy(update={"position": position, "orientation": orientation}),
             foot(side, t_ns).model_copy(update={"position": position[::-1], "orientation": orientation}),
         ]
-        for body in bodies(stage, *messages):
+        for body in bodies(core, *messages):
             count += 1
             assert all(leg.knee_flexion >= 0.0 for leg in body.angles.values())
     assert count > 100
 
 
-def test_tracked_hands_get_arms_and_the_message_says_what_is_inferred(stage: BodyStage) -> None:
+def test_tracked_hands_get_arms_and_the_message_says_what_is_inferred(core: BodyCore) -> None:
     hands = [hand("right", 95 * MS, (0.25, 1.1, -0.4)), hand("left", 95 * MS, (-0.25, 1.1, -0.4), state="predicted")]
-    body = bodies(stage, head(100 * MS), *hands, foot("left", 100 * MS), foot("right", 100 * MS))[-1]
+    body = bodies(core, head(100 * MS), *hands, foot("left", 100 * MS), foot("right", 100 * MS))[-1]
     assert body.arms == {"left": "predicted", "right": "measured"}
     assert body.joints["right_wrist"].position == pytest.approx((0.25, 1.1, -0.4), abs=1e-3)
     elbow = np.array(body.joints["right_elbow"].position)
@@ -262,8 +262,8 @@ def test_tracked_hands_get_arms_and_the_message_says_what_is_inferred(stage: Bod
     ],
     ids=["old", "other frame", "out of reach"],
 )
-def test_a_hand_that_says_nothing_gives_no_arm(stage: BodyStage, away: HandPose) -> None:
-    body = bodies(stage, head(1000 * MS), away, foot("left", 1000 * MS), foot("right", 1000 * MS))[-1]
+def test_a_hand_that_says_nothing_gives_no_arm(core: BodyCore, away: HandPose) -> None:
+    body = bodies(core, head(1000 * MS), away, foot("left", 1000 * MS), foot("right", 1000 * MS))[-1]
     assert body.arms == {}
     assert "right_elbow" not in body.joints
     assert "chest" in body.joints

@@ -1,4 +1,4 @@
-"""Jitter and stage times of messages whose jitter and times are known."""
+"""Jitter and latency of messages whose jitter and times are known."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rhot.recording.mcap.writer import McapWriter
 from rhot.report.svg import Bar, bar_plot
 from rhot_bench.rig.heard import Heard
 from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
-from rhot_bench.rig.stages import stage_sections, stage_times, thread_section
+from rhot_bench.rig.latency import latencies_of, latency_sections, thread_section
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 16_666_667
@@ -25,7 +25,7 @@ COUNT = 600
 def still(
     sigma_px: float = 0.3, sigma_m: tuple[float, float, float] = (1e-4, 1e-4, 2e-3), clock_s: float = 0.0
 ) -> Heard:
-    """Two cameras that see one marker with white noise, and points of it; stages take 8, 3 and 2 ms."""
+    """Two cameras that see one marker with white noise, and points of it; the parts of latency take 8, 3 and 2 ms."""
     rng = np.random.default_rng(2)
     heard = Heard()
     for number in range(COUNT):
@@ -86,29 +86,31 @@ def test_swaying_counts_for_a_hand_that_is_held_still() -> None:
     assert rests.value < 0.7
 
 
-def test_stages_are_told_with_mean_and_deviation() -> None:
-    times = stage_times(still())
-    sections = {section.title: section for section in stage_sections(still(), times)}
-    rows = {row.name: row for row in sections["Stages of camera left"].rows}
+def test_latencies_are_told_with_mean_and_deviation() -> None:
+    times = latencies_of(still())
+    sections = {section.title: section for section in latency_sections(still(), times)}
+    rows = {row.name: row for row in sections["Latency of camera left"].rows}
     expected = {"retrieval": (8.0, 0.4), "detection": (3.0, 0.3), "sending": (2.0, 0.5), "in all": (13.0, 0.71)}
-    for stage, (middle, spread) in expected.items():
-        assert rows[f"{stage}, mean"].value == pytest.approx(middle, abs=0.1)
-        assert rows[f"{stage}, deviation"].value == pytest.approx(spread, rel=0.12)
+    for part, (middle, spread) in expected.items():
+        assert rows[f"{part}, mean"].value == pytest.approx(middle, abs=0.1)
+        assert rows[f"{part}, deviation"].value == pytest.approx(spread, rel=0.12)
     assert "95 %" in rows["sending, mean"].note
 
 
 def test_what_a_clock_may_be_off_widens_what_spans_two_machines() -> None:
     row = next(
-        row for row in stage_sections(still(), stage_times(still(clock_s=0.001)))[0].rows if row.name == "sending, mean"
+        row
+        for row in latency_sections(still(), latencies_of(still(clock_s=0.001)))[0].rows
+        if row.name == "sending, mean"
     )
     low, high = (float(part) for part in row.note.split("95 %: ")[1].split(" ms")[0].split(" to "))
     assert low < 1.1
     assert high > 2.9
 
 
-def test_frames_without_timing_tell_no_stages() -> None:
+def test_frames_without_timing_tell_no_latency() -> None:
     heard = Heard.of([("", frame.model_copy(update={"timing": {}})) for frame in still().frames])
-    assert stage_times(heard) == {}
+    assert latencies_of(heard) == {}
 
 
 def test_threads_are_compared_on_the_same_pictures() -> None:
@@ -155,7 +157,7 @@ def test_a_recording_of_marker_tracks_gives_a_report(rig_folder: Path, tmp_path:
     ]
 
 
-def test_a_recording_of_rhot_record_gives_jitter_and_stages(rig_folder: Path, tmp_path: Path) -> None:
+def test_a_recording_of_rhot_record_gives_jitter_and_latency(rig_folder: Path, tmp_path: Path) -> None:
     heard, take, figures = still(), tmp_path / "take.mcap", tmp_path / "rig.json"
     sent: list[tuple[str, Message]] = [(f"rhot/markers/{frame.camera}", frame) for frame in heard.frames]
     sent += [("rhot/points", points) for points in heard.points]
@@ -172,8 +174,8 @@ def test_a_recording_of_rhot_record_gives_jitter_and_stages(rig_folder: Path, tm
     }
     assert sections["Jitter in the pictures of camera left"]["index"] == pytest.approx(0.3 * np.sqrt(2.0), rel=0.1)
     assert sections["Jitter in space"]["index, in depth"] == pytest.approx(2.0, rel=0.2)
-    assert sections["Stages of camera right"]["detection, mean"] == pytest.approx(3.0, abs=0.1)
-    assert "sending, mean" not in sections["Stages of camera right"], "nobody timed the arrival by the rig's clock"
+    assert sections["Latency of camera right"]["detection, mean"] == pytest.approx(3.0, abs=0.1)
+    assert "sending, mean" not in sections["Latency of camera right"], "nobody timed the arrival by the rig's clock"
 
 
 def test_what_to_measure_must_be_said(rig_folder: Path) -> None:

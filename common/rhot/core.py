@@ -1,6 +1,6 @@
 """The seam between a service's core and whatever drives it.
 
-A stage turns messages into messages and knows neither bus nor clock, so that the live service, `rhot process` and the
+A core turns messages into messages and knows neither bus nor clock, so that the live service, `rhot process` and the
 tests run the very same code.
 """
 
@@ -20,7 +20,7 @@ Output = tuple[str, Message]
 """A key (`rhot/points`, …) and the message to publish on it."""
 
 
-class Stage(Protocol[M_contra, C_contra]):
+class Core(Protocol[M_contra, C_contra]):
     """The core of a service: its configuration can change while it runs, and it counts what it met."""
 
     @property

@@ -1,4 +1,4 @@
-"""A service whose core is a stage: messages in, messages out."""
+"""A service around a core: messages in, messages out."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Generic, TypeVar
 from pydantic import BaseModel
 
 from rhot.bus import LatestSubscriber
+from rhot.core import Core, Output
 from rhot.messages import Control, Message
 from rhot.service.node import Node
-from rhot.stage import Output, Stage
 
 M = TypeVar("M", bound=Message)
 C = TypeVar("C", bound=BaseModel)
 
 
-class StageService(Generic[M, C]):
-    """Feeds the newest sample of each input key to a stage and publishes what comes out.
+class CoreService(Generic[M, C]):
+    """Feeds the newest sample of each input key to a core and publishes what comes out.
 
-    Each session gets a fresh stage, so that nothing of an earlier one lives on.
+    Each session gets a fresh core, so that nothing of an earlier one lives on.
     """
 
     def __init__(
@@ -32,7 +32,7 @@ class StageService(Generic[M, C]):
         model: type[M],
         key_of: Callable[[M], str] | None,
         config: C,
-        make_stage: Callable[[C], Stage[M, C]],
+        make_core: Callable[[C], Core[M, C]],
         instance: str = "main",
         owns_clock: bool = False,
         side_inputs: Mapping[str, type[M]] | None = None,
@@ -41,13 +41,13 @@ class StageService(Generic[M, C]):
 
         Args:
             name, instance: on the bus.
-            input_keys: what the stage is fed with.
+            input_keys: what the core is fed with.
             model: what stands on them.
             key_of: the only key on which a message may stand; None = any of them.
             config: the first configuration.
-            make_stage: makes a stage for a session.
+            make_core: makes a core for a session.
             owns_clock: this machine's clock is the rig clock.
-            side_inputs: keys and models of what the stage is handed beside its input.
+            side_inputs: keys and models of what the core is handed beside its input.
         """
         self.name = name
         self.instance = instance
@@ -56,8 +56,8 @@ class StageService(Generic[M, C]):
         self._model = model
         self._key_of = key_of
         self._config = config
-        self._make_stage = make_stage
-        self._stage = make_stage(config)
+        self._make_core = make_core
+        self._core = make_core(config)
         self._mailbox: LatestSubscriber | None = None
         self._side_inputs = dict(side_inputs or {})
         self._side_mailboxes: list[tuple[LatestSubscriber, type[M]]] = []
@@ -68,10 +68,10 @@ class StageService(Generic[M, C]):
         return self._config
 
     def reconfigure(self, config: BaseModel) -> None:
-        """Hand a new configuration to the running stage."""
+        """Hand a new configuration to the running core."""
         if not isinstance(config, type(self._config)):
             raise TypeError(f"{type(config).__name__} is not a {type(self._config).__name__}")
-        self._stage.configure(config)
+        self._core.configure(config)
         self._config = config
 
     def attach(self, node: Node) -> None:
@@ -79,19 +79,19 @@ class StageService(Generic[M, C]):
         self._mailbox = node.bus.latest(self._input_keys)
         self._side_mailboxes = [(node.bus.latest(keys), model) for keys, model in self._side_inputs.items()]
         node.status.include(self._counts)
-        node.status.watch(lambda: (self._stage.figures, self._stage.problem))
+        node.status.watch(lambda: (self._core.figures, self._core.problem))
 
     def _counts(self) -> dict[str, int]:
-        counts = dict(self._stage.counts)
+        counts = dict(self._core.counts)
         if self._mailbox is not None:
             counts["overwritten"] = self._mailbox.overwritten
         return counts
 
     async def run(self, node: Node, start: Control) -> None:
-        """Feed the stage until cancelled."""
+        """Feed the core until cancelled."""
         if self._mailbox is None:
             raise RuntimeError("run before attach")
-        self._stage = self._make_stage(self._config)
+        self._core = self._make_core(self._config)
         self._mailbox.clear()
         async with asyncio.TaskGroup() as tasks:
             for side_mailbox, model in self._side_mailboxes:
@@ -117,9 +117,9 @@ class StageService(Generic[M, C]):
 
     def _digest(self, node: Node, message: M) -> list[Output]:
         try:
-            return self._stage.feed(message)
+            return self._core.feed(message)
         except (ValueError, ArithmeticError) as error:
             # A sample that the core cannot digest costs that sample and the core's memory, never the service.
             node.failed(error)
-            self._stage = self._make_stage(self._config)
+            self._core = self._make_core(self._config)
             return []

@@ -16,12 +16,12 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import marker_dictionary
+from rhot.core import Output
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.messages import FootPose, HeadPose, Side
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.plugins import load_plugin
 from rhot.rig.feet_config import FeetConfig
-from rhot.stage import Output
 from rhot_feet.depth.tracker import DepthObservations, DepthTracker
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.kinematic import KINEMATIC
@@ -37,7 +37,7 @@ RIG_FRAME: Final = "rig"
 
 
 @dataclass(frozen=True, slots=True)
-class FootStageSettings:
+class FootCoreSettings:
     """When a foot is known, published and searched; chosen on `rhot evaluate feet` with false and hidden markers.
 
     Sigmas are roots of the sum of the three variances.
@@ -69,7 +69,7 @@ class FootStageSettings:
     silent_ns: int = 60_000_000
 
 
-SETTINGS: Final = FootStageSettings()
+SETTINGS: Final = FootCoreSettings()
 
 
 class _Filter(Protocol):
@@ -98,7 +98,7 @@ class _Foot:
     lost: bool = True
 
 
-class FootStage:
+class FootCore:
     """Follows all feet of a rig."""
 
     def __init__(self, config: FeetConfig, T_head_camera: FloatArray | None = None) -> None:
