@@ -29,6 +29,7 @@ from rhot_bench.measures.html import html_report
 from rhot_bench.measures.rows import Section, check_output
 from rhot_bench.output import json_option, page_option, show
 from rhot_bench.rig.depth import depth_plot, depth_sections
+from rhot_bench.rig.distance import distance_section, distances
 from rhot_bench.rig.grasps import grasps
 from rhot_bench.rig.heard import Heard, listen
 from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
@@ -39,13 +40,14 @@ from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.sources.pictures import read_pictures
 
-PARTS: Final = ("still", "latency", "depth", "grasp")
+PARTS: Final = ("still", "distance", "latency", "depth", "grasp")
 _PICTURES: Final = 12
 _LOOK_S: Final = 3.0
 """So long is it listened whether a simulated rig tells its truth: it does so sixty times a second."""
 _DISTANCES_CM: Final = "30,35,40,45,50,55,60,65,70,75,80,85,90"
 _SAY: Final = {
     "still": "hold the hand still, on something, all markers in view",
+    "distance": "move two markers that are a known distance apart through the whole volume, slowly and fast",
     "latency": "let the rig run",
     "depth": "move the hand slowly towards the cameras and away",
     "grasp": "take hold of the object, carry it, put it down, a few times",
@@ -73,6 +75,16 @@ _SAY: Final = {
     show_default=True,
     help="Depth: what a measured distance may be off; a painted tip has a radius of about 8 mm.",
 )
+@click.option(
+    "--between",
+    metavar="A,B",
+    help="Distance: the two markers, such as the paints of two dots on a rod.  [default: the rig's first two]",
+)
+@click.option(
+    "--length-mm",
+    type=FiniteRange(10.0, 2000.0),
+    help="Distance: how far apart they are, middle to middle. A simulated rig knows it.",
+)
 @click.option("--yes", is_flag=True, help="Live: begin each part at once, without waiting for Enter.")
 @json_option
 @page_option("--report")
@@ -85,6 +97,8 @@ def rig(
     marker: str,
     distances: str,
     ruler_mm: float,
+    between: str | None,
+    length_mm: float | None,
     yes: bool,
     json_path: Path | None,
     page_path: Path | None,
@@ -103,10 +117,11 @@ def rig(
     rhot evaluate rig --rig RIG take.mcap --report take.html
 
     \b
-    still   jitter of each marker, in pixels and millimetres, while the hand rests
-    latency retrieval, detection, sending and all of it, per camera; threads against time of a frame
-    depth   disparity at measured distances, and the depth law through them (see `rhot calibrate depth`)
-    grasp   the phases of grasping, as `rhot evaluate grasp`
+    still     jitter of each marker, in pixels and millimetres, while the hand rests
+    distance  error of a known distance between two markers that move through the volume: one figure to quote
+    latency   retrieval, detection, sending and all of it, per camera; threads against time of a frame
+    depth     disparity at measured distances, and the depth law through them (see `rhot calibrate depth`)
+    grasp     the phases of grasping, as `rhot evaluate grasp`
 
     Every figure has a 95 % confidence interval that accounts for the correlation of neighbouring samples. On `rhot sim`
     the report also shows ground truth; the depth session then uses it instead of a ruler.
@@ -116,12 +131,13 @@ def rig(
     if (recording_path is None) == (not live):
         raise ConfigError(f"give either a RECORDING or --live {'|'.join(PARTS)}")
     loaded, console = _loaded(rig_path, marker), Console(stderr=True, soft_wrap=True)
+    rod = _Rod(_pair(loaded, between), None if length_mm is None else 1e-3 * length_mm)
     failed: list[str] = []
     if recording_path is not None:
-        sections, plots = _recorded(loaded, recording_path)
+        sections, plots = _recorded(loaded, recording_path, rod)
         source = f"the recording {recording_path.name}"
     else:
-        session = _Session(loaded, tool_bus(rig_path, connect, namespace), seconds, console)
+        session = _Session(loaded, tool_bus(rig_path, connect, namespace), seconds, console, rod)
         held = _Held(marker, _distances(distances), 1e-3 * ruler_mm)
         sections, plots, failed = _live(session, list(dict.fromkeys(live)), held, ask=not yes)
         source = f"the running rig {loaded.config.name}, {seconds:g} s each"
@@ -135,13 +151,22 @@ def rig(
 
 
 @dataclass(frozen=True, slots=True)
+class _Rod:
+    """Two markers and how far they are apart, metres; None = not said."""
+
+    pair: tuple[str, str]
+    length_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class _Session:
-    """A running rig, how long each part listens to it, and where the person reads what to do."""
+    """A running rig, how long each part listens, where the person reads what to do, and what is moved for distance."""
 
     rig: Rig
     bus: BusConfig
     seconds: float
     console: Console
+    rod: _Rod
 
     def listen(self, seconds: float) -> Heard:
         """Return what the rig publishes from now on."""
@@ -211,16 +236,18 @@ def _listened(part: str, session: _Session) -> tuple[Sequence[Section], Sequence
     truth = simulated_truth(rig, heard)
     if part == "grasp":
         return grasps(rig, heard), ()
+    if part == "distance":
+        return [distance_section(distances(heard, session.rod.pair, session.rod.length_m), session.rod.pair)], ()
     if part == "latency":
         times = latencies_of(heard) if truth is None else latencies_of(heard, truth.exposed_ns)
         pictures = asyncio.run(pictures_of(session.bus, tuple(rig.cameras), _PICTURES))
         return [*latency_sections(heard, times), _threads(rig, pictures)], ()
-    jitter = still_jitter(heard, rests_only=False, cameras=None if truth is None else truth.cameras)
+    jitter = still_jitter(heard, None if truth is None else truth.cameras)
     return jitter_sections(jitter), jitter_plots(jitter)
 
 
-def _recorded(rig: Rig, path: Path) -> tuple[list[Section], list[str]]:
-    """Judge a recording: jitter where the hand rests, latency, and threads where there are pictures."""
+def _recorded(rig: Rig, path: Path, rod: _Rod) -> tuple[list[Section], list[str]]:
+    """Judge a recording: jitter where the hand rests, latency, a distance that is told, and threads on its pictures."""
     if path.is_file():
         # What was published is in it: nothing is tracked again.
         heard, recording = Heard.of(RecordedMessages(path)), pictures_beside(path)
@@ -229,8 +256,10 @@ def _recorded(rig: Rig, path: Path) -> tuple[list[Section], list[str]]:
         heard = Heard.of(track(rig, marker_frames(rig, recording)))
     if not heard.frames:
         raise ConfigError(f"{path}: no camera's markers are in it; record with `rhot record`, or name a folder")
-    jitter = still_jitter(heard, rests_only=True)
+    jitter = still_jitter(heard)
     sections = [*jitter_sections(jitter), *latency_sections(heard, latencies_of(heard))]
+    if rod.length_m is not None:
+        sections.insert(0, distance_section(distances(heard, rod.pair, rod.length_m), rod.pair))
     cameras = {} if recording is None else recording.cameras
     tracks = {name: each for name, each in cameras.items() if not isinstance(each, MarkerTrack)}
     if tracks:
@@ -249,6 +278,13 @@ def _threads(rig: Rig, pictures: dict[str, list[ImageArray]]) -> Section:
     }
     cores = os.cpu_count() or 1
     return thread_section(pictures, detectors, sorted({1, 2, min(4, cores), cores}))
+
+
+def _pair(rig: Rig, text: str | None) -> tuple[str, str]:
+    names = list(rig.config.markers)[:2] if text is None else [part.strip() for part in text.split(",")]
+    if len(names) != 2 or names[0] == names[1] or not set(names) <= set(rig.config.markers):
+        raise ConfigError(f"--between {text}: give two of the rig's markers, {', '.join(rig.config.markers)}")
+    return names[0], names[1]
 
 
 def _distances(text: str) -> Sequence[float]:

@@ -1,27 +1,46 @@
-"""How much markers jitter while the hand rests: in the pictures and in space (the thesis's figure 6.7)."""
+"""How much markers jitter while the hand rests: in the pictures and in space (the thesis's figure 6.7).
+
+No hand is ever quite still, and its motion is no jitter. A stretch of `_STRETCH` views counts where a line through it
+leaves nothing but noise, which does not follow from view to view: with the differences d of successive residuals r, von
+Neumann's ratio (Annals of Mathematical Statistics 12(4), 1941)
+
+    η = Σ d² (n − 1)⁻¹ / Σ r² (n − 2)⁻¹
+
+is 2 ± 2/√n for white noise, and less where the hand moves along a curve. In pictures jitter follows from how far each
+view is from the middle of its neighbours: x_(k-1) − 2 x_k + x_(k+1) has six times the noise's variance and no motion to
+speak of. Points of the same time are filtered, so that they follow from each other even at rest; of them it is the
+deviation from a line, in stretches that are stiller yet.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.report.svg import Bar, bar_plot
 from rhot_bench.measures.rows import Row, Section
-from rhot_bench.measures.streams import REST_FRAMES, REST_PX
+from rhot_bench.measures.streams import REST_PX
 from rhot_bench.rig.heard import Heard
 from rhot_bench.rig.rows import figure_row, truth_row
-from rhot_bench.rig.statistics import Figure, deviation, mean_of_independent
+from rhot_bench.rig.statistics import Figure, spread_of_stretches
 
 TimeArray = np.ndarray[tuple[int], np.dtype[np.int64]]
+Span = tuple[int, int]
+"""First and last time of a stretch, ns."""
 
 THESIS_PX: Final = "thesis: 2–5 px"
-_LEAST_SAMPLES: Final = 30
+_STRETCH: Final = 30
+_LEAST_IN_SPAN: Final = 12
+_STILL: Final = 4.0
+_STILLER: Final = 2.0
+"""How many √n the ratio may be below 2. Noise alone is two deviations below once in fifty stretches, one in six."""
+_GAP: Final = 2.0
+"""A stretch takes at most so many times as long as one without lost frames."""
 _MM: Final = 1e3
 
 
@@ -34,7 +53,7 @@ class Jitter:
         sideways, depth: marker to the deviation across and along the first camera's view, metres.
         off_truth: marker to (sideways, depth) about what is true at each moment, metres; only of a simulated rig.
         off_pixels: camera to marker to the deviation about the true projection, pixels; only of a simulated rig.
-        wandered: camera to how far a marker wandered at most, pixels: between the means of whole seconds.
+        rested: camera to the share of its stretches in which the marker that rested most was at rest.
     """
 
     pixels: Mapping[str, Mapping[str, Figure]]
@@ -42,85 +61,67 @@ class Jitter:
     depth: Mapping[str, Figure]
     off_truth: Mapping[str, tuple[float, float]]
     off_pixels: Mapping[str, Mapping[str, float]]
-    wandered: Mapping[str, float]
-
-    @property
-    def moved(self) -> bool:
-        """Whether the hand moved: then the deviations are its motion and no jitter."""
-        return max(self.wandered.values(), default=0.0) > REST_PX
+    rested: Mapping[str, float]
 
 
-def still_jitter(heard: Heard, *, rests_only: bool, cameras: Mapping[str, CameraModel] | None = None) -> Jitter:
+def still_jitter(heard: Heard, cameras: Mapping[str, CameraModel] | None = None) -> Jitter:
     """Return the jitter of all markers.
 
     Args:
         heard: while a hand was held still, or with stretches of rest in it.
         cameras: as they truly stand, of a simulated rig.
-        rests_only: judge only stretches of half a second in which a view moves by no more than two pixels; a hand that
-            is held still for a minute is judged as a whole, so that slow swaying counts.
     """
-    spread = _rests if rests_only else deviation
     views = _views(heard)
-    pixels = {
-        camera: {name: spread(uv) for name, (_, uv) in markers.items() if len(uv) >= _LEAST_SAMPLES}
-        for camera, markers in views.items()
-    }
-    wandered = {
-        camera: max((_wander_px(t_ns, uv) for t_ns, uv in markers.values()), default=0.0)
-        for camera, markers in views.items()
-        if not rests_only
-    }
-    off_pixels = {
-        camera: {
-            name: float(np.sqrt(off.var(axis=0, ddof=1).sum()))
-            for name, (t_ns, uv) in markers.items()
-            if len(off := _off_projection(heard, cameras[camera], name, t_ns, uv)) >= _LEAST_SAMPLES
-        }
-        for camera, markers in views.items()
-        if cameras is not None and not rests_only
-    }
-    places: dict[str, list[tuple[int, float, float, float]]] = {}
-    for points in heard.points:
-        for name, point in points.points.items():
-            if point.state == "measured":
-                places.setdefault(name, []).append((points.t_ns, *point.position))
+    pixels: dict[str, dict[str, Figure]] = {}
+    off_pixels: dict[str, dict[str, float]] = {}
+    rested: dict[str, float] = {}
+    spans: dict[str, dict[str, list[Span]]] = {}
+    for camera, markers in views.items():
+        rested[camera] = 0.0
+        for name, (t_ns, uv) in markers.items():
+            stretches = [slice(begin, begin + _STRETCH) for begin in range(0, len(uv) - _STRETCH + 1, _STRETCH)]
+            at_rest = [each for each in stretches if _rests(t_ns[each], uv[each], _STILL)]
+            rested[camera] = max(rested[camera], len(at_rest) / max(len(stretches), 1))
+            if not at_rest:
+                continue
+            pixels.setdefault(camera, {})[name] = spread_of_stretches([_bends(uv[each]) for each in at_rest])
+            spans.setdefault(name, {})[camera] = [(int(t_ns[each][0]), int(t_ns[each][-1])) for each in at_rest]
+            true = _true_places(heard, name, t_ns)
+            if cameras is not None and true is not None:
+                off = uv - cameras[camera].project(np.nan_to_num(true))
+                off[~np.isfinite(true[:, 0])] = np.nan
+                off_pixels.setdefault(camera, {})[name] = _spread_off(t_ns, off, spans[name][camera], bends=True)
     sideways, depth, off_truth = {}, {}, {}
-    for name, rows in sorted(places.items()):
-        if len(rows) < _LEAST_SAMPLES:
+    for name, (t_ns, xyz) in _places(heard).items():
+        still = _still_in_every_view(spans.get(name, {}), {camera: of.get(name) for camera, of in views.items()})
+        chosen = [_within(t_ns, span) for span in still]
+        pieces = [_about_line(t_ns[each], xyz[each]) for each in chosen if each.sum() >= _LEAST_IN_SPAN]
+        if not pieces:
             continue
-        xyz = np.array([row[1:] for row in rows])
-        if rests_only:
-            pieces = _resting(xyz, heard, name)
-            sideways[name], depth[name] = _pooled(pieces[..., :2]), _pooled(pieces[..., 2:])
-        else:
-            sideways[name], depth[name] = deviation(xyz[:, :2]), deviation(xyz[:, 2])
-        true = _true_places(heard, name, np.array([row[0] for row in rows], dtype=np.int64))
+        sideways[name] = spread_of_stretches([piece[:, :2] for piece in pieces])
+        depth[name] = spread_of_stretches([piece[:, 2:] for piece in pieces])
+        true = _true_places(heard, name, t_ns)
         if true is not None:
-            off = (xyz - true)[np.isfinite(true[:, 0])]
-            off_truth[name] = (float(np.sqrt(off[:, :2].var(axis=0, ddof=1).sum())), float(off[:, 2].std(ddof=1)))
-    return Jitter(pixels, sideways, depth, off_truth, off_pixels, wandered)
+            off = xyz - true
+            off_truth[name] = (_spread_off(t_ns, off[:, :2], still), _spread_off(t_ns, off[:, 2:], still))
+    return Jitter(pixels, sideways, depth, off_truth, off_pixels, rested)
 
 
 def jitter_sections(jitter: Jitter) -> list[Section]:
-    """Return the tables, compared with the truth where it is known; of a hand that moved, only by how much."""
-    wandered = tuple(_wander_row(*each) for each in jitter.wandered.items())
-    still = [Section("Was it still?", wandered)] if wandered else []
-    if jitter.moved:
-        return still
+    """Return the tables, compared with the truth where it is known; of a hand that never rested, that alone."""
+    rested = Section("At rest", tuple(_rested_row(*each) for each in jitter.rested.items()))
     sections = [
         Section(
             f"Jitter in the pictures of camera {camera}",
             tuple(figure_row(name, figure, "px", peer=THESIS_PX) for name, figure in markers.items()),
         )
         for camera, markers in jitter.pixels.items()
-        if markers
     ]
-    sections += still
     rows: list[Row] = []
     for name in jitter.sideways:
         rows.append(figure_row(f"{name}, sideways", jitter.sideways[name].scaled(_MM), "mm"))
         rows.append(figure_row(f"{name}, in depth", jitter.depth[name].scaled(_MM), "mm"))
-    sections += [Section("Jitter in space", tuple(rows))] if rows else []
+    sections += [rested, *([Section("Jitter in space", tuple(rows))] if rows else [])]
     beside = [
         truth_row(f"{name} in the pictures of {camera}", jitter.pixels[camera][name], true, "px")
         for camera, off_px in jitter.off_pixels.items()
@@ -137,12 +138,7 @@ def jitter_sections(jitter: Jitter) -> list[Section]:
 
 
 def jitter_plots(jitter: Jitter) -> list[str]:
-    """Return bar charts as in the thesis's figure 6.7, grouped by marker, in pixels and in millimetres.
-
-    There are none of a hand that moved.
-    """
-    if jitter.moved:
-        return []
+    """Return bar charts as in the thesis's figure 6.7, grouped by marker, in pixels and in millimetres."""
     names = sorted({name for markers in jitter.pixels.values() for name in markers})
     in_pixels = {
         name: {camera: _bar(markers[name]) for camera, markers in jitter.pixels.items() if name in markers}
@@ -156,11 +152,11 @@ def jitter_plots(jitter: Jitter) -> list[str]:
     return plots + ([bar_plot("Jitter of each marker in space", "deviation [mm]", in_space)] if in_space else [])
 
 
-def _wander_row(camera: str, wandered_px: float) -> Row:
-    note = "between the means of whole seconds"
-    if wandered_px > REST_PX:
-        note += "; the hand moved, so its jitter is unknown: rest it on something (simulated: rhot sim --motion still)"
-    return Row(f"{camera}, a marker wandered by at most", wandered_px, "px", most=REST_PX, note=note)
+def _rested_row(camera: str, share: float) -> Row:
+    note = f"stretches of {_STRETCH} views in which a marker did not move"
+    if not share:
+        note += "; without any, the jitter is unknown: rest the hand on something (simulated: rhot sim --motion still)"
+    return Row(f"{camera}, at rest", 100.0 * share, "%", note=note)
 
 
 def _views(heard: Heard) -> dict[str, dict[str, tuple[TimeArray, FloatArray]]]:
@@ -179,68 +175,81 @@ def _views(heard: Heard) -> dict[str, dict[str, tuple[TimeArray, FloatArray]]]:
     }
 
 
-def _wander_px(t_ns: TimeArray, uv: FloatArray) -> float:
-    """Return how far apart the means of whole seconds lie at most; seconds with few views tell nothing."""
-    second = (t_ns - t_ns[0]) // 1_000_000_000
-    means = np.array([uv[second == one].mean(axis=0) for one in np.unique(second) if (second == one).sum() >= 5])
-    return float(np.ptp(means, axis=0).max()) if len(means) > 1 else 0.0
+def _places(heard: Heard) -> dict[str, tuple[TimeArray, FloatArray]]:
+    """Return times (N,) and measured positions (N, 3), metres, by marker."""
+    found: dict[str, list[tuple[int, float, float, float]]] = {}
+    for points in heard.points:
+        for name, point in points.points.items():
+            if point.state == "measured":
+                found.setdefault(name, []).append((points.t_ns, *point.position))
+    return {
+        name: (np.array([row[0] for row in rows], dtype=np.int64), np.array([row[1:] for row in rows]))
+        for name, rows in sorted(found.items())
+    }
 
 
-def _off_projection(heard: Heard, camera: CameraModel, name: str, t_ns: TimeArray, uv: FloatArray) -> FloatArray:
-    """Return how far views (N, 2) lie from where the marker truly was, pixels, for those within the truth's time."""
-    true = _true_places(heard, name, t_ns)
-    if true is None:
-        return np.empty((0, 2))
-    known = np.isfinite(true[:, 0])
-    off: FloatArray = uv[known] - camera.project(true[known])
-    return off
+def _about_line(t_ns: TimeArray, values: FloatArray) -> FloatArray:
+    """Return the residuals (N, D) of values about a line each over time, grown to have the noise's own variance."""
+    t = (t_ns - t_ns.mean()) / max(float(np.ptp(t_ns)), 1.0)
+    centred = values - values.mean(axis=0)
+    residuals = centred - np.outer(t, t @ centred) / max(float(t @ t), 1e-12)
+    count = len(values)
+    found: FloatArray = residuals * np.sqrt(count / (count - 2))
+    return found
+
+
+def _bends(uv: FloatArray) -> FloatArray:
+    """Return how far (N − 2, 2) views are from the middle of their neighbours, shrunk to have one view's variance."""
+    found: FloatArray = np.diff(uv, 2, axis=0) / np.sqrt(6.0)
+    return found
+
+
+def _rests(t_ns: TimeArray, uv: FloatArray, slack: float) -> bool:
+    """Return whether views (N, 2), pixels, move along a line at most, and by no more than `REST_PX`."""
+    usual_ns = float(np.median(np.diff(t_ns)))
+    if t_ns[-1] - t_ns[0] > _GAP * usual_ns * (len(t_ns) - 1) or np.ptp(uv, axis=0).max() > REST_PX:
+        return False
+    residuals = _about_line(t_ns, uv)
+    variance = (residuals**2).mean(axis=0)
+    steps = np.diff(residuals, axis=0)
+    ratio = (steps**2).mean(axis=0) / np.maximum(variance, 1e-30)
+    return bool((ratio[variance > 0.0] >= 2.0 - slack / np.sqrt(len(uv))).all())
+
+
+def _still_in_every_view(
+    spans: Mapping[str, Sequence[Span]], views: Mapping[str, tuple[TimeArray, FloatArray] | None]
+) -> list[Span]:
+    """Return the stretches of the first camera that each camera which sees the marker finds stiller than still."""
+    if not spans:
+        return []
+    return [
+        span
+        for span in next(iter(spans.values()))
+        if all(
+            inside.sum() >= _LEAST_IN_SPAN and _rests(t_ns[inside], uv[inside], _STILLER)
+            for t_ns, uv in filter(None, views.values())
+            for inside in [_within(t_ns, span)]
+        )
+    ]
+
+
+def _within(t_ns: TimeArray, span: Span) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    inside: np.ndarray[tuple[int], np.dtype[np.bool_]] = (span[0] <= t_ns) & (t_ns <= span[1])
+    return inside
+
+
+def _spread_off(t_ns: TimeArray, off: FloatArray, spans: Sequence[Span], *, bends: bool = False) -> float:
+    """Return the jitter of errors (N, D) in stretches, about lines or by bends; NaN where no truth is known."""
+    pieces = []
+    for span in spans:
+        inside = _within(t_ns, span) & np.isfinite(off[:, 0])
+        if inside.sum() >= _LEAST_IN_SPAN:
+            pieces.append(_bends(off[inside]) if bends else _about_line(t_ns[inside], off[inside]))
+    return spread_of_stretches(pieces).value if pieces else float("nan")
 
 
 def _bar(figure: Figure) -> Bar:
     return Bar(figure.value, figure.low, figure.high)
-
-
-def _rests(uv: FloatArray) -> Figure:
-    begins = _rest_begins(uv)
-    return _pooled(
-        np.array([uv[begin : begin + REST_FRAMES] for begin in begins]).reshape(-1, REST_FRAMES, uv.shape[1])
-    )
-
-
-def _rest_begins(uv: FloatArray) -> list[int]:
-    if len(uv) < REST_FRAMES:
-        return []
-    windows = sliding_window_view(uv, REST_FRAMES, axis=0)
-    still = (windows.max(axis=-1) - windows.min(axis=-1) <= REST_PX).all(axis=1)
-    begins: list[int] = []
-    for begin in np.flatnonzero(still).tolist():
-        if not begins or begin >= begins[-1] + REST_FRAMES:
-            begins.append(begin)
-    return begins
-
-
-def _pooled(pieces: FloatArray) -> Figure:
-    """Return the deviation within pieces (K, N, D), each about its own mean; pieces are independent of one another."""
-    if not len(pieces):
-        return Figure(float("nan"), float("nan"), float("nan"), 0.0, 0)
-    variance = mean_of_independent(pieces.var(axis=1, ddof=1).sum(axis=1))
-    low, high = (float(np.sqrt(max(end, 0.0))) for end in (variance.low, variance.high))
-    return Figure(float(np.sqrt(variance.value)), low, high, variance.independent, len(pieces) * pieces.shape[1])
-
-
-def _resting(xyz: FloatArray, heard: Heard, name: str) -> FloatArray:
-    """Return stretches (K, N, 3) of points whose span is what rest allows: two pixels at the marker's own depth."""
-    seen = [frame for frame in heard.frames if name in frame.markers]
-    reach = REST_PX / (0.83 * max((frame.width for frame in seen), default=640)) * float(np.median(xyz[:, 2]))
-    windows = (
-        sliding_window_view(xyz, REST_FRAMES, axis=0) if len(xyz) >= REST_FRAMES else np.empty((0, 3, REST_FRAMES))
-    )
-    still = ((windows.max(axis=-1) - windows.min(axis=-1))[:, :2] <= reach).all(axis=1)
-    chosen: list[int] = []
-    for begin in np.flatnonzero(still).tolist():
-        if not chosen or begin >= chosen[-1] + REST_FRAMES:
-            chosen.append(begin)
-    return np.array([xyz[begin : begin + REST_FRAMES] for begin in chosen]).reshape(-1, REST_FRAMES, 3)
 
 
 def _true_places(heard: Heard, name: str, t_ns: TimeArray) -> FloatArray | None:

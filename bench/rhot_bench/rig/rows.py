@@ -7,9 +7,7 @@ import math
 from rhot_bench.measures.rows import Row
 from rhot_bench.rig.statistics import LEAST_INDEPENDENT, Figure
 
-TOO_FEW = (
-    f"fewer than {LEAST_INDEPENDENT:.0f} independent samples (or 5 stretches) tell no interval; measure for longer"
-)
+TOO_FEW = f"fewer than {LEAST_INDEPENDENT:.0f} independent samples tell no interval; measure for longer"
 
 
 def figure_row(name: str, figure: Figure, unit: str, *, peer: str = "", note: str = "", digits: int = 3) -> Row:

@@ -10,11 +10,13 @@ independent ones (Priestley, Spectral Analysis and Time Series, 1981, section 5.
     n / (1 + 2 Σ ρ_k²)
 
 (Bartlett, 1946, for a normal process); tails heavier than a normal's add their kurtosis over the former. Intervals hold
-the truth with a probability of `COVERAGE`, by Student's t.
+the truth with a probability of `COVERAGE`, by Student's t; those of a deviation are symmetric on a logarithmic scale,
+so that none reaches below zero. Below `LEAST_INDEPENDENT` there is none.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -28,9 +30,6 @@ LEAST_INDEPENDENT: Final = 30.0
 """With fewer, the correlation itself is not known well enough. Of 300 simulated records each with 33 to 3,500
 independent samples, 92 to 98 % of the intervals held the truth; with 12 to 16, 55 to 85 %."""
 
-_LEAST_STRETCHES: Final = 5
-"""Fewer tell nothing of how stretches differ: with four degrees of freedom Student's t is 2.8 already."""
-
 
 @dataclass(frozen=True, slots=True)
 class Figure:
@@ -41,6 +40,7 @@ class Figure:
         low, high: ends of the interval; NaN where too few samples tell none.
         independent: how many independent samples would tell as much.
         samples: how many there are.
+        error: standard error of the value.
     """
 
     value: float
@@ -48,6 +48,7 @@ class Figure:
     high: float
     independent: float
     samples: int
+    error: float = float("nan")
 
     @property
     def half_width(self) -> float:
@@ -60,7 +61,8 @@ class Figure:
 
     def scaled(self, factor: float) -> Figure:
         """Return the same figure in another unit."""
-        return Figure(self.value * factor, self.low * factor, self.high * factor, self.independent, self.samples)
+        value, low, high, error = (factor * each for each in (self.value, self.low, self.high, self.error))
+        return Figure(value, low, high, self.independent, self.samples, error)
 
 
 def mean(values: FloatArray) -> Figure:
@@ -74,14 +76,35 @@ def mean(values: FloatArray) -> Figure:
     return _figure(float(values.mean()), error, independent, count)
 
 
-def mean_of_independent(values: FloatArray) -> Figure:
-    """Return the mean of independent samples (N,), such as figures of separate stretches."""
-    count = len(values)
-    if count < _LEAST_STRETCHES:
-        return _without_interval(float(values.mean()) if count else float("nan"), count)
-    middle = float(values.mean())
-    reach = float(student.ppf(0.5 + 0.5 * COVERAGE, count - 1)) * float(values.std(ddof=1)) / np.sqrt(count)
-    return Figure(middle, middle - reach, middle + reach, float(count), count)
+def root_mean_square(values: FloatArray) -> Figure:
+    """Return the root of the mean square of samples (N,), equally spaced."""
+    square = mean(values**2)
+    if not square.value > 0.0:
+        return _without_interval(square.value, square.samples)
+    root = float(np.sqrt(square.value))
+    return _figure(root, 0.5 * square.error / root, square.independent, square.samples, positive=True)
+
+
+def spread_of_stretches(stretches: Sequence[FloatArray]) -> Figure:
+    """Return the deviation within stretches (N_k, D) of residuals, which are independent of one another.
+
+    It is the root of the axes' summed mean squares. How far it may be off follows from how the stretches differ, or
+    from their correlation, whichever is more.
+    """
+    counts = np.array([len(each) for each in stretches], dtype=np.float64)
+    variances = np.array([(each**2).mean(axis=0).sum() for each in stretches])
+    samples, variance = int(counts.sum()), float(np.average(variances, weights=counts))
+    if variance <= 0.0:
+        return Figure(0.0, 0.0, 0.0, float(samples), samples)
+    length, square_length = _lengths_within(stretches)
+    independent = samples / length
+    if len(stretches) < 2:
+        return _without_interval(float(np.sqrt(variance)), samples)
+    differ = float(np.sqrt(np.average((variances - variance) ** 2, weights=counts) / (len(stretches) - 1)))
+    shares = np.mean([(each**2).mean(axis=0) for each in stretches], axis=0)
+    correlated = variance * float(np.sqrt(2.0 * square_length * (shares**2).sum() / shares.sum() ** 2 / samples))
+    found = float(np.sqrt(variance))
+    return _figure(found, 0.5 * max(differ, correlated) / found, independent, samples, positive=True)
 
 
 def deviation(values: FloatArray) -> Figure:
@@ -102,14 +125,17 @@ def deviation(values: FloatArray) -> Figure:
     if variance <= 0.0:
         return Figure(0.0, 0.0, 0.0, independent, count)
     found = float(np.sqrt(variance))
-    return _figure(found, 0.5 * found * float(np.sqrt(uncertainty)) / variance, independent, count)
+    return _figure(found, 0.5 * found * float(np.sqrt(uncertainty)) / variance, independent, count, positive=True)
 
 
-def _figure(value: float, error: float, independent: float, count: int) -> Figure:
+def _figure(value: float, error: float, independent: float, count: int, *, positive: bool = False) -> Figure:
     if independent < LEAST_INDEPENDENT:
-        return Figure(value, float("nan"), float("nan"), independent, count)
+        return Figure(value, float("nan"), float("nan"), independent, count, error)
     reach = float(student.ppf(0.5 + 0.5 * COVERAGE, independent - 1.0)) * error
-    return Figure(value, value - reach, value + reach, independent, count)
+    low, high = value - reach, value + reach
+    if positive and value > 0.0:
+        low, high = value * float(np.exp(-reach / value)), value * float(np.exp(reach / value))
+    return Figure(value, low, high, independent, count, error)
 
 
 def _without_interval(value: float, count: int) -> Figure:
@@ -128,14 +154,34 @@ def _lengths(values: FloatArray) -> tuple[float, float]:
     That end is Geyer's (Statistical Science 7(4), 1992): beyond it there is nothing but the noise of the estimate.
     """
     centred = values - values.mean()
+    return _summed(_covariance(centred))
+
+
+def _lengths_within(stretches: Sequence[FloatArray]) -> tuple[float, float]:
+    """Return the same over stretches (N_k, D) of one process, all axes together, up to a third of the shortest."""
+    shortest = min(len(each) for each in stretches)
+    covariance = np.zeros(shortest)
+    for each in stretches:
+        for column in each.T:
+            covariance += _covariance(column)[:shortest]
+    return _summed(covariance, shortest // 3)
+
+
+def _covariance(centred: FloatArray) -> FloatArray:
+    """Return the sums of products over each lag (N,), each as if all N samples were there."""
     count = len(centred)
     power = np.abs(np.fft.rfft(centred, 2 * count)) ** 2
-    covariance = np.fft.irfft(power)[:count]
+    # Divided by what is there at each lag: by n throughout, long correlations would read short.
+    covariance: FloatArray = np.fft.irfft(power)[:count] * count / np.arange(count, 0, -1)
+    return covariance
+
+
+def _summed(covariance: FloatArray, most: int | None = None) -> tuple[float, float]:
     if covariance[0] <= 0.0:
         return 1.0, 1.0
-    # Divided by what is there at each lag: by n throughout, long correlations would read short.
-    rho = covariance / covariance[0] * count / np.arange(count, 0, -1)
-    pairs = rho[1 : 2 * ((count - 1) // 2) + 1].reshape(-1, 2).sum(axis=1)[: count // 4]
+    count = len(covariance)
+    rho = covariance / covariance[0]
+    pairs = rho[1 : 2 * ((count - 1) // 2) + 1].reshape(-1, 2).sum(axis=1)[: (most or count // 2) // 2]
     ended = np.flatnonzero(pairs <= 0.0)
     kept = rho[1 : 1 + 2 * (int(ended[0]) if ended.size else len(pairs))]
     return max(1.0, 1.0 + 2.0 * float(kept.sum())), 1.0 + 2.0 * float((kept**2).sum())

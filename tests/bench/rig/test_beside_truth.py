@@ -16,7 +16,7 @@ from rhot_bench.measures.rows import Row, Section
 from rhot_bench.rig.depth import depth_sections, rows_by_truth
 from rhot_bench.rig.grasps import drift_figure, grasps, hand_deviations
 from rhot_bench.rig.heard import Heard
-from rhot_bench.rig.jitter import jitter_plots, jitter_sections, still_jitter
+from rhot_bench.rig.jitter import jitter_sections, still_jitter
 from rhot_bench.rig.latency import latencies_of, latency_sections
 from rhot_bench.rig.simulated import simulated_truth
 from rhot_bench.rig.statistics import Figure
@@ -109,14 +109,11 @@ def test_a_still_hand_and_one_that_is_not(rig: Rig, moving: Heard) -> None:
     heard = simulated_session(still, 6.0)
     truth = simulated_truth(still, heard)
     assert truth is not None
-    jitter = still_jitter(heard, rests_only=False, cameras=truth.cameras)
+    jitter = still_jitter(heard, truth.cameras)
     rows = [row for row in checks(jitter_sections(jitter)) if not math.isnan(row.value)]
     assert sum("pictures" in row.name for row in rows) >= 10
     assert wrong(rows) == []
-    assert max(jitter.wandered.values()) < 0.5
-    in_motion = still_jitter(moving, rests_only=False)
-    (moved,) = jitter_sections(in_motion)
-    assert moved.title == "Was it still?"
-    assert {row.verdict for row in moved.rows} == {"missed"}
-    assert all("rhot sim --motion still" in row.note for row in moved.rows)
-    assert jitter_plots(in_motion) == []
+    assert min(jitter.rested.values()) > 0.7
+    # What a moving hand tells of its jitter is right too, or nothing.
+    rows = [row for row in checks(jitter_sections(still_jitter(moving, truth.cameras))) if not math.isnan(row.value)]
+    assert wrong(rows) == []

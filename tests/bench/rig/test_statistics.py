@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from rhot.arrays import FloatArray
-from rhot_bench.rig.statistics import deviation, mean
+from rhot_bench.rig.statistics import deviation, mean, root_mean_square, spread_of_stretches
 
 RECORDS = 200
 
@@ -33,6 +33,23 @@ def test_alike_samples_count_for_fewer() -> None:
     # (1 + ρ) / (1 − ρ) = 19 samples tell as much as one.
     assert found.independent == pytest.approx(4000 / 19.0, rel=0.4)
     assert found.half_width > 3.0 * mean(np.random.default_rng(1).normal(size=4000)).half_width
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8])
+def test_stretches_of_one_process_hold_its_deviation(rho: float) -> None:
+    drawn = records(rho, 3000)
+    # 100 samples about their own middle miss what is slower than they are.
+    within = np.sqrt((100.0 - (1.0 + rho) / (1.0 - rho)) / 99.0)
+    pieces = [[piece[:, None] - piece.mean() for piece in np.array_split(each, 30)] for each in drawn]
+    held = [spread_of_stretches(each).scaled(np.sqrt(100.0 / 99.0)).holds(within) for each in pieces]
+    assert np.mean(held) == pytest.approx(0.95, abs=0.05)
+
+
+def test_no_deviation_reaches_below_zero() -> None:
+    drawn = [np.random.default_rng(seed).standard_t(2.1, 40) for seed in range(50)]
+    found = [figure for each in drawn for figure in (deviation(each), root_mean_square(each))]
+    assert all(np.isnan(figure.low) or 0.0 < figure.low < figure.value < figure.high for figure in found)
+    assert sum(np.isfinite(figure.low) for figure in found) > 40
 
 
 def test_axes_add_up_and_units_scale() -> None:

@@ -61,9 +61,8 @@ def still(
     return heard
 
 
-@pytest.mark.parametrize("rests_only", [False, True])
-def test_jitter_is_what_was_put_in(rests_only: bool) -> None:
-    jitter = still_jitter(still(), rests_only=rests_only)
+def test_jitter_is_what_was_put_in() -> None:
+    jitter = still_jitter(still())
     for camera in ("left", "right"):
         assert jitter.pixels[camera]["index"].holds(0.3 * np.sqrt(2.0))
     assert jitter.sideways["index"].holds(1e-4 * np.sqrt(2.0))
@@ -74,16 +73,35 @@ def test_jitter_is_what_was_put_in(rests_only: bool) -> None:
     assert [row.value for row in beside.rows] == [1.0, 1.0]
 
 
-def test_swaying_counts_for_a_hand_that_is_held_still() -> None:
-    heard = still(sigma_px=0.05)
+@pytest.mark.parametrize("speed_px_s", [0.0, 1.0, 4.0])
+def test_motion_is_no_jitter(speed_px_s: float) -> None:
+    """A hand that sways, and pauses every other second, has the jitter of one that is still."""
+    heard = still(sigma_px=0.1)
     for number, frame in enumerate(heard.frames):
-        shift = 8.0 * np.sin(2.0 * np.pi * number / COUNT / 0.4)
+        t_s = 1e-9 * (frame.t_ns - START_NS)
+        shift = speed_px_s * (t_s % 2.0 if t_s % 2.0 < 1.0 else 2.0 - t_s % 2.0) + 0.2 * speed_px_s * np.sin(9.0 * t_s)
         marker = frame.markers["index"]
         markers = {"index": marker.model_copy(update={"u": marker.u + shift})}
         heard.frames[number] = frame.model_copy(update={"markers": markers})
-    whole, rests = (still_jitter(heard, rests_only=each).pixels["left"]["index"] for each in (False, True))
-    assert whole.value > 5.0
-    assert rests.value < 0.7
+    jitter = still_jitter(heard)
+    for camera in ("left", "right"):
+        found = jitter.pixels.get(camera, {}).get("index")
+        assert found is None or np.isnan(found.low) or found.value == pytest.approx(0.1 * np.sqrt(2.0), rel=0.08), found
+
+
+def test_a_hand_that_never_rests_has_no_jitter() -> None:
+    heard = still(sigma_px=0.1)
+    for number, frame in enumerate(heard.frames):
+        marker = frame.markers["index"]
+        markers = {"index": marker.model_copy(update={"u": 320.0 + 0.8 * np.sin(6.0e-9 * (frame.t_ns - START_NS))})}
+        heard.frames[number] = frame.model_copy(update={"markers": markers})
+    jitter = still_jitter(heard)
+    (section,) = jitter_sections(jitter)
+    assert jitter.pixels == {}
+    assert jitter.sideways == {}
+    assert jitter_plots(jitter) == []
+    assert [row.value for row in section.rows] == [0.0, 0.0]
+    assert all("rest the hand on something" in row.note for row in section.rows)
 
 
 def test_latencies_are_told_with_mean_and_deviation() -> None:
@@ -130,7 +148,7 @@ def test_bars_have_whiskers_and_a_legend() -> None:
     assert drawn.count("<path") == 3
     assert "&lt;thumb&gt;" in drawn
     assert "no data" in bar_plot("empty", "px", {})
-    assert len(jitter_plots(still_jitter(still(), rests_only=False))) == 2
+    assert len(jitter_plots(still_jitter(still()))) == 2
 
 
 def test_a_recording_of_marker_tracks_gives_a_report(rig_folder: Path, tmp_path: Path) -> None:
@@ -153,6 +171,7 @@ def test_a_recording_of_marker_tracks_gives_a_report(rig_folder: Path, tmp_path:
     assert titles == [
         "Jitter in the pictures of camera left",
         "Jitter in the pictures of camera right",
+        "At rest",
         "Jitter in space",
     ]
 
