@@ -3,9 +3,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import pairwise
-from time import thread_time
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -347,20 +345,6 @@ def test_absurd_frames_leave_the_points_untouched(make_rig: MakeRig) -> None:
         assert a.points == b.points
     refused = sum(core.counts[reason] for reason in ("wrong_time", "unknown_camera", "wrong_size", "duplicate"))
     assert refused == len(seen)
-
-
-def test_a_frame_costs_less_than_its_share(make_rig: MakeRig) -> None:
-    cv2.setNumThreads(1)
-    rig = make_rig()
-    core = FusionCore(rig)
-    spent = []
-    for one in watch(rig, SLOW, 3.0):
-        # Of the processor, not of the clock: that is what its share is a share of.
-        began = thread_time()
-        core.feed(one.frame)
-        spent.append(thread_time() - began)
-    # About 1.1 ms on the machine it was written on; 120 frames a second may not take a fifth of a core.
-    assert np.median(spent) < 1.6e-3
 
 
 def test_what_a_lens_cannot_have_shown_counts_for_nothing(make_rig: MakeRig, monkeypatch: pytest.MonkeyPatch) -> None:

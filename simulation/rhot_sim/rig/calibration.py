@@ -5,13 +5,13 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.geometry.camera import CameraModel
+from rhot.geometry.camera import CameraModel, essential_matrix
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.geometry.transforms import inverse, rigid
 from rhot.rig.calibration import CameraCalibration, CamerasFile, today
@@ -31,6 +31,7 @@ DISTORTION_ERROR: Final = 0.02
 """Largest errors of the intrinsics that a calibration would have found, each evenly drawn within its bounds."""
 CORNER_SIGMA_PX: Final = 0.1
 """Noise of the chessboard corners to which the poses are then fitted."""
+_STATED_M: Final = (0.5, 0.75, 1.0)
 _BOARD_VIEWS: Final = 20
 _BOARD_SIZE: Final = (9, 6)
 _BOARD_SQUARE_M: Final = 0.025
@@ -71,9 +72,10 @@ def simulated_rig_calibration(cameras: Mapping[str, CameraConfig], seed: int) ->
         found_intrinsics[name] = _intrinsics_found(K, distortion, rng)
     found = _poses_found(truth, found_intrinsics, seed)
     note = {"source": "simulated", "seed": seed}
+    quality = {**note, "errors": "as of a calibration", **_quality(truth, found, seed)}
     return SimulatedCalibration(
         truth=CamerasFile(date=today(), quality={**note, "errors": "none"}, cameras=truth),
-        found=CamerasFile(date=today(), quality={**note, "errors": "as of a calibration"}, cameras=found),
+        found=CamerasFile(date=today(), quality=quality, cameras=found),
     )
 
 
@@ -114,6 +116,55 @@ def _poses_found(
         ).to_calibration()
         for name, T_rig_camera in poses.items()
     }
+
+
+def _quality(
+    truth: Mapping[str, CameraCalibration], found: Mapping[str, CameraCalibration], seed: int
+) -> dict[str, Any]:
+    """Return what a calibration states of itself, measured here with the truth: covariances are built upon it.
+
+    Per pair with the reference camera the epipolar error of the boards' corners; per distance the median error of
+    points that the true cameras see and the found ones triangulate.
+    """
+    cameras = [tuple(CameraModel.from_calibration(file[name]) for file in (truth, found)) for name in truth]
+    (reference, reference_found), others = cameras[0], cameras[1:]
+    boards = _board_points(seeded(seed, 21))
+    noise = seeded(seed, 23).normal(0.0, CORNER_SIGMA_PX, (len(cameras), len(boards), 2))
+    pairs = {}
+    for index, (name, (true, camera)) in enumerate(zip(list(truth)[1:], others, strict=True), start=1):
+        one = reference_found.undistort(reference.project(boards) + noise[0])
+        two = camera.undistort(true.project(boards) + noise[index])
+        lines = np.column_stack([one, np.ones(len(one))]) @ essential_matrix(reference_found, camera).T
+        off = np.sum(lines[:, :2] * two, axis=1) + lines[:, 2]
+        off_px = camera.K[0, 0] * off / np.linalg.norm(lines[:, :2], axis=1)
+        pairs[f"{next(iter(truth))}-{name}"] = {"epipolar_rms_px": round(float(np.sqrt(np.mean(off_px**2))), 4)}
+    expected = {}
+    for distance_m in _STATED_M:
+        x, y = np.meshgrid(np.linspace(-0.3, 0.3, 9) * distance_m, np.linspace(-0.2, 0.2, 7) * distance_m)
+        points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, distance_m)])
+        errors = [
+            np.linalg.norm(
+                _triangulated((reference_found, camera), (reference.project(points)[seen], true.project(points)[seen]))
+                - points[seen],
+                axis=1,
+            )
+            for true, camera in others
+            if (seen := reference.contains(reference.project(points)) & true.contains(true.project(points))).any()
+        ]
+        if errors:
+            expected[f"{100 * distance_m:.0f} cm"] = {
+                "calibration": round(1e3 * float(np.median(np.concatenate(errors))), 3)
+            }
+    return {"pairs": pairs, "expected_error_mm": expected}
+
+
+def _triangulated(cameras: tuple[CameraModel, CameraModel], pixels: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Return the points (N, 3), metres, of pixels (N, 2) in two cameras."""
+    one, two = (camera.undistort(uv).T for camera, uv in zip(cameras, pixels, strict=True))
+    poses = (np.column_stack([camera.R_camera_rig, camera.t_camera_rig]) for camera in cameras)
+    x, y, z, w = cv2.triangulatePoints(*poses, one, two)
+    points: FloatArray = np.column_stack([x, y, z]) / w[:, None]
+    return points
 
 
 def _board_points(rng: np.random.Generator) -> FloatArray:

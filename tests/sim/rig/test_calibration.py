@@ -73,3 +73,14 @@ def test_all_cameras_see_the_hand(world: World) -> None:
     for calibration in rig(1).truth.cameras.values():
         camera = CameraModel.from_calibration(calibration)
         assert camera.contains(camera.project(points)).mean() > 0.98
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_it_states_of_itself_is_what_it_has(seed: int) -> None:
+    """Covariances of points are built upon these figures: without them the tracker assumes 0.2 px, too much."""
+    quality = rig(seed).found.quality
+    stated_mm = [quality["expected_error_mm"][f"{cm} cm"]["calibration"] for cm in (50, 75, 100)]
+    assert all(0.1 < stated < 4.0 for stated in stated_mm)
+    assert set(quality["pairs"]) == {f"left-{name}" for name in NAMES[1:]}
+    # Corners with 0.1 px of noise in either view, and what the lenses are off by.
+    assert 0.1 <= quality["pairs"]["left-right"]["epipolar_rms_px"] < 0.5

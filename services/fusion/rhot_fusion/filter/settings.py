@@ -265,12 +265,13 @@ class SystematicSettings:
             depth. With a baseline of an eighth of the distance, depth is eight times less accurate than the lateral
             position; this share is larger, to allow for lens distortion.
         shape: standard deviation of a fingertip's centre due to its paint and the visible side, each axis, as a share
-            of its radius: 2 of 6.5 mm.
+            of its radius: 1 of 6.5 mm. At 0.3, 83 and 98 % of the errors of eight develop rigs at 60 fps lie within one
+            and two stated sigma; at 0.15, 72 and 96 %.
     """
 
     doubt: float = 1.6
     across: float = 0.15
-    shape: float = 0.3
+    shape: float = 0.15
 
 
 @dataclass(frozen=True, slots=True)
