@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from rhot.recording.mcap.reader import open_mcap
 from rhot.recording.mcap.writer import McapWriter
 from rhot.recording.picture_folder import PictureFolder
 from rhot.rig import HandFile
+from rhot.rig.folder import write_text_atomic
 from rhot.rig.kept_file import KeptFile
 from rhot.rig.template import rig_template
 from rhot.rig.toml_edit import change_rig_file
@@ -182,3 +185,25 @@ def test_messages_that_fill_a_disk_end_in_one_error_and_open_afterwards(disk: Di
                 writer.flush()
     (disk.path / ".filler").unlink(missing_ok=True)
     assert len(list(open_mcap(disk.path / "take.mcap").samples())) > 20
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+def test_output_that_cannot_be_written_is_one_line() -> None:
+    command = [sys.executable, "-c", "from rhot.cli import main; main()", "--help"]
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60.0, check=False)
+    assert ended.returncode == 1
+    assert ended.stderr == "rhot: error: standard output: cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600)])
+def test_new_files_heed_the_umask_and_old_ones_keep_their_mode(tmp_path: Path, umask: int, mode: int) -> None:
+    before = os.umask(umask)
+    try:
+        write_text_atomic(tmp_path / "new.json", "{}")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "new.json").stat().st_mode & 0o777 == mode
+    (tmp_path / "new.json").chmod(0o640)
+    write_text_atomic(tmp_path / "new.json", "[]")
+    assert (tmp_path / "new.json").stat().st_mode & 0o777 == 0o640

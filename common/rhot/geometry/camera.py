@@ -144,3 +144,22 @@ def essential_matrix(first: CameraModel, second: CameraModel) -> FloatArray:
     t = second.to_camera(first.center[None])[0]
     E: FloatArray = cross_matrix(t) @ R
     return E
+
+
+def rays_meet_ahead(
+    first: CameraModel, second: CameraModel, xy: FloatArray, xy_second: FloatArray
+) -> NDArray[np.bool_]:
+    """Return (n,) whether the rays of two cameras come nearest to each other in front of both.
+
+    Args:
+        first, second: cameras.
+        xy, xy_second: (n, 2) normalised image coordinates of the same points.
+    """
+    # With both rays in the rig frame, d1 and d2, from centres a baseline b apart: z1·d1 − z2·d2 = b in least squares.
+    d1 = np.column_stack([xy, np.ones(len(xy))]) @ first.R_camera_rig
+    d2 = np.column_stack([xy_second, np.ones(len(xy))]) @ second.R_camera_rig
+    b = second.center - first.center
+    a11, a12, a22 = (d1 * d1).sum(1), -(d1 * d2).sum(1), (d2 * d2).sum(1)
+    c1, c2 = d1 @ b, -(d2 @ b)
+    ahead: NDArray[np.bool_] = (a22 * c1 - a12 * c2 > 0.0) & (a11 * c2 - a12 * c1 > 0.0)
+    return ahead

@@ -19,7 +19,7 @@ from rich.text import Text
 
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.camera import CameraModel
+from rhot.geometry.camera import CameraModel, rays_meet_ahead
 from rhot.messages import HandPose, MarkerFrame, Message, PointSet, ServiceStatus
 from rhot.report.tables import figures_table
 from rhot.rig import Rig
@@ -375,16 +375,8 @@ def _pair_fit(
     pair = pair_residuals(first, second, tracks, cameras, periods_s)
     if len(pair.t_s) < LEAST_OBSERVATIONS:
         return None
-    one, other = cameras[first], cameras[second]
-    # With both rays in the rig frame, d1 and d2, from centres a baseline b apart: z1·d1 − z2·d2 = b in least squares.
-    d1 = np.column_stack([pair.xy_first, np.ones(len(pair.xy))]) @ one.R_camera_rig
-    d2 = np.column_stack([pair.xy, np.ones(len(pair.xy))]) @ other.R_camera_rig
-    b = other.center - one.center
-    a11, a12, a22 = (d1 * d1).sum(1), -(d1 * d2).sum(1), (d2 * d2).sum(1)
-    c1, c2 = d1 @ b, -(d2 @ b)
-    det = np.maximum(a11 * a22 - a12 * a12, 1e-12)
-    z1, z2 = (a22 * c1 - a12 * c2) / det, (a11 * c2 - a12 * c1) / det
-    return float(np.median(np.abs(pair.residual_px))), float(np.mean((z1 > 0.0) & (z2 > 0.0)))
+    ahead = rays_meet_ahead(cameras[first], cameras[second], pair.xy_first, pair.xy)
+    return float(np.median(np.abs(pair.residual_px))), float(np.mean(ahead))
 
 
 def judged_recording(parts: Iterable[Iterable[tuple[str, Message]]], rig: Rig | None) -> TrialVerdict:

@@ -121,7 +121,7 @@ class FusionCore:
         agreement = self._tracker.agreement if isinstance(self._tracker, FilterTracker) else None
         bumped_px = 0.0 if agreement is None else agreement.bumped_px
         if agreement is not None and agreement.swapped:
-            return f"views are {bumped_px:.0f} px off their epipolar lines and fit when exchanged: {remedy} in rig.toml"
+            return f"the views of two cameras fit their calibration only when they are exchanged: {remedy} in rig.toml"
         if bumped_px:
             return (
                 f"a camera has moved since the calibration: its views are {bumped_px:.1f} px off their epipolar lines; "

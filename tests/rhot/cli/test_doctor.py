@@ -13,6 +13,7 @@ from rhot.cli.findings import Finding
 from rhot.messages import ServiceStatus
 from rhot.rig import BusConfig, CamerasFile, HandFile, RegistrationFile, Rig, RigidTransform, load_rig, write_json_model
 from rhot.rig.colors import nominal_colors
+from rhot.rig.template import rig_template
 from rhot_sim.walker.folder import write_walker_rig
 
 
@@ -166,3 +167,26 @@ async def test_before_anything_was_seen_nothing_is_said(rig_folder: Path, router
         await until_known(router, "fusion/main")
         findings = await check_running(router, rig)
     assert not [finding for finding in findings if "stand as calibrated" in finding.text]
+
+
+def test_one_camera_gives_no_depth(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(rig_template(folder="rig", name="test", cameras=["left"], camera_xs_m=[0.0]))
+    found = about(check_rig(tmp_path)[1], "the rig has one camera, left")
+    assert (found.level, "[cameras.NAME]" in found.remedy) == ("bad", True)
+
+
+def test_the_same_device_twice_is_one_camera(tmp_path: Path) -> None:
+    toml = rig_template(folder="rig", name="test", source="v4l2").splitlines()
+    lines = ['device = "/dev/video0"' if line.split("=")[0].strip(" #") == "device" else line for line in toml]
+    (tmp_path / "rig.toml").write_text("\n".join(lines))
+    assert [camera.device for camera in load_rig(tmp_path).config.cameras.values()] == ["/dev/video0"] * 2
+    found = about(check_rig(tmp_path)[1], "have the same device")
+    assert (found.level, "/dev/v4l/by-id" in found.remedy) == ("warn", True)
+
+
+def test_paints_that_are_taken_for_each_other_are_told(rig_folder: Path) -> None:
+    quality = {"thumb": {"confusion": 0.11, "nearest": "ring"}, "ring": {"confusion": 0.02, "nearest": "thumb"}}
+    colors = nominal_colors({name: (10 * i, 30, 200) for i, name in enumerate(load_rig(rig_folder).config.markers)})
+    write_json_model(rig_folder / "colors.json", colors.model_copy(update={"quality": quality}))
+    found = about(check_rig(rig_folder)[1], "11 % of thumb would be taken for ring")
+    assert (found.level, "another colour" in found.remedy) == ("warn", True)

@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from statistics import fmean
 
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
-from rhot.geometry.camera import CameraModel
+from rhot.geometry.camera import CameraModel, rays_meet_ahead
 from rhot.rig.quality import epipolar_limit_px
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.epipolar import EpipolarModel
@@ -62,6 +63,7 @@ class CameraAgreement:
         self._bump_px = epipolar_limit_px(calibrated_p95_px)
         self._markers = markers
         self._newest: list[deque[Sightings]] = [deque(maxlen=DEPTH) for _ in cameras]
+        self._pair = cameras[0], cameras[1]
         self._exchanged = EpipolarModel([cameras[1], cameras[0], *cameras[2:]], limit_px)
         self._shots: deque[tuple[FloatArray, BoolArray]] = deque(maxlen=_SHOTS)
         self._looks = 0
@@ -78,16 +80,26 @@ class CameraAgreement:
     def swapped(self) -> bool:
         """Whether the views of the first two cameras fit the calibration far better when they are exchanged.
 
-        Their coordinates stay normalised by their own intrinsics, which for cameras of one kind are alike.
+        Either their rays then meet in front of the cameras and not behind (all that tells parallel cameras apart), or
+        on their epipolar lines and not beside. Their coordinates stay normalised by their own intrinsics, which for
+        cameras of one kind are alike.
         """
-        if not self.bumped_px:
+        if not self._calibrated or self._views < _LEAST_VIEWS:
             return False
         usual, exchanged = [], []
+        ahead, ahead_exchanged = [], []
         for xy, valid in self._shots:
             both = valid[0] & valid[1]
+            ahead += rays_meet_ahead(*self._pair, xy[0, both], xy[1, both]).tolist()
+            ahead_exchanged += rays_meet_ahead(*self._pair, xy[1, both], xy[0, both]).tolist()
             usual += self.epipolar.residual(xy)[1][both].tolist()
             exchanged += self._exchanged.residual(xy[[1, 0, *range(2, len(xy))]])[1][both].tolist()
-        return bool(usual) and float(np.median(np.abs(exchanged))) < _SWAPPED * float(np.median(np.abs(usual)))
+        if not usual:
+            return False
+        if fmean(ahead) < 0.5 < fmean(ahead_exchanged):
+            return True
+        worse = float(np.median(np.abs(exchanged))) >= _SWAPPED * float(np.median(np.abs(usual)))
+        return bool(self.bumped_px) and not worse
 
     def correct(self, camera: int, xy: FloatArray) -> FloatArray:
         """Return a camera's views (N, 2), normalised units, corrected for its movement since the calibration."""

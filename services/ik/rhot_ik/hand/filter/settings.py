@@ -81,7 +81,7 @@ class HandSettings:
     known_m: float = 0.001
     known_rad: float = 0.02
     known_share: float = 0.005
-    model_m: float = 0.0015
+    model_m: float = 0.0022
     corner_factor: float = 16.0
     corner_samples: tuple[float, float] = (2.0, 100.0)
     corner_m: float = 0.001
