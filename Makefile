@@ -23,7 +23,11 @@ help:
 	@echo "make clean    remove the environment and caches"
 
 # pip would compile every module of every package; python compiles the few that are used when it first loads them.
-QUICKLY := --quiet --disable-pip-version-check --no-compile
+QUICKLY := --disable-pip-version-check --no-compile
+# Counts what pip says of each package; its errors and warnings go past it.
+COUNTED := | awk '/^ *Collecting/ {printf "\r  %d packages: %-40s", ++n, $$2; fflush()} END {printf "\r  %d packages%-44s\n", n, ""}'
+SHELL := bash
+.SHELLFLAGS := -o pipefail -c
 
 # The environment is made once and again whenever what it is made from changes.
 $(READY): pyproject.toml constraints.txt
@@ -31,7 +35,7 @@ $(READY): pyproject.toml constraints.txt
 	  { echo "RHOT needs Python 3.11 or newer, $(PYTHON) is $$($(PYTHON) --version); try make PYTHON=python3.12"; exit 1; }
 	@echo "setting up $(VENV), once (about a minute)"
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install $(QUICKLY) --editable '.[dev]' --constraint constraints.txt
+	@$(BIN)/python -m pip install $(QUICKLY) --editable '.[dev]' --constraint constraints.txt $(COUNTED)
 	@touch $@
 
 # Programs of others that tests hand our output to; tests that need one are skipped where it cannot be installed.
@@ -46,7 +50,7 @@ $(NPM): tests/foreign/package.json
 
 $(ROS): tests/foreign/ros.txt
 	@$(PYTHON) -m venv $(@D)
-	@$(@D)/bin/python -m pip install $(QUICKLY) --prefer-binary --requirement $<
+	@$(@D)/bin/python -m pip install $(QUICKLY) --quiet --prefer-binary --requirement $<
 	@touch $@
 
 foreign:
@@ -77,7 +81,7 @@ SCORER ?= ../shared/data/rendered/score.py
 
 $(BLENDER): bench/rhot_bench/rendering/requirements.txt
 	@$(PYTHON) -m venv $(@D)
-	@$(@D)/bin/python -m pip install $(QUICKLY) --requirement $<
+	@$(@D)/bin/python -m pip install $(QUICKLY) --requirement $< $(COUNTED)
 	@touch $@
 
 worlds: $(BLENDER)

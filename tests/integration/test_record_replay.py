@@ -322,8 +322,8 @@ async def test_steps_follow_the_enter_key_and_the_last_value_answers(router: Bus
 
 async def test_replayed_markers_move_living_services(router: BusConfig, tmp_path: Path) -> None:
     """Markers alone go in, with today's times; fusion and ik, waiting for a start, make the recorded hand of them."""
-    # At 30 Hz: on a machine full of tests, services must not lose samples for want of time.
-    rig = simulated_rig(tmp_path / "rig", rate_hz=30.0)
+    # At 15 Hz: on a machine full of tests, services must not lose samples for want of time.
+    rig = simulated_rig(tmp_path / "rig", rate_hz=15.0)
     recorded = write_take(rig, tmp_path / "session.mcap", 2.0, 5.0)
     first_ns = open_mcap(tmp_path / "session.mcap").start_ns - DELAY_NS
     supervisor = Supervisor(tmp_path)
