@@ -161,8 +161,8 @@ def _quality(
 def _triangulated(cameras: tuple[CameraModel, CameraModel], pixels: tuple[FloatArray, FloatArray]) -> FloatArray:
     """Return the points (N, 3), metres, of pixels (N, 2) in two cameras."""
     one, two = (camera.undistort(uv).T for camera, uv in zip(cameras, pixels, strict=True))
-    poses = (np.column_stack([camera.R_camera_rig, camera.t_camera_rig]) for camera in cameras)
-    x, y, z, w = cv2.triangulatePoints(*poses, one, two)
+    P_one, P_two = (np.column_stack([camera.R_camera_rig, camera.t_camera_rig]) for camera in cameras)
+    x, y, z, w = cv2.triangulatePoints(P_one, P_two, one, two)
     points: FloatArray = np.column_stack([x, y, z]) / w[:, None]
     return points
 
