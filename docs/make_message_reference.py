@@ -45,12 +45,16 @@ pixels (u to the right, v down, pixel centres on integers, raw image). Quaternio
 nanoseconds since the Unix epoch on the rig clock. A reader ignores fields that it does not know; a message in which
 something is missing, wrong-typed, not finite or out of bounds is dropped, counted in the status and logged.
 
+Every message has `t_ns` (time of the sample), `seq` (its number on this key since the publisher started, from 0; a gap means
+lost messages) and `schema_version` (1). They are not repeated below.
+
 Every key also answers a query with its last value, as JSON with `?format=json`: `rhot get 'rhot/**'`. Beside the
 messages there are
 
 | key | what |
 |---|---|
 | `rhot/alive/<service>/<instance>` | liveliness token |
+| `rhot/rig` | query: the settings of the running rig, by whoever owns the clock; recordings carry them |
 | `rhot/config/<service>/<instance>` | configuration: get it, put fields to change them while the service runs |
 | `rhot/preview/<camera>` | query: a picture; `?overlay=markers`, `?mask=<marker>`, `?format=png` |
 | `rhot/preview/feet` | query: what the feet's camera sees; `?overlay=depth`, `?overlay=none` |
@@ -122,6 +126,8 @@ def _section(model: type[BaseModel]) -> str:
     where = f"\n`{KEYS[model.__name__][0]}`, from {KEYS[model.__name__][1]}.\n" if model.__name__ in KEYS else ""
     lines = [f"\n## {model.__name__}\n{where}\n{summary}\n", "| field | type | meaning |", "|---|---|---|"]
     for name, field in model.model_fields.items():
+        if issubclass(model, messages.Message) and name in messages.Message.model_fields:
+            continue
         need = "" if field.is_required() else ", optional"
         lines.append(f"| `{name}` | {_type(model, name, field)}{need} | {told.get(name, '')} |")
     return "\n".join(lines) + "\n"

@@ -13,28 +13,193 @@ import click
 
 from rhot.errors import ConfigError
 from rhot.rig.folder import write_text_atomic
-from rhot_bench.measures.rows import check_output
-from rhot_bench.results import Results, Table, load_results
+from rhot_bench.measures.rows import Row, check_output
+from rhot_bench.results import Results, load_results
 
 _BEGIN: Final = "<!-- headlines: written by `rhot evaluate page`, do not edit -->"
 _END: Final = "<!-- end of headlines -->"
 _INTRODUCTION: Final = """\
 # Accuracy and speed
 
-This page is generated from the files in [results](results); do not edit it by hand:
+What holds today, the strictest measurement first. Generated from the files in [results](results), which hold every
+other figure too; do not edit it by hand:
 
 ```
 {command}
 ```
 
-Each section gives the command, date and machine of its measurement. To measure on your own machine, run
-`pip install 'rhot[bench]'` and the same command with `--json FILE`.
-
-*Load* is the load average over the last minute, including the measurement itself. If it exceeds the number of cores,
-other programs were running too, and times are longer than on an idle machine. *For comparison* gives the same figure
-for the 2018 or 2021 thesis or for another tracker. Missed targets are marked. [tested.md](tested.md) lists figures that
-tests assert, and older ones that were measured by hand.
+To measure on your own machine, run the command of a section with `--json FILE`; `rhot evaluate rig` measures your own
+rig. *For comparison* gives the same figure for the thesis of 2018 or 2021, for another tracker, or for a plain filter
+on the same input. Missed targets are marked. *Load* above the number of cores means that other programs ran too.
+[tested.md](tested.md) says what no test has met yet.
 """
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One section of the page.
+
+    Attributes:
+        file: name of the results file, without `.json`.
+        about: what was measured.
+        figures: first words of a table's title, what the page calls it, and the names of its figures.
+    """
+
+    file: str
+    about: str
+    figures: tuple[tuple[str, str, tuple[str, ...]], ...]
+
+
+PARTS: Final = (
+    Part(
+        "motion",
+        "Recorded hands before 30 random rigs that were never used to choose anything: other cameras, paints, patches, "
+        "hands, calibration errors; fingers and objects hide the paint. No picture is searched: tracks are ideal.",
+        (
+            (
+                "Points live: 60",
+                "60 fps, live",
+                (
+                    "tips in two views, after 0.5 s, median",
+                    "tips in two views, after 0.5 s, p95",
+                    "within two stated sigma",
+                    "rigs with a swap",
+                    "rigs with a point 50 mm off",
+                ),
+            ),
+            (
+                "Points smoothed: 60",
+                "60 fps, smoothed",
+                ("tips in two views, median", "tips in two views, p95"),
+            ),
+            (
+                "Hand: 60",
+                "60 fps, hand",
+                (
+                    "live, tips in one view, median",
+                    "live, tips hidden longer, in a grasp, median",
+                    "live, 26 joints, all tips in two views, mean",
+                    "live, 26 joints, two to five hidden in a grasp, mean",
+                    "smooth, 26 joints, at any time, mean",
+                ),
+            ),
+            (
+                "Points live: 30",
+                "30 fps, live",
+                ("tips in two views, after 0.5 s, median", "tips in two views, after 0.5 s, p95", "coverage"),
+            ),
+        ),
+    ),
+    Part(
+        "pictures",
+        "Photo-real pictures of another rig and hand, calibrated by our own commands from their chessboards, colours "
+        "and two ruler measures.",
+        tuple(
+            (
+                title,
+                name,
+                (
+                    "live, nothing removed, median",
+                    "live, nothing removed, p95",
+                    "live, joints, mean",
+                    "live, coverage",
+                    "smooth, nothing removed, p95",
+                ),
+            )
+            for title, name in (("G1", "gestures, 60 fps"), ("G2", "grasp, 30 fps"))
+        ),
+    ),
+    Part(
+        "hands",
+        "Joints between wrist and fingertips of recorded hands, from exact wrist and tips.",
+        (
+            ("MSRA14", "MSRA14", ("PIP and DIP, palm given, mean", "PIP and DIP, from wrist and tips alone, mean")),
+            ("NYU", "NYU", ("PIP, mean",)),
+            ("FPHA", "FPHA, three people", ("person 1, MCP, PIP and DIP, mean", "person 2, MCP, PIP and DIP, mean")),
+        ),
+    ),
+    Part(
+        "streams",
+        "The marker streams that the original rig recorded in 2018: whole pixels, glitches, lost frames, a mount that "
+        "had turned. There is no truth, so jitter, delay and coverage are measured.",
+        (
+            (
+                "hand_as_sent",
+                "as sent",
+                (
+                    "noise at rest, in depth, median",
+                    "points that are measured",
+                    "glitches published as measured",
+                ),
+            ),
+        ),
+    ),
+    Part(
+        "steps",
+        "Real foot sensors (dead reckoning against motion capture).",
+        (
+            (
+                "Dead reckoning, 200 Hz, force and rate",
+                "200 Hz",
+                (
+                    "off on average, 7 trials",
+                    "its worst trial",
+                    "published: the best detector, tuned to each trial",
+                    "SHOE, one threshold for all",
+                ),
+            ),
+            ("Dead reckoning, 100 Hz, as a BNO080 sends it", "100 Hz", ("off on average, 7 trials", "its worst trial")),
+        ),
+    ),
+    Part(
+        "feet",
+        "A simulated walker, with the tests of the 2021 thesis.",
+        (
+            (
+                "The 2021 thesis's tests",
+                "tests",
+                (
+                    "standing still, average",
+                    "marker moving, average",
+                    "sudden move, average",
+                ),
+            ),
+            ("Time", "time", ("latency, p99",)),
+        ),
+    ),
+    Part(
+        "tracking",
+        "Our own simulator: the easiest of these worlds, since it knows what the tracker assumes.",
+        (
+            ("Points, slow", "slow", ("fingertip position, median", "fingertip position, p95")),
+            ("Trust", "slow", ("identity swaps", "false points")),
+            ("Static jitter", "still", ("sideways, worst marker", "in depth, worst marker")),
+            ("Points, the same motion", "3 times as fast", ("lag at 1 m/s", "false points")),
+        ),
+    ),
+    Part(
+        "bench",
+        "Cost and latency, the thesis's algorithms in the same run. No part has been timed on a Raspberry Pi.",
+        (
+            (
+                "Capture: one",
+                "capture",
+                ("tracked, ours / thesis, medians", "searched, ours / thesis, medians"),
+            ),
+            ("Fusion: six", "fusion", ("one camera frame, filter, median",)),
+            ("Inverse", "ik", ("whole hand from a point set, median",)),
+            (
+                "Live: 2 cameras",
+                "live, 2 cameras",
+                (
+                    "picture in memory to hand at the reader, p50",
+                    "picture in memory to hand at the reader, p99",
+                ),
+            ),
+            ("Bridges", "bridges", ("from the bus to the wire, vmc alone, p99", "processor time of all four together")),
+        ),
+    ),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +220,13 @@ class Headline:
 
 
 HEADLINES: Final = (
-    Headline("simulated: fingertip, median", "tracking", "Points, slow", "fingertip position, median"),
-    Headline("simulated: fingertip, p95", "tracking", "Points, slow", "fingertip position, p95"),
+    Headline("30 unseen rigs, live: fingertip, median", "motion", "Points live: 60", PARTS[0].figures[0][2][0]),
+    Headline("30 unseen rigs, live: fingertip, p95", "motion", "Points live: 60", PARTS[0].figures[0][2][1]),
+    Headline(
+        "30 unseen rigs, live: 26 joints, mean", "motion", "Hand: 60", "live, 26 joints, all tips in two views, mean"
+    ),
     Headline("photo-real grasp: fingertips, median", "pictures", "G2", "live, nothing removed, median"),
     Headline("photo-real gestures: 21 joints, mean", "pictures", "G1", "live, joints, mean"),
-    Headline("simulated: false points, fast hand, 15 s", "tracking", "Points, the same motion", "false points"),
     Headline("real hands: PIP and DIP joints", "hands", "MSRA14", "PIP and DIP, from wrist and tips alone, mean"),
     Headline("real foot sensors: dead reckoning", "steps", "Dead reckoning, 200", "off on average, 7 trials"),
     Headline("cost per camera frame, relative to the thesis", "bench", "Capture", "tracked, ours / thesis, medians"),
@@ -84,7 +251,7 @@ HEADLINES: Final = (
 def page(results_path: Path, out_path: Path, readme_path: Path | None) -> None:
     """Generate a page from the results that `rhot evaluate …` and `rhot bench` wrote with --json.
 
-    RESULTS is a folder of such files. If there is a NAME.md beside NAME.json, it introduces that section.
+    RESULTS is a folder of such files.
 
     \b
     rhot evaluate hands DATA --json docs/results/hands.json
@@ -92,7 +259,7 @@ def page(results_path: Path, out_path: Path, readme_path: Path | None) -> None:
     """  # noqa: D301 (click reads \b as "keep these lines")
     check_output("--out", out_path)
     results = load_results(results_path)
-    write_text_atomic(out_path, accuracy_page(results, introductions(results_path, results)))
+    write_text_atomic(out_path, accuracy_page(results))
     click.echo(f"{out_path}: {len(results)} files of figures")
     if readme_path is not None:
         link = os.path.relpath(out_path.resolve(), readme_path.resolve().parent)
@@ -100,27 +267,19 @@ def page(results_path: Path, out_path: Path, readme_path: Path | None) -> None:
         click.echo(f"{readme_path}: {len(HEADLINES)} headline figures")
 
 
-def introductions(folder: Path, results: Mapping[str, Results]) -> dict[str, str]:
-    """Return the contents of NAME.md for each results file NAME.json that has one."""
-    files = {name: folder / f"{name}.md" for name in results}
-    return {name: file.read_text(encoding="utf-8").strip() for name, file in files.items() if file.exists()}
+def accuracy_page(results: Mapping[str, Results]) -> str:
+    """Return the page as Markdown, of the results files by name.
 
-
-def accuracy_page(results: Mapping[str, Results], texts: Mapping[str, str]) -> str:
-    """Return the page as Markdown.
-
-    Args:
-        results: results files by name.
-        texts: introductions by the same names; may be incomplete.
+    Raises:
+        ConfigError: a figure of `PARTS` is missing from the results that are there.
     """
     command = "rhot evaluate page docs/results --out docs/accuracy.md --readme README.md"
-    parts = [_INTRODUCTION.format(command=command), _overview(results)]
-    for name, result in results.items():
-        parts.append(f"## {_heading(result)}\n\n{_origin(result)}\n")
-        if name in texts:
-            parts.append(f"{texts[name]}\n")
-        parts += [_table(section) for section in result.sections]
-    return "\n".join(parts)
+    sections = [
+        f"## {_heading(result)}\n\n{part.about}\n\n{_origin(result)}\n\n{_table(part, result)}"
+        for part in PARTS
+        if (result := results.get(part.file)) is not None
+    ]
+    return "\n".join([_INTRODUCTION.format(command=command), *sections])
 
 
 def with_headlines(readme: str, results: Mapping[str, Results], link: str) -> str:
@@ -146,28 +305,20 @@ def with_headlines(readme: str, results: Mapping[str, Results], link: str) -> st
 
 def _headline(headline: Headline, results: Mapping[str, Results], link: str) -> Sequence[str]:
     result = results.get(headline.file)
-    rows = [
-        figure.row
-        for section in (result.sections if result else ())
-        for figure in section.rows
-        if section.title.startswith(headline.section) and figure.name == headline.row
-    ]
-    if result is None or not rows:
-        raise ConfigError(f"{headline.file}.json holds no figure {headline.row!r} under {headline.section!r}")
-    row = rows[0]
+    if result is None:
+        raise ConfigError(f"{headline.file}.json is missing: it holds {headline.row!r}")
+    row = _row(result, headline.section, headline.row)
     target = f"{row.target} ({row.verdict})" if row.verdict == "missed" else row.target
     return headline.label, row.text, target, row.peer, f"[`{_heading(result)}`]({link}#{_anchor(_heading(result))})"
 
 
-def _overview(results: Mapping[str, Results]) -> str:
-    rows = []
-    for result in results.values():
-        verdicts = [figure.row.verdict for section in result.sections for figure in section.rows]
-        targets = sum(bool(verdict) for verdict in verdicts)
-        missed = f"{verdicts.count('missed')} of {targets}" if targets else "no targets"
-        heading = _heading(result)
-        rows.append((f"[{heading}](#{_anchor(heading)})", _day(result), _machine(result), missed))
-    return _lines(("command", "date", "machine", "targets missed"), rows)
+def _row(result: Results, title: str, name: str) -> Row:
+    """Return a figure by the first words of its table's title and its own name."""
+    for section in result.sections:
+        for figure in section.rows:
+            if section.title.startswith(title) and figure.name.strip() == name:
+                return figure.row
+    raise ConfigError(f"the results of `{result.command}` hold no figure {name!r} under {title!r}")
 
 
 def _heading(result: Results) -> str:
@@ -176,11 +327,7 @@ def _heading(result: Results) -> str:
 
 def _origin(result: Results) -> str:
     run = result.run
-    versions = ", ".join(f"{name} {version}" for name, version in run.versions.items() if version)
-    return (
-        f"```\n{run.command_line}\n```\n\n"
-        f"{_day(result)}; {_machine(result)}, {run.machine.system}; {versions}; commit {run.commit or 'unknown'}."
-    )
+    return f"```\n{run.command_line}\n```\n\n{_day(result)}; {_machine(result)}; commit {run.commit or 'unknown'}."
 
 
 def _day(result: Results) -> str:
@@ -193,28 +340,17 @@ def _machine(result: Results) -> str:
     return f"{machine.cpu}, {machine.cores} cores{busy}"
 
 
-def _table(section: Table) -> str:
-    rows = [figure.row for figure in section.rows]
-    notes = list(dict.fromkeys(row.note for row in rows if row.note))
-    columns = ["figure", "value", "target", ""]
-    columns += ["for comparison"] if any(row.peer for row in rows) else []
-    lines = [
-        (
-            f"{_indented(row.name)}{f' [{notes.index(row.note) + 1}]' if row.note else ''}",
-            row.text,
-            row.target,
-            f"**{row.verdict}**" if row.verdict == "missed" else row.verdict,
-            row.peer,
-        )[: len(columns)]
-        for row in rows
-    ]
-    below = "".join(f"\n[{number}] {_cell(note)}  " for number, note in enumerate(notes, start=1))
-    return f"### {section.title}\n\n{_lines(columns, lines)}{below}\n".rstrip() + "\n"
-
-
-def _indented(name: str) -> str:
-    """Replace leading spaces, which Markdown drops, with a dash."""
-    return f"– {name.strip()}" if name.startswith(" ") else name
+def _table(part: Part, result: Results) -> str:
+    found = [(called, [_row(result, title, name) for name in names]) for title, called, names in part.figures]
+    columns = ["figure", "value", "target", "for comparison"]
+    columns = columns if any(row.peer for _, rows in found for row in rows) else columns[:-1]
+    lines = []
+    for called, rows in found:
+        for row in rows:
+            verdict = f"{row.target} **missed**" if row.verdict == "missed" else row.target
+            cells = f"{called}: {row.name.strip()}", row.text, verdict, row.peer
+            lines.append(cells[: len(columns)])
+    return _lines(columns, lines)
 
 
 def _lines(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
