@@ -30,12 +30,12 @@ SHELL := bash
 .SHELLFLAGS := -o pipefail -c
 
 # The environment is made once and again whenever what it is made from changes.
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml bench/pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "RHOT needs Python 3.11 or newer, $(PYTHON) is $$($(PYTHON) --version); try make PYTHON=python3.12"; exit 1; }
 	@echo "setting up $(VENV), once (about a minute)"
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install $(QUICKLY) --editable '.[dev]' --constraint constraints.txt $(COUNTED)
+	@$(BIN)/python -m pip install $(QUICKLY) --editable '.[dev]' --editable bench --constraint constraints.txt $(COUNTED)
 	@touch $@
 
 # Programs of others that tests hand our output to; tests that need one are skipped where it cannot be installed.

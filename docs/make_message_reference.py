@@ -45,8 +45,8 @@ pixels (u to the right, v down, pixel centres on integers, raw image). Quaternio
 nanoseconds since the Unix epoch on the rig clock. A reader ignores fields that it does not know; a message in which
 something is missing, wrong-typed, not finite or out of bounds is dropped, counted in the status and logged.
 
-Every message has `t_ns` (time of the sample), `seq` (its number on this key since the publisher started, from 0; a gap means
-lost messages) and `schema_version` (1). They are not repeated below.
+Every message has `t_ns` (time of the sample), `seq` (its number on this key since the publisher started, from 0; a gap
+means lost messages) and `schema_version` (1). They are not repeated below.
 
 Every key also answers a query with its last value, as JSON with `?format=json`: `rhot get 'rhot/**'`. Beside the
 messages there are

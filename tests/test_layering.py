@@ -23,7 +23,8 @@ def project() -> dict[str, Any]:
     return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
-PACKAGES: Final = [Path(name) for name in project()["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]]
+WHEEL: Final = [Path(name) for name in project()["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]]
+PACKAGES: Final = [*WHEEL, Path("bench/rhot_bench")]
 
 
 def modules() -> list[Path]:
@@ -55,10 +56,10 @@ def test_nothing_imports_against_the_layers(copied_packages: Path) -> None:
     [
         ("rhot/errors.py", "import rhot_capture.detection.blob", "rhot is not allowed to import rhot_capture"),
         ("rhot_ik/command.py", "from rhot_fusion import stage", "rhot_ik is not allowed to import rhot_fusion"),
-        ("rhot_feet/service.py", "import rhot_bench.output", "rhot_feet is not allowed to import rhot_bench"),
+        ("rhot_feet/service.py", "import rhot_tools.measures.output", "rhot_feet is not allowed to import rhot_tools"),
         ("rhot_viewer/service.py", "import rhot_calibration", "rhot_viewer is not allowed to import rhot_calibration"),
         ("rhot_calibration/__init__.py", "import rhot_sim", "rhot_calibration is not allowed to import rhot_sim"),
-        ("rhot_sim/command.py", "import rhot_bench.output", "rhot_sim is not allowed to import rhot_bench"),
+        ("rhot_sim/command.py", "import rhot_tools.measures.output", "rhot_sim is not allowed to import rhot_tools"),
         ("rhot_fusion/views/__init__.py", "import zenoh", "rhot_fusion.views is not allowed to import zenoh"),
         ("rhot/geometry/rotations.py", "import asyncio", "rhot.geometry is not allowed to import asyncio"),
     ],
@@ -75,7 +76,13 @@ def test_an_import_against_the_layers_is_refused(copied_packages: Path, file: st
     assert said in done.stdout
 
 
-def test_every_package_of_the_wheel_stands_in_a_layer() -> None:
+def test_the_wheel_holds_no_bench() -> None:
+    points = project()["project"]["entry-points"]
+    assert not any("rhot_bench" in target for group in points.values() for target in group.values())
+    assert not any("bench" in str(package) for package in WHEEL)
+
+
+def test_every_package_stands_in_a_layer() -> None:
     linter = project()["tool"]["importlinter"]
     layers = next(contract["layers"] for contract in linter["contracts"] if contract["type"] == "layers")
     names = sorted(package.name for package in PACKAGES)

@@ -19,21 +19,22 @@ import click
 import numpy as np
 from rich.console import Console
 
+from rhot.cli.options import FiniteRange
 from rhot.messages import MarkerFrame
 from rhot.offline import track, track_smoothly
 from rhot.recording import load_recording
 from rhot.rig import Rig
-from rhot_bench.measures.rows import Row, Section, check_output
 from rhot_bench.motion.errors import coverage, hand_errors, point_errors
 from rhot_bench.motion.run import tracked
 from rhot_bench.motion.tracks import Tracks, make_tracks
-from rhot_bench.output import counted, json_option, show
 from rhot_bench.pictures.rendered import SEQUENCES, Measures, at_rate_of, found_markers, prepare_rig, require_pictures
 from rhot_bench.pictures.scoring import score_messages
 from rhot_bench.processes import each
 from rhot_fusion.filter.settings import DEFAULT
 from rhot_ik.hand.blending import BlendSettings
 from rhot_ik.hand.filter.settings import HandSettings
+from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.rows import Row, Section, check_output
 
 EARNS: Final = 3.0
 """Change of a figure, percent (of coverage and honesty: points), from which on a term or a number earns its place."""
@@ -109,7 +110,8 @@ def changed(change: Change) -> Iterator[None]:
     for group, name, value in change:
         if group in made:
             # Made anew for each hand: the defaults of the constructor are what counts.
-            init, names = made[group].__init__, [field.name for field in fields(made[group])]
+            init: Any = vars(made[group])["__init__"]
+            names = [field.name for field in fields(made[group])]
             undo.append((init, "__defaults__", init.__defaults__))
             values = dict(zip(names, init.__defaults__ or (), strict=True)) | {name: value}
             init.__defaults__ = tuple(values.values())
@@ -190,7 +192,7 @@ def _motion_figures(tracks: Tracks, *, smooth: bool) -> dict[str, float]:
         "median, mm": float(np.median(error_mm)),
         "p95, mm": float(np.percentile(error_mm, 95)),
         "joints, mm": 1e3 * float(np.mean(hands.joints_m)),
-        "coverage, %": coverage(tracks, estimates),
+        "coverage, %": 100.0 * coverage(tracks, estimates),
         "within two sigma, %": 100.0 * float((ratio <= 2.0).mean()),
         "swapped, %": 100.0 * float(points.swapped[points.measured].mean()),
     }
@@ -225,7 +227,7 @@ def worst(figures: Mapping[str, float], base: Mapping[str, float]) -> tuple[floa
 )
 @click.option("--rigs", type=click.IntRange(min=0), default=6, show_default=True, help="Develop rigs of the family.")
 @click.option("--first", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the first rig.")
-@click.option("--seconds", type=click.FloatRange(min=1.0), default=2.5, show_default=True, help="Of each clip.")
+@click.option("--seconds", type=FiniteRange(min=1.0), default=2.5, show_default=True, help="Of each clip.")
 @click.option("--terms", is_flag=True, help="Only whole terms.")
 @click.option("--smooth", is_flag=True, help="With smoothing.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Variants at the same time.")

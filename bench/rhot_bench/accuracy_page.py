@@ -13,8 +13,8 @@ import click
 
 from rhot.errors import ConfigError
 from rhot.rig.folder import write_text_atomic
-from rhot_bench.measures.rows import Row, check_output
 from rhot_bench.results import Results, load_results
+from rhot_tools.measures.rows import Row, check_output
 
 _BEGIN: Final = "<!-- headlines: written by `rhot evaluate page`, do not edit -->"
 _END: Final = "<!-- end of headlines -->"
@@ -267,16 +267,16 @@ def page(results_path: Path, out_path: Path, readme_path: Path | None) -> None:
         click.echo(f"{readme_path}: {len(HEADLINES)} headline figures")
 
 
-def accuracy_page(results: Mapping[str, Results]) -> str:
+def accuracy_page(results: Mapping[str, Results], parts: Sequence[Part] = PARTS) -> str:
     """Return the page as Markdown, of the results files by name.
 
     Raises:
-        ConfigError: a figure of `PARTS` is missing from the results that are there.
+        ConfigError: a figure of the parts is missing from the results that are there.
     """
     command = "rhot evaluate page docs/results --out docs/accuracy.md --readme README.md"
     sections = [
         f"## {_heading(result)}\n\n{part.about}\n\n{_origin(result)}\n\n{_table(part, result)}"
-        for part in PARTS
+        for part in parts
         if (result := results.get(part.file)) is not None
     ]
     return "\n".join([_INTRODUCTION.format(command=command), *sections])

@@ -12,8 +12,6 @@ from rich.progress import Progress
 
 from rhot.cli.options import FiniteRange
 from rhot.rig import Rig
-from rhot_bench.measures.rows import Section, check_output
-from rhot_bench.output import json_option, show
 from rhot_bench.speed.bridges import bridges_section
 from rhot_bench.speed.cores import Scene, capture_section, fusion_section, ik_section, pipeline_section
 from rhot_bench.speed.interleaved import Spread
@@ -25,6 +23,8 @@ from rhot_bench.speed.secured import secured_section
 from rhot_bench.speed.services import processes_section
 from rhot_bench.speed.soak import soak_section
 from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
+from rhot_tools.measures.output import json_option, show
+from rhot_tools.measures.rows import Section, check_output
 
 _CORES: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget")
 PARTS: Final = (*_CORES, "live", "processes", "tls", "bridge")

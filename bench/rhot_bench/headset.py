@@ -16,14 +16,14 @@ from rich.console import Console
 from rhot.cli.options import FiniteRange
 from rhot.recording.camera_picture import jpeg_of
 from rhot_bench.feet.heads import START_NS, Heads
-from rhot_bench.measures.rows import Row, Section, check_output
-from rhot_bench.output import counted, json_option, show
 from rhot_calibration.headset.checks import FOOT_M, judged
 from rhot_calibration.headset.collector import ViewCollector
 from rhot_calibration.headset.fit import HeadsetFit, mounting_error
 from rhot_feet.frames import pinhole
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_sim.walker.world import WalkerWorld
+from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.rows import Row, Section, check_output
 
 MM: Final = 1e3
 MOST_ROTATION_DEG: Final = 0.1

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict
 
 from rhot.errors import ConfigError
 from rhot.rig.folder import read_json_model
-from rhot_bench.measures.rows import Row
+from rhot_tools.measures.rows import Row
 
 
 class _Model(BaseModel):
@@ -20,7 +20,7 @@ class _Model(BaseModel):
 
 
 class Machine(_Model):
-    """What the figures were measured on; see `rhot_bench.provenance`."""
+    """What the figures were measured on; see `rhot_tools.measures.provenance`."""
 
     cpu: str
     cores: int
@@ -29,7 +29,7 @@ class Machine(_Model):
 
 
 class Run(_Model):
-    """Where the figures come from; see `rhot_bench.provenance`."""
+    """Where the figures come from; see `rhot_tools.measures.provenance`."""
 
     command_line: str
     date: str

@@ -18,11 +18,11 @@ from rhot.recording import MarkerTrack, Recording, load_recording, marker_track_
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
-from rhot_bench.measures.rows import Row, Section, check_output
-from rhot_bench.measures.streams import Stream, lateral_delay, measured_glitches, rest_noise_m, step_p99_m
 from rhot_bench.number_table import read_table
-from rhot_bench.output import counted, json_option, show
 from rhot_fusion.core import FusionCore
+from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.rows import Row, Section, check_output
+from rhot_tools.measures.streams import Stream, lateral_delay, measured_glitches, rest_noise_m, step_p99_m
 
 _STEP_MM: Final = {"hand_recovered": 40.0, "hand_as_sent": 60.0}
 _GLITCH_BITS: Final = 2 | 8

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final, Literal, Protocol
 
 from rhot.errors import ConfigError
+from rhot.plugins import install_hint
 from rhot.rig.bus_config import BusConfig
 from rhot.rig.folder import load_config
 
@@ -207,7 +208,7 @@ def load_steps(context: StepContext) -> dict[str, CalibrationStep]:
 
 
 def _loaded(target: str, extra: str, context: StepContext) -> CalibrationStep:
-    hint = f"This step is not installed here: pip install 'rhot[{extra}]'"
+    hint = f"This step is not installed here: {install_hint(extra)}"
     module, _, attribute = target.partition(":")
     if not module:
         return _Absent(hint)

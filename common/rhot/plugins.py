@@ -8,6 +8,13 @@ from typing import Any
 from rhot.errors import ConfigError
 
 
+def install_hint(extra: str) -> str:
+    """Return the command that installs what an extra stands for; empty = RHOT itself."""
+    if extra == "bench":
+        return "it is in RHOT's source alone: in a checkout, pip install ./bench"
+    return f"pip install 'rhot[{extra}]'" if extra else "install RHOT again"
+
+
 def load_plugin(group: str, name: str, purpose: str, extra: str) -> Any:
     """Import and return what another package brings.
 
@@ -19,7 +26,7 @@ def load_plugin(group: str, name: str, purpose: str, extra: str) -> Any:
     Raises:
         ConfigError: the part, or a module that it needs, is not installed here.
     """
-    hint = f"pip install 'rhot[{extra}]'"
+    hint = install_hint(extra)
     found = list(entry_points(group=group, name=name))
     if not found:
         raise ConfigError(f"{purpose} needs a part of RHOT that is not installed here; {hint}")

@@ -8,10 +8,10 @@ import click
 import pytest
 
 from rhot.errors import ConfigError
-from rhot_bench.accuracy_page import HEADLINES, accuracy_page, page, with_headlines
-from rhot_bench.measures.rows import Row, Section
-from rhot_bench.output import show
+from rhot_bench.accuracy_page import HEADLINES, Part, accuracy_page, page, with_headlines
 from rhot_bench.results import load_results
+from rhot_tools.measures.output import show
+from rhot_tools.measures.rows import Row, Section
 
 Invoke = Callable[..., str]
 
@@ -47,11 +47,11 @@ def test_every_file_of_figures_says_where_it_comes_from(results: Path) -> None:
     assert run["date"].startswith("20")
 
 
-def test_page_holds_every_figure_with_command_day_and_machine(invoke: Invoke, results: Path) -> None:
-    (results / "anything.md").write_text("What it is about.\n")
-    out = results / "page.md"
-    invoke(page, results, "--out", out)
-    text = out.read_text()
+ABOUT = Part("anything", "What it is about.", (("Points", "both", ("error | all", "worst")),))
+
+
+def test_page_holds_its_figures_with_command_day_and_machine(results: Path) -> None:
+    text = accuracy_page(load_results(results), [ABOUT])
     run = load_results(results)["anything"].run
     for expected in (
         "## rhot evaluate anything",
@@ -59,13 +59,15 @@ def test_page_holds_every_figure_with_command_day_and_machine(invoke: Invoke, re
         run.date[:10],
         run.machine.cpu,
         "What it is about.",
-        "### Points",
-        "| error \\| all [1] | 1.23 mm | ≤ 1 | **missed** | thesis: 5 mm |",
-        "| – worst | – | ≤ 2 | not measured |  |",
-        "[1] of 7 points",
-        "(#rhot-evaluate-anything)",
+        "| both: error \\| all | 1.23 mm | ≤ 1 **missed** | thesis: 5 mm |",
+        "| both: worst | – | ≤ 2 |  |",
     ):
         assert expected in text
+
+
+def test_a_figure_that_is_not_there_is_named(results: Path) -> None:
+    with pytest.raises(ConfigError, match="hold no figure 'gone' under 'Points'"):
+        accuracy_page(load_results(results), [Part("anything", "", (("Points", "both", ("gone",)),))])
 
 
 def test_page_takes_files_of_commands_that_it_does_not_know(results: Path) -> None:
@@ -73,7 +75,7 @@ def test_page_takes_files_of_commands_that_it_does_not_know(results: Path) -> No
     document = json.loads(file.read_text())
     document["sections"][0]["plot"] = [1, 2]
     file.write_text(json.dumps(document | {"command": "evaluate pictures", "sequences": ["G1"]}))
-    assert "## rhot evaluate pictures" in accuracy_page(load_results(results), {})
+    assert "## rhot evaluate pictures" in accuracy_page(load_results(results), [ABOUT])
 
 
 def test_wrong_folders_and_files_are_refused(invoke: Invoke, tmp_path: Path) -> None:
@@ -87,5 +89,5 @@ def test_wrong_folders_and_files_are_refused(invoke: Invoke, tmp_path: Path) -> 
 def test_headlines_that_are_not_there_are_named(results: Path) -> None:
     with pytest.raises(ConfigError, match="do not edit"):
         with_headlines("# no comments", load_results(results), "docs/accuracy.md")
-    with pytest.raises(ConfigError, match=HEADLINES[0].row):
+    with pytest.raises(ConfigError, match=f"{HEADLINES[0].file}.json is missing"):
         with_headlines(README, load_results(results), "docs/accuracy.md")

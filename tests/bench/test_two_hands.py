@@ -15,12 +15,12 @@ from rhot.messages import MarkerFrame
 from rhot.rig import Rig, load_rig, write_json_model
 from rhot.rig.colors import nominal_colors
 from rhot.rig.marker_config import own_paints
-from rhot_bench.measures.points import PointTrack, identity_swaps
 from rhot_bench.speed.scaling import bare_rig
 from rhot_bench.speed.simulated import world_of
 from rhot_bench.tracking import two_hands as command
 from rhot_bench.tracking.projected import named_frames
 from rhot_sim.world.paint import paints_of
+from rhot_tools.measures.points import PointTrack, identity_swaps
 
 Invoke = Callable[..., str]
 

@@ -12,12 +12,12 @@ from rhot.messages import Control, MarkerFrame, Message, ServiceStatus
 from rhot.offline import core, track_with
 from rhot.rig import Rig
 from rhot_bench.measures.hands import START_NS
-from rhot_bench.rig.heard import Heard
 from rhot_bench.speed.simulated import world_of
 from rhot_bench.tracking.projected import named_frames
 from rhot_objects.assemble import plan_sources
 from rhot_objects.offline import PlayedObjects
 from rhot_sim.world.world import World
+from rhot_tools.rig.heard import Heard
 
 CLOCK_S = 0.0004
 """What each camera says its clock may be off."""

@@ -22,12 +22,12 @@ from rhot_bench.feet.runs import SIDES, Played, Run, play
 from rhot_bench.feet.sections import EXTRA_TASKS, MM, feet_sections
 from rhot_bench.feet.stages import CELLS, cell_plots
 from rhot_bench.feet.table_5_1 import TASKS, table_5_1
-from rhot_bench.measures.html import html_report
-from rhot_bench.measures.rows import check_output
-from rhot_bench.output import counted, json_option, page_option, show
 from rhot_bench.processes import each
-from rhot_bench.provenance import provenance
 from rhot_sim.walker.folder import write_walker_rig
+from rhot_tools.measures.html import html_report
+from rhot_tools.measures.output import counted, json_option, page_option, show
+from rhot_tools.measures.provenance import provenance
+from rhot_tools.measures.rows import check_output
 
 HEIGHTS_M: Final = (1.50, 1.60, 1.75, 1.90, 2.00)
 RUNS: Final = {

@@ -11,7 +11,7 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot_bench.feet.runs import COMPUTE_S, LEARN_S, SIDES, STAGES, Played, Track
 from rhot_bench.feet.stages import cell_rows
 from rhot_bench.feet.table_5_1 import TASKS, printed_m, table_5_1_rows
-from rhot_bench.measures.rows import Row, Section
+from rhot_tools.measures.rows import Row, Section
 
 SETTLE_S: Final = 2.0
 """Averages are taken from here on; what is worst counts from the start."""

@@ -17,7 +17,7 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot.report.svg import line_plot
 from rhot.rig.feet_config import WalkProgram
 from rhot_bench.feet.runs import LEARN_S, SIDES, Played, Run, Track
-from rhot_bench.measures.rows import Row
+from rhot_tools.measures.rows import Row
 
 CellStage = Literal["marker", "depth", "inertial"]
 

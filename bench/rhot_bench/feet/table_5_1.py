@@ -17,7 +17,7 @@ from rich.table import Table
 from rhot.arrays import FloatArray
 from rhot.report.tables import figures_table
 from rhot_bench.feet.runs import SIDES, Played
-from rhot_bench.measures.rows import Row
+from rhot_tools.measures.rows import Row
 
 Three = tuple[float, float, float]
 

@@ -22,14 +22,14 @@ from rhot.messages import BoxShape, CylinderShape, Message, SphereShape
 from rhot.messages.objects import ObjectShape
 from rhot.report.svg import line_plot
 from rhot.rig.folder import write_text_atomic
-from rhot_bench.grasp.figures import GraspFigures, grasp_figures, grasp_sections
-from rhot_bench.grasp.session import TIPS, GraspSession, grasp_session
 from rhot_bench.grasp.sources import listened, rendered, simulated
-from rhot_bench.measures.html import html_report
-from rhot_bench.measures.rows import check_output
-from rhot_bench.output import counted, json_option, page_option, show
 from rhot_bench.pictures.rendered import require_pictures
 from rhot_bench.tracking.simulated_rig import simulated_rig
+from rhot_tools.grasp.figures import GraspFigures, grasp_figures, grasp_sections
+from rhot_tools.grasp.session import TIPS, GraspSession, grasp_session
+from rhot_tools.measures.html import html_report
+from rhot_tools.measures.output import counted, json_option, page_option, show
+from rhot_tools.measures.rows import check_output
 
 _CYCLE_S: Final = 16.0
 """Of the simulated script: a gesture, a grasp, a gesture."""

@@ -19,8 +19,6 @@ from rhot.messages.base import wire_position
 from rhot.offline import core, track_with
 from rhot.recording import load_recording
 from rhot.rig import BusConfig, Rig
-from rhot_bench.grasp.pickups import as_true
-from rhot_bench.grasp.session import PALM, GraspSession
 from rhot_bench.measures.hands import START_NS
 from rhot_bench.pictures.rendered import at_rate_of, found_markers, prepare_rig
 from rhot_bench.speed.simulated import world_of
@@ -28,6 +26,8 @@ from rhot_bench.tracking.tracking import scene_frames
 from rhot_objects.assemble import plan_sources
 from rhot_objects.offline import PlayedObjects
 from rhot_sim.world.world import World
+from rhot_tools.grasp.pickups import as_true
+from rhot_tools.grasp.session import PALM, GraspSession
 
 SEQUENCE = "G2"
 _CONNECT_S = 5.0

@@ -24,10 +24,10 @@ from rhot_bench.hands.recorded_joints import (
     solved,
     whole_chains,
 )
-from rhot_bench.measures.rows import Row, Section, check_output
-from rhot_bench.output import counted, json_option, show
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.rows import Row, Section, check_output
 
 _MIDDLE: Final = slice(1, 3)
 _INNER: Final = slice(0, 3)

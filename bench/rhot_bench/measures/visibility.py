@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
-from rhot_bench.measures.points import PointTrack
 from rhot_sim.comparison.coverage import NEAR_FRAMES, visible_to_two
 from rhot_sim.rendering.coverage import MarkerCoverage
+from rhot_tools.measures.points import PointTrack
 
 SHORT_S: Final = 0.25
 """An occlusion up to this long is to be bridged."""

@@ -10,13 +10,13 @@ import click
 from rich.console import Console
 
 from rhot.cli.options import FiniteRange
-from rhot_bench.measures.rows import check_output
 from rhot_bench.motion.figures import stratum_sections
 from rhot_bench.motion.recordings import list_recordings
 from rhot_bench.motion.run import Job, RigResult, Stratum, run_job
 from rhot_bench.motion.tracks import MarkerKind
-from rhot_bench.output import counted, json_option, show
 from rhot_bench.processes import each
+from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.rows import check_output
 
 Half = Literal["develop", "held-back"]
 

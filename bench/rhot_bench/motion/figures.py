@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
-from rhot_bench.measures.rows import Row, Section
 from rhot_bench.motion.errors import HandErrors, PointErrors, joined_hands, joined_points
 from rhot_bench.motion.run import RigResult, Stratum
+from rhot_tools.measures.rows import Row, Section
 
 _MM: Final = 1e3
 _FAR_M: Final = 0.050

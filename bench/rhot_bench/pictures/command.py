@@ -18,11 +18,9 @@ from rhot.messages import MarkerFrame, Side
 from rhot.offline import track, track_smoothly
 from rhot.recording import load_recording
 from rhot.rig import Rig
-from rhot_bench.measures.rows import Row, Section, check_output
 from rhot_bench.motion.references.plain_ekf import plain_ekf
 from rhot_bench.motion.references.spline_reference import spline_reference
 from rhot_bench.motion.references.views import views_of
-from rhot_bench.output import counted, json_option, show
 from rhot_bench.pictures.changes import CHANGES, changed_copy
 from rhot_bench.pictures.rendered import (
     SEQUENCES,
@@ -33,6 +31,8 @@ from rhot_bench.pictures.rendered import (
     require_pictures,
 )
 from rhot_bench.pictures.scoring import Score, score_estimates, score_messages
+from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.rows import Row, Section, check_output
 
 
 @dataclass(frozen=True, slots=True)

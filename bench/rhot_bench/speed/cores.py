@@ -13,7 +13,6 @@ from rhot.anatomy.hand import HandModel
 from rhot.arrays import FloatArray, ImageArray
 from rhot.messages import MarkerFrame, PointSet, encode
 from rhot.rig import Rig
-from rhot_bench.measures.rows import Row, Section
 from rhot_bench.speed.interleaved import Spread, interleaved, no_collection, ratio_rows, time_rows, timed
 from rhot_bench.speed.plain_algebra import saving_rows
 from rhot_bench.speed.simulated import Cameras, Capture, Moment, moments
@@ -27,6 +26,7 @@ from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.world.world import World
+from rhot_tools.measures.rows import Row, Section
 
 Advance = Callable[[], None]
 

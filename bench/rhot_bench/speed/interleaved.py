@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_bench.measures.rows import Row
+from rhot_tools.measures.rows import Row
 
 T = TypeVar("T")
 _SEED = 1

@@ -27,7 +27,6 @@ from rhot.messages import HandPose, MarkerFrame, ServiceStatus
 from rhot.operation.control import broadcast
 from rhot.rig import Rig, load_rig
 from rhot.rig.toml_edit import change_rig_file
-from rhot_bench.measures.rows import Row, Section
 from rhot_sim.comparison.collect import follow
 from rhot_sim.rendering.renderer import Renderer
 from rhot_sim.rig.folder import true_cameras
@@ -35,6 +34,7 @@ from rhot_sim.rig.schedule import FrameSchedule
 from rhot_sim.running.processes import bus_of, with_processes
 from rhot_sim.running.run import free_endpoint
 from rhot_sim.world.world import World
+from rhot_tools.measures.rows import Row, Section
 
 _ENDPOINT: Final = "tcp/127.0.0.1:7457"
 _TAKE_S: Final = 4.0

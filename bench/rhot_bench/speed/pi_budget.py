@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from rhot_bench.measures.rows import Row, Section
+from rhot_tools.measures.rows import Row, Section
 
 PI3_FRAME_S: Final = 0.018
 CORES: Final[Mapping[str, tuple[float, int]]] = {"Pi 3": (1.2, 2), "Pi 4": (1.5, 3), "Pi 5": (2.4, 4)}

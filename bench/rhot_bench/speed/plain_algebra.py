@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhot.arrays import FloatArray, ImageArray
-from rhot_bench.measures.rows import Row
 from rhot_bench.speed.interleaved import lockstep
 from rhot_capture.detection.subpixel import unmixing
 from rhot_capture.detection.subpixel.unmixing import MIN_CONTRAST, MIN_SURROUNDINGS, MISFIT, NOISE, RIDGE, TINY
+from rhot_tools.measures.rows import Row
 
 LEAST_SAVING: Final = 0.1
 """Of a frame's cost: what saves less is not worth a second form of the same algebra, and numpy's must return."""

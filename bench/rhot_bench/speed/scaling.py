@@ -15,7 +15,6 @@ from rhot.rig.colors import load_colors
 from rhot.rig.folder import CAMERAS_FILE, RIG_FILE, write_text_atomic
 from rhot.rig.marker_config import own_paints
 from rhot.rig.template import rig_template
-from rhot_bench.measures.rows import Row, Section
 from rhot_bench.speed.cores import MICRO, MILLI, Advance, Scene, points_of
 from rhot_bench.speed.interleaved import lockstep
 from rhot_bench.speed.simulated import projected_frames, with_cameras, with_rate, world_of
@@ -25,6 +24,7 @@ from rhot_fusion.core import FusionCore
 from rhot_ik.hand.core import HandCore
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.rig.folder import CAMERA_NAMES
+from rhot_tools.measures.rows import Row, Section
 
 CAMERA_COUNTS: Final = (2, 4, 8)
 _SIDES: Final[tuple[Side, ...]] = ("right", "left")

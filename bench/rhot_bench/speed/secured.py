@@ -19,8 +19,8 @@ from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE, load_config
 from rhot.rig.template import rig_template
 from rhot.rig.toml_edit import change_rig_file
-from rhot_bench.measures.rows import Row, Section
 from rhot_sim.running.run import free_endpoint
+from rhot_tools.measures.rows import Row, Section
 
 _RATE_HZ: Final = 180.0
 """Two cameras at 90 Hz."""

@@ -14,9 +14,9 @@ from rhot.errors import RhotError
 from rhot.operation.control import broadcast
 from rhot.operation.supervisor import Supervisor
 from rhot.rig import BusConfig, Rig
-from rhot_bench.measures.rows import Row, Section
 from rhot_sim.running.processes import bus_of, service_commands
 from rhot_sim.running.run import free_endpoint
+from rhot_tools.measures.rows import Row, Section
 
 _ENDPOINT: Final = "tcp/127.0.0.1:7457"
 _UP_LIMIT_S: Final = 30.0

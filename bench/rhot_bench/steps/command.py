@@ -15,8 +15,6 @@ from rich.console import Console
 
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
-from rhot_bench.measures.rows import Row, Section, check_output
-from rhot_bench.output import counted, json_option, show
 from rhot_bench.steps.dead_reckoning import faster, horizontal_error_m, reckon
 from rhot_bench.steps.heel import LEAST_LIFT_RAD, heel_directions
 from rhot_bench.steps.held_out import Reckoned, held_out_rows, kind_rows, reckoned
@@ -25,6 +23,8 @@ from rhot_bench.steps.standard_detectors import ared, shoe
 from rhot_bench.steps.toes import NEAR_PX, ToeWalk, follow_toes, thesis_toes
 from rhot_bench.steps.walks import hide_swings, read_places, read_step_trial
 from rhot_feet.sources.imu.recorded import read_samples
+from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.rows import Row, Section, check_output
 
 Advance = Callable[[], None]
 

@@ -15,11 +15,11 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_bench.measures.rows import Row
 from rhot_bench.steps.dead_reckoning import faster, horizontal_error_m, reckon
 from rhot_bench.steps.walks import read_places
 from rhot_feet.imu.zero_velocity_detector import ZeroVelocitySettings
 from rhot_feet.sources.imu.recorded import read_samples
+from rhot_tools.measures.rows import Row
 
 MM: Final = 1e3
 OF_PUBLISHED: Final = 1.2

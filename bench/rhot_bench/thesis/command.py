@@ -10,11 +10,11 @@ import cv2
 from rich.console import Console
 
 from rhot.errors import ConfigError
-from rhot_bench.measures.rows import check_output
-from rhot_bench.output import counted, json_option, show
 from rhot_bench.speed.cores import Scene
 from rhot_bench.thesis.tables import DISTANCES_CM, depth_section, jitter_section, timing_section
 from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
+from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.rows import check_output
 
 _TABLE: Final = "depth_table.csv"
 

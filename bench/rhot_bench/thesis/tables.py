@@ -19,8 +19,6 @@ from rhot.messages import PointSet
 from rhot.offline import track
 from rhot.rig import Rig
 from rhot_bench.measures.hands import START_NS
-from rhot_bench.measures.points import point_track
-from rhot_bench.measures.rows import Row, Section
 from rhot_bench.number_table import read_table
 from rhot_bench.speed.cores import MILLI, Scene, capture_section
 from rhot_bench.speed.simulated import Cameras, Capture, moments
@@ -30,6 +28,8 @@ from rhot_bench.thesis.paint_samples import thesis_boxes
 from rhot_bench.tracking.tracking import scene_frames
 from rhot_sim.world.motion import MotionSample, StillMotion
 from rhot_sim.world.world import World
+from rhot_tools.measures.points import point_track
+from rhot_tools.measures.rows import Row, Section
 
 Advance = Callable[[], None]
 

@@ -14,15 +14,15 @@ from rhot.arrays import FloatArray
 from rhot.messages import HandPose, MarkerFrame, PointSet
 from rhot.offline import track
 from rhot.rig import Rig
-from rhot_bench.measures.delay import REACH_S, STEP_S, delay_s
 from rhot_bench.measures.hands import START_NS, HandFigures, against_truth, hand_figures
-from rhot_bench.measures.points import PointTrack, false_points, identity_swaps, jitter_m, point_track, true_path
-from rhot_bench.measures.rows import Row, Section
 from rhot_bench.measures.visibility import Survival, survival, visible_markers
 from rhot_bench.speed.simulated import Cameras, Capture, moments, world_of
 from rhot_sim.rendering.coverage import MarkerCoverage
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.world.world import World
+from rhot_tools.measures.delay import REACH_S, STEP_S, delay_s
+from rhot_tools.measures.points import PointTrack, false_points, identity_swaps, jitter_m, point_track, true_path
+from rhot_tools.measures.rows import Row, Section
 
 SETTLE_S: Final = 1.0
 _LOOK_HZ: Final = 30.0

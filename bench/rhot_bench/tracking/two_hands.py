@@ -21,15 +21,15 @@ from rhot.messages import HandPose, MarkerFrame, PointSet, Side
 from rhot.offline import core, track_smoothly, track_with
 from rhot.rig import Rig
 from rhot_bench.measures.hands import START_NS, against_truth, hand_figures
-from rhot_bench.measures.points import PointTrack, false_points, identity_swaps, point_track
-from rhot_bench.measures.rows import Row, Section, check_output
-from rhot_bench.output import counted, json_option, show
 from rhot_bench.speed.simulated import world_of
 from rhot_bench.tracking.projected import named_frames
 from rhot_bench.tracking.simulated_rig import RATE_HZ
 from rhot_bench.tracking.tracking import MM, SETTLE_S, scene_frames
 from rhot_sim.rig.folder import true_cameras, with_motion, write_simulated_rig
 from rhot_sim.world.world import World
+from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.points import PointTrack, false_points, identity_swaps, point_track
+from rhot_tools.measures.rows import Row, Section, check_output
 
 SIDES: Final[tuple[Side, Side]] = ("right", "left")
 _WRONG_PX: Final = 14.0

@@ -20,6 +20,7 @@ from typing import Any
 import click
 
 from rhot.errors import EXIT_AGAIN, ConfigError, HungDeviceError, RhotError
+from rhot.plugins import install_hint
 from rhot.text import printable_lines
 
 logger = logging.getLogger(__name__)
@@ -36,7 +37,7 @@ class LazyCommand:
     Attributes:
         summary: one line for the overview, so that showing it imports nothing.
         target: `module:attribute`, or empty when an entry point of `group` says it.
-        extra: what to install when its module cannot be imported.
+        extra: what to install when its module cannot be imported; `bench` is a package of its own, in the source only.
     """
 
     summary: str
@@ -47,9 +48,13 @@ class LazyCommand:
 class LazyGroup(click.Group):
     """A group whose commands are imported when they are called."""
 
-    def __init__(self, *args: Any, lazy: Mapping[str, LazyCommand], plugins: str = "", **kwargs: Any) -> None:
+    def __init__(
+        self, *args: Any, lazy: Mapping[str, Mapping[str, LazyCommand]], plugins: str = "", **kwargs: Any
+    ) -> None:
+        """Take the commands by the section of the overview that they stand in; a section without a title is hidden."""
         super().__init__(*args, **kwargs)
-        self._lazy = dict(lazy)
+        self._sections = lazy
+        self._lazy = {name: command for commands in lazy.values() for name, command in commands.items()}
         self._plugins = plugins
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -62,7 +67,7 @@ class LazyGroup(click.Group):
         if lazy is None:
             return super().get_command(ctx, cmd_name)
         target = lazy.target or self._plugin_target(cmd_name)
-        hint = f"pip install 'rhot[{lazy.extra}]'" if lazy.extra else "install RHOT again"
+        hint = install_hint(lazy.extra)
         if not target:
             raise click.ClickException(f"`{ctx.command_path} {cmd_name}` is not installed here; {hint}")
         module_name, _, attribute = target.partition(":")
@@ -93,9 +98,16 @@ class LazyGroup(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the overview from the table alone, importing nothing."""
-        rows = [(name, lazy.summary) for name, lazy in self._lazy.items()]
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
+        for title, commands in self._sections.items():
+            rows = [
+                (name, lazy.summary)
+                for name, lazy in commands.items()
+                # Developers have it; who only installed RHOT has not, and need not read of it.
+                if title and (lazy.extra != "bench" or self._plugin_target(name))
+            ]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
 
 
 class MainGroup(LazyGroup):

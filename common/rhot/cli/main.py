@@ -12,58 +12,75 @@ from rhot.cli.group import LazyCommand, LazyGroup, MainGroup
 from rhot.text import PrintableFormatter
 
 _COMMANDS: Final = {
-    "sim": LazyCommand("Run a whole simulated rig on this machine and show how well it tracks.", extra="sim"),
-    "init": LazyCommand("Make a new rig folder with a commented rig.toml.", "rhot.cli.init:init"),
-    "up": LazyCommand(
-        "Run everything on the PC: router, fusion, ik, objects, feet, web page.", "rhot.cli.operate.up:up", "pc"
-    ),
-    "start": LazyCommand(
-        "Tell every service of the rig to start at the same moment.", "rhot.cli.operate.start_stop:start"
-    ),
-    "stop": LazyCommand("Tell every service of the rig to stop.", "rhot.cli.operate.start_stop:stop"),
-    "status": LazyCommand(
-        "Show which services are running, with their rates, losses, latency and errors.",
-        "rhot.cli.operate.status:status",
-    ),
-    "get": LazyCommand("Print the last value of keys as JSON.", "rhot.cli.operate.inspect:get"),
-    "watch": LazyCommand("Print messages as JSON as they arrive.", "rhot.cli.operate.inspect:watch"),
-    "config": LazyCommand("Show or change a running service's configuration.", "rhot.cli.operate.configure:config"),
-    "process": LazyCommand(
-        "Track a recording offline and write the result as JSON Lines.", "rhot.cli.recordings.process:process", "pc"
-    ),
-    "record": LazyCommand(
-        "Record everything a running rig publishes into an MCAP file.", "rhot.cli.recordings.record:record", "record"
-    ),
-    "replay": LazyCommand(
-        "Put a recording back on the bus, as if live.", "rhot.cli.recordings.replay:replay", "record"
-    ),
-    "export": LazyCommand(
-        "Turn a recording into tables, animations (glTF, BVH) or files for labs (TRC, MOT, C3D).",
-        "rhot.cli.recordings.export:export",
-        "record",
-    ),
-    "explain": LazyCommand(
-        "Explain on one page why a moment of a recording was tracked as it was.",
-        "rhot.cli.recordings.explain:explain",
-        "pc",
-    ),
-    "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
-    "bench": LazyCommand("Measure speed, and compare with the 2018 thesis's algorithms.", extra="bench"),
-    "evaluate": LazyCommand("Measure how well a part of the rig works.", "rhot.cli.main:evaluate"),
-    "keys": LazyCommand("Secure the bus: certificates for machines and people.", "rhot.cli.keys:keys"),
-    "doctor": LazyCommand(
-        "Check this machine, a rig folder and the running rig, and say what to do.", "rhot.cli.doctor:doctor"
-    ),
-    "capture": LazyCommand("Service: find the markers in one camera's pictures.", extra="capture"),
-    "fusion": LazyCommand("Service: turn the cameras' markers into points in space.", extra="fusion"),
-    "ik": LazyCommand("Service: turn points into a hand.", extra="ik"),
-    "objects": LazyCommand("Service: track objects and the headset.", extra="objects"),
-    "feet": LazyCommand("Service: track feet with a depth camera on the head and ankle sensors.", extra="feet"),
-    "viewer": LazyCommand("Service: serve the web page that shows the running rig.", extra="viewer"),
-    "bridge": LazyCommand("Service: send what is tracked to other programs: VMC, VRChat, JSON, ….", extra="bridge"),
-    "router": LazyCommand("Service: the Zenoh router that all others connect to.", "rhot.cli.operate.router:router"),
-    "truth": LazyCommand("Service: publish the truth of the simulated world.", extra="sim"),
+    "Try it": {
+        "sim": LazyCommand("Run a whole simulated rig on this machine and show how well it tracks.", extra="sim"),
+    },
+    "Set up": {
+        "init": LazyCommand("Make a new rig folder with a commented rig.toml.", "rhot.cli.init:init"),
+        "doctor": LazyCommand(
+            "Check this machine, a rig folder and the running rig, and say what to do.", "rhot.cli.doctor:doctor"
+        ),
+        "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
+        "keys": LazyCommand("Secure the bus: certificates for machines and people.", "rhot.cli.keys:keys"),
+    },
+    "Run": {
+        "up": LazyCommand(
+            "Run everything on the PC: router, fusion, ik, objects, feet, web page.", "rhot.cli.operate.up:up", "pc"
+        ),
+        "start": LazyCommand(
+            "Tell every service of the rig to start at the same moment.", "rhot.cli.operate.start_stop:start"
+        ),
+        "stop": LazyCommand("Tell every service of the rig to stop.", "rhot.cli.operate.start_stop:stop"),
+        "status": LazyCommand(
+            "Show which services are running, with their rates, losses, latency and errors.",
+            "rhot.cli.operate.status:status",
+        ),
+        "config": LazyCommand("Show or change a running service's configuration.", "rhot.cli.operate.configure:config"),
+    },
+    "Look": {
+        "evaluate": LazyCommand("Measure how well a part of the rig works.", "rhot.cli.main:evaluate"),
+        "get": LazyCommand("Print the last value of keys as JSON.", "rhot.cli.operate.inspect:get"),
+        "watch": LazyCommand("Print messages as JSON as they arrive.", "rhot.cli.operate.inspect:watch"),
+        "explain": LazyCommand(
+            "Explain on one page why a moment of a recording was tracked as it was.",
+            "rhot.cli.recordings.explain:explain",
+            "pc",
+        ),
+    },
+    "Record and export": {
+        "record": LazyCommand(
+            "Record all that a running rig publishes into an MCAP file.",
+            "rhot.cli.recordings.record:record",
+            "record",
+        ),
+        "replay": LazyCommand(
+            "Put a recording back on the bus, as if live.", "rhot.cli.recordings.replay:replay", "record"
+        ),
+        "process": LazyCommand(
+            "Track a recording offline and write the result as JSON Lines.", "rhot.cli.recordings.process:process", "pc"
+        ),
+        "export": LazyCommand(
+            "Turn a recording into tables, animations (glTF, BVH) or files for labs (TRC, MOT, C3D).",
+            "rhot.cli.recordings.export:export",
+            "record",
+        ),
+    },
+    "Develop": {
+        "bench": LazyCommand("Measure speed, and compare with the 2018 thesis's algorithms.", extra="bench"),
+    },
+    "": {
+        "capture": LazyCommand("Service: find the markers in one camera's pictures.", extra="capture"),
+        "fusion": LazyCommand("Service: turn the cameras' markers into points in space.", extra="fusion"),
+        "ik": LazyCommand("Service: turn points into a hand.", extra="ik"),
+        "objects": LazyCommand("Service: track objects and the headset.", extra="objects"),
+        "feet": LazyCommand("Service: track feet with a depth camera on the head and ankle sensors.", extra="feet"),
+        "viewer": LazyCommand("Service: serve the web page that shows the running rig.", extra="viewer"),
+        "bridge": LazyCommand("Service: send what is tracked to other programs: VMC, VRChat, JSON, ….", extra="bridge"),
+        "router": LazyCommand("Service: the Zenoh router that others connect to.", "rhot.cli.operate.router:router"),
+        "truth": LazyCommand("Service: publish the truth of the simulated world.", extra="sim"),
+    },
 }
+"""By what a person wants. The last are services: `rhot up` and systemd start them."""
 
 _CALIBRATIONS: Final = {
     "cameras": LazyCommand("Calibrate the lenses and positions of all cameras from pictures of a board.", extra="pc"),
@@ -78,24 +95,29 @@ _CALIBRATIONS: Final = {
 }
 
 _EVALUATIONS: Final = {
-    "recording": LazyCommand("Record a session at full rate, replay it, and compare.", extra="bench"),
-    "tracking": LazyCommand("Track simulated pictures and compare with the truth.", extra="bench"),
-    "two-hands": LazyCommand("Track two simulated hands that touch and cross.", extra="bench"),
-    "paints": LazyCommand("Choose paints that cameras can tell apart.", extra="bench"),
-    "hands": LazyCommand("Predict the inner joints of recorded real hands.", extra="bench"),
-    "motion": LazyCommand("Track recorded hand motion before a family of random rigs.", extra="bench"),
-    "pictures": LazyCommand("Track photo-real pictures of another rig and hand.", extra="bench"),
-    "grasp": LazyCommand("Measure how well a hand takes hold of an object.", extra="bench"),
-    "streams": LazyCommand("Fuse recorded marker tracks: measure steps, delay and noise at rest.", extra="bench"),
-    "feet": LazyCommand(
-        "Track the feet of a simulated person, and compare with the 2021 thesis's tracker.", extra="bench"
-    ),
-    "headset": LazyCommand("Find the feet's camera on simulated headsets, and compare with the truth.", extra="bench"),
-    "steps": LazyCommand("Track feet on recordings of real sensors and cameras.", extra="bench"),
-    "thesis": LazyCommand("Repeat the 2018 thesis's tables, with our figures beside them.", extra="bench"),
-    "rig": LazyCommand("Measure your own rig: jitter, latency, depth and grasping, as one report.", extra="bench"),
-    "calibration": LazyCommand("Check whether the cameras have moved since they were calibrated.", extra="pc"),
-    "page": LazyCommand("Write measured figures as a page of the documentation.", extra="bench"),
+    "Your own rig": {
+        "rig": LazyCommand("Measure your own rig: jitter, latency, depth and grasping, as one report.", extra="pc"),
+        "calibration": LazyCommand("Check whether the cameras have moved since they were calibrated.", extra="pc"),
+        "paints": LazyCommand("Choose paints that cameras can tell apart.", extra="pc"),
+    },
+    "The tracker, for developers": {
+        "recording": LazyCommand("Record a session at full rate, replay it, and compare.", extra="bench"),
+        "tracking": LazyCommand("Track simulated pictures and compare with the truth.", extra="bench"),
+        "two-hands": LazyCommand("Track two simulated hands that touch and cross.", extra="bench"),
+        "hands": LazyCommand("Predict the inner joints of recorded real hands.", extra="bench"),
+        "motion": LazyCommand("Track recorded hand motion before a family of random rigs.", extra="bench"),
+        "pictures": LazyCommand("Track photo-real pictures of another rig and hand.", extra="bench"),
+        "ablation": LazyCommand("Switch off each term and vary each number of fusion and ik.", extra="bench"),
+        "grasp": LazyCommand("Measure how well a hand takes hold of an object.", extra="bench"),
+        "streams": LazyCommand("Fuse recorded marker tracks: measure steps, delay and noise at rest.", extra="bench"),
+        "feet": LazyCommand(
+            "Track the feet of a simulated person, and compare with the 2021 thesis's tracker.", extra="bench"
+        ),
+        "headset": LazyCommand("Find the feet's camera on simulated headsets; compare with the truth.", extra="bench"),
+        "steps": LazyCommand("Track feet on recordings of real sensors and cameras.", extra="bench"),
+        "thesis": LazyCommand("Repeat the 2018 thesis's tables, with our figures beside them.", extra="bench"),
+        "page": LazyCommand("Write measured figures as a page of the documentation.", extra="bench"),
+    },
 }
 
 
@@ -108,6 +130,9 @@ def main(verbose: int, quiet: bool) -> None:
 
     To see it work without any hardware, run: rhot sim. For a rig of your own, run rhot init RIG, then rhot doctor
     --rig RIG.
+
+    Services that `rhot up` and systemd start have commands of their own: capture, fusion, ik, objects, feet, viewer,
+    bridge, router, truth (rhot SERVICE --help).
     """
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     handler = logging.StreamHandler()
@@ -116,7 +141,7 @@ def main(verbose: int, quiet: bool) -> None:
     logging.getLogger("zenoh").setLevel(logging.ERROR)
 
 
-@click.group(cls=LazyGroup, lazy=_CALIBRATIONS, plugins="rhot.calibrations")
+@click.group(cls=LazyGroup, lazy={"Commands": _CALIBRATIONS}, plugins="rhot.calibrations")
 def calibrate() -> None:
     """Calibrate a part of the rig; each writes its own file into the rig folder."""
 

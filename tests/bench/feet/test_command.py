@@ -17,8 +17,8 @@ from rhot_bench.feet.runs import SIDES, STAGES, Played, Run, Track, play
 from rhot_bench.feet.sections import feet_sections
 from rhot_bench.feet.stages import CELLS, cell_plots
 from rhot_bench.feet.table_5_1 import PRINTED_M, TASKS, table_5_1
-from rhot_bench.provenance import provenance
 from rhot_sim.walker.folder import write_walker_rig
+from rhot_tools.measures.provenance import provenance
 
 
 def made_up(run: Run, error_m: NDArray[np.float64], *, measured: NDArray[np.bool_]) -> Played:

@@ -16,9 +16,9 @@ from rhot.cli.main import main
 from rhot.errors import ConfigError
 from rhot.messages import CylinderShape, HandPose, Joint, Message, ObjectPose
 from rhot.messages.base import wire_position
-from rhot_bench.grasp.figures import grasp_figures
-from rhot_bench.grasp.pickups import find_pickups, gaps_m
-from rhot_bench.grasp.session import TIPS, GraspSession, grasp_session
+from rhot_tools.grasp.figures import grasp_figures
+from rhot_tools.grasp.pickups import find_pickups, gaps_m
+from rhot_tools.grasp.session import TIPS, GraspSession, grasp_session
 
 RATE_HZ = 60.0
 RADIUS_M, HEIGHT_M, FLESH_M = 0.03, 0.09, 0.008

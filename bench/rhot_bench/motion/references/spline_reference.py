@@ -13,8 +13,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from rhot.arrays import FloatArray, IntArray
-from rhot_bench.motion.estimates import MEASURED, Estimates
 from rhot_bench.motion.references.views import Views, triangulated
+from rhot_tools.measures.estimates import MEASURED, Estimates
 
 _SHORTEST: Final = 4
 """A cubic needs four points; shorter tracks are left out."""

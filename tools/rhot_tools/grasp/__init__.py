@@ -1,0 +1,1 @@
+"""How well a hand takes hold of an object."""

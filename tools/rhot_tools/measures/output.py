@@ -1,0 +1,69 @@
+"""How the measuring commands end: tables on standard output, JSON when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from rhot.rig.folder import write_text_atomic
+from rhot_tools.measures.provenance import provenance
+from rhot_tools.measures.rows import Section, as_json, missed, section_table
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def json_option(command: F) -> F:
+    """Add `--json`."""
+    return click.option(
+        "--json",
+        "json_path",
+        type=click.Path(path_type=Path, dir_okay=False),
+        help="Also write every figure to this file, as JSON.",
+    )(command)
+
+
+def page_option(flag: str) -> Callable[[F], F]:
+    """Return what gives a command the option of this name for a page with its tables and plots, as `page_path`."""
+
+    def add(command: F) -> F:
+        return click.option(
+            flag,
+            "page_path",
+            type=click.Path(path_type=Path, dir_okay=False),
+            metavar="FILE.html",
+            help="Also write tables and plots, as one HTML file.",
+        )(command)
+
+    return add
+
+
+def counted(console: Console) -> Progress:
+    """Return a display of work that is counted, with the time it still takes; it goes when the work is done."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, transient=True)
+
+
+def show(command: str, sections: Sequence[Section], json_path: Path | None, **about: Any) -> None:
+    """Print sections, say how many of the targets are missed, and write the JSON file.
+
+    Args:
+        command: that was run, for the file.
+        sections: its tables.
+        json_path: file to write; None = none.
+        about: how it was run, for the file, beside its `provenance`.
+    """
+    out = Console()
+    for section in sections:
+        out.print(section_table(section))
+        out.print()
+    targets = sum(bool(row.verdict) for section in sections for row in section.rows)
+    if targets:
+        out.print(f"{missed(sections)} of {targets} targets missed")
+    if json_path is not None:
+        write_text_atomic(json_path, as_json(command, sections, run=provenance(), **about))
+        Console(stderr=True, soft_wrap=True, markup=False).print(f"figures: {json_path}")
