@@ -18,7 +18,7 @@ from rhot.rig.marker_config import own_paints
 from rhot_bench.speed.scaling import bare_rig
 from rhot_bench.speed.simulated import world_of
 from rhot_bench.tracking import two_hands as command
-from rhot_bench.tracking.projected import named_frames
+from rhot_bench.tracking.two_hands import named_frames
 from rhot_sim.world.paint import paints_of
 from rhot_tools.measures.points import PointTrack, identity_swaps
 

@@ -13,7 +13,7 @@ from rhot.messages import decode
 from rhot.recording.camera_picture import CameraPicture, jpeg_of
 from rhot.recording.mcap.session import subscribe_pictures
 from rhot.rig import BusConfig
-from rhot_capture.frame_stream import FrameStream
+from rhot_capture.service import FrameStream
 from rhot_capture.sources import Frame
 
 

@@ -9,7 +9,7 @@ import pytest
 from rhot.errors import ConfigError
 from rhot.rig.colors import ColorsFile
 from rhot.rig.folder import load_config
-from rhot_capture.kept_optics import KeptOptics
+from rhot_capture.service import KeptOptics
 from rhot_capture.settings import CameraSettings
 
 

@@ -14,7 +14,7 @@ from rhot.errors import CalibrationError, ConfigError
 from rhot.recording import load_recording
 from rhot.rig import load_rig, write_json_model
 from rhot.rig.colors import nominal_colors
-from rhot_calibration.cameras.picture_order import read_gray
+from rhot_calibration.cameras.pictures import read_gray
 from rhot_capture.offline import marker_frames
 
 CAMERA = "width = 160\nheight = 120\n"

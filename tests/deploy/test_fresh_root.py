@@ -33,7 +33,8 @@ if sys.argv[1:2] != ["install"]:
     sys.exit(f"not expected of this pip: {{sys.argv}}")
 source = pathlib.Path("{SOURCE}")
 services = sorted(str(path) for path in (source / "services").iterdir() if path.is_dir())
-paths = [*(str(source / name) for name in ("common", "calibration", "simulation", "tools", "bench")), *services, "{PACKAGES}"]
+parts = "common", "calibration", "simulation", "tools", "bench"
+paths = [*(str(source / name) for name in parts), *services, "{PACKAGES}"]
 (pathlib.Path(sysconfig.get_path("purelib")) / "rhot.pth").write_text("\\n".join(paths) + "\\n")
 script = pathlib.Path(sys.prefix) / "bin" / "rhot"
 script.write_text(f"#!{{sys.prefix}}/bin/python\\nimport sys\\nfrom rhot.cli import main\\nsys.exit(main())\\n")

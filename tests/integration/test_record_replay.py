@@ -42,8 +42,8 @@ from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
 from rhot.recording.mcap.reader import RecordedSample, open_mcap
 from rhot.rig import BusConfig
 from rhot_bench.speed.simulated import Cameras, Capture, moments, world_of
-from rhot_capture.frame_stream import FrameStream
 from rhot_capture.offline import marker_frames
+from rhot_capture.service import FrameStream
 from rhot_capture.sources import Frame
 
 logger = logging.getLogger(__name__)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rhot_sim.sources.stride import Stride
+from rhot_sim.sources.camera import Stride
 
 
 def started() -> Stride:

@@ -13,7 +13,7 @@ from rhot.offline import core, track_with
 from rhot.rig import Rig
 from rhot_bench.measures.hands import START_NS
 from rhot_bench.speed.simulated import world_of
-from rhot_bench.tracking.projected import named_frames
+from rhot_bench.tracking.two_hands import named_frames
 from rhot_objects.assemble import plan_sources
 from rhot_objects.offline import PlayedObjects
 from rhot_sim.world.world import World

@@ -18,19 +18,97 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.arrays import BoolArray, FloatArray
-from rhot.messages import BodyPose, FootPose, Side
+from rhot.aruco_dictionary import R_FOOT_MARKER, marker_dictionary
+from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
+from rhot.messages import BodyPose, FootPose, HeadPose, Side
 from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig, FootConfig, WalkProgram
 from rhot_bench.feet.heads import START_NS, Heads
-from rhot_bench.feet.knees import knee_errors
-from rhot_bench.feet.thesis import ThesisTracker
+from rhot_bench.thesis.feet import ThesisFeet
+from rhot_bench.thesis.foot_filter import ThesisFilter
+from rhot_feet.filter.model import FootFilterSettings, FootState
 from rhot_feet.foot_core import FootCore
 from rhot_feet.frames import DepthFrame, pinhole
+from rhot_feet.head_track import HeadTrack
+from rhot_feet.imu.samples import ImuSamples
 from rhot_ik.legs.body_core import BodyCore
 from rhot_sim.sources.imu import SimulatedSource
 from rhot_sim.walker.person import person_of
 from rhot_sim.walker.pictures.disturbances import Cover, Disturbances
 from rhot_sim.walker.world import WalkerWorld
+
+# The 2021 thesis's whole foot tracker behind the calls of `rhot_feet.foot_core.FootCore`, for comparison.
+
+_UNUSED: Final = np.eye(3)
+"""The thesis's filter has noise values of its own."""
+
+
+class ThesisTracker:
+    """Its camera stages, and its filter for each foot; the camera is where ours is, at the picture's own time."""
+
+    def __init__(self, config: FeetConfig) -> None:
+        ids: dict[Side, int] = {side: foot.marker_id for side, foot in config.feet.items()}
+        settings = FootFilterSettings(up=config.up)
+        self._T_head_camera = config.camera.T_head_camera
+        self._heads = HeadTrack()
+        self._feet = ThesisFeet(marker_dictionary(config.dictionary), ids, config.marker_size_m)
+        self._filters = {side: ThesisFilter(settings) for side in ids}
+
+    def add_head_pose(self, pose: HeadPose) -> None:
+        """Add a pose of the head."""
+        self._heads.add(pose)
+
+    def add_imu_samples(self, side: Side, samples: ImuSamples) -> None:
+        """Add inertial samples of a foot."""
+        self._filters[side].add_imu_samples(samples)
+
+    def process(self, frame: DepthFrame) -> None:
+        """Detect the feet in a picture and update their filters."""
+        T_rig_head = self._heads.at(frame.t_ns)
+        if T_rig_head is None or frame.depth_mm is None:
+            return
+        T = T_rig_head @ self._T_head_camera
+        for side, foot in self._feet.detect(frame.color, frame.depth_mm, frame.camera).items():
+            position = T[:3, :3] @ foot.position + T[:3, 3]
+            if foot.stage == "depth":
+                self._filters[side].update_depth(frame.t_ns, position, _UNUSED)
+                continue
+            R = foot.R_camera_marker
+            turned = None if R is None else quaternion_from_rotation(T[:3, :3] @ R @ R_FOOT_MARKER.T)
+            self._filters[side].update_marker(frame.t_ns, position, _UNUSED, turned)
+
+    def states(self, t_ns: int) -> dict[Side, FootState]:
+        """Return every foot that was ever seen; reading smooths."""
+        states = {side: each.state(t_ns) for side, each in self._filters.items()}
+        return {side: state for side, state in states.items() if state is not None}
+
+
+# Simulated runs of the foot tracker: one walking person, our tracker and the 2021 thesis's on the same data.
+
+# The knees in the simulated runs of the foot tracker, against the truth.
+
+
+def knee_errors(bodies: Sequence[BodyPose], world: WalkerWorld) -> tuple[FloatArray, int]:
+    """Return the knees' distances from the truth, metres, and how many frames have a knee bent backwards."""
+    if not bodies:
+        return np.empty(0), 0
+    t_s = np.array([1e-9 * (body.t_ns - START_NS) for body in bodies])
+    truth = world.joints(t_s)
+    errors: list[float] = []
+    backwards = 0
+    for k, body in enumerate(bodies):
+        wrong = False
+        for side in body.legs:
+            knee, hip = body.joints[f"{side}_knee"], body.joints[f"{side}_hip"]
+            errors.append(float(np.linalg.norm(np.array(knee.position) - truth[f"{side}_knee"][k, :3, 3])))
+            R_thigh, R_shank = (rotation_from_quaternion(np.array(joint.orientation)) for joint in (hip, knee))
+            # Both have their hinge along x; a bent knee turns the shank backwards, which is about -x.
+            wrong |= not bool((R_thigh.T @ R_shank)[2, 1] < 1e-6)
+        backwards += wrong
+    return np.array(errors), backwards
+
+
+# Simulated runs of the foot tracker: one walking person, our tracker and the 2021 thesis's on the same data.
 
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
 STEP_S: Final = 0.01

@@ -4,27 +4,227 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import click
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from rich.console import Console
 
 from rhot.arrays import FloatArray
+from rhot.aruco_dictionary import marker_dictionary
 from rhot.errors import ConfigError
+from rhot.geometry.camera import CameraModel
+from rhot.geometry.rotations import rotation_from_quaternion, vector_from_rotation
+from rhot.messages import Side
+from rhot_bench.feet.runs import SIDES
+from rhot_bench.number_table import read_columns
 from rhot_bench.steps.dead_reckoning import faster, horizontal_error_m, reckon
-from rhot_bench.steps.heel import LEAST_LIFT_RAD, heel_directions
 from rhot_bench.steps.held_out import Reckoned, held_out_rows, kind_rows, reckoned
 from rhot_bench.steps.markers import follow_marker, marker_figures, read_marker_test, tilt_figures
-from rhot_bench.steps.standard_detectors import ared, shoe
-from rhot_bench.steps.toes import NEAR_PX, ToeWalk, follow_toes, thesis_toes
-from rhot_bench.steps.walks import hide_swings, read_places, read_step_trial
+from rhot_bench.steps.walks import StepTrial, hide_swings, read_places, read_step_trial
+from rhot_bench.thesis.feet import ThesisFeet
+from rhot_feet.depth.tracker import DepthTracker
+from rhot_feet.frames import DepthFrame, pinhole
+from rhot_feet.imu.samples import GRAVITY_M_S2
+from rhot_feet.imu.zero_velocity_detector import ACCELERATION_NOISE, RATE_NOISE
+from rhot_feet.prediction import FootPrediction
+from rhot_feet.sources.depth_camera.recorded_frames import load_depth_recording
 from rhot_feet.sources.imu.recorded import read_samples
 from rhot_tools.measures.output import counted, json_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
+
+# Depth pictures of really walking feet with toes marked by hand: followed from the first marks alone.
+#
+# There is no headset and no sensor: each foot is expected where it would be if it went on as before. The lens is not
+# known; a D435's colour camera at 640x480 has a focal length of about 610 px.
+
+NEAR_PX: Final = 15.0
+FOCAL_PX: Final = 610.0
+_RATE_HZ: Final = 30.0
+_DEPTH_RANGE_M: Final = (0.3, 4.0)
+_MARKED_M: Final = 0.01
+"""How well the first marks tell a foot's position, standard deviation per axis."""
+_EXPECTED_M: Final = 0.04
+"""The same of a foot that goes on as before, 1/30 s later."""
+_MARKS: Final = "manual_toe_tips.csv"
+
+
+class ToeWalk:
+    """A recording, and pixels that somebody has marked in some of its pictures.
+
+    Attributes:
+        camera: its lens.
+        marks: number of a picture to its toes: side to (u, v, depth), pixels and millimetres.
+    """
+
+    def __init__(self, folder: Path, focal_px: float = FOCAL_PX) -> None:
+        """Look at the files.
+
+        Raises:
+            ConfigError: something is missing or unreadable; names the file.
+        """
+        K = np.array([[focal_px, 0.0, 320.0], [0.0, focal_px, 240.0], [0.0, 0.0, 1.0]])
+        self.camera = pinhole(640, 480, K, np.empty(0))
+        self.recording = load_depth_recording(folder, camera=self.camera, rate_hz=_RATE_HZ)
+        columns = {side: [f"{side}_toe_{name}" for name in ("u", "v", "depth_mm")] for side in SIDES}
+        table = read_columns(folder / _MARKS, ["frame", *columns["left"], *columns["right"]])
+        positions = {side: np.stack([table[name] for name in names], axis=1) for side, names in columns.items()}
+        numbers = [int(number) for number in table["frame"]]
+        self.marks = {number: {side: positions[side][row] for side in SIDES} for row, number in enumerate(numbers)}
+        first = self.recording.frame(0).index
+        if first not in self.marks:
+            raise ConfigError(f"{folder / _MARKS}: the toes of the first picture ({first}) are not marked")
+
+    def off_px(self, frame: DepthFrame, positions: Mapping[Side, FloatArray]) -> list[float]:
+        """Return how far positions (3,), metres, camera frame, lie from a picture's marks; nothing without marks."""
+        marks = self.marks.get(frame.index, {})
+        return [
+            float(np.linalg.norm(self.camera.project(position[None])[0] - marks[side][:2]))
+            for side, position in positions.items()
+            if side in marks
+        ]
+
+
+def follow_toes(walk: ToeWalk) -> FloatArray:
+    """Return the distances from the marks, pixels, of the feet's depth stage; one not found is where it was bound."""
+    tracker = DepthTracker(_DEPTH_RANGE_M)
+    positions: dict[Side, FloatArray] = {}
+    speeds = {side: np.zeros(3) for side in SIDES}
+    off: list[float] = []
+    for frame in walk.recording.frames():
+        if not positions:
+            positions = {side: _seen_at(mark, walk.camera) for side, mark in walk.marks[frame.index].items()}
+            sure = {side: FootPrediction(position, _MARKED_M**2 * np.eye(3)) for side, position in positions.items()}
+            tracker.detect(frame, {}, sure)
+            continue
+        bound = {side: FootPrediction(positions[side] + speeds[side], _EXPECTED_M**2 * np.eye(3)) for side in SIDES}
+        found = tracker.detect(frame, bound, {}).feet
+        for side in SIDES:
+            now = found[side].position if side in found else positions[side] + speeds[side]
+            speeds[side] = 0.5 * speeds[side] + 0.5 * (now - positions[side])
+            positions[side] = now
+        off += walk.off_px(frame, positions)
+    return np.array(off)
+
+
+def thesis_toes(walk: ToeWalk) -> FloatArray:
+    """Return the same of the thesis's depth stage, of the feet that it reports."""
+    thesis = ThesisFeet(marker_dictionary("4X4_50"), {"left": 0, "right": 1}, 0.04)
+    off: list[float] = []
+    for number, frame in enumerate(walk.recording.frames()):
+        if frame.depth_mm is None:
+            continue
+        if number == 0:
+            for side, (u, v, depth_mm) in walk.marks[frame.index].items():
+                thesis.start(side, (float(u), float(v)), float(depth_mm))
+        feet = thesis.detect(frame.color, frame.depth_mm, walk.camera)
+        if number:
+            off += walk.off_px(frame, {side: foot.position for side, foot in feet.items()})
+    return np.array(off)
+
+
+def _seen_at(mark: FloatArray, camera: CameraModel) -> FloatArray:
+    """Return the position (3,), metres, camera frame, of a mark: u, v, depth in millimetres."""
+    x, y = camera.undistort(mark[None, :2])[0]
+    position: FloatArray = np.array([x, y, 1.0]) * mark[2] * 1e-3
+    return position
+
+
+# `rhot evaluate steps`: feet on recordings of real sensors and real pictures, with what the truth there is.
+
+# The standard detectors of zero velocity over whole recordings, to compare the live one with.
+#
+# All are tests over a window of n samples of specific force f (m/s²) and angular rate ω (rad/s); small means still:
+#
+#     SHOE  = mean(|f − g·f̄/|f̄||²/σ_a² + |ω|²/σ_ω²)      (generalised likelihood ratio test)
+#     ARED  = mean(|ω|²)/σ_ω²                            (energy of the angular rate)
+#
+# Source: Skog, Händel, Nilsson and Rantakokko, "Zero-velocity detection: an algorithm evaluation", IEEE Transactions on
+# Biomedical Engineering 57 (11), 2010.
+
+
+def _windows(values: FloatArray, size: int) -> FloatArray:
+    """Return (N, size, 3): the centred window of each of the rows (N, 3); the ends repeat the outermost row."""
+    before = (size - 1) // 2
+    padded = np.pad(values, ((before, size - 1 - before), (0, 0)), mode="edge")
+    windows: FloatArray = sliding_window_view(padded, size, axis=0).swapaxes(1, 2)
+    return windows
+
+
+def shoe(specific_force: FloatArray, angular_rate: FloatArray, size: int = 5) -> FloatArray:
+    """Return the SHOE statistic (N,) of samples (N, 3) and (N, 3), over centred windows of `size`."""
+    f, w = _windows(specific_force, size), _windows(angular_rate, size)
+    mean = f.mean(axis=1, keepdims=True)
+    gravity = GRAVITY_M_S2 * mean / np.maximum(np.linalg.norm(mean, axis=2, keepdims=True), 1e-9)
+    force = ((f - gravity) ** 2).sum(axis=2) / ACCELERATION_NOISE**2
+    statistic: FloatArray = (force + (w * w).sum(axis=2) / RATE_NOISE**2).mean(axis=1)
+    return statistic
+
+
+def ared(angular_rate: FloatArray, size: int = 5) -> FloatArray:
+    """Return the energy of the angular rate (N,) of samples (N, 3), over centred windows of `size`."""
+    w = _windows(angular_rate, size)
+    statistic: FloatArray = (w * w).sum(axis=2).mean(axis=1) / RATE_NOISE**2
+    return statistic
+
+
+# `rhot evaluate steps`: feet on recordings of real sensors and real pictures, with what the truth there is.
+
+# Which way a foot points, by how its heel is lifted, on recorded walks (`rhot_feet.filter.displacement`).
+#
+# The axis about which the sensor turns until the heel is highest, against the way of the foot: a foot that walks points
+# about along the mean of the steps before and after. Its own toe-out counts as an error. The sensor's north is that of
+# the whole path by dead reckoning.
+
+LEAST_LIFT_RAD: Final = math.radians(25.0)
+_STANDS_M_S: Final = 0.25
+_SMOOTHED: Final = 7
+_SHORTEST: Final = 10
+_SEARCHED: Final = 120
+"""Of the motion capture: slower is a stand, over so many samples, if it lasts so many; the heel is highest within."""
+_STEP_M: Final = 0.3
+_TURN_RAD: Final = math.radians(85.0)
+"""Between steps that are shorter, or turn by more, nobody knows where the foot points."""
+
+
+def heel_directions(trial: StepTrial) -> FloatArray:
+    """Return by how much each lifted heel is off (K,), radians, in a recording with motion capture (200 Hz)."""
+    R = rotation_from_quaternion(trial.samples.orientation_xyzw)
+    path, true = reckon(trial.samples), trial.position - trial.position[0]
+    north = float(np.angle(np.sum((true[:, 0] + 1j * true[:, 1]) * np.conj(path[:, 0] + 1j * path[:, 1]))))
+    stands = _stands(trial)
+    off = []
+    for before, here, after in zip(stands, stands[1:], stands[2:], strict=False):
+        came, goes = (
+            complex(*(trial.position[to[0]] - trial.position[start[1]])[:2])
+            for start, to in ((before, here), (here, after))
+        )
+        turn = float(np.angle(goes * came.conjugate()))
+        if min(abs(came), abs(goes)) < _STEP_M or abs(turn) > _TURN_RAD:
+            continue
+        middle = sum(here) // 2
+        lifts = [vector_from_rotation(R[k] @ R[middle].T) for k in range(middle, min(after[0], here[1] + _SEARCHED))]
+        x, y, _ = max(lifts, key=lambda lift: math.hypot(lift[0], lift[1])).tolist()
+        if math.hypot(x, y) >= LEAST_LIFT_RAD:
+            # The toes go down about an axis to the left.
+            points = float(np.angle(came)) + 0.5 * turn + math.pi / 2.0
+            off.append(float(np.angle(np.exp(1j * (math.atan2(y, x) + north - points)))))
+    return np.array(off)
+
+
+def _stands(trial: StepTrial) -> list[tuple[int, int]]:
+    """Return the first and last sample of each stand."""
+    speed = np.linalg.norm(np.gradient(trial.position, trial.t_s, axis=0), axis=1)
+    still = np.convolve(speed, np.full(_SMOOTHED, 1.0 / _SMOOTHED), "same") < _STANDS_M_S
+    edges = np.flatnonzero(np.diff(np.r_[False, still, False].astype(np.int8)))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2) if b - a > _SHORTEST]
+
+
+# `rhot evaluate steps`: feet on recordings of real sensors and real pictures, with what the truth there is.
 
 Advance = Callable[[], None]
 

@@ -6,6 +6,7 @@ same pictures joins the background as a class of its own, so that a look-alike i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -13,22 +14,259 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rhot.arrays import BoolArray, FloatArray, ImageArray
+from rhot.arrays import BoolArray, FloatArray, ImageArray, IndexArray
+from rhot.errors import CalibrationError
 from rhot.rig.calibration import today
-from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, log_ratio
+from rhot.rig.colors import ColorComponent, ColorsFile, Gains, GaussianColor, log_ratio
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import own_paints, worn_paints
-from rhot_calibration.colors.model.balance import balanced, camera_gains
 from rhot_calibration.colors.model.fit import COUNTER_FLOOR, MARKER_FLOOR, fit_component, fit_mixture, with_gloss
 from rhot_calibration.colors.model.quality import MarkerQuality, class_pixels, marker_quality, quality_as_plain
-from rhot_calibration.colors.model.samples import ClassPixels, marker_pixels
+from rhot_calibration.colors.model.samples import ClassPixels, inner, marker_pixels
 from rhot_calibration.colors.model.separability import Separability, separability
-from rhot_calibration.colors.model.skin import are_skin
-from rhot_calibration.colors.picking.checks import check_places, check_quality, check_regions
-from rhot_calibration.colors.picking.picks import Places
-from rhot_calibration.colors.picking.regions import regions
+from rhot_calibration.colors.picking import regions as picked
+from rhot_calibration.colors.picking.picks import Box, Place, Places, place_text
 from rhot_capture.detection.blob import find_blobs
-from rhot_capture.detection.color_table import build_color_table
+from rhot_capture.detection.color_table import build_color_table, component_distances, in_balance
+
+# Refusing what no colours can be learnt from, with the place and the remedy.
+
+_LEAST_BOX_PX: Final = 4
+_LEAST_MARKED: Final = 0.4
+"""Share of a marker's own pixels that must be told from the surroundings, whichever marker they are given to."""
+
+
+def check_places(images: Sequence[ImageArray], places: Sequence[Places], markers: Mapping[str, MarkerConfig]) -> None:
+    """Check what was pointed out against pictures and markers.
+
+    Raises:
+        CalibrationError: nothing at all, an unknown marker, a place outside its picture or a rectangle without area.
+    """
+    if len(images) != len(places) or not any(places):
+        raise CalibrationError(
+            "no picks: name each marker with a place on it, for example --pick thumb=281,215, or with a rectangle "
+            "around it, for example --box thumb=269,202,25,26"
+        )
+    for number, (image, shown) in enumerate(zip(images, places, strict=True), start=1):
+        height, width = image.shape[:2]
+        for name, place in shown.items():
+            said = f"{_kind(place)} {name} = {place_text(place)}"
+            if name not in markers:
+                raise CalibrationError(
+                    f"{_kind(place)} {name}: no such marker in rig.toml, which has {', '.join(markers)}"
+                )
+            if isinstance(place, Box) and min(place.width, place.height) < _LEAST_BOX_PX:
+                raise CalibrationError(
+                    f"{said} in picture {number}: width and height must be at least {_LEAST_BOX_PX} px; "
+                    "the numbers are left, top, width, height"
+                )
+            inside = [place] if isinstance(place, tuple) else [(place.u, place.v), _far_corner(place)]
+            if any(not (0 <= u <= width - 1 and 0 <= v <= height - 1) for u, v in inside):
+                raise CalibrationError(f"{said} lies outside picture {number}, which is {width}x{height}")
+
+
+def _kind(place: Place) -> str:
+    return "box" if isinstance(place, Box) else "pick"
+
+
+def _far_corner(box: Box) -> tuple[float, float]:
+    return box.u + box.width - 1.0, box.v + box.height - 1.0
+
+
+def check_regions(
+    found: Sequence[Mapping[str, BoolArray]], places: Sequence[Places], markers: Mapping[str, MarkerConfig]
+) -> None:
+    """Check what was found at the places.
+
+    Raises:
+        CalibrationError: too little of one colour, or two markers at one patch of colour.
+    """
+    for number, (regions, shown) in enumerate(zip(found, places, strict=True), start=1):
+        for name, region in regions.items():
+            area = int(np.count_nonzero(region))
+            least = markers[name].min_area_px
+            if area < least:
+                place = shown[name]
+                remedy = (
+                    "draw the box around the whole marker with some of its surroundings"
+                    if isinstance(place, Box)
+                    else "pick the middle of the painted area"
+                )
+                raise CalibrationError(
+                    f"{_kind(place)} {name} = {place_text(place)} in picture {number}: only {area} px of one colour "
+                    f"stand out there, a marker has at least {least:g}; {remedy}, or lower min_area_px"
+                )
+        for name, region in regions.items():
+            for other, other_region in regions.items():
+                if name < other and np.count_nonzero(region & other_region) > 0.5 * np.count_nonzero(region):
+                    raise CalibrationError(
+                        f"picks {name} and {other} in picture {number} found the same patch of colour; pick each on "
+                        "its own marker"
+                    )
+
+
+def check_quality(quality: Mapping[str, MarkerQuality]) -> None:
+    """Check that every marker stands out from what surrounds it.
+
+    Raises:
+        CalibrationError: a marker's colour is that of its surroundings.
+    """
+    for name, each in quality.items():
+        if each.marked < _LEAST_MARKED:
+            raise CalibrationError(
+                f"pick {name}: the colour found near {each.u:.0f},{each.v:.0f} is that of its surroundings "
+                f"({100 * each.marked:.0f} % of it can be told apart, {100 * _LEAST_MARKED:.0f} % is the least); "
+                "pick the painted area itself, or use a paint that stands out"
+            )
+
+
+# Colours of all markers from a few picks in pictures: grow regions, fit classes, look for what they mistake.
+
+# Which colours of the surroundings are skin: those of its hue that are found rather on the hand than elsewhere.
+#
+# The hue alone does not tell: wooden desks and cardboard have that of skin, and dark skin in weak light is as dark as
+# many a desk. But what lies between and around the painted markers is mostly the hand, and most of the picture is not.
+
+_HUE: Final = ((0.02, 0.90), (-1.60, -0.02))
+"""Bounds of ln(R/G) and ln(B/G) of skin in any ordinary light: more red than green, more green than blue."""
+_BRIGHTNESS: Final = math.log(85.0)
+"""Least brightness of skin where the pictures do not tell where the hand is: shadows have its hue, too."""
+_FEWEST: Final = 4
+"""Markers of a picture needed to tell where the hand is: fewer do not enclose any of it."""
+_ROOM: Final = np.ones((21, 21), np.uint8)
+"""The hand reaches 10 pixels beyond the hull of its markers."""
+_STEP: Final = 2
+"""Every second row and column is looked at."""
+_OFTENER: Final = 1.5
+"""Skin is this many times as frequent within the hull of the markers as elsewhere. About half of the hull is desk, seen
+between the fingers, so a desk's colours are half as frequent there as elsewhere. Chosen."""
+
+
+def are_skin(
+    components: Sequence[ColorComponent], features: Sequence[FloatArray], found: Sequence[Mapping[str, BoolArray]]
+) -> list[bool]:
+    """Tell which components of the surroundings are skin.
+
+    Args:
+        components: normal distributions of the surroundings' colours.
+        features: of each picture, (H, W, 3) colours in log-ratio space.
+        found: of each picture, the pixels (H, W) of its markers.
+    """
+    if not components:
+        return []
+    surroundings, count = GaussianColor(components=tuple(components)), len(components)
+    on_hand, elsewhere = np.zeros(count), np.zeros(count)
+    for each, regions in zip(features, found, strict=True):
+        if len(regions) < _FEWEST:
+            continue
+        painted: BoolArray = np.logical_or.reduce(list(regions.values()))
+        hull, free = _hull(painted)[::_STEP, ::_STEP] > 0, ~painted[::_STEP, ::_STEP]
+        squared = component_distances(surroundings, each[::_STEP, ::_STEP].reshape(-1, 3))
+        nearest = squared.argmin(axis=0).reshape(hull.shape)
+        on_hand += _shares(nearest[hull & free], count)
+        elsewhere += _shares(nearest[~hull & free], count)
+    if on_hand.any():
+        likely: list[bool] = (on_hand > _OFTENER * elsewhere).tolist()
+    else:
+        likely = [float(component.mean()[2]) >= _BRIGHTNESS for component in components]
+    return [is_likely and _has_hue(component) for component, is_likely in zip(components, likely, strict=True)]
+
+
+def _shares(nearest: IndexArray, count: int) -> FloatArray:
+    """Return the share of each of `count` components among pixels (N,) of these components."""
+    shares: FloatArray = np.bincount(nearest, minlength=count) / max(float(len(nearest)), 1.0)
+    return shares
+
+
+def _hull(painted: BoolArray) -> ImageArray:
+    """Return the convex hull of pixels (H, W), with some room around it, (H, W) uint8, nonzero inside."""
+    v, u = np.nonzero(painted)
+    drawn: ImageArray = np.zeros(painted.shape, np.uint8)
+    cv2.fillConvexPoly(drawn, cv2.convexHull(np.column_stack([u, v]).astype(np.int32)), 1)
+    return np.asarray(cv2.dilate(drawn, _ROOM), dtype=np.uint8)
+
+
+def _has_hue(component: ColorComponent) -> bool:
+    red, blue, _ = component.mean()
+    (red_low, red_high), (blue_low, blue_high) = _HUE
+    return bool(red_low <= red <= red_high and blue_low <= blue <= blue_high)
+
+
+# Colours of all markers from a few picks in pictures: grow regions, fit classes, look for what they mistake.
+
+# How the cameras of a rig differ in white balance and exposure, from the paints that several of them show.
+#
+# Two cameras with an automatic white balance of their own show one paint in two colours. One class for both would be as
+# wide as they are apart, and take in what lies between. So what a camera does to all colours alike is told apart from
+# the paints: it multiplies red, green and blue by three factors (von Kries).
+
+_LEAST_PAINTS: Final = 3
+"""Paints that tell a camera's factors: of two that disagree none is known to be the wrong one."""
+_SURE: Final = 3.0
+"""Standard errors by which cameras must differ: two views of a paint differ in light and shade, too."""
+_LEAST_ERROR: Final = 0.005
+"""Half a per cent: rounding to whole grey levels of a dark channel."""
+_CUT_OFF: Final = 250.0
+"""Grey levels; brighter ones may be cut off, and their ratios say nothing."""
+
+
+def camera_gains(
+    images: Sequence[ImageArray], found: Sequence[Mapping[str, BoolArray]], cameras: Sequence[str | None]
+) -> dict[str, Gains]:
+    """Return by what to multiply red, green and blue of each camera's pictures to have them alike.
+
+    Args:
+        images: (H, W, 3) uint8 BGR each.
+        found: for each image paint to its pixels, (H, W) bool.
+        cameras: of each image; None = not known.
+
+    Returns:
+        factors by camera, relative to the mean of the cameras; nothing where cameras are surely not unlike, share too
+        few paints, or when a picture's camera is not known, as it could not be balanced alike.
+    """
+    names = sorted({camera for camera in cameras if camera is not None})
+    if len(names) < 2 or None in cameras:
+        return {}
+    paints = sorted({paint for shown in found for paint in shown})
+    levels = np.full((len(names), len(paints), 3), np.nan)
+    for row, name in enumerate(names):
+        own = [(image, shown) for image, shown, camera in zip(images, found, cameras, strict=True) if camera == name]
+        for column, paint in enumerate(paints):
+            if parts := [image[inner(shown[paint])] for image, shown in own if paint in shown]:
+                levels[row, column] = np.log(np.maximum(np.median(np.concatenate(parts), axis=0)[::-1], 1.0))
+    levels[levels > np.log(_CUT_OFF)] = np.nan
+    seen_by_all = np.isfinite(levels).all(axis=0)
+    if np.any(np.count_nonzero(seen_by_all, axis=0) < _LEAST_PAINTS):
+        return {}
+    relative = np.where(seen_by_all, levels - levels.mean(axis=0), np.nan)
+    middle = np.nanmedian(relative, axis=1)
+    # Of a median, by the median of the deviations from it, for a normal distribution.
+    deviation = np.nanmedian(np.abs(relative - middle[:, None]), axis=1)
+    error = 1.2533 * 1.4826 * deviation / np.sqrt(np.count_nonzero(seen_by_all, axis=0))
+    if np.all(np.abs(middle) <= _SURE * np.maximum(error, _LEAST_ERROR)):
+        return {}
+    factors = np.exp(-middle)
+    return {name: _rounded(each) for name, each in zip(names, factors, strict=True)}
+
+
+def balanced(
+    images: Sequence[ImageArray], cameras: Sequence[str | None], gains: Mapping[str, Gains]
+) -> list[ImageArray]:
+    """Return pictures as a camera between all of them would have taken them; one without factors as it is."""
+    return [
+        image
+        if camera is None or camera not in gains
+        else np.rint(in_balance(image[..., ::-1].astype(np.float64), gains[camera])).astype(np.uint8)[..., ::-1]
+        for image, camera in zip(images, cameras, strict=True)
+    ]
+
+
+def _rounded(factors: FloatArray) -> Gains:
+    red, green, blue = (round(float(factor), 4) for factor in factors)
+    return red, green, blue
+
+
+# Colours of all markers from a few picks in pictures: grow regions, fit classes, look for what they mistake.
 
 _MARKER_COMPONENTS: Final = 3
 _PIXELS_PER_COMPONENT: Final = 400
@@ -93,7 +331,7 @@ def calibrate(
             of a marker's size and differs from its surroundings.
     """
     check_places(images, places, markers)
-    known = region_of or (lambda number: regions(images[number], places[number]))
+    known = region_of or (lambda number: picked.regions(images[number], places[number]))
     found = [known(number) for number in range(len(images))]
     check_regions(found, places, markers)
     worn = worn_paints(markers)

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Final
+from dataclasses import dataclass, field
+from typing import Any, Final
 
 import numpy as np
 
 from rhot.anatomy.hand import patch_outline
-from rhot.anatomy.skeleton import FINGERS
+from rhot.anatomy.skeleton import CHAINS, FINGERS
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.errors import CalibrationError
 from rhot.messages import PointSet, Side
 from rhot.rig import HandFile, Rig
+from rhot.rig.calibration import WIDTH_OVER_LENGTH
 from rhot_calibration.hand.fit.fit import HandFit, fit
 from rhot_calibration.hand.fit.palm_rotations import palm_rotations
-from rhot_calibration.hand.fit.parameters import COUNT, HandParameters
-from rhot_calibration.hand.fit.quality import Motion, hand_quality
+from rhot_calibration.hand.fit.parameters import BONE_SD, COUNT, HUMAN_LENGTH_M, HandParameters
 from rhot_calibration.hand.fit.residuals import Chosen, FlatDistances, PalmFrame, StraightFingers
-from rhot_calibration.hand.refusals import (
-    refuse_bent_flat_hand,
-    refuse_inhuman,
-    refuse_unseen_fingers,
-    refuse_unseen_tips,
-    refuse_wrong_order,
-)
 from rhot_calibration.hand.samples.phases import (
     FEWEST_FLAT,
     FIND_PHASES,
@@ -32,9 +26,205 @@ from rhot_calibration.hand.samples.phases import (
     Phases,
     Window,
     find_flat,
+    reaches,
     straight_stretch,
 )
-from rhot_calibration.hand.samples.samples import read_samples
+from rhot_calibration.hand.samples.samples import FEWEST_SAMPLES, HandSamples, read_samples
+
+# What a hand's samples may not lack and what a calibrated hand may not be: the reasons to refuse it.
+#
+# Every function raises a `CalibrationError` that says what is wrong and what to do.
+
+_SEEN_SHARE: Final = 0.10
+"""Each fingertip has to be seen in this share of the samples. Chosen on simulated hands."""
+_BEYOND_M: Final = 0.010
+_BEYOND_SHARE: Final = 0.10
+"""A finger that is further than this from its knuckle in more than this share of the samples was bent when the hand
+should have been flat. Chosen on simulated hands."""
+_ORDER_GAP_M: Final = 0.012
+"""Spread fingertips come so near to crossing, seen a little from the side; swapped paints are 15 mm or more off."""
+
+
+def refuse_unseen_tips(samples: HandSamples, parameters: HandParameters) -> None:
+    """Refuse samples in which a fingertip is hardly ever seen."""
+    share = np.isfinite(samples.tips).all(axis=2).mean(axis=0)
+    least = max(_SEEN_SHARE, FEWEST_SAMPLES / 2 / len(samples))
+    poor = [index for index in range(len(FINGERS)) if share[index] < least]
+    if not poor:
+        return
+    unpainted = [FINGERS[place] for place in poor if FINGERS[place] not in parameters.caps]
+    if unpainted:
+        raise CalibrationError(
+            f"rig.toml binds no marker to the {', '.join(unpainted)} finger of the {parameters.side} hand; "
+            "add one under [markers] for this calibration"
+        )
+    names = ", ".join(f"{parameters.caps[FINGERS[place]]} ({100 * share[place]:.0f} %)" for place in poor)
+    raise CalibrationError(
+        f"seen in too few samples: {names}, at least {100 * least:.0f} % are needed; keep every painted fingertip in "
+        "view of two cameras, and check its colour with `rhot calibrate colors`"
+    )
+
+
+def refuse_unseen_fingers(flat: Window, samples: HandSamples) -> None:
+    """Refuse a flat phase in which one of the four fingers is hardly ever seen."""
+    seen = np.isfinite(reaches(samples)[:, 1:]).sum(axis=0) if len(samples) else np.zeros(4, dtype=np.intp)
+    if (seen < FEWEST_FLAT).any():
+        poor = FINGERS[1 + int(np.argmin(seen))]
+        raise CalibrationError(
+            f"flat phase {flat.start_s:.1f} to {flat.end_s:.1f} s: the {poor} finger is seen in {int(seen.min())} "
+            f"samples, at least {FEWEST_FLAT} are needed; give the right seconds with --flat START-END, or record again"
+        )
+
+
+def refuse_wrong_order(samples: HandSamples, viewpoint: FloatArray, parameters: HandParameters) -> None:
+    """Refuse a flat hand whose fingertips do not follow one another across the palm."""
+    middle = np.nanmedian(samples.tips[:, 1:], axis=(0, 1))
+    base = np.median(samples.base, axis=0)
+    across = np.cross(viewpoint - base, base - middle)
+    across *= (1.0 if parameters.side == "right" else -1.0) / np.linalg.norm(across)
+    place = np.nanmedian((samples.tips[:, 1:] - base[None, None]) @ across, axis=0)
+    order = [FINGERS[1 + k] for k in np.argsort(place)]
+    if order == list(FINGERS[1:]) or (np.diff(place) > -_ORDER_GAP_M).all():
+        return
+    names = ", ".join(parameters.caps[finger] for finger in order)
+    if order == list(reversed(FINGERS[1:])):
+        remedy = f"is it the {parameters.side} hand, and does its back face the cameras?"
+    else:
+        remedy = "two paints are swapped: bind them to the right joints under [markers] in rig.toml"
+    raise CalibrationError(f"across the flat hand the fingertips come in the order {names}; {remedy}")
+
+
+def refuse_bent_flat_hand(frame: PalmFrame, x: FloatArray) -> None:
+    """Refuse a hand too short for what the rest of the recording shows: then it was not flat when it should be."""
+    deficit = frame.tips(x, np.arange(len(frame.seconds))).deficit[:, 1:]
+    share = np.nanmean(np.where(np.isnan(deficit), np.nan, deficit < -_BEYOND_M), axis=0)
+    worst = int(np.argmax(share))
+    if share[worst] > _BEYOND_SHARE:
+        raise CalibrationError(
+            f"the {FINGERS[1 + worst]} finger reaches more than {1e3 * _BEYOND_M:.0f} mm beyond its length in "
+            f"{100 * share[worst]:.0f} % of the samples (at most {100 * _BEYOND_SHARE:.0f} %): it was not straight "
+            "when the hand should have been flat, or the palm was not seen well; record again with 3 s of the flat "
+            "hand, or say when it was flat with --flat START-END"
+        )
+
+
+def refuse_inhuman(hand: HandFile) -> None:
+    """Refuse a hand of a length or width that no human hand has."""
+    low, high = HUMAN_LENGTH_M
+    if not low <= hand.length_m <= high:
+        raise CalibrationError(
+            f"the hand comes out {1e3 * hand.length_m:.0f} mm long, human hands are {1e3 * low:.0f} to "
+            f"{1e3 * high:.0f} mm; check the scale of cameras.json (square size of the board, distance of the cameras) "
+            "and which marker is bound to which joint"
+        )
+    narrow, wide = WIDTH_OVER_LENGTH
+    ratio = (hand.width_m or 0.0) / hand.length_m
+    if not narrow <= ratio <= wide:
+        raise CalibrationError(
+            f"the hand comes out {ratio:.2f} times as wide as long, human hands are {narrow:g} to {wide:g}; let the "
+            "cameras see the corners of the patch on its back, and check which marker is bound to which joint"
+        )
+
+
+# From the point sets of a recording to `hand.json`: finds the phases and the straight fingers, and fits the hand.
+
+# Which lengths of a calibrated hand were measured, which follow from proportions, and how surely each is known.
+
+MEASURED_SHARE: Final = 0.6
+"""A length counts as measured when its uncertainty is below this share of what is known without a recording …"""
+MEASURED_SD_M, ROUGHLY_SD_M = 0.001, 0.002
+"""… and below the first of these, so that 95 of 100 are within 2 mm; below the second it is roughly measured."""
+_STEP: Final = 1e-5
+METACARPAL_JOINTS: Final = tuple(CHAINS[finger][1] for finger in FINGERS[1:])
+"""Metacarpals of the four fingers, by the joint at their end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What a recording showed.
+
+    Attributes:
+        flat, knuckles: when the hand was flat, and when straight fingers bent at their knuckles, if ever.
+        frames: samples used.
+        arcs_rad: finger to how far it bent at its knuckle while straight.
+    """
+
+    flat: Window
+    knuckles: Window | None
+    frames: int
+    arcs_rad: dict[str, float] = field(default_factory=dict)
+
+
+def hand_quality(
+    parameters: HandParameters, fitted: HandFit, motion: Motion, typed_length_m: float | None
+) -> dict[str, Any]:
+    """Return the figures of a fitted hand for `hand.json`: each length in mm, its standard deviation and source."""
+    unmeasured = fit(lambda _: np.zeros(0), parameters, np.zeros(COUNT), None)
+    values, sd = _spread(parameters, fitted)
+    prior = _spread(parameters, unmeasured)[1]
+    figures = [_figure(*row) for row in zip(values, sd, prior, strict=True)]
+    reach, fingers, metacarpals, (length, width) = figures[:5], figures[5:10], figures[10:14], figures[14:]
+    if typed_length_m is not None:
+        length["source"] = "typed in"
+    hand = parameters.hand(fitted.x)
+    bones = dict(zip(METACARPAL_JOINTS, metacarpals, strict=True))
+    for finger, finger_sd in zip(FINGERS, sd[5:10], strict=True):
+        bones |= _split(hand, finger, float(finger_sd))
+    return {
+        "source": "recording",
+        "length": length,
+        "width": width,
+        "reach": dict(zip(FINGERS, reach, strict=True)),
+        "fingers": dict(zip(FINGERS, fingers, strict=True)),
+        "bones": bones,
+        "frames": motion.frames,
+        "flat_s": [round(motion.flat.start_s, 2), round(motion.flat.end_s, 2)],
+        "knuckles_s": [round(motion.knuckles.start_s, 2), round(motion.knuckles.end_s, 2)] if motion.knuckles else None,
+        "arc_deg": {finger: round(float(np.degrees(arc)), 1) for finger, arc in motion.arcs_rad.items()},
+    }
+
+
+def _lengths(parameters: HandParameters, x: FloatArray) -> FloatArray:
+    """Return reaches (5), fingers (5), metacarpals (4), length and width, metres."""
+    hand, shape = parameters.hand(x), parameters.shape(x)
+    reach = np.linalg.norm(shape.knuckles - shape.straight[:, None] * shape.frames[..., 2] - shape.base, axis=1)
+    fingers = [sum(hand.bones_m[joint] for joint in CHAINS[finger][-3:]) for finger in FINGERS]
+    metacarpals = [hand.bones_m[joint] for joint in METACARPAL_JOINTS]
+    return np.array([*reach, *fingers, *metacarpals, hand.length_m, hand.width_m or np.nan])
+
+
+def _spread(parameters: HandParameters, fitted: HandFit) -> tuple[FloatArray, FloatArray]:
+    """Return the lengths and their standard deviations, metres."""
+    values = _lengths(parameters, fitted.x)
+    J = np.empty((len(values), COUNT))
+    for column in range(COUNT):
+        moved = fitted.x.copy()
+        moved[column] += _STEP
+        J[:, column] = (_lengths(parameters, moved) - values) / _STEP
+    return values, np.sqrt(np.einsum("ij,jk,ik->i", J, fitted.covariance, J))
+
+
+def _split(hand: HandFile, finger: str, finger_sd_m: float) -> dict[str, dict[str, Any]]:
+    """Return the figures of a finger's three bones: independent about their proportions, but for their sum."""
+    joints = CHAINS[finger][-3:]
+    lengths = np.array([hand.bones_m[joint] for joint in joints])
+    share = lengths / lengths.sum()
+    own = (BONE_SD * lengths) ** 2 * (1.0 - lengths**2 / (lengths**2).sum())
+    sd = np.sqrt(own + (share * finger_sd_m) ** 2)
+    return {
+        joint: {**_figure(length, one, one), "source": "from proportions"}
+        for joint, length, one in zip(joints, lengths, sd, strict=True)
+    }
+
+
+def _figure(value_m: float, sd_m: float, prior_sd_m: float) -> dict[str, Any]:
+    source = "from proportions"
+    if sd_m <= min(MEASURED_SHARE * prior_sd_m, ROUGHLY_SD_M):
+        source = "measured" if sd_m <= MEASURED_SD_M else "roughly measured"
+    return {"mm": round(1e3 * float(value_m), 2), "sd_mm": round(1e3 * float(sd_m), 2), "source": source}
+
+
+# From the point sets of a recording to `hand.json`: finds the phases and the straight fingers, and fits the hand.
 
 SMALLEST_ARC_RAD: Final = np.radians(30.0)
 """A finger that bent less than this at its knuckle does not tell where the knuckle is."""

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import csv
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TypeVar
 
 import click
 import numpy as np
 from rich.console import Console
+from rich.table import Table
 
 from rhot.arrays import FloatArray
+from rhot.atomic_file import why_unread
 from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
+from rhot.geometry.rotations import rotation_from_quaternion
+from rhot.report.tables import figures_table
 from rhot.rig import BusConfig, RegistrationFile, Rig, load_rig
 from rhot.rig.config import ObjectSource
 from rhot.rig.folder import registration_name, registration_path
@@ -23,17 +30,174 @@ from rhot_calibration.objects.fit import Estimate, Places, RegistrationFit, firs
 from rhot_calibration.objects.live import collect_places
 from rhot_calibration.objects.record import (
     RegistrationQuality,
+    change,
     check_change,
     prior_of,
     read_quality,
     registration_file,
 )
-from rhot_calibration.objects.report import places_table, report
-from rhot_calibration.objects.table import read_places
 from rhot_calibration.objects.touch.command import calibrate_by_touch
-from rhot_calibration.objects.touch.options import source_of, touch_options
-from rhot_calibration.objects.touch.streams import touch_task
+from rhot_calibration.objects.touch.streams import TOUCHES_A_FACE, touch_task
 from rhot_calibration.writing import write_found
+
+# The options of `rhot calibrate objects --touch`.
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+_OPTIONS: Final = (
+    click.option(
+        "--touch",
+        "touched",
+        metavar="ID",
+        help="Find where this object sits on its tracker: touch its faces with a tracked fingertip.",
+    ),
+    click.option("--finger", default="index", show_default=True, help="With --touch: whose tip touches."),
+    click.option("--hand", "side", type=click.Choice(["left", "right"]), help="With --touch; else the rig's first."),
+    click.option(
+        "--faces", metavar="A,B,…", default="", help="With --touch: the faces in this order; else all but the bottom."
+    ),
+    click.option(
+        "--per-face",
+        type=click.IntRange(1, 30),
+        default=TOUCHES_A_FACE,
+        show_default=True,
+        help="With --touch: how often each face is touched, three times that all round.",
+    ),
+)
+
+
+def touch_options(command: _Command) -> _Command:
+    """Add the options to a command, in their order."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+def source_of(table: Path | None, live: bool, bus: BusConfig) -> BusConfig | Path:
+    """Return where touches come from: the running rig unless a recording is named.
+
+    Raises:
+        ConfigError: both are named, or the file is not there.
+    """
+    if table is None:
+        return bus
+    if live:
+        raise ConfigError("--touch takes a recording or --live, not both")
+    if not table.exists():
+        raise ConfigError(f"{table} is not there; name a recording of `rhot record`, or none for the running rig")
+    return table
+
+
+# `rhot calibrate objects`.
+
+# Places in a CSV table.
+
+COLUMNS: Final = (
+    *("rig_x_m", "rig_y_m", "rig_z_m"),
+    *("tracker_x_m", "tracker_y_m", "tracker_z_m"),
+    *("tracker_qx", "tracker_qy", "tracker_qz", "tracker_qw"),
+)
+SIGMA_COLUMN: Final = "sigma_m"
+STATED_SIGMA_M: Final = 1e-3
+"""Noise of each coordinate of a place where the table states none; the fit finds the true one from the residuals."""
+_LARGEST_M: Final = 100.0
+_NORM_TOLERANCE: Final = 0.01
+
+
+def read_places(file: Path) -> Places:
+    """Return the places of a CSV table.
+
+    The header names the columns, in any order: `rig_x_m`, `rig_y_m`, `rig_z_m` (the marker, metres, rig frame),
+    `tracker_x_m`, `tracker_y_m`, `tracker_z_m` (the device, metres, tracker space), `tracker_qx`, `tracker_qy`,
+    `tracker_qz`, `tracker_qw` (its orientation, unit quaternion), and where it is known `sigma_m` (standard deviation
+    of each coordinate). Others are ignored.
+
+    Raises:
+        CalibrationError: unreadable, a column is missing, or a value cannot be; names line and column.
+    """
+    names: list[str] = []
+    rows: list[list[float]] = []
+    try:
+        with file.open(newline="", encoding="utf-8") as stream:
+            reader = csv.DictReader(stream)
+            header = reader.fieldnames or []
+            missing = [name for name in COLUMNS if name not in header]
+            if missing:
+                raise CalibrationError(f"{file}:1: no column {missing[0]}; the header needs {', '.join(COLUMNS)}")
+            wanted = [*COLUMNS, *([SIGMA_COLUMN] if SIGMA_COLUMN in header else [])]
+            for row in reader:
+                values = [_number(file, reader.line_num, name, row[name]) for name in wanted]
+                rows.append([*values, STATED_SIGMA_M][: len(COLUMNS) + 1])
+                names.append(f"{file.name}:{reader.line_num}")
+                _check(file, reader.line_num, rows[-1])
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise CalibrationError(f"{file}: cannot be read: {why_unread(error)}") from error
+    table = np.array(rows, dtype=np.float64).reshape(-1, len(COLUMNS) + 1)
+    return Places(
+        names=tuple(names),
+        x_rig=table[:, 0:3],
+        sigma_m=table[:, 10],
+        R_space_device=rotation_from_quaternion(table[:, 6:10]),
+        p_space_device=table[:, 3:6],
+    )
+
+
+def _check(file: Path, line: int, values: list[float]) -> None:
+    for name, value in zip(COLUMNS[:6], values[:6], strict=True):
+        if abs(value) > _LARGEST_M:
+            raise CalibrationError(f"{file}:{line}: {name} is {value:g} m; are the columns in millimetres?")
+    norm = math.hypot(*values[6:10])
+    if abs(norm - 1.0) > _NORM_TOLERANCE:
+        raise CalibrationError(
+            f"{file}:{line}: tracker_qx … tracker_qw has norm {norm:.4g}, must be 1; are the columns mixed up?"
+        )
+    if not 0.0 < values[10] < 1.0:
+        raise CalibrationError(f"{file}:{line}: {SIGMA_COLUMN} is {values[10]:g} m; it must lie between 0 and 1")
+
+
+def _number(file: Path, line: int, name: str, text: str | None) -> float:
+    try:
+        value = float(text or "")
+    except ValueError as error:
+        raise CalibrationError(f"{file}:{line}: {name} is '{(text or '')[:40]}', not a number") from error
+    if not math.isfinite(value):
+        raise CalibrationError(f"{file}:{line}: {name} is {value}; it must be finite")
+    return value
+
+
+# `rhot calibrate objects`.
+
+# A registration in a table and lines for people.
+
+
+def places_table(places: Places, fit: RegistrationFit) -> Table:
+    """Return each place with what it is off."""
+    table = figures_table("place", "x mm", "y mm", "z mm", "off mm")
+    table.add_column("")
+    for name, x, off, kept in zip(places.names, places.x_rig, fit.residual_m, fit.kept, strict=True):
+        cells = [f"{1e3 * value:.1f}" for value in (*x, off)]
+        table.add_row(name, *cells, "" if kept else "left out: contradicts the others")
+    return table
+
+
+def report(console: Console, fit: RegistrationFit, prior: Estimate | None) -> None:
+    """Print how good a registration is, and what a correction of `prior` changed."""
+    estimate = fit.estimate
+    if prior is not None:
+        moved_m, turned_rad = change(prior, estimate)
+        console.print(f"changed by {1e3 * moved_m:.2f} mm amid the places and by {np.degrees(turned_rad):.3f}°")
+    sd = 1e3 * float(np.linalg.norm(estimate.position_sd_m))
+    x, y, z = 1e3 * estimate.lever_m
+    sd_x, sd_y, sd_z = 1e3 * estimate.lever_sd_m
+    console.print(f"residual       {1e3 * fit.rms_m:.2f} mm RMS over {np.count_nonzero(fit.kept)} places")
+    console.print(f"position       ± {sd:.2f} mm amid the places (one standard deviation)")
+    console.print(f"rotation       ± {np.degrees(estimate.rotation_sd_rad):.3f}° about its least certain axis")
+    console.print(
+        f"marker on the device at {x:.1f} ± {sd_x:.1f}, {y:.1f} ± {sd_y:.1f}, {z:.1f} ± {sd_z:.1f} mm, device axes"
+    )
+
+
+# `rhot calibrate objects`.
 
 _UNKNOWN_LEVER_SD_M: Final = 0.05
 """A marker sits on a tracker of 10 cm, somewhere."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
-from rhot.anatomy.hand import HandJoints, HandModel
+from rhot.anatomy.hand import MOVING, HandJoints, HandModel
 from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
@@ -21,10 +22,150 @@ from rhot.rig.folder import Rig
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.walker.world import WalkerWorld
 from rhot_sim.world.board import BoardMotion, ChessBoard, LyingBoard
-from rhot_sim.world.crossing import CrossingMotion
-from rhot_sim.world.motion import OBJECT_SIZE_M, Motion, StillMotion, true_pose
-from rhot_sim.world.script import ScriptedMotion
+from rhot_sim.world.gestures import EASE_DEG, GESTURES
+from rhot_sim.world.motion import (
+    OBJECT_SIZE_M,
+    PALM_FORWARD_M,
+    Motion,
+    MotionSample,
+    StillMotion,
+    home_x_m,
+    true_pose,
+    wrist_poses,
+)
+from rhot_sim.world.script import GESTURE_KNOTS, KNOT_S, ScriptedMotion, seeded
+from rhot_sim.world.spline import bump, evaluate_spline
 from rhot_sim.world.touching import TouchMotion
+
+# Two hands that touch and cross, over and over: what tells a tracker's hands apart, or mixes them up.
+#
+# Time is cut into cycles. In each, the hands turn their fingertips towards each other and touch, tap a few times,
+# part, cross one above the other, stay there while their fingers move, and go back. Where, how far, how fast and
+# which hand is above follow from seed and cycle alone.
+
+CYCLE_S: Final = 12.0
+_CYCLE_KNOTS: Final = round(CYCLE_S / KNOT_S)
+_STREAM: Final = 5
+_SIDES: Final[tuple[Side, Side]] = ("right", "left")
+_HEIGHT_M: Final = 0.13
+"""Of the hands over the desk; the one that crosses above is higher by `_ABOVE_M`."""
+_ABOVE_M: Final = (0.085, 0.11)
+"""A hand is 30 mm thick, and its bent fingers reach 50 mm below it."""
+_TOUCH_S: Final = (0.5, 4.6)
+_CROSS_S: Final = (5.0, 11.4)
+_LIFT_S: Final = (4.7, 11.7)
+_LIFT_RAMP_S: Final = 0.6
+_YAW_RAD: Final = np.radians(55.0)
+"""How far hands turn towards each other to touch with the fingertips."""
+_TAP_HZ: Final = (0.4, 0.9)
+_TAP_M: Final = 0.02
+_TOUCHING: Final = (1, 2)
+"""Fingers that touch: the index fingers, or the middle fingers."""
+
+
+class CrossingMotion:
+    """Both hands as a function of (seed, time); before time 0 everything stands still.
+
+    Args:
+        seed: chooses everything.
+        hands: right and left; their limits are kept.
+        desk_z_m: distance of the desk from the reference camera.
+
+    Raises:
+        ConfigError: a hand is missing.
+    """
+
+    def __init__(self, seed: int, hands: Mapping[Side, HandModel], desk_z_m: float = 0.95) -> None:
+        if set(hands) != set(_SIDES):
+            raise ConfigError('motion = "crossing" needs both hands; give markers to the right and to the left one')
+        self._seed = seed
+        self._hands = dict(hands)
+        self._desk_z_m = desk_z_m
+        # Tables of pure functions: dropping or keeping an entry changes no result.
+        self._tables: Callable[[int], dict[Side, FloatArray]] = lru_cache(maxsize=8)(self._table)
+
+    def sample(self, t_s: FloatArray) -> MotionSample:
+        """Return the motion at times (N,), seconds since the world's start."""
+        t = np.maximum(np.asarray(t_s, dtype=np.float64), 0.0)
+        wrists: dict[Side, FloatArray] = {}
+        angles: dict[Side, FloatArray] = {}
+        for side in _SIDES:
+
+            def control(knot: int, side: Side = side) -> FloatArray:
+                cycle, place = divmod(max(knot, 0), _CYCLE_KNOTS)
+                row: FloatArray = self._tables(cycle)[side][place]
+                return row
+
+            curve = evaluate_spline(t, KNOT_S, control)
+            wrists[side] = wrist_poses(curve[:, :6])
+            angles[side] = curve[:, 6:].reshape(-1, 5, 4)
+        return MotionSample(wrists, angles, {})
+
+    def _table(self, cycle: int) -> dict[Side, FloatArray]:
+        """Return the control values (K, 26) of both hands in one cycle: placement, see `wrist_poses`, and angles."""
+        rng = seeded(self._seed, _STREAM, cycle)
+        t: FloatArray = np.arange(_CYCLE_KNOTS, dtype=np.float64) * KNOT_S
+        finger = int(rng.choice(_TOUCHING))
+        above = _SIDES[int(rng.integers(2))]
+        lift_m = rng.uniform(*_ABOVE_M)
+        share = rng.uniform(0.4, 1.1)
+        meeting = np.array([rng.uniform(-0.05, 0.05), rng.uniform(-0.01, 0.05), self._desk_z_m - _HEIGHT_M])
+        taps = 0.5 - 0.5 * np.cos(2.0 * np.pi * rng.uniform(*_TAP_HZ) * (t - _TOUCH_S[0]))
+        touching, crossing = bump(t, *_TOUCH_S, rng.uniform(0.7, 1.2)), bump(t, *_CROSS_S, rng.uniform(0.8, 1.8))
+        lifted = bump(t, *_LIFT_S, _LIFT_RAMP_S)
+        tables: dict[Side, FloatArray] = {}
+        for side in _SIDES:
+            sign = -1.0 if side == "right" else 1.0
+            home = np.array([home_x_m(side, _SIDES), -0.02, self._desk_z_m - _HEIGHT_M, 0.0, 0.0, 0.0])
+            over = np.zeros(6)
+            over[0] = -2.0 * share * home[0]
+            over[1] = rng.uniform(-0.03, 0.03)
+            over[3:] = np.radians(rng.uniform(-12.0, 12.0, 3))
+            tap = np.zeros(6)
+            tap[0] = sign * _TAP_M
+            placement = home + touching[:, None] * (self._touch(side, finger, meeting) - home + taps[:, None] * tap)
+            placement += crossing[:, None] * over
+            placement[:, 2] -= lifted * lift_m * (side == above)
+            placement += _tremor(t, rng)
+            fingers = np.tile(EASE_DEG, (_CYCLE_KNOTS, 1, 1))
+            for part in range(1, _CYCLE_KNOTS // GESTURE_KNOTS):
+                rows = slice(part * GESTURE_KNOTS, (part + 1) * GESTURE_KNOTS)
+                gesture = GESTURES[int(rng.integers(len(GESTURES)))]
+                fingers[rows] = gesture(t[:GESTURE_KNOTS], rng)[0]
+            tables[side] = np.hstack([placement, self._angles(side, fingers).reshape(-1, 20)])
+        return tables
+
+    def _angles(self, side: Side, fingers_deg: FloatArray) -> FloatArray:
+        hand = self._hands[side]
+        angles = np.empty((*fingers_deg.shape[:2], 4))
+        angles[..., :3] = np.radians(fingers_deg)
+        angles[..., 3] = hand.coupling * angles[..., 2]
+        return hand.clamp(angles)
+
+    def _touch(self, side: Side, finger: int, meeting: FloatArray) -> FloatArray:
+        """Return the placement (6,) at which a fingertip's skin meets a point (3,) from its side, rig frame, metres."""
+        hand = self._hands[side]
+        tip = hand.forward_local(self._angles(side, EASE_DEG[None])[0]).positions[MOVING[finger, 3]]
+        radius_m = float(hand.radii[MOVING[finger, 3]])
+        placement = np.zeros(6)
+        placement[3] = _YAW_RAD * (-1.0 if side == "right" else 1.0)
+        R = wrist_poses(placement[None])[0, :3, :3]
+        sign = -1.0 if side == "right" else 1.0
+        beside = meeting + np.array([sign * radius_m, 0.0, 0.0])
+        placement[:3] = beside - R @ tip - PALM_FORWARD_M * R[:, 2]
+        return placement
+
+
+def _tremor(t: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return the small movement of a hand in the air, (K, 6), metres and radians; none at a cycle's ends."""
+    reach = np.array([0.004, 0.004, 0.004, np.radians(2.0), np.radians(2.0), np.radians(2.0)])
+    rate_hz, phase = rng.uniform(0.2, 0.6, 6), rng.uniform(0.0, 2.0 * np.pi, 6)
+    envelope = bump(t, 0.1, CYCLE_S - 0.2, 0.6)
+    tremor: FloatArray = reach * np.sin(2.0 * np.pi * rate_hz * t[:, None] + phase) * envelope[:, None]
+    return tremor
+
+
+# The simulated world: what is where at any moment, from seed and time alone.
 
 HEAD: Final = "head"
 """The object that is the headset."""

@@ -11,10 +11,8 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
-from rhot_bench.feet.command import RUNS, feet
-from rhot_bench.feet.kept import key_of, load_played, make_folder, save_played
+from rhot_bench.feet.command import RUNS, feet, feet_sections, key_of, load_played, make_folder, save_played
 from rhot_bench.feet.runs import SIDES, STAGES, Played, Run, Track, play
-from rhot_bench.feet.sections import feet_sections
 from rhot_bench.feet.stages import CELLS, cell_plots
 from rhot_bench.feet.table_5_1 import PRINTED_M, TASKS, table_5_1
 from rhot_sim.walker.folder import write_walker_rig

@@ -8,7 +8,7 @@ import pytest
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_bench.motion.painted import Capsules, cap_surface, seen_samples
-from rhot_bench.motion.skin import skin_sides
+from rhot_bench.motion.tracks import skin_sides
 
 RADIUS, LENGTH, BONE = 0.007, 0.017, 0.028
 CAP = cap_surface(LENGTH, RADIUS, RADIUS)

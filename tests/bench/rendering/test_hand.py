@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot_bench.rendering.anatomy import random_hand
 from rhot_bench.rendering.hand import (
     ANGLES,
     BONES,
@@ -17,8 +16,8 @@ from rhot_bench.rendering.hand import (
     joint_positions,
     marker_positions,
 )
-from rhot_bench.rendering.skin import make_skin, with_patch
-from rhot_bench.rendering.surface import surface_nets
+from rhot_bench.rendering.skin import make_skin, surface_nets, with_patch
+from rhot_bench.rendering.world import random_hand
 
 
 @pytest.fixture(scope="module", params=[3, 4])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rhot_bench.steps.heel import heel_directions
+from rhot_bench.steps.command import heel_directions
 from rhot_bench.steps.walks import read_step_trial
 
 

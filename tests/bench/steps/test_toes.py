@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rhot.errors import ConfigError
-from rhot_bench.steps.toes import NEAR_PX, ToeWalk, follow_toes, thesis_toes
+from rhot_bench.steps.command import NEAR_PX, ToeWalk, follow_toes, thesis_toes
 
 
 @pytest.fixture(scope="module")

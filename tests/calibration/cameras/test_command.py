@@ -19,7 +19,7 @@ from rhot.geometry.camera import CameraModel
 from rhot.rig import CamerasFile, load_rig, read_json_model
 from rhot_calibration.cameras.board.detect import detect_board
 from rhot_calibration.cameras.figures import epipolar_distance
-from rhot_calibration.cameras.picture_order import read_gray
+from rhot_calibration.cameras.pictures import read_gray
 from rhot_calibration.cameras.solve.views import Board
 
 RIGHT, OTHER_SIDE = "position_m = [0.075, 0.0, 0.0]", "position_m = [-0.075, 0.0, 0.0]"

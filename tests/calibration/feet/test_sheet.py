@@ -8,8 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from rhot.errors import CalibrationError, ConfigError
-from rhot_calibration.feet.command import markers
-from rhot_calibration.feet.sheet import write_marker_sheet
+from rhot_calibration.feet.command import markers, write_marker_sheet
 
 MM = 72.0 / 25.4
 

@@ -23,7 +23,7 @@ from rhot.rig.folder import load_config
 from rhot_calibration.lock import page_step as lock_step
 from rhot_calibration.lock.page_step import CameraLook, LockStep, look_remarks
 from rhot_calibration.picture_light import PictureLight
-from rhot_capture.kept_optics import KeptOptics
+from rhot_capture.service import KeptOptics
 from rhot_capture.settings import CameraSettings
 
 GOOD = CameraLook("", 0.004, 4.0, (1.6, 1.6), PictureLight(200.0, 0.0))

@@ -24,9 +24,8 @@ from rhot.geometry.rotations import (
 from rhot.messages import ObjectPose, Point, PointSet
 from rhot.rig import BusConfig, RegistrationFile, RigidTransform, read_json_model, write_json_model
 from rhot_calibration.objects.collector import PlaceCollector
-from rhot_calibration.objects.command import objects
+from rhot_calibration.objects.command import COLUMNS, objects, read_places
 from rhot_calibration.objects.page_step import ObjectStep
-from rhot_calibration.objects.table import COLUMNS, read_places
 from rhot_objects.pose import Pose
 from rhot_objects.registration import Registration
 

@@ -5,7 +5,7 @@ import pytest
 
 from rhot.arrays import ImageArray
 from rhot_capture.detection.blob import Blob, find_blobs
-from rhot_capture.detection.seams import is_mixture, neighbour_of
+from rhot_capture.detection.candidates import is_mixture, neighbour_of
 
 SKIN, CLOTH = (150.0, 180.0, 220.0), (70.0, 65.0, 60.0)
 PAINTS = {

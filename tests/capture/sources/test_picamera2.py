@@ -13,8 +13,7 @@ from rhot.rig import CameraConfig
 from rhot.rig.colors import nominal_colors
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.libcamera import PicameraModules, import_picamera
-from rhot_capture.sources.picamera2 import Picamera2Source
-from rhot_capture.sources.sensor_modes import choose_mode
+from rhot_capture.sources.picamera2 import Picamera2Source, choose_mode
 
 MODES = [
     {"size": (640, 480), "bit_depth": 10, "fps": 103.33, "crop_limits": (1000, 752, 1280, 960)},

@@ -17,7 +17,7 @@ from rhot.rig import CameraConfig
 from rhot.rig.colors import nominal_colors
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.v4l2 import V4l2Source
-from rhot_capture.sources.v4l2.buffers import V4l2Buffer, stamps_arrival
+from rhot_capture.sources.v4l2.source import V4l2Buffer, stamps_arrival
 
 CAMERA = CameraConfig(source="v4l2", device="2", rate_hz=60.0, exposure_s=0.004, readout_s=0.01)
 PERIOD_US = 16_667

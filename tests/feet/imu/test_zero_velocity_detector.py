@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
+from rhot_bench.steps.command import ared, shoe
 from rhot_bench.steps.dead_reckoning import horizontal_error_m, reckon
-from rhot_bench.steps.standard_detectors import ared, shoe
 from rhot_bench.steps.walks import read_places
 from rhot_feet.imu.samples import GRAVITY_M_S2
 from rhot_feet.imu.zero_velocity_detector import ZeroVelocity, ZeroVelocityDetector

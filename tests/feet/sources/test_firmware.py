@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from rhot_feet.imu.samples import ImuSamples
-from rhot_feet.sources.imu.binary_protocol import BinaryDecoder, encode_binary
-from rhot_feet.sources.imu.text_protocol import TextDecoder, encode_text
+from rhot_feet.sources.imu.serial import BinaryDecoder, TextDecoder, encode_binary, encode_text
 
 FIRMWARE = Path(__file__).parents[3] / "firmware" / "ankle_sensor"
 BOARD = Path(__file__).parent / "board"

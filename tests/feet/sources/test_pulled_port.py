@@ -13,8 +13,7 @@ from devices.pulled_port import PulledPort
 
 from rhot.errors import DeviceError
 from rhot.rig.feet_config import ImuConfig
-from rhot_feet.sources.imu.serial import SerialSource
-from rhot_feet.sources.imu.text_protocol import encode_text
+from rhot_feet.sources.imu.serial import SerialSource, encode_text
 
 START = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000

@@ -13,11 +13,11 @@ from rhot.arrays import FloatArray
 from rhot_fusion.filter.initialisation import View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.motion import motion_of
-from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.smoothing.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
+from rhot_fusion.filter.tracker import CameraNoise, stated_px
 
 COUNT = 6
 SHAPE = np.random.default_rng(3).uniform(-0.06, 0.06, (COUNT, 3))

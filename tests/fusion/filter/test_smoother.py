@@ -12,8 +12,7 @@ from hands.pinholes import CAMERAS, FOCAL_PX
 from rhot.arrays import FloatArray
 from rhot_fusion.filter.initialisation import InitialState
 from rhot_fusion.filter.settings import DEFAULT, BridgeSettings
-from rhot_fusion.filter.smoothing.backward import bridged
-from rhot_fusion.filter.smoothing.smoother import Correct, Event, Frame, Node, smooth
+from rhot_fusion.filter.smoothing.smoother import Correct, Event, Frame, Node, bridged, smooth
 from rhot_fusion.filter.state import ROUND, SHARED, State, Views
 
 PERIOD_S, NOISE_PX, ROW_S = 1.0 / 60.0, 0.1, 0.002

@@ -11,7 +11,7 @@ from marker_streams import EPOCH_NS, MARKERS, Motion, Seen, pinhole_cameras, tru
 from rhot.messages import PointSet
 from rhot.rig import FusionConfig, Rig
 from rhot_fusion.core import FusionCore
-from rhot_fusion.paired.pixel_filter import PixelFilters
+from rhot_fusion.paired.tracker import PixelFilters
 
 MakeRig = Callable[..., Rig]
 PIXELS = FusionConfig(method="triangulate", one_euro="pixels")

@@ -8,7 +8,7 @@ from rhot.anatomy.body_proportions import BodyModel
 from rhot.geometry.rotations import rotation_y
 from rhot.geometry.transforms import rigid
 from rhot.rig import BodyConfig
-from rhot_ik.legs.body_solver import solve_body
+from rhot_ik.legs.body_core import solve_body
 from rhot_ik.legs.leg import Ankle
 
 BODY = BodyModel.from_config(BodyConfig(height_m=1.75))

@@ -13,7 +13,7 @@ from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.geometry.transforms import rigid
 from rhot.messages import Side
 from rhot.rig import BodyConfig
-from rhot_ik.legs.body_solver import BodySolution, solve_body
+from rhot_ik.legs.body_core import BodySolution, solve_body
 from rhot_ik.legs.hips import estimate_hips
 from rhot_ik.legs.leg import Ankle
 from rhot_sim.walker.person import Person

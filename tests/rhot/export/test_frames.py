@@ -13,7 +13,7 @@ from hand_messages import hand_pose, object_pose
 
 from rhot.cli.recordings.export import export
 from rhot.errors import ConfigError
-from rhot.export.gltf.shapes import mesh_of
+from rhot.export.gltf.scene import mesh_of
 from rhot.export.lab.c3d_file import write_c3d
 from rhot.export.lab.frames import MAX_GAP_S, Frames, frames_of, real_rate_hz
 from rhot.export.poses import motions

@@ -23,9 +23,8 @@ from rhot_capture.detection.detector import MarkerDetector
 from rhot_sim.command import sim
 from rhot_sim.rendering.renderer import Renderer
 from rhot_sim.rig.folder import true_cameras
-from rhot_sim.world.crossing import CYCLE_S, CrossingMotion
 from rhot_sim.world.paint import paints_of
-from rhot_sim.world.world import World
+from rhot_sim.world.world import CYCLE_S, CrossingMotion, World
 
 HANDS: dict[Side, HandModel] = {
     "right": HandModel.from_file(HandFile(), "right"),

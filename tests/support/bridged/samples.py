@@ -13,7 +13,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from rhot_bridge.scene import Axes, Scene, Tracked
-from rhot_bridge.targets.mocap_channels import channels_of, joints_of, sample_of
+from rhot_bridge.targets.lsl import channels_of, joints_of, sample_of
 from rhot_bridge.targets.ros2 import RosMessages
 
 

@@ -14,12 +14,12 @@ from rhot_sim.rig import folder
 from rhot_tools.grasp.figures import grasp_figures
 from rhot_tools.grasp.session import grasp_session
 from rhot_tools.measures.rows import Row, Section
+from rhot_tools.rig.command import simulated_truth
 from rhot_tools.rig.depth import depth_sections, rows_by_truth
 from rhot_tools.rig.grasps import drift_figure, grasps, hand_deviations
 from rhot_tools.rig.heard import Heard
 from rhot_tools.rig.jitter import jitter_sections, still_jitter
 from rhot_tools.rig.latency import latencies_of, latency_sections
-from rhot_tools.rig.simulated import simulated_truth
 from rhot_tools.rig.statistics import Figure
 
 # In one worker: what they share takes seconds.

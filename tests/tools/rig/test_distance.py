@@ -7,7 +7,7 @@ import pytest
 
 from rhot.errors import ConfigError
 from rhot.messages import Point, PointSet, Truth
-from rhot_tools.rig.distance import distance_section, distances
+from rhot_tools.rig.command import distance_section, distances
 from rhot_tools.rig.heard import Heard
 
 START_NS = 1_700_000_000_000_000_000

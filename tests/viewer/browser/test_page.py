@@ -14,8 +14,8 @@ from viser import BatchedMeshHandle
 
 from rhot.errors import DeviceError
 from rhot.messages import HandPose
-from rhot_viewer.browser.layers import InstanceLayer
 from rhot_viewer.browser.page import Page
+from rhot_viewer.browser.rig_scene import InstanceLayer
 from rhot_viewer.scene.hand import hand_shape
 from rhot_viewer.scene.instances import balls, unit_ball
 

@@ -6,7 +6,7 @@ import pytest
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 from viser.infra._messages import Message
 
-from rhot_viewer.browser.waking import wake_senders_safely
+from rhot_viewer.browser.page import wake_senders_safely
 
 
 class Interrupted(asyncio.Event):

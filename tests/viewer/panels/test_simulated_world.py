@@ -9,7 +9,7 @@ from typing import Any, get_args
 import pytest
 
 from rhot.rig.config import SimConfig
-from rhot_viewer.panels.simulated_world import SimulatedWorld
+from rhot_viewer.panels.calibrate import SimulatedWorld
 
 
 @pytest.mark.parametrize("motion", get_args(SimConfig.model_fields["motion"].annotation))

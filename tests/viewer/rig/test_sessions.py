@@ -13,7 +13,7 @@ from rhot.errors import BusError, ConfigError
 from rhot.rig import BusConfig, HandFile, Rig, write_json_model
 from rhot.rig.folder import load_config
 from rhot.service.clock_sync import serve_clock
-from rhot_viewer.panels.simulated_world import SimulatedWorld, is_simulated
+from rhot_viewer.panels.calibrate import SimulatedWorld, is_simulated
 from rhot_viewer.rig import sessions
 from rhot_viewer.rig.sessions import Sessions
 

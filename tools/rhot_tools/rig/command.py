@@ -5,19 +5,22 @@ from __future__ import annotations
 import asyncio
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Final
 
 import click
+import numpy as np
 from rich.console import Console
 
-from rhot.arrays import ImageArray
+from rhot.arrays import FloatArray, ImageArray
 from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
-from rhot.errors import ConfigError, RhotError
+from rhot.errors import CalibrationError, ConfigError, RhotError
 from rhot.export.source import RecordedMessages
+from rhot.geometry.camera import CameraModel
+from rhot.messages import MarkerFrame, Point
 from rhot.offline import marker_frames, rig_timing, track
 from rhot.recording import MarkerTrack, load_recording
 from rhot.recording.mcap.beside import pictures_beside
@@ -28,17 +31,201 @@ from rhot.rig.marker_config import own_paints
 from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.sources.pictures import read_pictures
+from rhot_capture.timing import row_time_ns
+from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.schedule import FrameSchedule
 from rhot_tools.measures.html import html_report
 from rhot_tools.measures.output import json_option, page_option, show
-from rhot_tools.measures.rows import Section, check_output
+from rhot_tools.measures.rows import Row, Section, check_output
 from rhot_tools.rig.depth import depth_plot, depth_sections
-from rhot_tools.rig.distance import distance_section, distances
 from rhot_tools.rig.grasps import grasps
 from rhot_tools.rig.heard import Heard, listen
 from rhot_tools.rig.jitter import jitter_plots, jitter_sections, still_jitter
 from rhot_tools.rig.latency import latencies_of, latency_sections, thread_section
+from rhot_tools.rig.rows import figure_row
 from rhot_tools.rig.session import depth_rows, pictures_of
-from rhot_tools.rig.simulated import simulated_truth
+from rhot_tools.rig.statistics import mean, root_mean_square
+
+# What is true of a simulated rig: its cameras, when they exposed their frames, and its focal length times baseline.
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedTruth:
+    """What is true of a simulated rig beside what `rhot/truth` says.
+
+    Attributes:
+        cameras: by name, as they truly stand.
+        schedules: by name, when their frames are exposed.
+        start_ns: rig time of the world's start; 0 = not known.
+        rig: whose configuration the cameras have.
+    """
+
+    cameras: Mapping[str, CameraModel]
+    schedules: Mapping[str, FrameSchedule]
+    start_ns: int
+    rig: Rig
+
+    def exposed_ns(self, frame: MarkerFrame) -> int | None:
+        """Return when a frame's middle row was exposed, rig clock; None where the world's start is not known."""
+        if not self.start_ns or frame.camera not in self.schedules:
+            return None
+        config = self.rig.config.cameras[frame.camera]
+        first_ns = self.start_ns + round(1e9 * self.schedules[frame.camera].frame(frame.frame).t_first_row_s)
+        middle = 0.5 * (config.height - 1)
+        return row_time_ns(first_ns, middle, config.height, config.exposure_s, config.readout_s)
+
+    @property
+    def fb(self) -> float:
+        """Focal length of the first camera's calibration times the true baseline, pixel metres.
+
+        The second camera is turned into the first one's orientation, so its own does not matter.
+        """
+        first, second = list(self.cameras.values())[:2]
+        K = CameraModel.from_calibration(next(iter(self.rig.cameras.values()))).K
+        return float(K[0, 0]) * abs(float(first.to_camera(second.center[None])[0, 0]))
+
+
+def simulated_truth(rig: Rig, heard: Heard) -> SimulatedTruth | None:
+    """Return what is true of the rig that was heard; None where it is a real one."""
+    if not heard.truth or len(rig.config.cameras) < 2:
+        return None
+    try:
+        cameras = true_cameras(rig)
+    except (CalibrationError, ConfigError):
+        return None
+    schedules = {
+        name: FrameSchedule(name, index, config, rig.config.sim)
+        for index, (name, config) in enumerate(rig.config.cameras.items())
+    }
+    return SimulatedTruth(cameras, schedules, heard.start_ns, rig)
+
+
+# `rhot evaluate rig`: one's own rig measured as the 2018 thesis measured its own, as one report.
+
+# One figure to quote: two markers a known distance apart, moved through the volume, and how far off that distance is.
+#
+# This is the sphere-spacing error of VDI/VDE 2634 for a pair that moves, as ASTM E3064 measures motion capture with a
+# rod: it needs no second tracker and contains calibration, clocks, blur and triangulation, but nothing that shifts both
+# markers alike.
+
+_MM = 1e3
+_LEAST = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Distances:
+    """A pair of markers over the moments at which both were measured.
+
+    Attributes:
+        error_m: (N,) measured minus true distance, metres.
+        sigma_m: (N,) the deviation that fusion states for it, metres; NaN where it states none.
+        middle_m: (N, 3) middles of the pair, metres, rig frame.
+        share: of the moments at which points were published.
+    """
+
+    error_m: FloatArray
+    sigma_m: FloatArray
+    middle_m: FloatArray
+    share: float
+
+
+def distances(heard: Heard, pair: tuple[str, str], length_m: float | None) -> Distances:
+    """Return how far off the distance of two markers was.
+
+    Args:
+        heard: while the pair was moved.
+        pair: names of the markers.
+        length_m: true distance; None = what a simulated rig tells of each moment.
+
+    Raises:
+        ConfigError: no true distance is known, or the pair was measured too seldom.
+    """
+    first, second = pair
+    seen = [
+        (points.t_ns, points.points[first], points.points[second])
+        for points in heard.points
+        if all(name in points.points and points.points[name].state == "measured" for name in pair)
+    ]
+    if len(seen) < _LEAST:
+        raise ConfigError(
+            f"{first} and {second} were measured together {len(seen)} times, {_LEAST} are the least; are both in the "
+            "pictures of two cameras (`rhot status`, or the page's Pictures)?"
+        )
+    t_ns = np.array([each[0] for each in seen], dtype=np.int64)
+    one = np.array([each.position for _, each, _ in seen])
+    other = np.array([each.position for _, _, each in seen])
+    if length_m is None:
+        true_m = _true_distances(heard, pair, t_ns)
+        if true_m is None:
+            raise ConfigError("--length-mm is missing: measure between the middles of the two markers with a caliper")
+    else:
+        true_m = np.full(len(t_ns), length_m)
+    apart = one - other
+    long = np.linalg.norm(apart, axis=1)
+    along = apart / np.maximum(long, 1e-9)[:, None]
+    variance = np.array([_along(u, a) + _along(u, b) for u, (_, a, b) in zip(along, seen, strict=True)])
+    known = np.isfinite(true_m)
+    return Distances(
+        (long - true_m)[known], np.sqrt(variance)[known], (0.5 * (one + other))[known], len(seen) / len(heard.points)
+    )
+
+
+def distance_section(found: Distances, pair: tuple[str, str]) -> Section:
+    """Return the figure to quote and what belongs to it: over which volume, how often seen, how honest the sigma."""
+    low, high = np.percentile(found.middle_m, (2.5, 97.5), axis=0)
+    volume = " x ".join(f"{_MM * side:.0f}" for side in high - low)
+    off = np.abs(found.error_m)
+    rows = [
+        figure_row(
+            "error of the distance, RMS",
+            root_mean_square(found.error_m).scaled(_MM),
+            "mm",
+            note=f"to quote; in a volume of {volume} mm (x, y, z of the rig)",
+        ),
+        figure_row("error of the distance, mean", mean(found.error_m).scaled(_MM), "mm", note="a scale or a bias"),
+        Row("error of the distance, p95", _MM * float(np.percentile(off, 95.0)), "mm"),
+        Row("error of the distance, largest", _MM * float(off.max()), "mm"),
+        Row("both markers measured", 100.0 * found.share, "%", note="of the moments at which points were published"),
+    ]
+    ratios = found.error_m / found.sigma_m
+    if np.isfinite(ratios).any():
+        rows.append(
+            Row(
+                "error over stated sigma, RMS",
+                float(np.sqrt(np.nanmean(ratios**2))),
+                note="1 = fusion's uncertainty is honest; less is cautious",
+            )
+        )
+    return Section(f"Distance of {pair[0]} and {pair[1]}", tuple(rows))
+
+
+def _along(direction: FloatArray, point: Point) -> float:
+    """Return a point's variance along a direction (3,), square metres; NaN where it states no covariance."""
+    if point.covariance is None:
+        return float("nan")
+    xx, xy, xz, yy, yz, zz = point.covariance
+    return float(direction @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ direction)
+
+
+def _true_distances(
+    heard: Heard, pair: tuple[str, str], t_ns: np.ndarray[tuple[int], np.dtype[np.int64]]
+) -> FloatArray | None:
+    """Return the true distance (N,), metres, at times; NaN beyond what the simulator told, None where it tells none."""
+    known: Mapping[int, float] = {
+        each.t_ns: float(np.linalg.norm(np.subtract(each.points[pair[0]], each.points[pair[1]])))
+        for each in heard.truth
+        if all(name in each.points for name in pair)
+    }
+    if len(known) < 2:
+        return None
+    times = np.array(sorted(known), dtype=np.int64)
+    true = np.array([known[t] for t in times.tolist()])
+    since, wanted = (times - times[0]).astype(np.float64), (t_ns - times[0]).astype(np.float64)
+    found: FloatArray = np.interp(wanted, since, true, np.nan, np.nan)
+    return found
+
+
+# `rhot evaluate rig`: one's own rig measured as the 2018 thesis measured its own, as one report.
 
 PARTS: Final = ("still", "distance", "latency", "depth", "grasp")
 _PICTURES: Final = 12

@@ -1,28 +1,143 @@
 """LSL (Lab Streaming Layer): a stream of type `MoCap` for each hand, body, foot, object and the headset.
 
 Every published sample is sent once, with its own time: the rig time, mapped to LSL's `local_clock()`
-(`rhot_bridge.clock_map`), never the time of sending. So a recording is synchronous with EEG, gaze or force plates,
+(`rhot_bridge.targets.lsl`), never the time of sending. So a recording is synchronous with EEG, gaze or force plates,
 whatever the tracker's latency is.
 
-Channels: see `rhot_bridge.targets.mocap_channels`. The rate is irregular.
+Channels: see `rhot_bridge.targets.lsl`. The rate is irregular.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rhot.anatomy.skeleton import BODY_PARENTS, JOINTS
 from rhot.clock import RigClock
 from rhot.errors import ConfigError
 from rhot.rig import BridgeConfig
-from rhot_bridge.clock_map import ClockMap
 from rhot_bridge.opened import Opened
-from rhot_bridge.scene import Axes, Scene, Tracked
-from rhot_bridge.targets.mocap_channels import channels_of, joints_of, sample_of
+from rhot_bridge.scene import Axes, Body, Hand, Scene, Tracked
+
+# The channels of a MoCap stream.
+#
+# By the meta-data specification of MoCap streams (sccn/xdf wiki), float32: for each joint PositionX, Y, Z (metres) and
+# OrientationA, B, C, D (quaternion w, x, y, z), then one Confidence: 1 measured, 0 predicted. The channels of a stream
+# never change: unknown joints of a body are NaN.
+
+_POSITION: Final = ("PositionX", "PositionY", "PositionZ")
+_ORIENTATION: Final = ("OrientationA", "OrientationB", "OrientationC", "OrientationD")
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One channel of a stream; fields as in the MoCap specification."""
+
+    label: str
+    marker: str
+    object: str
+    type: str
+    unit: str
+
+
+def channels_of(name: str, joints: Sequence[str]) -> list[Channel]:
+    """Return the channels of a stream: position and orientation of each joint, then the confidence.
+
+    Args:
+        name: of the stream, such as `hand_right`.
+        joints: names of its joints; for a rigid body, its own name.
+    """
+    channels = []
+    for joint in joints:
+        for kinds, unit in ((_POSITION, "meters"), (_ORIENTATION, "quaternion")):
+            channels += [Channel(f"{joint}_{kind}", joint, name, kind, unit) for kind in kinds]
+    return [*channels, Channel("Confidence", "", name, "Confidence", "normalized")]
+
+
+def sample_of(tracked: Tracked) -> NDArray[np.float32]:
+    """Return the values of a sample, float32, in the order of its channels."""
+    wxyz = tracked.orientations[:, [3, 0, 1, 2]]
+    joints = np.concatenate([tracked.positions, wxyz], axis=1)
+    if isinstance(tracked, Body):
+        rows = dict(zip(tracked.names, joints, strict=True))
+        unknown = np.full(joints.shape[1], np.nan)
+        joints = np.array([rows.get(name, unknown) for name in BODY_PARENTS])
+    confidence = 1.0 if tracked.state == "measured" else 0.0
+    return np.append(joints.ravel(), confidence).astype(np.float32)
+
+
+def joints_of(name: str, tracked: Tracked) -> tuple[str, ...]:
+    """Return the names of all joints that a sample may have; for a rigid body, its own name."""
+    if isinstance(tracked, Hand):
+        return JOINTS
+    return tuple(BODY_PARENTS) if isinstance(tracked, Body) else (name,)
+
+
+# LSL (Lab Streaming Layer): a stream of type `MoCap` for each hand, body, foot, object and the headset.
+
+# Maps the rig clock to another clock of this machine, for programs with their own clock.
+#
+# With r and l the readings of both clocks at one moment, o = l − r is their offset. A sample of rig time s has the
+# time
+#
+#     s + ô
+#
+# on the other clock. r is read between l₀ and l₁, so o lies between l₀ − r and l₁ − r. If ô lies in this interval, it
+# is kept, so that an interruption of the process between two readings does not change time stamps. Otherwise ô
+# approaches the nearer bound by 1 − exp(−Δt/τ) of the difference after Δt: the rig clock of this machine is itself an
+# estimate that changes by microseconds, and a recording must not jump with it. A difference of more than `STEP_NS`
+# means that a clock was set; ô then follows at once.
+
+TIME_CONSTANT_NS: Final = 10_000_000_000
+"""τ. A rig clock that drifts by 40 ppm against this machine's clock leaves an error of 0.4 ms; see `SimConfig`."""
+STEP_NS: Final = 20_000_000
+"""Ten times the uncertainty at which `rhot doctor` warns about a clock."""
+
+
+class ClockMap:
+    """The smoothed offset between two clocks; all times are integer nanoseconds."""
+
+    def __init__(self) -> None:
+        self._offset_ns: float | None = None
+        self._read_ns = 0
+
+    @property
+    def ready(self) -> bool:
+        """Whether both clocks have been read."""
+        return self._offset_ns is not None
+
+    def read(self, rig_ns: int, before_ns: int, after_ns: int) -> None:
+        """Update the offset with a reading of the rig clock between two readings of the other clock."""
+        local_ns = (before_ns + after_ns) // 2
+        last = float(local_ns - rig_ns) if self._offset_ns is None else self._offset_ns
+        nearest = min(max(last, before_ns - rig_ns), after_ns - rig_ns)
+        if abs(nearest - last) > STEP_NS:
+            self._offset_ns = float(local_ns - rig_ns)
+        else:
+            share = 1.0 - math.exp(-max(0, local_ns - self._read_ns) / TIME_CONSTANT_NS)
+            self._offset_ns = last + share * (nearest - last)
+        self._read_ns = local_ns
+
+    def to_local_ns(self, rig_ns: int) -> int:
+        """Return the other clock's time of a rig time.
+
+        Raises:
+            ValueError: no clock has been read yet.
+        """
+        if self._offset_ns is None:
+            raise ValueError("the clocks have not been read yet")
+        return rig_ns + round(self._offset_ns)
+
+
+# LSL (Lab Streaming Layer): a stream of type `MoCap` for each hand, body, foot, object and the headset.
 
 try:
     import pylsl

@@ -12,7 +12,122 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray, ImageArray
 from rhot.geometry.region import Region
-from rhot_feet.marker.edges import refine_corners, sample_picture
+
+# Corners of a marker from its four edges.
+#
+# Each edge is crossed many times; every crossing says to a fraction of a pixel where black turns white, and a line
+# through them is surer than the one corner at its end, which blur rounds off. Corners are where neighbouring lines
+# meet.
+
+_CROSSINGS: Final = 14
+"""Points along each edge at which it is looked for; chosen."""
+_RIM: Final = 0.12
+"""Share of an edge at its ends that is left out: there the neighbour's blur reaches in."""
+_STEP_PX: Final = 0.5
+"""Between samples across an edge: blur spreads it over two pixels or more."""
+_REACH_CELLS: Final = 0.65
+"""How far across an edge is looked, in cells: the printed margin is little wider, and inside lie the bits."""
+_MAX_REACH_PX: Final = 4.0
+"""And at most so many pixels; chosen."""
+_MIN_CONTRAST: Final = 12.0
+"""Grey levels between both sides of an edge; less is noise. Chosen."""
+_MIN_SHARE: Final = 0.4
+"""Of the points along an edge that must be found. Chosen."""
+_MAX_SHIFT_PX: Final = 2.0
+"""Corners that move further than this from where the detector had them met other edges. Chosen."""
+UNREFINED_SIGMA_PX: Final = 0.4
+"""Of a corner as the detector finds it, per axis."""
+_LEAST_SIGMA_PX: Final = 0.03
+"""What the scatter about the lines does not tell of; corners in clear simulated pictures are 0.035 px off in all."""
+
+
+def sample_picture(grey: ImageArray, positions: NDArray[np.float32]) -> FloatArray:
+    """Return the grey levels (N,) at positions (N, 2), pixels, between pixels by bilinear interpolation."""
+    u, v = np.ascontiguousarray(positions[:, 0]), np.ascontiguousarray(positions[:, 1])
+    values = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(values, dtype=np.float64).ravel()
+
+
+def refine_corners(grey: ImageArray, corners: FloatArray, cells: int) -> tuple[FloatArray, float]:
+    """Return the corners (4, 2), pixels, where lines through a marker's edges meet; as given where one is not clear.
+
+    With them comes their standard deviation per axis, pixels, from the scatter of the crossings about the lines.
+
+    Args:
+        grey: (H, W) picture.
+        corners: (4, 2) found corners, cyclic.
+        cells: of the marker along a side, with its border.
+    """
+    following = np.roll(corners, -1, axis=0)
+    along = following - corners
+    lengths = np.linalg.norm(along, axis=1)
+    if lengths.min() < 4.0:
+        return corners, UNREFINED_SIGMA_PX
+    outwards = np.column_stack([along[:, 1], -along[:, 0]]) / lengths[:, None]
+    if float(np.einsum("ni,ni->", outwards, corners - corners.mean(axis=0))) < 0.0:
+        outwards = -outwards
+    reach = min(_MAX_REACH_PX, _REACH_CELLS * float(lengths.min()) / cells)
+    shares = np.linspace(_RIM, 1.0 - _RIM, _CROSSINGS)
+    steps = np.arange(-reach, reach + 1e-6, _STEP_PX)
+    starts = corners[:, None] + shares[None, :, None] * along[:, None]
+    positions = (starts[:, :, None] + steps[None, None, :, None] * outwards[:, None, None]).astype(np.float32)
+    shape = positions.shape[:3]
+    across, clear = _crossings(sample_picture(grey, positions.reshape(-1, 2)).reshape(shape), steps)
+    lines, scatter, straight = _lines(starts + across[..., None] * outwards[:, None], clear, outwards)
+    if not straight:
+        return corners, UNREFINED_SIGMA_PX
+    refined = np.cross(np.roll(lines, 1, axis=0), lines)
+    if (np.abs(refined[:, 2]) < 1e-9).any():
+        return corners, UNREFINED_SIGMA_PX
+    refined = refined[:, :2] / refined[:, 2:]
+    moved = np.linalg.norm(refined - corners, axis=1)
+    if float(moved.max()) > _MAX_SHIFT_PX:
+        return corners, UNREFINED_SIGMA_PX
+    return refined, max(_LEAST_SIGMA_PX, scatter)
+
+
+def _crossings(profiles: FloatArray, steps: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return where profiles (4, N, M) turn from black to white (4, N), pixels outwards, and which do so clearly."""
+    rise = np.maximum(np.diff(profiles, axis=2), 0.0)
+    middles = 0.5 * (steps[1:] + steps[:-1])
+    peak = rise.max(axis=2, keepdims=True)
+    # The steepest rise and its flanks alone: noise elsewhere would pull the mean towards the middle.
+    near = np.abs(middles - middles[np.argmax(rise, axis=2)][..., None]) <= 1.6
+    weights = np.where(near & (rise > 0.15 * peak), rise, 0.0)
+    total = weights.sum(axis=2)
+    across = (weights * middles).sum(axis=2) / np.maximum(total, 1e-9)
+    return across, total >= _MIN_CONTRAST
+
+
+def _lines(points: FloatArray, clear: NDArray[np.bool_], outwards: FloatArray) -> tuple[FloatArray, float, bool]:
+    """Return lines (4, 3), a·u + b·v + c = 0, through the points (4, N, 2) of each side that agree.
+
+    With them come the largest standard deviation of a line's end, which is twice that of its middle (σ·√(4/N)), and
+    whether enough points of every side agree on a line along it.
+    """
+    used = clear.astype(np.float64)
+    least = max(3.0, _MIN_SHARE * points.shape[1])
+    normals, centres = outwards, points.mean(axis=1)
+    count, scatter = used.sum(axis=1), np.zeros(4)
+    for _ in range(3):
+        count = used.sum(axis=1)
+        if float(count.min()) < least:
+            return np.zeros((4, 3)), 0.0, False
+        centres = (used[..., None] * points).sum(axis=1) / count[:, None]
+        difference = points - centres[:, None]
+        moments = np.einsum("sn,sni,snj->sij", used, difference, difference)
+        # Direction of the larger axis of the points' spread, a quarter turn on is the normal.
+        angle = 0.5 * np.arctan2(2.0 * moments[:, 0, 1], moments[:, 0, 0] - moments[:, 1, 1])
+        normals = np.column_stack([-np.sin(angle), np.cos(angle)])
+        distance = np.abs(np.einsum("sni,si->sn", difference, normals))
+        scatter = np.sqrt((used * distance**2).sum(axis=1) / count)
+        used = (clear & (distance < np.maximum(0.2, 2.0 * scatter)[:, None])).astype(np.float64)
+    along = np.abs(np.einsum("si,si->s", normals, outwards)) > 0.9
+    lines = np.column_stack([normals, -np.einsum("si,si->s", normals, centres)])
+    return lines, float((2.0 * scatter / np.sqrt(count)).max()), bool(along.all())
+
+
+# Finding the feet's markers in a picture: where their corners are, and how surely they are markers at all.
 
 MIN_SIDE_PX: Final = 10.0
 """Of a marker's black square: below two pixels a cell (3x3 bits and their border) its bits cannot be told any more."""

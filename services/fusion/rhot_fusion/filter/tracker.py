@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations, compress
 from statistics import fmean
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig import FusionConfig, Rig
-from rhot.rig.quality import pair_epipolar_p95_px
+from rhot.rig.quality import figure, pair_epipolar_p95_px
 from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of
 from rhot_fusion.filter.agreement import CameraAgreement
-from rhot_fusion.filter.noise import CameraNoise, stated_px
 from rhot_fusion.filter.paint import Paint, PaintBefore
-from rhot_fusion.filter.settings import DEFAULT, FilterSettings
-from rhot_fusion.filter.smoothing.paint_correction import PaintCorrection
+from rhot_fusion.filter.settings import DEFAULT, FilterSettings, NoiseSettings
 from rhot_fusion.filter.smoothing.record import outcomes
+from rhot_fusion.filter.smoothing.smoother import Frame
 from rhot_fusion.filter.state import ROUND, Innovation, State, Views, pace_squares
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import Track, TrackStatus, outcome_of, within_hand
@@ -30,6 +30,178 @@ from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
 from rhot_fusion.views.sightings import NOTHING, NOWHERE, Outcome, Sightings
 from rhot_fusion.views.vectors import vector
+
+# Paint corrections of the views in a recording, recomputed from the smoothed marker positions.
+
+if TYPE_CHECKING:
+    from rhot_fusion.filter.acquisition import Hand
+
+_NEAREST_M = 0.1
+"""Lower bound of a marker's depth."""
+
+
+@dataclass(frozen=True, slots=True)
+class PaintCorrection:
+    """Recomputes the corrected views of one hand.
+
+    Attributes:
+        hand: the hand.
+        cameras: of the rig.
+        paint: a model of its own, which is cleared at each call.
+        variance_of: returns the pixel noise of a camera, normalised units².
+        periods_s: frame period of each camera.
+        loose_m: a marker's size is learnt only while its standard deviation is below this, metres.
+        time_variance: of the time stamps, square seconds.
+    """
+
+    hand: Hand
+    cameras: Sequence[CameraModel]
+    paint: Paint
+    variance_of: Callable[[int], float]
+    periods_s: Sequence[float]
+    loose_m: float
+    time_variance: float
+
+    def __call__(self, frames: Sequence[Frame], states: Sequence[State]) -> list[Views]:
+        """Return the corrected views of frames in order of time, given the smoothed states.
+
+        The variance for paint hidden from all cameras is stored in the frames.
+        """
+        self.paint.clear()
+        hand_depths_m = [math.inf for _ in self.cameras]
+        views = []
+        for frame, state in zip(frames, states, strict=True):
+            views.append(self._views(frame, state, hand_depths_m))
+            frame.hidden_m2 = np.array([self.paint.hidden_m2(marker) for marker in self.hand.markers])
+        return views
+
+    def _views(self, frame: Frame, state: State, hand_depths_m: list[float]) -> Views:
+        """Return a frame's corrected views; updates the hand's depth in its camera, which is kept while unknown."""
+        views, local = frame.views, frame.views.index.tolist()
+        if not local:
+            return views
+        camera, alive = self.cameras[frame.camera], state.alive.tolist()
+        tips = camera.to_camera(state.mean[0].reshape(-1, 3)).tolist()
+        away = [max(z, _NEAREST_M) for _, _, z in tips]
+        if any(alive):
+            hand_depths_m[frame.camera] = fmean(compress(away, alive))
+        depths = [away[k] if alive[k] else hand_depths_m[frame.camera] for k in local]
+        well_known = (state.alive & (state.spread_m2 <= self.loose_m**2))[views.index].tolist()
+        markers, areas_px = [self.hand.markers[k] for k in local], frame.area_px.tolist()
+        period_s = self.periods_s[frame.camera]
+        of_paint = areas_px, depths, period_s, well_known, frame.border, frame.skin
+        shift, doubt = self.paint.correct(frame.camera, markers, frame.t_s, *of_paint)
+        if self.hand.base >= 0 and alive[self.hand.base]:
+            roots = self.hand.roots(tips, alive)
+            columns = [tips[k] for k in local], [roots[k] for k in local], [self.hand.reach_m[k] for k in local]
+            along = np.array(self.paint.along(frame.camera, markers, areas_px, *columns))
+            shift = shift + state.alive[views.index][:, None] * along
+        variance = (doubt * doubt + self.variance_of(frame.camera))[:, None] * ROUND
+        if self.time_variance:
+            velocity = state.mean[1].reshape(-1, 3)[views.index]
+            variance += self.time_variance * pace_squares(camera, velocity, np.array(depths))
+        return replace(views, xy=frame.seen_xy + shift, variance=variance)
+
+
+# Fusion by filtering: each camera frame updates all markers of a hand, each at its image row's exposure time.
+
+# Pixel noise of each camera: the stated calibration error, and an estimate from its innovations.
+#
+# Let S be the covariance of an innovation y, and r² the pixel noise in it. The log-likelihood −½ (log |S| + yᵀ S⁻¹ y)
+# has the derivative ½ (yᵀ S⁻² y − tr S⁻¹) with respect to r² and the expected curvature ½ tr S⁻². Each innovation
+# therefore contributes r² + derivative / curvature, weighted by the curvature (a scoring step): innovations that are
+# dominated by motion contribute little.
+
+_CLEAR = 9.0
+"""Squared Mahalanobis distance at which innovations are clipped, because outliers are not noise."""
+
+_SHORTEST_M = 1e-3
+"""Shorter baselines give no depth, or are one camera that was entered twice."""
+
+
+class CameraNoise:
+    """Pixel noise of C cameras.
+
+    Attributes:
+        calibration_px: (C,) systematic errors between the cameras, as stated by their calibration.
+    """
+
+    def __init__(
+        self, cameras: Sequence[CameraModel], settings: NoiseSettings, calibration_px: FloatArray, calibrated: bool
+    ) -> None:
+        self._settings = settings
+        self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
+        self._baseline_m = max(_SHORTEST_M, *(math.dist(a.center, b.center) for a, b in combinations(cameras, 2)))
+        self.calibration_px = calibration_px
+        first = settings.first_px if calibrated else settings.uncalibrated_px
+        least = settings.least_px if calibrated else settings.uncalibrated_least_px
+        self._bounds_px2 = least**2, settings.most_px**2 if calibrated else math.inf
+        # Per camera: sums of weights and of weights times r², in pixels.
+        self._weight = [0.5 * settings.first_weight / first**4] * len(cameras)
+        self._asked = [weight * first**2 for weight in self._weight]
+
+    @property
+    def sigma_px(self) -> FloatArray:
+        """(C,) estimated standard deviation of a coordinate, pixels."""
+        return np.sqrt([self._variance_px2(camera) for camera in range(len(self._focal_px))])
+
+    def variance(self, camera: int) -> float:
+        """Return the variance of a coordinate, normalised units."""
+        systematic = float(self.calibration_px[camera])
+        return (self._variance_px2(camera) + systematic * systematic) / self._focal_px[camera] ** 2
+
+    @property
+    def pair_variance(self) -> float:
+        """Variance of the depth from two views divided by the fourth power of the distance, 1/m²."""
+        count = len(self._focal_px)
+        return 2.0 * sum(self.variance(camera) for camera in range(count)) / count / self._baseline_m**2
+
+    def _variance_px2(self, camera: int) -> float:
+        """Return the estimated variance of a coordinate, square pixels."""
+        low, high = self._bounds_px2
+        return min(max(self._asked[camera] / self._weight[camera], low), high)
+
+    def learn(self, camera: int, innovation: Innovation) -> None:
+        """Update the estimate with a frame's accepted innovations."""
+        pixels2 = self._focal_px[camera] ** 2
+        count, derivative, curvature = 0, 0.0, 0.0
+        columns = (innovation.accepted, innovation.y, innovation.S, innovation.nis)
+        for taken, (y0, y1), (a, b, c), nis in zip(*(column.tolist() for column in columns), strict=True):
+            if not taken:
+                continue
+            count += 1
+            # S⁻¹ and S⁻¹ y.
+            det = (a * c - b * b) * pixels2
+            d, e, f = c / det, -b / det, a / det
+            u0, u1 = d * y0 + e * y1, e * y0 + f * y1
+            shrink = pixels2 * min(1.0, _CLEAR / max(nis, 1e-9))
+            derivative += 0.5 * (shrink * (u0 * u0 + u1 * u1) - (d + f))
+            curvature += 0.5 * (d * d + 2.0 * e * e + f * f)
+        if not count:
+            return
+        keep = math.exp(-count / self._settings.memory)
+        known = self._asked[camera] / self._weight[camera]
+        self._weight[camera] = keep * self._weight[camera] + curvature
+        self._asked[camera] = keep * self._asked[camera] + curvature * known + derivative
+
+
+def stated_px(names: Sequence[str], quality: Any, settings: NoiseSettings) -> FloatArray:
+    """Return the systematic error (C,) of each camera relative to the others, pixels, as stated by `cameras.json`.
+
+    It is the RMS epipolar error of a camera's worst pair at the calibration, with half of its variance in either view.
+    """
+    worst = dict.fromkeys(names, 0.0)
+    for first, second in combinations(names, 2):
+        stated = [
+            figure(quality, "pairs", f"{a}-{b}", "epipolar_rms_px") for a, b in ((first, second), (second, first))
+        ]
+        known = next((value for value in stated if value is not None), settings.calibration_px)
+        for name in (first, second):
+            worst[name] = max(worst[name], known)
+    return np.array([worst[name] * 0.5**0.5 for name in names])
+
+
+# Fusion by filtering: each camera frame updates all markers of a hand, each at its image row's exposure time.
 
 _LONGEST_HISTORY = 32
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import partial
+from typing import Final
 
 import numpy as np
 
@@ -12,19 +13,210 @@ from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import BoolArray
 from rhot.core import Output
-from rhot.explain import Explanation
-from rhot.geometry.covariances import has_covariance
+from rhot.explain import Explanation, ExplanationRow
+from rhot.geometry.covariances import has_covariance, stated_covariance
 from rhot.messages import FingerAngles, HandPose, ObjectPose, ObjectShape, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
-from rhot_ik.hand.block_smoothing import BlockSmoother
 from rhot_ik.hand.contact import Shape, shape_of
-from rhot_ik.hand.explain import solver_tables
 from rhot_ik.hand.filter.evidence import HandObservation
+from rhot_ik.hand.filter.prior import angle_covariance, rest_angles
+from rhot_ik.hand.filter.process import ANGLES, POSITION, ROTATION
 from rhot_ik.hand.fingers.geometry import FingerGeometry, base_marker
 from rhot_ik.hand.fit_check import MISFIT_M, FitCheck, mean_residual_m, reflected_point
-from rhot_ik.hand.repeated_predictions import RepeatedPredictions
 from rhot_ik.hand.solver import HandSolver
-from rhot_ik.hand.track import HandSolution
+from rhot_ik.hand.track import HandSolution, HandTrack
+
+# Weights of points that are partly predicted: repeating a prediction adds little information.
+#
+# Where no camera, or only one, sees a marker, fusion extrapolates: a `predicted` point continues the last motion, and
+# the depth of a `one_view` point follows from the rest of the hand. A single view is also biased across its ray: a
+# marker that the other camera does not see is usually half hidden, and the centre of the visible half is not that of
+# the marker. These errors are part of the stated covariance, but they are correlated from sample to sample. The
+# filter assumes independent errors, so the k-th consecutive sample is weighted by 1/k: its covariance is multiplied
+# by k. The information then grows with the logarithm of the number of samples, whatever the frame rate. A point that
+# two cameras see is never treated as a prediction, whatever its state and however poor the views.
+
+
+class RepeatedPredictions:
+    """Counts, for each marker, the consecutive samples that are the same kind of prediction."""
+
+    def __init__(self) -> None:
+        self._running: dict[str, tuple[int, int]] = {}
+
+    def covariance(self, name: str, point: Point) -> tuple[float, ...]:
+        """Return the covariance (9,) that a marker's newest point counts with, m², row by row."""
+        views = 2 if point.state == "measured" else min(point.views, 2)
+        earlier, before = self._running.get(name, (views, 0))
+        times = before + 1 if earlier == views else 1
+        self._running[name] = views, times
+        stated = stated_covariance(point)
+        return stated if views == 2 else tuple(times * value for value in stated)
+
+
+# From `rhot/points` to `rhot/hand/<side>`: binds markers to hands and wraps solutions into messages.
+
+# Explain the hand estimate: residuals, angles and their limits, the prior (read-only).
+
+_EXPLAIN_ANGLES = ("flexion", "abduction", "middle hinge", "last hinge")
+_AT_LIMIT_RAD = 1e-4
+_UNUSUAL = 2.0
+"""Standard deviations from rest beyond which an angle is marked."""
+
+
+def solver_tables(side: str, solver: HandSolver) -> list[Explanation]:
+    """Return the tables of a solver's state of one hand after its last sample."""
+    track, solution = solver.track, solver.solution
+    if track is None or solution is None:
+        row = ExplanationRow((f"no {side} hand: the base marker and a fingertip must be visible",), "rejected")
+        return [Explanation(f"Hand {side}: not tracked", ("",), (row,))]
+    return [_fingers(side, solver, solution), _angles(side, solver, track), _palm(side, solver, track, solution)]
+
+
+def _fingers(side: str, solver: HandSolver, solution: HandSolution) -> Explanation:
+    rows = []
+    for place, finger in enumerate(FINGERS):
+        miss = float(solution.residual[place])
+        seen = bool(solution.fingers_measured[place])
+        rows.append(
+            ExplanationRow(
+                (
+                    finger,
+                    "measured" if seen else "predicted",
+                    "" if np.isnan(miss) else f"{1e3 * miss:.2f}",
+                    solver.geometry.markers.get(finger, "none"),
+                ),
+                "accepted" if seen else "rejected",
+            )
+        )
+    return Explanation(
+        f"Hand {side}: residual of each finger",
+        ("finger", "state", "residual, mm", "marker"),
+        tuple(rows),
+    )
+
+
+def _angles(side: str, solver: HandSolver, track: HandTrack) -> Explanation:
+    state, model = track.state, solver.geometry.model
+    rest = rest_angles(model).reshape(5, 4)
+    usual = np.sqrt(np.diag(angle_covariance(model))).reshape(5, 4)
+    sigma = np.sqrt(np.diag(state.P)[ANGLES]).reshape(5, 4)
+    shown, filtered = track.shown, state.angles.reshape(5, 4)
+    rows = []
+    for place, finger in enumerate(FINGERS):
+        for angle, name in enumerate(_EXPLAIN_ANGLES):
+            low, high = model.angle_min[place, angle], model.angle_max[place, angle]
+            value, at = filtered[place, angle], (place, angle)
+            limit = "lower" if value - low < _AT_LIMIT_RAD else "upper" if high - value < _AT_LIMIT_RAD else ""
+            off = (value - rest[at]) / max(usual[at], 1e-9)
+            rows.append(
+                ExplanationRow(
+                    (
+                        finger,
+                        name,
+                        f"{np.degrees(shown[at]):.1f}",
+                        f"{np.degrees(value):.1f}",
+                        f"{np.degrees(sigma[at]):.1f}",
+                        f"{np.degrees(low):.0f} to {np.degrees(high):.0f}",
+                        limit,
+                        f"{np.degrees(rest[at]):.0f} ± {np.degrees(usual[at]):.0f}",
+                        f"{off:+.1f}",
+                    ),
+                    "rejected" if (limit and low < high) or abs(off) > _UNUSUAL else "",
+                )
+            )
+    return Explanation(
+        f"Hand {side}: angles, limits and prior",
+        (
+            "finger",
+            "angle",
+            "published, °",
+            "filter, °",
+            "sigma, °",
+            "limits, °",
+            "at limit",
+            "prior, °",
+            "from prior, sigma",
+        ),
+        tuple(rows),
+        "Published: the filter's angle, blended when a finger reappears. Red: angles at a limit, or more than "
+        f"{_UNUSUAL:g} standard deviations from the prior, a hand at rest.",
+    )
+
+
+def _palm(side: str, solver: HandSolver, track: HandTrack, solution: HandSolution) -> Explanation:
+    state = track.state
+    shift, tilt, longer = state.person[:3], state.person[3:6], state.longer
+    rotation, position = np.sqrt(np.diag(state.P)[ROTATION]), np.sqrt(np.diag(state.P)[POSITION])
+    rows = [
+        ("wrist x, y, z, mm", ", ".join(f"{1e3 * value:.1f}" for value in state.p)),
+        ("sigma of the position, mm", " / ".join(f"{1e3 * value:.1f}" for value in position)),
+        ("sigma of the rotation, °", " / ".join(f"{np.degrees(value):.1f}" for value in rotation)),
+        ("speed, m/s", f"{np.linalg.norm(state.velocity):.3f}"),
+        ("angular velocity, °/s", f"{np.degrees(np.linalg.norm(state.angular_velocity)):.0f}"),
+        ("base marker measured", "yes" if solution.palm_measured else "no"),
+        ("rotation measured by the patch's corners", "yes" if track.corners_measured else "no"),
+        ("mean residual of visible fingertips, mm", f"{1e3 * state.mean_residual_m:.2f}"),
+        ("estimated offset of the patch, mm", " / ".join(f"{1e3 * value:.1f}" for value in shift)),
+        ("estimated tilt of the patch, °", " / ".join(f"{np.degrees(value):.1f}" for value in tilt)),
+        ("estimated excess length of the fingers, %", " / ".join(f"{100.0 * value:.0f}" for value in longer)),
+        ("solver", solver.config.solver),
+    ]
+    return Explanation(f"Hand {side}: palm", ("quantity", "value"), tuple(ExplanationRow(row) for row in rows))
+
+
+# From `rhot/points` to `rhot/hand/<side>`: binds markers to hands and wraps solutions into messages.
+
+# Smoothing of a recording in blocks, so that memory does not grow with its length.
+
+Settled = list[tuple[PointSet, dict[Side, HandSolution]]]
+
+AHEAD_NS: Final = 5_000_000_000
+"""A sample says next to nothing of a hand so long before: angles keep for `HandSettings.angles_s`, 2 s."""
+PIECE_NS: Final = 5_000_000_000
+"""So much is smoothed at once; with what is ahead of it, 10 s of tracks are kept, some 40 MB at 120 points a second."""
+
+
+class BlockSmoother:
+    """Keeps the newest samples of all hands, and gives them back with what later ones said of them.
+
+    Args:
+        solvers: those that made the tracks.
+        ahead_ns: a sample is settled when those of so long after it are known.
+        piece_ns: so much is smoothed at once.
+    """
+
+    def __init__(
+        self, solvers: Mapping[Side, HandSolver], *, ahead_ns: int = AHEAD_NS, piece_ns: int = PIECE_NS
+    ) -> None:
+        self._solvers = solvers
+        self._ahead_ns, self._piece_ns = ahead_ns, piece_ns
+        self._kept: list[tuple[PointSet, Mapping[Side, HandTrack]]] = []
+
+    def add(self, points: PointSet, tracks: Mapping[Side, HandTrack]) -> Settled:
+        """Take one sample with what each hand's solver made of it, and return those that are settled by now."""
+        self._kept.append((points, tracks))
+        if points.t_ns - self._kept[0][0].t_ns < self._ahead_ns + self._piece_ns:
+            return []
+        return self._settled(points.t_ns - self._ahead_ns)
+
+    def finish(self) -> Settled:
+        """Return all that is left; nothing comes after it."""
+        return self._settled(self._kept[-1][0].t_ns) if self._kept else []
+
+    def _settled(self, until_ns: int) -> Settled:
+        solutions: list[dict[Side, HandSolution]] = [{} for _ in self._kept]
+        for side, solver in self._solvers.items():
+            places = [place for place, (_, tracks) in enumerate(self._kept) if side in tracks]
+            smoothed = solver.smoothed([self._kept[place][1][side] for place in places])
+            for place, solution in zip(places, smoothed, strict=True):
+                solutions[place][side] = solution
+        ready = sum(points.t_ns <= until_ns for points, _ in self._kept)
+        settled = [(points, found) for (points, _), found in zip(self._kept[:ready], solutions, strict=False)]
+        del self._kept[:ready]
+        return settled
+
+
+# From `rhot/points` to `rhot/hand/<side>`: binds markers to hands and wraps solutions into messages.
 
 _ANGLES = tuple(FingerAngles.model_fields)
 _REACH = 1.6

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -26,12 +27,299 @@ from rhot.messages import (
 )
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import Rig
-from rhot_ik.legs.body_solver import solve_body
 from rhot_ik.legs.foot_track import LEAD_S, FootTrack, HipMotion
 from rhot_ik.legs.hips import OUTWARDS, hip_joint, hips_under_head, stride, within_reach
-from rhot_ik.legs.jumps import FOOT, HEAD, JumpBridge
-from rhot_ik.legs.stature import Stature
+from rhot_ik.legs.leg import Ankle, LegPose, bend_leg
 from rhot_ik.trunk.upper_body import solve_upper_body
+
+# How long a person really is from the neck to the ankles: learned from standing.
+#
+# Lengths that follow from the height are off by centimetres for most people, and so is a marker on its instep; near
+# the straight leg one centimetre bends a knee by more than 10°. Who stands with both feet side by side has straight
+# legs. What is left over between hips and ankles then, or missing, goes half to the legs and half to the trunk, which
+# vary about equally, as far as both legs agree, and to the height of each ankle as far as they do not. It is learned
+# quickly in the first seconds, slowly later, and upwards faster than downwards, since a person may stand with bent
+# knees, but no leg is longer than it is.
+
+_STANDING: Final = 0.999
+"""Hip to ankle of a standing leg over its length: 5° of flexion."""
+_STANDS: Final = 0.05
+"""A leg that is shorter than straight by this share is bent, not measured wrongly."""
+_MOST: Final = 0.05
+"""Of what is learned, as a share of legs and trunk."""
+_FIRST_S: Final = 0.5
+"""Half of what is off is learned in the first half second of standing. Chosen: people are asked to stand for two
+or three (`docs/feet.md`)."""
+_SLOWEST_S: Final = 30.0
+"""From so much standing on, what is new is averaged over this time; chosen."""
+_UPWARDS: Final = 3.0
+"""How much faster lengths grow than shrink; chosen."""
+_LEGS_SHARE: Final = 0.5
+"""Of what is learned, the part that the legs get where nobody measured them."""
+_MOST_ANKLE_M: Final = 0.015
+"""Bound of what is learned of an ankle's height; chosen."""
+
+
+class Stature:
+    """Learns the lengths of one person.
+
+    Attributes:
+        body: lengths as far as they are known.
+        ankles_m: side to how much higher the ankle is than the foot's configuration says.
+
+    Args:
+        body: by the configuration.
+        legs_known: the legs were measured: only the trunk is learned.
+    """
+
+    def __init__(self, body: BodyModel, *, legs_known: bool) -> None:
+        self._configured = body
+        self._legs_share = 0.0 if legs_known else _LEGS_SHARE
+        self._longer_m = 0.0
+        self._stood_s = 0.0
+        self.body = body
+        self.ankles_m: dict[Side, float] = {"left": 0.0, "right": 0.0}
+
+    def update(self, T_rig_hips: FloatArray, ankles: Mapping[Side, Ankle], elapsed_s: float) -> None:
+        """Update with a moment of standing still, feet side by side.
+
+        Args:
+            T_rig_hips: (4, 4) as they hang from the head.
+            ankles: one foot or both.
+            elapsed_s: since the moment before.
+        """
+        leg_m = self.body.leg_m
+        R, position = T_rig_hips[:3, :3], T_rig_hips[:3, 3]
+        off_m = {
+            side: float(np.linalg.norm(position + R @ hip_joint(side, self.body) - ankle.position)) - _STANDING * leg_m
+            for side, ankle in ankles.items()
+        }
+        if max(abs(off) for off in off_m.values()) > _STANDS * leg_m:
+            return
+        share = elapsed_s / (_FIRST_S + self._stood_s)
+        self._stood_s = min(self._stood_s + elapsed_s, _SLOWEST_S)
+        both_m = sum(off_m.values()) / len(off_m)
+        for side, off in off_m.items():
+            ankle_m = self.ankles_m[side] + share * (off - both_m)
+            self.ankles_m[side] = float(np.clip(ankle_m, -_MOST_ANKLE_M, _MOST_ANKLE_M))
+        most_m = _MOST * (self._configured.leg_m + self._configured.neck_height_m)
+        share *= _UPWARDS if both_m > 0.0 else 1.0
+        self._longer_m = float(np.clip(self._longer_m + min(share, 1.0) * both_m, -most_m, most_m))
+        legs_m = self._legs_share * self._longer_m
+        self.body = self._configured.lengthened(legs_m, self._longer_m - legs_m)
+
+
+# From `rhot/head`, `rhot/foot/<side>` and `rhot/hand/<side>` to `rhot/body`.
+
+# Jumps of a tracked position: found by what bodies cannot do, and bridged at a speed that they can.
+#
+# A tracker that loses its map goes on at another position, and may come back. Between two samples its increment i
+# should be about v·Δt, with v the velocity that was last believed, τ ago; a body changes its velocity by no more than
+# A·τ. An increment is a jump when
+#
+#     |i − v·Δt| > n + A·τ·Δt    or    |i| > V·Δt + n,
+#
+# with noise n, largest acceleration A and largest speed V. τ grows while increments are refused, so that a real kick
+# is believed at the next sample, while a position that is merely elsewhere costs that one increment. What was jumped
+# is kept as an offset that shrinks at a speed at which the body could have gone there. When the tracker comes back,
+# so does the offset, to nothing.
+
+
+@dataclass(frozen=True, slots=True)
+class JumpLimits:
+    """What a part of the body can do.
+
+    Attributes:
+        acceleration: m/s², largest.
+        speed: m/s, largest.
+        bridging: m/s, at most, at which an offset shrinks.
+        noise_m: of a tracker, between two samples.
+    """
+
+    acceleration: float
+    speed: float
+    bridging: float
+    noise_m: float = 0.02
+
+
+FOOT: Final = JumpLimits(acceleration=150.0, speed=8.0, bridging=2.0)
+"""The ankle markers of three real walks (`../shared/data/vive_tracker`, motion capture) reach 52 m/s² and 3.1 m/s;
+thrice that leaves room for running and kicks. 8 m/s is the swing of a sprinting foot."""
+HEAD: Final = JumpLimits(acceleration=60.0, speed=4.0, bridging=1.0)
+"""The waists of the same walks reach 11 m/s² and 0.6 m/s; five times that leaves room for nods and dodges."""
+
+_LONGEST_GAP_S: Final = 0.3
+"""After a longer pause nothing is known about where a body went."""
+_FORGET_S: Final = 0.1
+"""A velocity that was believed so long ago says nothing about now."""
+_SLOWEST_BRIDGE: Final = 0.25
+"""m/s: an offset shrinks at least so fast, however fast the body moves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bridged:
+    """A position without its jumps.
+
+    Attributes:
+        position: (3,) metres.
+        velocity: (3,) m/s, as last believed.
+        bridging: it is away from what the tracker says by more than noise.
+        jumped: this very sample jumped.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    bridging: bool
+    jumped: bool
+
+
+class JumpBridge:
+    """Follows one tracked position.
+
+    Args:
+        limits: of the part of the body that wears the tracker.
+    """
+
+    def __init__(self, limits: JumpLimits) -> None:
+        self._limits = limits
+        self._t_ns: int | None = None
+        self._believed_ns = 0
+        self._measured = np.zeros(3)
+        self._velocity = np.zeros(3)
+        self._offset = np.zeros(3)
+        self.jumps = 0
+
+    def update(self, t_ns: int, position: FloatArray) -> Bridged:
+        """Return the position (3,) of a sample, metres, without jumps; samples must not go back in time."""
+        before_ns, before = self._t_ns, self._measured
+        elapsed_s = 0.0 if before_ns is None else 1e-9 * (t_ns - before_ns)
+        if before_ns is not None and elapsed_s <= 0.0:
+            return self._bridged(before + self._offset, jumped=False)
+        self._t_ns, self._measured = t_ns, position
+        if before_ns is None or elapsed_s > _LONGEST_GAP_S:
+            self._believed_ns, self._velocity, self._offset = t_ns, np.zeros(3), np.zeros(3)
+            return self._bridged(position, jumped=False)
+        increment = position - before
+        unsure_s = 1e-9 * (t_ns - self._believed_ns)
+        if unsure_s > _FORGET_S:
+            self._velocity = np.zeros(3)
+        jumped = self._is_jump(increment, elapsed_s, unsure_s)
+        if jumped:
+            self.jumps += 1
+            self._offset = self._offset + self._velocity * elapsed_s - increment
+        else:
+            self._velocity, self._believed_ns = increment / elapsed_s, t_ns
+            self._shrink(elapsed_s)
+        return self._bridged(position + self._offset, jumped=jumped)
+
+    def _is_jump(self, increment: FloatArray, elapsed_s: float, unsure_s: float) -> bool:
+        limits = self._limits
+        change_m = float(np.linalg.norm(increment - self._velocity * elapsed_s))
+        moved_m = float(np.linalg.norm(increment))
+        return (
+            change_m > limits.noise_m + limits.acceleration * unsure_s * elapsed_s
+            or moved_m > limits.noise_m + limits.speed * elapsed_s
+        )
+
+    def _shrink(self, elapsed_s: float) -> None:
+        left_m = float(np.linalg.norm(self._offset))
+        if left_m == 0.0:
+            return
+        speed = self._limits.speed - float(np.linalg.norm(self._velocity))
+        step_m = elapsed_s * min(max(speed, _SLOWEST_BRIDGE), self._limits.bridging)
+        self._offset = self._offset * max(1.0 - step_m / left_m, 0.0)
+
+    def _bridged(self, position: FloatArray, *, jumped: bool) -> Bridged:
+        away = float(np.linalg.norm(self._offset)) > self._limits.noise_m
+        return Bridged(position, self._velocity, away, jumped)
+
+
+# From `rhot/head`, `rhot/foot/<side>` and `rhot/hand/<side>` to `rhot/body`.
+
+# The whole lower body from the head and the feet: hips, knees, ankles, balls of the feet, joint angles.
+
+_FOOT_WEIGHT: Final = 0.75
+"""How much a knee points where the toes do, and how much where the hips do."""
+_LEAST_ACROSS: Final = 0.1
+"""Cosine to the hips' own axis from which on a direction counts in full; 84°. Chosen."""
+
+
+@dataclass(frozen=True, slots=True)
+class BodySolution:
+    """A solved lower body.
+
+    Attributes:
+        joints: name as in `BodyPose` to (4, 4) in the rig frame.
+        legs: side to the leg.
+        angles_rad: side to (5,): hip flexion, abduction and rotation, knee flexion, ankle flexion as in `LegAngles`.
+    """
+
+    joints: Mapping[str, FloatArray]
+    legs: Mapping[Side, LegPose]
+    angles_rad: Mapping[Side, FloatArray]
+
+
+def solve_body(T_rig_hips: FloatArray, ankles: Mapping[Side, Ankle], body: BodyModel) -> BodySolution:
+    """Return the lower body between the hips and the ankles that are known.
+
+    Args:
+        T_rig_hips: (4, 4) middle between the hip joints.
+        ankles: one foot or both.
+        body: lengths.
+    """
+    R_hips = T_rig_hips[:3, :3]
+    joints: dict[str, FloatArray] = {"hips": T_rig_hips}
+    legs: dict[Side, LegPose] = {}
+    angles: dict[Side, FloatArray] = {}
+    for side, ankle in ankles.items():
+        hip = R_hips @ hip_joint(side, body) + T_rig_hips[:3, 3]
+        leg = bend_leg(hip, ankle.position, _hinge(R_hips, ankle, hip), body.thigh_m, body.shank_m)
+        R_foot = ankle.T_rig_ankle[:3, :3]
+        legs[side] = leg
+        joints[f"{side}_hip"] = rigid(leg.R_thigh, leg.hip)
+        joints[f"{side}_knee"] = rigid(leg.R_shank, leg.knee)
+        joints[f"{side}_ankle"] = rigid(R_foot, leg.ankle)
+        joints[f"{side}_foot"] = rigid(R_foot, leg.ankle + R_foot @ body.ball_m)
+        angles[side] = _angles(R_hips, leg, R_foot, OUTWARDS[side])
+    return BodySolution(joints, legs, angles)
+
+
+def _hinge(R_hips: FloatArray, ankle: Ankle, hip: FloatArray) -> FloatArray:
+    """Return the direction (3,) of the knee's axis: between those of the foot and of the hips.
+
+    Both are weighed by how much of them lies across the leg, so that the mixture never vanishes and never jumps while a
+    foot rolls along the leg.
+    """
+    line = ankle.position - hip
+    down = line / max(float(np.linalg.norm(line)), 1e-9)
+    hinge = np.zeros(3)
+    share = _FOOT_WEIGHT * ankle.trust
+    for direction, weight in ((ankle.T_rig_ankle[:3, 0], share), (R_hips[:, 0], 1.0 - share)):
+        across = direction - (direction @ down) * down
+        # A foot turned backwards is a wrong measurement: it must not turn the knee.
+        agreement = float(np.clip((across @ R_hips[:, 0]) / _LEAST_ACROSS, 0.0, 1.0))
+        hinge += weight * agreement * across
+    if float(np.linalg.norm(hinge)) < 1e-3:
+        # The leg lies along the hips' own axis: the hips' front decides.
+        hinge = np.cross(down, -R_hips[:, 2])
+    return hinge if float(np.linalg.norm(hinge)) > 1e-6 else np.cross(down, R_hips[:, 1])
+
+
+def _angles(R_hips: FloatArray, leg: LegPose, R_foot: FloatArray, outwards: float) -> FloatArray:
+    """Return (5,) angles of a leg: R_hipsᵀ R_thigh = Rx(flexion) · Rz(abduction) · Ry(rotation), ankle about +X.
+
+    Flexion forwards, abduction away from the other leg, rotation with the toes outwards, toes upwards.
+    """
+    thigh = R_hips.T @ leg.R_thigh
+    abduction = np.arcsin(np.clip(-thigh[0, 1], -1.0, 1.0))
+    flexion = np.arctan2(thigh[2, 1], thigh[1, 1])
+    rotation = np.arctan2(thigh[0, 2], thigh[0, 0])
+    foot = leg.R_shank.T @ R_foot
+    ankle = np.arctan2(foot[2, 1], foot[1, 1])
+    return np.array([flexion, outwards * abduction, -outwards * rotation, leg.knee_flexion_rad, ankle])
+
+
+# From `rhot/head`, `rhot/foot/<side>` and `rhot/hand/<side>` to `rhot/body`.
 
 BODY_KEY: Final = "rhot/body"
 _ANGLES: Final = tuple(LegAngles.model_fields)

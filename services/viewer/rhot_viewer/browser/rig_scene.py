@@ -4,25 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS
-from rhot.messages import BodyPose, FootPose, HandPose, HeadPose, ObjectPose, PointSet, Side, Truth
+from rhot.geometry.hull import hull_surface
+from rhot.messages import BodyPose, FootPose, HandPose, HeadPose, MeshShape, ObjectPose, PointSet, Side, Truth
+from rhot.object_mesh import known_mesh
 from rhot.rig import Rig
 from rhot_viewer.browser.camera_layer import CameraLayer, PictureClick
-from rhot_viewer.browser.layers import HandLayer, InstanceLayer
-from rhot_viewer.browser.mesh_layer import MeshLayer
 from rhot_viewer.browser.page import Page
 from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.truth_track import TruthTrack
-from rhot_viewer.scene.hand import fingertips, ghost_shape, hand_shape
-from rhot_viewer.scene.instances import Rgb, rotation_of_z, unit_ball, unit_box, unit_rod
+from rhot_viewer.scene.hand import HandShape, fingertips, ghost_shape, hand_shape
+from rhot_viewer.scene.instances import Instances, Mesh, Rgb, rotation_of_z, unit_ball, unit_box, unit_rod
 from rhot_viewer.scene.limits import LINES, limit_lines
-from rhot_viewer.scene.things import UNKNOWN_COLOR, body_rods, foot_boxes, marker_balls, object_copies
+from rhot_viewer.scene.things import (
+    OBJECT_COLOR,
+    PREDICTED_COLOR,
+    UNKNOWN_COLOR,
+    body_rods,
+    foot_boxes,
+    marker_balls,
+    object_copies,
+)
 from rhot_viewer.scene.trails import Trails
 from rhot_viewer.scene.viewpoint import (
     Viewpoint,
@@ -34,6 +43,162 @@ from rhot_viewer.scene.viewpoint import (
     up_direction,
     volume_lines,
 )
+
+# Objects with a surface of their own: each is sent to the browser once, and then only moved.
+
+_MOST_KEPT: Final = 64
+"""Meshes that stay in the browser, hidden, once they have gone: a rig has about ten, but anybody may make up names."""
+
+
+class MeshLayer:
+    """Meshes by the object's name; from the rig folder's file, else the planes that the message carries."""
+
+    def __init__(self, scene: viser.SceneApi, name: str) -> None:
+        """Prepare a layer.
+
+        Args:
+            scene: where.
+            name: of the node above them.
+        """
+        self._scene = scene
+        self._name = name
+        self._drawn: dict[str, tuple[MeshShape, viser.MeshHandle]] = {}
+
+    def show(self, rig: Rig, objects: Mapping[str, ObjectPose]) -> None:
+        """Show those objects whose shape is a mesh, and no others."""
+        for name, (_, handle) in self._drawn.items():
+            handle.visible = name in objects and isinstance(objects[name].shape, MeshShape)
+        if len(self._drawn) > _MOST_KEPT:
+            for name in [name for name, (_, handle) in self._drawn.items() if not handle.visible]:
+                self._drawn.pop(name)[1].remove()
+        for name, pose in objects.items():
+            if isinstance(pose.shape, MeshShape):
+                handle = self._handle(rig, name, pose.shape)
+                x, y, z, w = pose.orientation
+                handle.position, handle.wxyz = pose.position, (w, x, y, z)
+                handle.color = OBJECT_COLOR if pose.state == "measured" else PREDICTED_COLOR
+
+    def _handle(self, rig: Rig, name: str, shape: MeshShape) -> viser.MeshHandle:
+        drawn = self._drawn.get(name)
+        if drawn is not None and drawn[0] == shape:
+            return drawn[1]
+        corners, triangles = _surface(rig, name, shape)
+        handle = self._scene.add_mesh_simple(
+            f"{self._name}/{name}",
+            corners.astype(np.float32),
+            triangles.astype(np.uint32),
+            color=OBJECT_COLOR,
+            # A surface that somebody drew may be open.
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        self._drawn[name] = shape, handle
+        return handle
+
+
+def _surface(rig: Rig, name: str, shape: MeshShape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    mesh = known_mesh(rig, name)
+    # A recording may be of another rig: what it says counts, not what the file holds by now.
+    if mesh is not None and mesh.shape == shape:
+        return mesh.corners, mesh.triangles
+    return hull_surface(np.array(shape.planes))
+
+
+# The whole 3D scene of a rig: what stands still is drawn once, what moves with every frame.
+
+# Nodes of the 3D scene in the browser that are filled with arrays of `rhot_viewer.scene`.
+#
+# Everything that moves consists of copies of three unit meshes, so that a frame costs a few messages however many parts
+# move; a property that has not changed is not sent again (viser compares).
+
+GHOST_OPACITY: Final = 0.45
+
+_LIGHT: Final = np.round(255.0 * (np.arange(256) / 255.0) ** 2.2).astype(np.uint8)
+"""Colours without a screen's gamma: the browser takes those of copies as amounts of light, and adds the gamma."""
+
+_Number = TypeVar("_Number", np.float32, np.uint8)
+
+
+class InstanceLayer:
+    """Copies of one mesh under one name; how many may change."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, mesh: Mesh, *, ghost: bool = False) -> None:
+        """Prepare a layer.
+
+        Args:
+            scene: where.
+            name: of the node.
+            mesh: what is copied.
+            ghost: translucent, and only its far side is drawn: around something solid it shows as a rim.
+        """
+        self._scene = scene
+        self._name = name
+        self._mesh = mesh
+        self._ghost = ghost
+        self._handle: viser.BatchedMeshHandle | None = None
+
+    def show(self, copies: Instances | None) -> None:
+        """Show these copies, or nothing."""
+        handle = self._handle
+        if copies is None or len(copies) == 0:
+            if handle is not None:
+                handle.visible = False
+            return
+        if handle is None or len(handle.batched_positions) < len(copies):
+            self._handle = self._added(copies)
+            return
+        full = len(handle.batched_positions)
+        handle.batched_positions = _filled(copies.positions, full)
+        handle.batched_wxyzs = _filled(copies.wxyzs, full)
+        scales = _filled(copies.scales, full)
+        if full > len(copies):
+            # Those that are too many have no size.
+            scales = scales * (np.arange(full) < len(copies))[:, None]
+        handle.batched_scales = scales
+        handle.batched_colors = _LIGHT[_filled(copies.colors, full)]
+        handle.visible = True
+
+    def _added(self, copies: Instances) -> viser.BatchedMeshHandle:
+        return self._scene.add_batched_meshes_simple(
+            self._name,
+            self._mesh.vertices,
+            self._mesh.faces,
+            copies.wxyzs,
+            copies.positions,
+            batched_scales=copies.scales,
+            batched_colors=_LIGHT[copies.colors],
+            opacity=GHOST_OPACITY if self._ghost else None,
+            side="back" if self._ghost else "front",
+            lod="off",
+            # Shadows of moving things are redrawn in every frame by every browser.
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+
+def _filled(rows: NDArray[_Number], full: int) -> NDArray[_Number]:
+    """Return an array of `full` rows: those given, then the last one again and again."""
+    if len(rows) == full:
+        return rows
+    filled: NDArray[_Number] = rows[np.minimum(np.arange(full), len(rows) - 1)]
+    return filled
+
+
+class HandLayer:
+    """One hand: joints and bones."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, *, ghost: bool = False) -> None:
+        self._joints = InstanceLayer(scene, f"{name}/joints", unit_ball(), ghost=ghost)
+        self._bones = InstanceLayer(scene, f"{name}/bones", unit_rod(), ghost=ghost)
+
+    def show(self, shape: HandShape | None) -> None:
+        """Show a hand, or none."""
+        self._joints.show(None if shape is None else shape.joints)
+        self._bones.show(None if shape is None else shape.bones)
+
+
+# The whole 3D scene of a rig: what stands still is drawn once, what moves with every frame.
 
 SIDES: Final[tuple[Side, ...]] = ("right", "left")
 _HAND_AGE_S: Final = 0.4

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhot_calibration.colors.calibration import calibrate
-from rhot_calibration.colors.model.balance import camera_gains
+from rhot_calibration.colors.calibration import calibrate, camera_gains
 from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 

@@ -6,8 +6,8 @@ import pytest
 
 from rhot.arrays import BoolArray, ImageArray
 from rhot.rig.colors import RgbColor, log_ratio
+from rhot_calibration.colors.calibration import are_skin
 from rhot_calibration.colors.model.fit import COUNTER_FLOOR, fit_mixture
-from rhot_calibration.colors.model.skin import are_skin
 
 PLACES = ((150, 60), (180, 50), (210, 55), (240, 80), (120, 130), (190, 160))
 WOOD: RgbColor = (150.0, 125.0, 105.0)

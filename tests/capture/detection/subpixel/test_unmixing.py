@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhot_bench.speed.plain_algebra import plain_levels, plain_projections
+from rhot_bench.speed.cores import plain_levels, plain_projections
 from rhot_capture.detection.subpixel.unmixing import fitted_levels, projections
 
 

@@ -8,7 +8,7 @@ from foot_walk import C, Walk, ns
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import rotation_from_quaternion, rotation_z
-from rhot_feet.imu.alignment.steps import Step, StepTracker
+from rhot_feet.imu.alignment.estimator import Step, StepTracker
 
 WALK = Walk()
 TIMES = np.arange(-0.5, 0.9, 0.01)

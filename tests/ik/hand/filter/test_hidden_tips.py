@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rhot_ik.hand.filter.hidden_tips import known_along
+from rhot_ik.hand.filter.filter import known_along
 
 
 def test_a_point_that_is_known_along_one_direction_is_open_in_all_others() -> None:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot_ik.hand.filter.limits import within_limits
+from rhot_ik.hand.filter.filter import within_limits
 from rhot_ik.hand.filter.process import ANGLES, SIZE
 
 LOW, HIGH = np.full(20, -10.0), np.full(20, 10.0)
