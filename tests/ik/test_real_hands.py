@@ -22,7 +22,7 @@ from rhot_bench.hands.recorded_hands import (
     plain_fingers,
     plain_hand,
 )
-from rhot_ik.fabrik.finger_chains import FabrikFingers
+from rhot_bench.thesis.fabrik.finger_chains import FabrikFingers
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry

@@ -58,7 +58,7 @@ def test_the_field_of_view_gives_the_nominal_focal_length(rig_folder: Path) -> N
         ('joint = "thumb_tip"', 'joint = "toe_tip"', "toe_tip"),
         ('joint = "thumb_tip"', 'joint = "index_tip"', "both mark index_tip"),
         ('kind = "patch"\nsize_m = [0.04, 0.03]', 'kind = "patch"', "size_m"),
-        ('method = "filter"', 'method = "magic"', "fusion.method"),
+        ('method = "filter"', 'method = "two words"', "fusion.method"),
         ("volume_m = [[-0.8,", "volume_m = [[0.9,", "lower bound"),
         ("version = 1", "version = 2", "version"),
         ("[bus]", "[bus", "not TOML"),

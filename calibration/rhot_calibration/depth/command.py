@@ -80,7 +80,7 @@ def depth(table: Path, focal_px: float | None) -> None:
             f"with a focal length of {focal_px:g} px: a baseline of {1e3 * physical.a / focal_px:.1f} mm, cameras "
             f"turned against each other by {turn_deg:.2f}°"
         )
-    console.print(f"in rig.toml, under [fusion]: depth_law = [{100 * power.k:.1f}, {power.z:.4f}]")
+    console.print(f"in rig.toml, under [fusion.options]: depth_law = [{100 * power.k:.1f}, {power.z:.4f}]")
 
 
 def _rows_table(distance_m: FloatArray, disparity_px: FloatArray, power: PowerLaw, physical: PhysicalLaw) -> Table:

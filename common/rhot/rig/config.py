@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -80,45 +81,59 @@ class HandConfig(FileModel):
     length_m: Annotated[float, Field(ge=0.10, le=0.26)] = 0.189
 
 
+Options = Annotated[dict[Name, float | str | tuple[float, ...]], Field(max_length=32)]
+"""Settings of a method that is not the rig's own; the method checks them."""
+
+
+def _options_of_older_files(*names: str) -> Callable[[Any], Any]:
+    """Return what moves fields that stood beside `method` in earlier versions into its options."""
+
+    def moved(data: Any) -> Any:
+        older = {name: data[name] for name in names if name in data} if isinstance(data, dict) else {}
+        if not older:
+            return data
+        return {name: value for name, value in data.items() if name not in older} | {
+            "options": older | dict(data.get("options", {}))
+        }
+
+    return moved
+
+
 class FusionConfig(FileModel):
     """How two-dimensional markers become points.
 
     Attributes:
         method: `filter` (one Kalman filter for all markers of a hand, which takes each camera's frame at its own
-            time), `triangulate` (tracks read at a common moment, lens models) or `disparity` (the same with the depth
-            law of the 2018 thesis).
-        depth_law: k and z of depth[cm] = k · disparity[px]^z, for `disparity`.
-        one_euro: where the other methods than `filter` have their 1-euro filter, each marker its own: `points` (in
-            space), or `pixels`, as in the thesis: on each camera's view, and then on the depth alone.
-        min_cutoff_hz, beta, derivative_cutoff_hz: of that filter in space; β in hertz per metre a second.
-        pixel_min_cutoff_hz, pixel_beta: of the one on views; β in hertz per pixel a second. Tuned as its authors say:
-            1 Hz at rest, then β up until a hand at 0.4 m/s no longer lags (at 30 Hz, 0.5 px and 60 Hz, 0.15 px alike).
+            time), or an entry point `fusion.<method>` of `rhot.methods`; bench brings `triangulate` and `disparity`.
+        options: of that other method; what it takes is its own affair.
         volume_m: lowest and highest x, y, z of a believable point, rig frame.
-        max_speed_m_s: fastest believable marker; published points move no faster, in depth by as much less as depth is
-            noisier. Not used by `filter`.
         hold_s: how long a marker is predicted after it was last measured.
-        extrapolation: longest time, as a share of a frame period, that one camera's track is carried on to meet a
-            newer frame of another; 0 waits for the next frame instead (later, less noisy). Not used by `filter`.
         predict_s: `filter` publishes where the markers will be this much after the newest frame, such as the time
             until a display shows them.
         epipolar_limit_px: largest error across the epipolar lines that is learnt and corrected while running; cameras
             turn a little in their mounts.
     """
 
-    method: Literal["filter", "triangulate", "disparity"] = "filter"
-    depth_law: tuple[Positive, Annotated[float, Field(ge=-10.0, le=10.0)]] = (4543.3, -1.035)
-    one_euro: Literal["points", "pixels"] = "points"
-    min_cutoff_hz: Positive = 4.0
-    beta: NotNegative = 20.0
-    derivative_cutoff_hz: Positive = 8.0
-    pixel_min_cutoff_hz: Positive = 1.0
-    pixel_beta: NotNegative = 0.5
+    method: Name = "filter"
+    options: Options = {}
     volume_m: tuple[Vector3, Vector3] = ((-0.8, -0.6, 0.30), (0.8, 0.6, 1.40))
-    max_speed_m_s: Annotated[float, Field(gt=0.0, le=100.0)] = 4.0
     hold_s: HoldS = 0.25
-    extrapolation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.6
     predict_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
     epipolar_limit_px: Annotated[float, Field(ge=0.0, le=1e4)] = 15.0
+
+    _older_options = model_validator(mode="before")(
+        _options_of_older_files(
+            "depth_law",
+            "one_euro",
+            "min_cutoff_hz",
+            "beta",
+            "derivative_cutoff_hz",
+            "pixel_min_cutoff_hz",
+            "pixel_beta",
+            "max_speed_m_s",
+            "extrapolation",
+        )
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> FusionConfig:
@@ -133,16 +148,17 @@ class IkConfig(FileModel):
 
     Attributes:
         solver: of the fingers: `filter` (the whole hand with all its points in one filter), or, on the palm that this
-            filter finds, each sample by itself: `analytic` (closed form) or `fabrik` (iterative chain solver).
-        tolerance_m: the chain solver stops when the marker is this near.
-        max_iterations: of the chain solver, per finger and sample.
+            filter finds, each sample by itself: an entry point `ik.<solver>` of `rhot.methods`; bench brings `analytic`
+            (closed form) and `fabrik` (iterative chain solver).
+        options: of that other solver.
         hold_s: how long a hand is predicted after its last measured point.
     """
 
-    solver: Literal["filter", "analytic", "fabrik"] = "filter"
-    tolerance_m: Annotated[float, Field(gt=0.0, le=0.1)] = 1e-4
-    max_iterations: Annotated[int, Field(ge=1, le=1000)] = 24
+    solver: Name = "filter"
+    options: Options = {}
     hold_s: HoldS = 0.5
+
+    _older_options = model_validator(mode="before")(_options_of_older_files("tolerance_m", "max_iterations"))
 
 
 ObjectSource = Literal["steamvr", "webxr", "recorded", "simulated"]

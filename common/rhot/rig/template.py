@@ -89,11 +89,8 @@ size_m = [0.04, 0.03]
 
 _TAIL: Final = """\
 [fusion]
-# filter: each view at its own time through the lens models, and the shape of painted fingertips. triangulate: views at
-# a common time, each marker by itself. disparity: the depth law of the 2018 system, k and z of depth = k * disparity^z.
+# Each view at its own time through the lens models, and the shape of painted fingertips.
 method = "filter"
-# Of triangulate and disparity: the 1-euro filter on "points", or as in 2018 on "pixels" and then on depth.
-one_euro = "points"
 # Where a marker can be: lowest and highest x, y, z in the frame of the first camera.
 volume_m = [[-0.8, -0.6, 0.3], [0.8, 0.6, 1.4]]
 """

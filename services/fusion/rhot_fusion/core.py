@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 from statistics import median
 
@@ -16,13 +16,13 @@ from rhot.explain import Explanation, ExplanationRow
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, Point, PointSet, PointState, Position
 from rhot.messages.base import wire_position
+from rhot.plugins import load_plugin
 from rhot.rig import FusionConfig, Rig
 from rhot_fusion.filter.joint import squared_distance
 from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.state import ROUND
 from rhot_fusion.filter.tracker import FilterTracker
 from rhot_fusion.filter.tracks import TrackStatus
-from rhot_fusion.paired.tracker import PairedTracker
 from rhot_fusion.views.corners import Corners, PatchCorners
 from rhot_fusion.views.guard import StreamGuard
 from rhot_fusion.views.sightings import Outcome, Sightings, Tracker, nearest_border
@@ -336,8 +336,9 @@ class FusionCore:
     def _make_tracker(self, config: FusionConfig) -> Tracker:
         if config.method == "filter":
             return FilterTracker(self._rig, self._models, config, self.counts, record=self._record)
-        parts = (self._models, self._rig.config.markers, self._rig.hand, self._periods_s, config, self.counts)
-        return PairedTracker(*parts)
+        what = f'[fusion] method = "{config.method}"'
+        method: Callable[..., Tracker] = load_plugin("rhot.methods", f"fusion.{config.method}", what, "bench")
+        return method(self._models, self._rig.config.markers, self._rig.hand, self._periods_s, config, self.counts)
 
     def _points(self, outcome: Outcome, t_ns: int, seq: int, live: PointSet | None = None) -> PointSet:
         """Return the message of an outcome; if `live` is given, with its corners, translated to the new points."""

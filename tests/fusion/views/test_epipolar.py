@@ -9,8 +9,8 @@ from marker_streams import models, pinhole_cameras
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig import Rig
+from rhot_bench.thesis.paired.triangulate import Triangulation
 from rhot_fusion.views.epipolar import EpipolarModel
-from rhot_fusion.views.triangulate import Triangulation
 
 FOCAL_PX = 530.5
 

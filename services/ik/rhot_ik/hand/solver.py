@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from rhot.anatomy.hand import HandModel, patch_outline
 from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_z
+from rhot.plugins import load_plugin
 from rhot.rig import IkConfig, MarkerConfig
-from rhot_ik.fabrik.finger_chains import FabrikFingers
 from rhot_ik.hand.blending import BlendSettings, blended, with_own_motion
 from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import Evidence, EvidenceModel, HandObservation
@@ -22,7 +22,6 @@ from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.filter.process import HandState
 from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.filter.smoother import smoothed_states
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
 from rhot_ik.hand.track import HandSolution, HandTrack
 
@@ -171,6 +170,19 @@ _NEVER_NS: Final = 2**62
 """Since when a tip has been known that is not: later than any sample."""
 
 
+class FingerMethod(Protocol):
+    """Another solver of the five fingers, made from the hand's geometry and `options` of [ik]; see `rhot.methods`."""
+
+    def solve(self, targets: FloatArray, start: FloatArray) -> FloatArray:
+        """Return angles (5, 4), radians.
+
+        Args:
+            targets: (5, 3) marker centres, metres, wrist frame.
+            start: (5, 4) radians, the last angles.
+        """
+        ...
+
+
 class HandSolver:
     """Solves one hand sample by sample; reads no clock.
 
@@ -204,13 +216,28 @@ class HandSolver:
         self._filter = HandFilter(self._geometry, base_offset, settings, known)
         eye = np.zeros(3) if viewpoint is None else viewpoint
         self._initialiser = HandInitialiser(self._filter, self._evidence, base_offset, eye)
-        self._analytic = AnalyticFingers(self._geometry)
-        self._fabrik = FabrikFingers(self._geometry)
         self.config = config
         self._blend = BlendSettings()
         self._track: HandTrack | None = None
         self._solution: HandSolution | None = None
         self._person: tuple[FloatArray, FloatArray] | None = None
+
+    @property
+    def config(self) -> IkConfig:
+        """How points become a hand; another finger solver than the filter comes from `rhot.methods`.
+
+        Raises:
+            ConfigError: when it is set: that solver is not installed here, or does not take its options.
+        """
+        return self._config
+
+    @config.setter
+    def config(self, config: IkConfig) -> None:
+        self._fingers: FingerMethod | None = None
+        if config.solver != "filter":
+            make = load_plugin("rhot.methods", f"ik.{config.solver}", f'[ik] solver = "{config.solver}"', "bench")
+            self._fingers = make(self._geometry, config.options)
+        self._config = config
 
     @property
     def geometry(self) -> FingerGeometry:
@@ -388,7 +415,7 @@ class HandSolver:
     def _angles(self, state: HandState, seen: HandObservation, shown: FloatArray) -> FloatArray:
         """Return the angles (5, 4) of the fingers, radians; those not measured are the filter's."""
         estimated = state.angles.reshape(5, 4)
-        if self.config.solver == "filter":
+        if self._fingers is None:
             return estimated
         measured = seen.tips_seen & seen.tips_measured
         if not measured.any():
@@ -396,11 +423,7 @@ class HandSolver:
         resting = self._geometry.marker_points(estimated)
         local = self._filter.scaled_to_model((seen.tips - state.p) @ state.R, state.longer)
         local = np.where(measured[:, None], local, resting)
-        if self.config.solver == "fabrik":
-            solved, _ = self._fabrik.solve(local, shown, self.config.tolerance_m, self.config.max_iterations)
-        else:
-            solved = self._analytic.solve(local).angles
-        return np.where(measured[:, None], solved, estimated)
+        return np.where(measured[:, None], self._fingers.solve(local, shown), estimated)
 
 
 def _known_within(seen: HandObservation, sigma_m: float) -> BoolArray:

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_ik.fabrik.chains import ABDUCTION, FLEXION, TWIST, Chains
+from rhot_bench.thesis.fabrik.chains import ABDUCTION, FLEXION, TWIST, Chains
 
 _LARGEST_STEP_RAD: Final = 0.5
 """Beyond it the derivatives say little; chosen."""

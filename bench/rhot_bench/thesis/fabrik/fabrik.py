@@ -6,7 +6,7 @@ therefore always a pose within the limits with exact bone lengths, whatever the 
 
 Joint limits can stall these passes short of a target that is in reach, and coupled hinges slow them down. Chains that
 no longer gain are therefore finished by damped least squares on the angles that are not held at a limit
-(`rhot_ik.fabrik.descent`); the nearest pose seen is returned.
+(`rhot_bench.thesis.fabrik.descent`); the nearest pose seen is returned.
 
 Source: Aristidou & Lasenby, "FABRIK: a fast, iterative solver for the inverse kinematics problem", Graphical Models 73,
 2011; limits as in Aristidou, Chrysanthou & Lasenby, "Extending FABRIK with model constraints", 2016.
@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
-from rhot_ik.fabrik.chains import ABDUCTION, FLEXION, TWIST, Chains, joint_rotations
-from rhot_ik.fabrik.descent import descend
+from rhot_bench.thesis.fabrik.chains import ABDUCTION, FLEXION, TWIST, Chains, joint_rotations
+from rhot_bench.thesis.fabrik.descent import descend
 
 _TINY_M: Final = 1e-9
 _STALL: Final = 0.8

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhot_fusion.paired.one_euro import Axes, OneEuroFilter, OneEuroSettings, smoothing_factor
+from rhot_bench.thesis.paired.one_euro import Axes, OneEuroFilter, OneEuroSettings, smoothing_factor
 
 SETTINGS = OneEuroSettings(min_cutoff_hz=2.0, beta=5.0, derivative_cutoff_hz=1.0)
 ALL = np.arange(2)

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray, IndexArray
-from rhot_fusion.paired.one_euro import Axes, OneEuroFilter, OneEuroSettings
-from rhot_fusion.paired.settings import PAIRED
+from rhot_bench.thesis.paired.one_euro import Axes, OneEuroFilter, OneEuroSettings
+from rhot_bench.thesis.paired.settings import PAIRED
 
 
 class MarkerStates:

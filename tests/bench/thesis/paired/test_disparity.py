@@ -11,9 +11,9 @@ from marker_streams import Motion, models, truth_figures, watch
 
 from rhot.errors import ConfigError
 from rhot.rig import Rig
+from rhot_bench.thesis.paired.tracker import DisparityLaw, depth_from_disparity, disparity_from_depth
+from rhot_bench.thesis.paired.triangulate import Prior, Views
 from rhot_fusion.core import FusionCore
-from rhot_fusion.paired.tracker import DisparityLaw, depth_from_disparity, disparity_from_depth
-from rhot_fusion.views.triangulate import Prior, Views
 
 LAW = (4543.3, -1.035)
 

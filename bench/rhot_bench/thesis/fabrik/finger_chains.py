@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_ik.fabrik.chains import ABDUCTION, FLEXION, Chains
-from rhot_ik.fabrik.fabrik import ChainPose, solve
+from rhot_bench.thesis.fabrik.chains import ABDUCTION, FLEXION, Chains
+from rhot_bench.thesis.fabrik.fabrik import ChainPose, solve
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 

@@ -16,15 +16,15 @@ from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.rig import FusionConfig, HandFile, MarkerConfig
-from rhot_fusion.paired.marker_states import MarkerStates
-from rhot_fusion.paired.one_euro import OneEuroFilter, OneEuroSettings
-from rhot_fusion.paired.settings import PAIRED
+from rhot_bench.thesis.paired.marker_states import MarkerStates
+from rhot_bench.thesis.paired.one_euro import OneEuroFilter, OneEuroSettings
+from rhot_bench.thesis.paired.settings import PAIRED, PairedConfig
+from rhot_bench.thesis.paired.triangulate import Geometry, Prior, Solution, Triangulation, Views
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
 from rhot_fusion.views.sightings import Outcome, Sightings
 from rhot_fusion.views.tracks import LONGEST_GAP, ROWS_SHARE, Snapshot, Tracks
-from rhot_fusion.views.triangulate import Geometry, Prior, Solution, Triangulation, Views
 
 # The 1-euro filter as in the 2018 thesis: on each camera's view of each marker, before depth is computed.
 #
@@ -35,7 +35,7 @@ from rhot_fusion.views.triangulate import Geometry, Prior, Solution, Triangulati
 class PixelFilters:
     """1-euro filters of C cameras and M markers; normalised image coordinates and seconds."""
 
-    def __init__(self, focal_px: Sequence[float], markers: int, config: FusionConfig) -> None:
+    def __init__(self, focal_px: Sequence[float], markers: int, config: PairedConfig) -> None:
         """Build the filters.
 
         Args:
@@ -45,11 +45,11 @@ class PixelFilters:
         """
         self._focal_px = tuple(focal_px)
         self._filters = [OneEuroFilter(markers, _settings(config, focal)) for focal in self._focal_px]
-        self._on = config.one_euro == "pixels"
+        self._on = config.options.one_euro == "pixels"
 
-    def configure(self, config: FusionConfig) -> None:
+    def configure(self, config: PairedConfig) -> None:
         """Change the settings; the states are kept unless the filters were off."""
-        on = config.one_euro == "pixels"
+        on = config.options.one_euro == "pixels"
         if on and not self._on:
             self.clear()
         self._on = on
@@ -89,9 +89,11 @@ class PixelFilters:
         return smoothed
 
 
-def _settings(config: FusionConfig, focal_px: float) -> OneEuroSettings:
+def _settings(config: PairedConfig, focal_px: float) -> OneEuroSettings:
     # β is in hertz per (pixel per second), the filter's speed in normalised units per second.
-    return OneEuroSettings(config.pixel_min_cutoff_hz, config.pixel_beta * focal_px, config.derivative_cutoff_hz)
+    return OneEuroSettings(
+        config.options.pixel_min_cutoff_hz, config.options.pixel_beta * focal_px, config.options.derivative_cutoff_hz
+    )
 
 
 # The paired methods: evaluate all cameras' tracks at a common time and compute points from them.
@@ -253,7 +255,7 @@ class Association:
         cameras: Sequence[CameraModel],
         markers: Mapping[str, MarkerConfig],
         hand_length_m: float,
-        config: FusionConfig,
+        config: PairedConfig,
         counts: Counter[str],
     ) -> None:
         """Build from the rig's parts; increments `measured`, `gated` and `behind_cameras` of counts.
@@ -268,24 +270,26 @@ class Association:
         self._config = config
         self._geometry = self._make_geometry(config)
         self._hands = HandCoherence(markers, hand_length_m)
-        depth_only = config.one_euro == "pixels"
-        self._states = MarkerStates(len(markers), _one_euro(config), config.max_speed_m_s, depth_only=depth_only)
+        depth_only = config.options.one_euro == "pixels"
+        self._states = MarkerStates(
+            len(markers), _one_euro(config), config.options.max_speed_m_s, depth_only=depth_only
+        )
         self._last_s = -np.inf
-        self.epipolar = EpipolarModel(cameras, config.epipolar_limit_px)
+        self.epipolar = EpipolarModel(cameras, config.fusion.epipolar_limit_px)
 
-    def configure(self, config: FusionConfig) -> None:
+    def configure(self, config: PairedConfig) -> None:
         """Change the settings; the states are discarded only if the method changes.
 
         Raises:
             ConfigError: the new method cannot use the cameras; the old settings stay in force.
         """
         self._geometry = self._make_geometry(config)
-        if config.method != self._config.method:
+        if config.fusion.method != self._config.fusion.method:
             self.clear()
         self._config = config
-        self.epipolar.set_limit(config.epipolar_limit_px)
-        depth_only = config.one_euro == "pixels"
-        self._states.configure(_one_euro(config), config.max_speed_m_s, depth_only=depth_only)
+        self.epipolar.set_limit(config.fusion.epipolar_limit_px)
+        depth_only = config.options.one_euro == "pixels"
+        self._states.configure(_one_euro(config), config.options.max_speed_m_s, depth_only=depth_only)
 
     def clear(self) -> None:
         """Discard all markers; the estimated epipolar residuals are kept."""
@@ -310,7 +314,7 @@ class Association:
         self._counts["measured"] += int(np.count_nonzero(measured))
         self.epipolar.learn(shot.xy, shot.valid & measured, t_s - self._last_s)
         self._last_s = t_s
-        states.drop(states.tracked & (t_s - states.measured_s > self._config.hold_s))
+        states.drop(states.tracked & (t_s - states.measured_s > self._config.fusion.hold_s))
         states.coast(self._hands.siblings, t_s)
         position = states.publish(t_s, longest_step_s)
         age = np.where(states.tracked, t_s - states.measured_s, 0.0)
@@ -390,22 +394,24 @@ class Association:
         """
         prior = Prior(moment.prior.position[index], moment.prior.sigma_m[index])
         solution = self._geometry.solve(Views(moment.views.xy[:, index], used[:, index]), prior, moment.sigma)
-        low, high = np.array(self._config.volume_m)
-        gate_px = min(1.0 + PAIRED.view_gate_sigmas * self.epipolar.spread_px, max(self._config.epipolar_limit_px, 2.0))
+        low, high = np.array(self._config.fusion.volume_m)
+        gate_px = min(
+            1.0 + PAIRED.view_gate_sigmas * self.epipolar.spread_px, max(self._config.fusion.epipolar_limit_px, 2.0)
+        )
         with np.errstate(invalid="ignore"):
             inside = ((solution.position >= low) & (solution.position <= high)).all(axis=1)
             near = self._hands.near(index, solution.position, self._states.filter.value, self._states.tracked)
         good: BoolArray = inside & near & (solution.residual <= gate_px / self._focal_px)
         return solution, good
 
-    def _make_geometry(self, config: FusionConfig) -> Geometry:
-        if config.method == "disparity":
-            return DisparityLaw(self._cameras, config.depth_law)
+    def _make_geometry(self, config: PairedConfig) -> Geometry:
+        if config.fusion.method == "disparity":
+            return DisparityLaw(self._cameras, config.options.depth_law)
         return Triangulation(self._cameras)
 
 
-def _one_euro(config: FusionConfig) -> OneEuroSettings:
-    return OneEuroSettings(config.min_cutoff_hz, config.beta, config.derivative_cutoff_hz)
+def _one_euro(config: PairedConfig) -> OneEuroSettings:
+    return OneEuroSettings(config.options.min_cutoff_hz, config.options.beta, config.options.derivative_cutoff_hz)
 
 
 # The paired methods: evaluate all cameras' tracks at a common time and compute points from them.
@@ -428,12 +434,12 @@ class PairedTracker:
         Raises:
             ConfigError: the configured method cannot use the cameras.
         """
-        self._config = config
+        self._config = paired = PairedConfig.of(config)
         self._counts = counts
-        self._association = Association(cameras, markers, hand.length_m, config, counts)
+        self._association = Association(cameras, markers, hand.length_m, paired, counts)
         self._schedule = Schedule(list(periods_s))
         self._tracks = Tracks(len(cameras), len(markers))
-        self._pixels = PixelFilters([float(camera.K[0, 0]) for camera in cameras], len(markers), config)
+        self._pixels = PixelFilters([float(camera.K[0, 0]) for camera in cameras], len(markers), paired)
         self._cameras = len(cameras)
 
     @property
@@ -451,9 +457,10 @@ class PairedTracker:
         Raises:
             ConfigError: the new method cannot use the cameras; the old settings stay in force.
         """
-        self._association.configure(config)
-        self._config = config
-        self._pixels.configure(config)
+        paired = PairedConfig.of(config)
+        self._association.configure(paired)
+        self._config = paired
+        self._pixels.configure(paired)
 
     def clear(self) -> None:
         """Discard all markers; the estimated epipolar residuals are kept."""
@@ -467,15 +474,15 @@ class PairedTracker:
         camera, t = sightings.camera, sightings.times_s
         later = t > self._tracks.last_t_s[camera, sightings.index]
         self._counts["late_marker"] += int(np.count_nonzero(~later))
-        low, high = self._config.volume_m
-        max_rate = self._config.max_speed_m_s / max(0.5 * (low[2] + high[2]), 0.1)
+        low, high = self._config.fusion.volume_m
+        max_rate = self._config.options.max_speed_m_s / max(0.5 * (low[2] + high[2]), 0.1)
         index, t, xy = sightings.index[later], t[later], sightings.xy[later]
         self._tracks.append(camera, index, t, self._pixels.smoothed(camera, index, t, xy, max_rate), max_rate)
         self._schedule.arrived(camera, sightings.t_s)
-        moment_s = self._schedule.moment(self._config.extrapolation)
+        moment_s = self._schedule.moment(self._config.options.extrapolation)
         if moment_s is None:
             return None
         period_s = max(self._schedule.period_s(index) for index in range(self._cameras))
-        reach_s = (self._config.extrapolation + ROWS_SHARE) * period_s
+        reach_s = (self._config.options.extrapolation + ROWS_SHARE) * period_s
         shot = self._tracks.at(moment_s, reach_s, LONGEST_GAP * period_s)
         return self._association.advance(shot, moment_s, period_s)

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field
+
+from rhot.rig import FusionConfig
+from rhot.rig.file_model import FileModel, NotNegative, Positive
+from rhot_bench.thesis.options import checked
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,3 +57,53 @@ class PairedSettings:
 
 
 PAIRED: Final = PairedSettings()
+
+
+class PairedOptions(FileModel):
+    """`[fusion.options]` of `triangulate` and `disparity`.
+
+    Attributes:
+        depth_law: k and z of depth[cm] = k · disparity[px]^z, for `disparity`.
+        one_euro: where the 1-euro filter is, each marker its own: `points` (in space), or `pixels`, as in the thesis:
+            on each camera's view, and then on the depth alone.
+        min_cutoff_hz, beta, derivative_cutoff_hz: of that filter in space; β in hertz per metre a second.
+        pixel_min_cutoff_hz, pixel_beta: of the one on views; β in hertz per pixel a second. Tuned as its authors say:
+            1 Hz at rest, then β up until a hand at 0.4 m/s no longer lags (at 30 Hz, 0.5 px and 60 Hz, 0.15 px alike).
+        max_speed_m_s: fastest believable marker; published points move no faster, in depth by as much less as depth is
+            noisier.
+        extrapolation: longest time, as a share of a frame period, that one camera's track is carried on to meet a
+            newer frame of another; 0 waits for the next frame instead (later, less noisy).
+    """
+
+    depth_law: tuple[Positive, Annotated[float, Field(ge=-10.0, le=10.0)]] = (4543.3, -1.035)
+    one_euro: Literal["points", "pixels"] = "points"
+    min_cutoff_hz: Positive = 4.0
+    beta: NotNegative = 20.0
+    derivative_cutoff_hz: Positive = 8.0
+    pixel_min_cutoff_hz: Positive = 1.0
+    pixel_beta: NotNegative = 0.5
+    max_speed_m_s: Annotated[float, Field(gt=0.0, le=100.0)] = 4.0
+    extrapolation: Annotated[float, Field(ge=0.0, le=1.0)] = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class PairedConfig:
+    """`[fusion]` as the paired methods read it.
+
+    Attributes:
+        fusion: what all methods have in common.
+        options: their own.
+    """
+
+    fusion: FusionConfig
+    options: PairedOptions
+
+    @classmethod
+    def of(cls, config: FusionConfig) -> PairedConfig:
+        """Return the configuration with its options checked.
+
+        Raises:
+            ConfigError: an option is unknown or out of bounds.
+        """
+        options: Mapping[str, Any] = config.options
+        return cls(config, checked(PairedOptions, options, "fusion"))

@@ -10,11 +10,12 @@ from marker_streams import EPOCH_NS, MARKERS, Motion, Seen, pinhole_cameras, tru
 
 from rhot.messages import PointSet
 from rhot.rig import FusionConfig, Rig
+from rhot_bench.thesis.paired.settings import PairedConfig
+from rhot_bench.thesis.paired.tracker import PixelFilters
 from rhot_fusion.core import FusionCore
-from rhot_fusion.paired.tracker import PixelFilters
 
 MakeRig = Callable[..., Rig]
-PIXELS = FusionConfig(method="triangulate", one_euro="pixels")
+PIXELS = PairedConfig.of(FusionConfig(method="triangulate", options={"one_euro": "pixels"}))
 STILL = Motion(amplitude_m=(0.0, 0.0, 0.0))
 FAST_RATE = 10.0
 
@@ -46,7 +47,7 @@ def test_a_jump_is_not_smeared() -> None:
 
 
 def test_switched_off_it_changes_nothing_and_forgets() -> None:
-    off = FusionConfig(method="triangulate")
+    off = PairedConfig.of(FusionConfig(method="triangulate"))
     filters = PixelFilters([500.0], 1, off)
     marker, views = np.array([0]), np.array([[0.1, 0.2]])
     assert filters.smoothed(0, marker, np.array([0.0]), views, FAST_RATE) is views
