@@ -67,7 +67,7 @@ def test_tracking_measures_every_figure(
 
 
 def test_thesis_tables(invoke: Invoke, rig_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rhot_bench.thesis.tables.DISTANCES_CM", (30, 80))
+    monkeypatch.setattr("rhot_bench.thesis.command.DISTANCES_CM", (30, 80))
     text = invoke(thesis, "--quick", "--json", tmp_path / "t.json", "--rig", rig_path)
     rows = rows_of(tmp_path / "t.json")
     assert rows["distances at which the marker is tracked"]["value"] == 2

@@ -62,8 +62,11 @@ async def start(command: str, *arguments: str, file_limit: int | None = None) ->
         if file_limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
 
-    code = f"import sys; from rhot.cli.group import LazyCommand, MainGroup; MainGroup(name='rhot', lazy={{'{command}': \
-LazyCommand('', 'rhot.cli.recordings.{command}:{command}')}}).main(sys.argv[1:])"
+    entry = f"LazyCommand('', 'rhot.cli.recordings.{command}:{command}')"
+    code = (
+        "import sys; from rhot.cli.group import LazyCommand, MainGroup; "
+        f"MainGroup(name='rhot', lazy={{'': {{'{command}': {entry}}}}}).main(sys.argv[1:])"
+    )
     return await asyncio.create_subprocess_exec(
         *(sys.executable, "-c", code, command, *arguments),
         preexec_fn=limit if file_limit is not None else None,

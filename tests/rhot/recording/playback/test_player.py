@@ -31,9 +31,10 @@ def test_samples_leave_in_order_and_spaced_as_they_came(rate: float) -> None:
     )
     assert [moment for moment, _ in left] == log_ns.tolist()
     assert figures.sent == 60
-    errors_ms = (np.diff([at for _, at in left]) - np.diff(log_ns) / rate) / 1e6
-    # Half of them, because other processes share this machine; the integration test measures the rest.
-    assert np.median(np.abs(errors_ms)) < 1.0
+    left_ns = np.array([at for _, at in left])
+    late_ms = ((left_ns - left_ns[0]) - (log_ns - log_ns[0]) / rate) / 1e6
+    # How late is the machine's affair, and measured by `rhot evaluate recording`.
+    assert late_ms.min() > -1.0, "none leaves before its time"
 
 
 @pytest.mark.parametrize(("gap_s", "rate"), [(30.0, 1.0), (3.0 * 365 * 86400, 0.001)])
