@@ -54,7 +54,7 @@ def command_line() -> str:
         value = context.params[name]
         for one in value if isinstance(value, tuple) else (value,):
             words += [] if isinstance(parameter, click.Argument) else [parameter.opts[-1]]
-            words += [] if one is True else [str(one)]
+            words += [] if one is True else map(str, one if isinstance(one, tuple) else (one,))
     return shlex.join(words)
 
 
