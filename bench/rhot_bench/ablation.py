@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import click
@@ -179,7 +179,8 @@ def _pictures(data: Path, keep: Path) -> list[tuple[str, Rig, list[MarkerFrame]]
 
 @cache
 def _tracks(seed: int, data: Path, seconds: float) -> Tracks:
-    return make_tracks(seed, data, Path(mkdtemp(prefix="rhot-ablation-")) / "rig", seconds=seconds)
+    with TemporaryDirectory(prefix="rhot-ablation-") as folder:
+        return make_tracks(seed, data, Path(folder) / "rig", seconds=seconds)
 
 
 def _motion_figures(tracks: Tracks, *, smooth: bool) -> dict[str, float]:

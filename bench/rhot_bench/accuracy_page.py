@@ -220,8 +220,12 @@ class Headline:
 
 
 HEADLINES: Final = (
-    Headline("30 unseen rigs, live: fingertip, median", "motion", "Points live: 60", PARTS[0].figures[0][2][0]),
-    Headline("30 unseen rigs, live: fingertip, p95", "motion", "Points live: 60", PARTS[0].figures[0][2][1]),
+    Headline(
+        "30 unseen rigs, live: fingertip, median", "motion", "Points live: 60", "tips in two views, after 0.5 s, median"
+    ),
+    Headline(
+        "30 unseen rigs, live: fingertip, p95", "motion", "Points live: 60", "tips in two views, after 0.5 s, p95"
+    ),
     Headline(
         "30 unseen rigs, live: 26 joints, mean", "motion", "Hand: 60", "live, 26 joints, all tips in two views, mean"
     ),

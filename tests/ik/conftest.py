@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hands.legal_angles import legal_angles
 
 from rhot.anatomy.hand import HandJoints, HandModel
 from rhot.anatomy.skeleton import FINGERS
@@ -41,13 +42,6 @@ def lying_wrist(turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Float
     T[:3, :3] = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]) @ rotation_from_vector(np.array(turn_rad))
     T[:3, 3] = 0.02, 0.05, 0.8
     return T
-
-
-def legal_angles(model: HandModel, seed: int, count: int) -> FloatArray:
-    rng = np.random.default_rng(seed)
-    angles = rng.uniform(model.angle_min, model.angle_max, (count, 5, 4))
-    angles[..., 3] = np.minimum(angles[..., 2] * model.coupling, model.angle_max[:, 3])
-    return angles
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.geometry.camera import CameraModel
+from rhot.geometry.camera import CameraModel, epipolar_distance
 from rhot.geometry.transforms import inverse
 from rhot.rig import CameraCalibration, CamerasFile
 from rhot.rig.calibration import today
@@ -20,7 +20,6 @@ from rhot_calibration.cameras.figures import (
     ExpectedError,
     PairFigures,
     camera_figures,
-    epipolar_distance,
     expected_errors,
     lens_sd_named,
     pair_figures,

@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from rhot.arrays import BoolArray, FloatArray
-from rhot.geometry.camera import CameraModel, essential_matrix
+from rhot.arrays import FloatArray
+from rhot.geometry.camera import CameraModel, epipolar_distance, meeting_points
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector
 from rhot.geometry.transforms import inverse, rigid
 from rhot_calibration.cameras.bundle.adjustment import Adjusted
@@ -154,23 +154,6 @@ def epipolar_errors(
     return (np.concatenate(errors) if errors else np.empty(0)), len(errors)
 
 
-def epipolar_distance(first: CameraModel, second: CameraModel, uv: FloatArray, uv_second: FloatArray) -> FloatArray:
-    """Return signed distances (n,), pixels, of points from the epipolar lines of their partners.
-
-    Args:
-        first, second: cameras.
-        uv: (n, 2) raw pixels in the first camera.
-        uv_second: (n, 2) raw pixels of the same points in the second.
-    """
-    E = essential_matrix(first, second)
-    one = np.column_stack([first.undistort(uv), np.ones(len(uv))])
-    two = np.column_stack([second.undistort(uv_second), np.ones(len(uv))])
-    lines = one @ E.T
-    focal_px = 0.5 * (second.K[0, 0] + second.K[1, 1])
-    distance: FloatArray = focal_px * np.sum(lines * two, axis=1) / np.linalg.norm(lines[:, :2], axis=1)
-    return distance
-
-
 def expected_errors(
     adjusted: Adjusted, models: Mapping[str, CameraModel], distances_m: Sequence[float] = DISTANCES_M, seed: int = 0
 ) -> list[ExpectedError]:
@@ -195,7 +178,7 @@ def expected_errors(
         for cameras in drawn:
             for index, sigma in enumerate((0.0, MARKER_SIGMA_PX)):
                 noisy = [uv + sigma * rng.standard_normal(uv.shape) for uv in pixels]
-                found = _intersect(cameras, noisy, seen)
+                found = meeting_points(cameras, noisy, seen)
                 errors[index].append(np.sum((found - points) ** 2, axis=1))
         calibration, total = (1e3 * np.sqrt(np.mean(each, axis=0)) for each in errors)
         result.append(
@@ -274,16 +257,3 @@ def _points_at(reference: CameraModel, distance_m: float) -> FloatArray:
     in_camera = distance_m * np.column_stack([xy, np.ones(len(xy))])
     points: FloatArray = in_camera @ reference.T_rig_camera[:3, :3].T + reference.center
     return points
-
-
-def _intersect(cameras: Sequence[CameraModel], pixels: Sequence[FloatArray], seen: BoolArray) -> FloatArray:
-    """Return the points (n, 3) nearest to the rays of all cameras that see them, metres, rig frame."""
-    A, b = np.zeros((seen.shape[1], 3, 3)), np.zeros((seen.shape[1], 3))
-    for model, uv, visible in zip(cameras, pixels, seen, strict=True):
-        xy1 = np.column_stack([model.undistort(np.where(np.isfinite(uv), uv, 0.0)), np.ones(len(uv))])
-        rays = xy1 @ model.T_rig_camera[:3, :3].T
-        directions = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-        across = visible[:, None, None] * (np.eye(3) - directions[:, :, None] * directions[:, None, :])
-        A += across
-        b += across @ model.center
-    return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=np.float64)

@@ -39,8 +39,8 @@ _COMMANDS: Final = {
     },
     "Look": {
         "evaluate": LazyCommand("Measure how well a part of the rig works.", "rhot.cli.main:evaluate"),
-        "get": LazyCommand("Print the last value of keys as JSON.", "rhot.cli.operate.configure:get"),
-        "watch": LazyCommand("Print messages as JSON as they arrive.", "rhot.cli.operate.configure:watch"),
+        "get": LazyCommand("Print the last value of keys as JSON.", "rhot.cli.operate.inspect:get"),
+        "watch": LazyCommand("Print messages as JSON as they arrive.", "rhot.cli.operate.inspect:watch"),
         "explain": LazyCommand(
             "Explain on one page why a moment of a recording was tracked as it was.",
             "rhot.cli.recordings.explain:explain",

@@ -6,6 +6,7 @@ With X_camera = inv(T_rig_camera) · X_rig and (x, y) = (X/Z, Y/Z), the lens ben
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -146,6 +147,23 @@ def essential_matrix(first: CameraModel, second: CameraModel) -> FloatArray:
     return E
 
 
+def epipolar_distance(first: CameraModel, second: CameraModel, uv: FloatArray, uv_second: FloatArray) -> FloatArray:
+    """Return signed distances (n,), pixels, of points from the epipolar lines of their partners.
+
+    Args:
+        first, second: cameras.
+        uv: (n, 2) raw pixels in the first camera.
+        uv_second: (n, 2) raw pixels of the same points in the second.
+    """
+    E = essential_matrix(first, second)
+    one = np.column_stack([first.undistort(uv), np.ones(len(uv))])
+    two = np.column_stack([second.undistort(uv_second), np.ones(len(uv))])
+    lines = one @ E.T
+    focal_px = 0.5 * (second.K[0, 0] + second.K[1, 1])
+    distance: FloatArray = focal_px * np.sum(lines * two, axis=1) / np.linalg.norm(lines[:, :2], axis=1)
+    return distance
+
+
 def rays_meet_ahead(
     first: CameraModel, second: CameraModel, xy: FloatArray, xy_second: FloatArray
 ) -> NDArray[np.bool_]:
@@ -163,3 +181,22 @@ def rays_meet_ahead(
     c1, c2 = d1 @ b, -(d2 @ b)
     ahead: NDArray[np.bool_] = (a22 * c1 - a12 * c2 > 0.0) & (a11 * c2 - a12 * c1 > 0.0)
     return ahead
+
+
+def meeting_points(cameras: Sequence[CameraModel], pixels: Sequence[FloatArray], seen: NDArray[np.bool_]) -> FloatArray:
+    """Return the points (n, 3) nearest to the rays of all cameras that see them, metres, rig frame.
+
+    Args:
+        cameras: C of them.
+        pixels: of each camera, (n, 2) raw; where it does not see a point, anything.
+        seen: (C, n) which camera sees which point; two or more see each.
+    """
+    A, b = np.zeros((seen.shape[1], 3, 3)), np.zeros((seen.shape[1], 3))
+    for model, uv, visible in zip(cameras, pixels, seen, strict=True):
+        xy1 = np.column_stack([model.undistort(np.where(np.isfinite(uv), uv, 0.0)), np.ones(len(uv))])
+        rays = xy1 @ model.T_rig_camera[:3, :3].T
+        directions = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        across = visible[:, None, None] * (np.eye(3) - directions[:, :, None] * directions[:, None, :])
+        A += across
+        b += across @ model.center
+    return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=np.float64)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.geometry.camera import CameraModel, essential_matrix
+from rhot.geometry.camera import CameraModel, epipolar_distance, meeting_points
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.geometry.transforms import inverse, rigid
 from rhot.rig.calibration import CameraCalibration, CamerasFile, today
@@ -132,39 +132,26 @@ def _quality(
     noise = seeded(seed, 23).normal(0.0, CORNER_SIGMA_PX, (len(cameras), len(boards), 2))
     pairs = {}
     for index, (name, (true, camera)) in enumerate(zip(list(truth)[1:], others, strict=True), start=1):
-        one = reference_found.undistort(reference.project(boards) + noise[0])
-        two = camera.undistort(true.project(boards) + noise[index])
-        lines = np.column_stack([one, np.ones(len(one))]) @ essential_matrix(reference_found, camera).T
-        off = np.sum(lines[:, :2] * two, axis=1) + lines[:, 2]
-        off_px = camera.K[0, 0] * off / np.linalg.norm(lines[:, :2], axis=1)
+        corners = reference.project(boards) + noise[0], true.project(boards) + noise[index]
+        off_px = epipolar_distance(reference_found, camera, *corners)
         pairs[f"{next(iter(truth))}-{name}"] = {"epipolar_rms_px": round(float(np.sqrt(np.mean(off_px**2))), 4)}
     expected = {}
     for distance_m in _STATED_M:
         x, y = np.meshgrid(np.linspace(-0.3, 0.3, 9) * distance_m, np.linspace(-0.2, 0.2, 7) * distance_m)
         points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, distance_m)])
-        errors = [
-            np.linalg.norm(
-                _triangulated((reference_found, camera), (reference.project(points)[seen], true.project(points)[seen]))
-                - points[seen],
-                axis=1,
-            )
-            for true, camera in others
-            if (seen := reference.contains(reference.project(points)) & true.contains(true.project(points))).any()
-        ]
+        errors = []
+        for true, camera in others:
+            pixels = reference.project(points), true.project(points)
+            seen = reference.contains(pixels[0]) & true.contains(pixels[1])
+            if seen.any():
+                uv = [one[seen] for one in pixels]
+                found_at = meeting_points((reference_found, camera), uv, np.ones((2, len(uv[0])), dtype=bool))
+                errors.append(np.linalg.norm(found_at - points[seen], axis=1))
         if errors:
             expected[f"{100 * distance_m:.0f} cm"] = {
                 "calibration": round(1e3 * float(np.median(np.concatenate(errors))), 3)
             }
     return {"pairs": pairs, "expected_error_mm": expected}
-
-
-def _triangulated(cameras: tuple[CameraModel, CameraModel], pixels: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Return the points (N, 3), metres, of pixels (N, 2) in two cameras."""
-    one, two = (camera.undistort(uv).T for camera, uv in zip(cameras, pixels, strict=True))
-    P_one, P_two = (np.column_stack([camera.R_camera_rig, camera.t_camera_rig]) for camera in cameras)
-    x, y, z, w = cv2.triangulatePoints(P_one, P_two, one, two)
-    points: FloatArray = np.column_stack([x, y, z]) / w[:, None]
-    return points
 
 
 def _board_points(rng: np.random.Generator) -> FloatArray:

@@ -15,10 +15,9 @@ from click.testing import CliRunner, Result
 
 from rhot.cli.main import main
 from rhot.errors import RhotError
-from rhot.geometry.camera import CameraModel
+from rhot.geometry.camera import CameraModel, epipolar_distance
 from rhot.rig import CamerasFile, load_rig, read_json_model
 from rhot_calibration.cameras.board.detect import detect_board
-from rhot_calibration.cameras.figures import epipolar_distance
 from rhot_calibration.cameras.pictures import read_gray
 from rhot_calibration.cameras.solve.views import Board
 

@@ -16,7 +16,8 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from rhot.cli import main
-from rhot.cli.operate.configure import json_text, parse_assignments, plain_value
+from rhot.cli.operate.configure import parse_assignments
+from rhot.cli.operate.inspect import json_text, plain_value
 from rhot.cli.options import tool_bus
 from rhot.errors import ConfigError
 from rhot.report.tables import figures_table

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from statistics import fmean
 
 import numpy as np
 
@@ -86,20 +85,17 @@ class CameraAgreement:
         """
         if not self._calibrated or self._views < _LEAST_VIEWS:
             return False
-        usual, exchanged = [], []
-        ahead, ahead_exchanged = [], []
-        for xy, valid in self._shots:
-            both = valid[0] & valid[1]
-            ahead += rays_meet_ahead(*self._pair, xy[0, both], xy[1, both]).tolist()
-            ahead_exchanged += rays_meet_ahead(*self._pair, xy[1, both], xy[0, both]).tolist()
-            usual += self.epipolar.residual(xy)[1][both].tolist()
-            exchanged += self._exchanged.residual(xy[[1, 0, *range(2, len(xy))]])[1][both].tolist()
-        if not usual:
+        # All shots at once: a service asks every second.
+        xy = np.concatenate([xy[:, valid[0] & valid[1]] for xy, valid in self._shots], axis=1)
+        if not xy.shape[1]:
             return False
-        if fmean(ahead) < 0.5 < fmean(ahead_exchanged):
+        other = xy[[1, 0, *range(2, len(xy))]]
+        if rays_meet_ahead(*self._pair, *xy[:2]).mean() < 0.5 < rays_meet_ahead(*self._pair, *other[:2]).mean():
             return True
-        worse = float(np.median(np.abs(exchanged))) >= _SWAPPED * float(np.median(np.abs(usual)))
-        return bool(self.bumped_px) and not worse
+        if not self.bumped_px:
+            return False
+        usual, exchanged = self.epipolar.residual(xy)[1], self._exchanged.residual(other)[1]
+        return bool(np.median(np.abs(exchanged)) < _SWAPPED * np.median(np.abs(usual)))
 
     def correct(self, camera: int, xy: FloatArray) -> FloatArray:
         """Return a camera's views (N, 2), normalised units, corrected for its movement since the calibration."""
