@@ -76,16 +76,16 @@ holder: $(READY)
 # Photo-real sets for `rhot evaluate pictures`: half an hour of one core each (docs/data.md).
 BLENDER := .foreign/blender/.ready
 SEEDS ?= 1
-WORLDS ?= worlds
+WORLDS ?= build/worlds
 SCORER ?= ../shared/data/rendered/score.py
 
-$(BLENDER): bench/rhot_bench/rendering/requirements.txt
+$(BLENDER): worlds/requirements.txt
 	@$(PYTHON) -m venv $(@D)
 	@$(@D)/bin/python -m pip install $(QUICKLY) --requirement $< $(COUNTED)
 	@touch $@
 
 worlds: $(BLENDER)
-	@PYTHONPATH=bench:common nice $(dir $(BLENDER))bin/python -m rhot_bench.rendering $(SEEDS) --out $(WORLDS) --scorer $(SCORER)
+	@PYTHONPATH=.:common nice $(dir $(BLENDER))bin/python -m worlds $(SEEDS) --out $(WORLDS) --scorer $(SCORER)
 
 page:
 	@$(MAKE) --no-print-directory web || echo "going on without the page Grasp"

@@ -13,12 +13,12 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rhot_bench.rendering.blender.scene import Scene
-from rhot_bench.rendering.cameras import CAMERAS
-from rhot_bench.rendering.look import Colour
-from rhot_bench.rendering.sensor import Pinhole, Sensor, jpeg, random_sensor
-from rhot_bench.rendering.truth import Seen, write_fixed, write_seen
-from rhot_bench.rendering.world import World, board_corners
+from worlds.blender.scene import Scene
+from worlds.cameras import CAMERAS
+from worlds.look import Colour
+from worlds.sensor import Pinhole, Sensor, jpeg, random_sensor
+from worlds.truth import Seen, write_fixed, write_seen
+from worlds.world import World, board_corners
 
 _LOG = logging.getLogger(__name__)
 _KEPT: Final = ".render"

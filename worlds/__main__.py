@@ -1,4 +1,4 @@
-"""Render worlds: `make worlds SEEDS="1 2"`, or `python -m rhot_bench.rendering` under a Python that has bpy."""
+"""Render worlds: `make worlds SEEDS="1 2"`, or `python -m worlds` under a Python that has bpy."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import importlib.util
 import logging
 from pathlib import Path
 
-from rhot_bench.rendering.world import make_world
+from worlds.world import make_world
 
 _LOG = logging.getLogger(__name__)
 
 
 def main() -> None:
     """Render one set of pictures for each seed, into FOLDER/world<seed>; go on where an earlier run stopped."""
-    parser = argparse.ArgumentParser(prog="python -m rhot_bench.rendering", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m worlds", description=main.__doc__)
     parser.add_argument("seeds", type=int, nargs="+", metavar="SEED", help="each seed is another world")
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="for the sets, 20 MB each")
     parser.add_argument("--samples", type=int, default=10, help="rays per pixel; default 10")
@@ -25,7 +25,7 @@ def main() -> None:
     if importlib.util.find_spec("bpy") is None:
         parser.error("this Python has no bpy; `make worlds` installs it in an environment of its own")
     # Blender takes a second to load, and is not needed for --help.
-    from rhot_bench.rendering.blender.studio import render_world  # noqa: PLC0415
+    from worlds.blender.studio import render_world  # noqa: PLC0415
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     for seed in chosen.seeds:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot_bench.rendering.hand import (
+from worlds.hand import (
     ANGLES,
     BONES,
     JOINTS,
@@ -16,8 +16,8 @@ from rhot_bench.rendering.hand import (
     joint_positions,
     marker_positions,
 )
-from rhot_bench.rendering.skin import make_skin, surface_nets, with_patch
-from rhot_bench.rendering.world import random_hand
+from worlds.skin import make_skin, surface_nets, with_patch
+from worlds.world import random_hand
 
 
 @pytest.fixture(scope="module", params=[3, 4])

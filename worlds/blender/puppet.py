@@ -9,12 +9,12 @@ import numpy as np
 from mathutils import Matrix  # type: ignore[import-not-found]
 
 from rhot.arrays import FloatArray
-from rhot_bench.rendering.blender import materials
-from rhot_bench.rendering.blender.props import UNIT, box, matrix, new_object, shade_smooth
-from rhot_bench.rendering.hand import BONES, MARKERS, Hand, bone_poses
-from rhot_bench.rendering.look import Colour, Look
-from rhot_bench.rendering.motion import States, forearm_poses
-from rhot_bench.rendering.skin import FOREARM, FOREARM_MM, Skin
+from worlds.blender import materials
+from worlds.blender.props import UNIT, box, matrix, new_object, shade_smooth
+from worlds.hand import BONES, MARKERS, Hand, bone_poses
+from worlds.look import Colour, Look
+from worlds.motion import States, forearm_poses
+from worlds.skin import FOREARM, FOREARM_MM, Skin
 
 _GROUPS: Final = (*BONES, "forearm")
 _MOTION_STEPS: Final = 3

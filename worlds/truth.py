@@ -14,8 +14,8 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation
-from rhot_bench.rendering.cameras import CAMERAS, SIZE, Camera, rig_json, shutter_projection
-from rhot_bench.rendering.hand import (
+from worlds.cameras import CAMERAS, SIZE, Camera, rig_json, shutter_projection
+from worlds.hand import (
     ANGLES,
     BONES,
     JOINTS,
@@ -24,8 +24,8 @@ from rhot_bench.rendering.hand import (
     joint_positions,
     marker_positions,
 )
-from rhot_bench.rendering.skin import Skin
-from rhot_bench.rendering.world import BOARD, World, board_corners
+from worlds.skin import Skin
+from worlds.world import BOARD, World, board_corners
 
 _STEP_NS: Final = 2_000_000
 _BEFORE_NS, _AFTER_NS = 50_000_000, 50_000_000

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_bench.rendering.cameras import SIZE, Camera, Timing, undistort
+from worlds.cameras import SIZE, Camera, Timing, undistort
 
 _PAD: Final = 6
 BLUR_PX: Final = 0.45

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhot_bench.rendering.blender.exr import read_layers
+from worlds.blender.exr import read_layers
 
 
 def attribute(name: str, kind: str, value: bytes) -> bytes:

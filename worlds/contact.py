@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_bench.rendering.hand import FINGERS, MARKERS, Hand
-from rhot_bench.rendering.motion import States
+from worlds.hand import FINGERS, MARKERS, Hand
+from worlds.motion import States
 
 _SAMPLES: Final = 5
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.distortion import distorted
-from rhot_bench.rendering.hand import rotation_xyz
+from worlds.hand import rotation_xyz
 
 SIZE: Final = (640, 480)
 """Width and height of a picture, pixels."""

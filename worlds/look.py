@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_bench.rendering.hand import MARKERS
+from worlds.hand import MARKERS
 
 Colour = tuple[float, float, float]
 

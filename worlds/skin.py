@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_bench.rendering.hand import (
+from worlds.hand import (
     BONES,
     FINGERS,
     MARKERS,

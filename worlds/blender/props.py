@@ -9,10 +9,10 @@ import numpy as np
 from mathutils import Matrix, Vector  # type: ignore[import-not-found]
 
 from rhot.arrays import FloatArray
-from rhot_bench.rendering.blender import materials
-from rhot_bench.rendering.contact import EDGE_MM, Solid
-from rhot_bench.rendering.look import Colour, Look
-from rhot_bench.rendering.world import BOARD
+from worlds.blender import materials
+from worlds.contact import EDGE_MM, Solid
+from worlds.look import Colour, Look
+from worlds.world import BOARD
 
 UNIT: Final = 0.01
 """Blender units a millimetre."""

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_bench.rendering.hand import (
+from worlds.hand import (
     ANGLES,
     DIP_OF_PIP,
     FINGERS,
@@ -20,7 +20,7 @@ from rhot_bench.rendering.hand import (
     bone_poses,
     rotation_xyz,
 )
-from rhot_bench.rendering.skin import FOREARM_MM
+from worlds.skin import FOREARM_MM
 
 PALM_DOWN: Final = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
 """World from hand: right hand, palm to the desk, fingers up in the picture."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy  # type: ignore[import-not-found]
 
-from rhot_bench.rendering.look import Colour, Paint
+from worlds.look import Colour, Paint
 
 MASKS = ("maskA", "maskB")
 """Render outputs whose red, green and blue tell thumb, index, middle and ring, little, base apart."""

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhot_bench.rendering.contact import least_gap, object_gap
-from rhot_bench.rendering.hand import MARKERS, joint_positions, marker_positions
-from rhot_bench.rendering.look import lab
-from rhot_bench.rendering.motion import fastest_tip
-from rhot_bench.rendering.skin import make_skin
-from rhot_bench.rendering.truth import Seen, write_fixed, write_seen
-from rhot_bench.rendering.world import COUNTS, World, make_world
+from worlds.contact import least_gap, object_gap
+from worlds.hand import MARKERS, joint_positions, marker_positions
+from worlds.look import lab
+from worlds.motion import fastest_tip
+from worlds.skin import make_skin
+from worlds.truth import Seen, write_fixed, write_seen
+from worlds.world import COUNTS, World, make_world
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from rhot_bench.rendering.cameras import SIZE, Camera, Timing, random_rig, shutter_projection, undistort
-from rhot_bench.rendering.sensor import Pinhole, random_sensor
+from worlds.cameras import SIZE, Camera, Timing, random_rig, shutter_projection, undistort
+from worlds.sensor import Pinhole, random_sensor
 
 TIMING = Timing(10**9, 20_000_000, 3_000_000, 5, 0.004, 0.012)
 

@@ -10,16 +10,16 @@ import bpy  # type: ignore[import-not-found]
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_bench.rendering.blender import materials
-from rhot_bench.rendering.blender.exr import read_layers
-from rhot_bench.rendering.blender.props import chessboard, furnish, grasped, matrix, new_object
-from rhot_bench.rendering.blender.puppet import Puppet, blur_motion, key
-from rhot_bench.rendering.cameras import Camera, Timing
-from rhot_bench.rendering.contact import finger_points
-from rhot_bench.rendering.motion import States, forearm_poses
-from rhot_bench.rendering.sensor import Pinhole
-from rhot_bench.rendering.skin import FOREARM_MM, make_skin
-from rhot_bench.rendering.world import World
+from worlds.blender import materials
+from worlds.blender.exr import read_layers
+from worlds.blender.props import chessboard, furnish, grasped, matrix, new_object
+from worlds.blender.puppet import Puppet, blur_motion, key
+from worlds.cameras import Camera, Timing
+from worlds.contact import finger_points
+from worlds.motion import States, forearm_poses
+from worlds.sensor import Pinhole
+from worlds.skin import FOREARM_MM, make_skin
+from worlds.world import World
 
 _FRAME0: Final = 100
 """Blender's frame at a sequence's first t_ns; a frame is a millisecond."""

@@ -10,11 +10,11 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import nearest_rotation
-from rhot_bench.rendering.cameras import SIZE, Camera, Timing, random_rig
-from rhot_bench.rendering.contact import Solid, desk_gap, finger_points, least_gap, object_gap
-from rhot_bench.rendering.hand import FINGERS, MARKERS, Hand, marker_positions, rotation_xyz
-from rhot_bench.rendering.look import Look, random_look
-from rhot_bench.rendering.motion import (
+from worlds.cameras import SIZE, Camera, Timing, random_rig
+from worlds.contact import Solid, desk_gap, finger_points, least_gap, object_gap
+from worlds.hand import FINGERS, MARKERS, Hand, marker_positions, rotation_xyz
+from worlds.look import Look, random_look
+from worlds.motion import (
     PALM_DOWN,
     POSE,
     States,
@@ -25,7 +25,7 @@ from rhot_bench.rendering.motion import (
     random_still,
     states,
 )
-from rhot_bench.rendering.skin import with_patch
+from worlds.skin import with_patch
 
 # The motion of `G2`: reach for an object, close the hand round it from above, lift, carry, put down, open.
 
