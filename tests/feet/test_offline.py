@@ -11,8 +11,6 @@ import pytest
 from click.testing import CliRunner
 from headset_feet.walked import record_walk
 
-from rhot.cli.recordings.export import export
-from rhot.cli.recordings.process import process
 from rhot.errors import ConfigError
 from rhot.rig import Rig
 from rhot.rig.template import rig_template
@@ -20,6 +18,8 @@ from rhot_bench.feet.heads import START_NS
 from rhot_bench.feet.runs import Run, play
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_sim.walker.world import WalkerWorld
+from rhot_tools.recordings.export import export
+from rhot_tools.recordings.process import process
 
 SECONDS = 3.0
 RATE_HZ = 15.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rhot.explain import Explaining, Explanation
+from rhot.core import Explaining, Explanation
 from rhot.messages import HandPose, MarkerFrame, PointSet
 from rhot.rig import Rig, load_rig, write_json_model
 from rhot.rig.template import rig_template

@@ -14,7 +14,6 @@ from click.testing import CliRunner
 from hand_messages import object_pose
 
 from rhot.anatomy.skeleton import FINGERS
-from rhot.cli.recordings.process import process
 from rhot.errors import ConfigError
 from rhot.messages import ObjectPose, encode, encoding_of
 from rhot.recording.mcap.writer import McapWriter
@@ -24,6 +23,7 @@ from rhot_sim.rendering.renderer import Renderer
 from rhot_sim.rig.folder import true_cameras, write_simulated_rig
 from rhot_sim.rig.schedule import FrameSchedule
 from rhot_sim.world.world import World
+from rhot_tools.recordings.process import process
 
 START_NS = 1_790_000_000_000_000_000
 SECONDS = 1.0

@@ -13,12 +13,12 @@ from bus_watch import PATIENCE_S, answers
 from running.rig_processes import Processes, hand_measured_after, start_rig
 
 from rhot.bus import Bus
-from rhot.keys.making import add_holder, make_keys
-from rhot.keys.roles import Holder
+from rhot.keys import Holder
 from rhot.operation.control import newest_control
 from rhot.rig.folder import RIG_FILE, load_config
 from rhot.rig.toml_edit import change_rig_file
 from rhot_sim.rig.folder import write_simulated_rig
+from rhot_tools.keys.making import add_holder, make_keys
 
 pytestmark = [pytest.mark.integration]
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from rhot.cli.init import init
 from rhot.errors import ConfigError
 from rhot.rig.folder import load_rig
 from rhot_sim.command import sim
@@ -16,6 +15,7 @@ from rhot_sim.rig.folder import with_motion
 from rhot_sim.running.calibration_run import missing_calibration
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_sim.world.world import World
+from rhot_tools.operate.init import init
 
 
 def test_it_holds_no_calibration_and_shows_what_it_is_told_to(tmp_path: Path) -> None:

@@ -23,7 +23,6 @@ from rhot.arrays import FloatArray
 from rhot.bus import Bus
 from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
-from rhot.export.source import RecordedMessages
 from rhot.messages import BoxShape, CylinderShape, HandPose, Message, ObjectPose, SphereShape
 from rhot.messages.base import wire_position
 from rhot.messages.objects import ObjectShape
@@ -40,6 +39,7 @@ from rhot_bench.tracking.tracking import scene_frames
 from rhot_objects.assemble import plan_sources
 from rhot_objects.offline import PlayedObjects
 from rhot_sim.world.world import World
+from rhot_tools.export.source import RecordedMessages
 from rhot_tools.grasp.figures import GraspFigures, grasp_figures, grasp_sections
 from rhot_tools.grasp.pickups import as_true
 from rhot_tools.grasp.session import PALM, TIPS, GraspSession, grasp_session

@@ -12,7 +12,6 @@ from typing import Final
 import numpy as np
 
 from rhot.bus import Bus, EventSubscriber, Publisher
-from rhot.keys.making import make_keys
 from rhot.messages import Marker, MarkerFrame
 from rhot.operation.supervisor import Supervisor
 from rhot.rig import BusConfig
@@ -20,6 +19,7 @@ from rhot.rig.folder import RIG_FILE, load_config
 from rhot.rig.template import rig_template
 from rhot.rig.toml_edit import change_rig_file
 from rhot_sim.running.run import free_endpoint
+from rhot_tools.keys.making import make_keys
 from rhot_tools.measures.rows import Row, Section
 
 _RATE_HZ: Final = 180.0

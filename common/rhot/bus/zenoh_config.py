@@ -11,8 +11,7 @@ import zenoh
 
 from rhot.bus.limits import MAX_MESSAGE_BYTES, MAX_QUESTION_BYTES, MAX_SAMPLE_BYTES
 from rhot.errors import BusError
-from rhot.keys.folder import credentials, load_roles
-from rhot.keys.roles import ROUTER, access_control
+from rhot.keys import ROUTER, access_control, credentials, load_roles
 from rhot.rig.bus_config import BusConfig
 
 

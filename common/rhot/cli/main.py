@@ -16,52 +16,57 @@ _COMMANDS: Final = {
         "sim": LazyCommand("Run a whole simulated rig on this machine and show how well it tracks.", extra="sim"),
     },
     "Set up": {
-        "init": LazyCommand("Make a new rig folder with a commented rig.toml.", "rhot.cli.init:init"),
+        "init": LazyCommand("Make a new rig folder with a commented rig.toml.", "rhot_tools.operate.init:init"),
         "doctor": LazyCommand(
-            "Check this machine, a rig folder and the running rig, and say what to do.", "rhot.cli.doctor:doctor"
+            "Check this machine, a rig folder and the running rig, and say what to do.",
+            "rhot_tools.operate.doctor:doctor",
         ),
         "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
-        "keys": LazyCommand("Secure the bus: certificates for machines and people.", "rhot.cli.keys:keys"),
+        "keys": LazyCommand("Secure the bus: certificates for machines and people.", "rhot_tools.keys.command:keys"),
     },
     "Run": {
         "up": LazyCommand(
-            "Run everything on the PC: router, fusion, ik, objects, feet, web page.", "rhot.cli.operate.up:up", "pc"
+            "Run everything on the PC: router, fusion, ik, objects, feet, web page.", "rhot_tools.operate.up:up", "pc"
         ),
         "start": LazyCommand(
-            "Tell every service of the rig to start at the same moment.", "rhot.cli.operate.start_stop:start"
+            "Tell every service of the rig to start at the same moment.", "rhot_tools.operate.start_stop:start"
         ),
-        "stop": LazyCommand("Tell every service of the rig to stop.", "rhot.cli.operate.start_stop:stop"),
+        "stop": LazyCommand("Tell every service of the rig to stop.", "rhot_tools.operate.start_stop:stop"),
         "status": LazyCommand(
             "Show which services are running, with their rates, losses, latency and errors.",
-            "rhot.cli.operate.status:status",
+            "rhot_tools.operate.status:status",
         ),
-        "config": LazyCommand("Show or change a running service's configuration.", "rhot.cli.operate.configure:config"),
+        "config": LazyCommand(
+            "Show or change a running service's configuration.", "rhot_tools.operate.configure:config"
+        ),
     },
     "Look": {
         "evaluate": LazyCommand("Measure how well a part of the rig works.", "rhot.cli.main:evaluate"),
-        "get": LazyCommand("Print the last value of keys as JSON.", "rhot.cli.operate.inspect:get"),
-        "watch": LazyCommand("Print messages as JSON as they arrive.", "rhot.cli.operate.inspect:watch"),
+        "get": LazyCommand("Print the last value of keys as JSON.", "rhot_tools.operate.inspect:get"),
+        "watch": LazyCommand("Print messages as JSON as they arrive.", "rhot_tools.operate.inspect:watch"),
         "explain": LazyCommand(
             "Explain on one page why a moment of a recording was tracked as it was.",
-            "rhot.cli.recordings.explain:explain",
+            "rhot_tools.explain.command:explain",
             "pc",
         ),
     },
     "Record and export": {
         "record": LazyCommand(
             "Record all that a running rig publishes into an MCAP file.",
-            "rhot.cli.recordings.record:record",
+            "rhot_tools.recordings.record:record",
             "record",
         ),
         "replay": LazyCommand(
-            "Put a recording back on the bus, as if live.", "rhot.cli.recordings.replay:replay", "record"
+            "Put a recording back on the bus, as if live.", "rhot_tools.recordings.replay:replay", "record"
         ),
         "process": LazyCommand(
-            "Track a recording offline and write the result as JSON Lines.", "rhot.cli.recordings.process:process", "pc"
+            "Track a recording offline and write the result as JSON Lines.",
+            "rhot_tools.recordings.process:process",
+            "pc",
         ),
         "export": LazyCommand(
             "Turn a recording into tables, animations (glTF, BVH) or files for labs (TRC, MOT, C3D).",
-            "rhot.cli.recordings.export:export",
+            "rhot_tools.recordings.export:export",
             "record",
         ),
     },
@@ -76,7 +81,7 @@ _COMMANDS: Final = {
         "feet": LazyCommand("Service: track feet with a depth camera on the head and ankle sensors.", extra="feet"),
         "viewer": LazyCommand("Service: serve the web page that shows the running rig.", extra="viewer"),
         "bridge": LazyCommand("Service: send what is tracked to other programs: VMC, VRChat, JSON, ….", extra="bridge"),
-        "router": LazyCommand("Service: the Zenoh router that others connect to.", "rhot.cli.operate.router:router"),
+        "router": LazyCommand("Service: the Zenoh router that others connect to.", "rhot_tools.operate.router:router"),
         "truth": LazyCommand("Service: publish the truth of the simulated world.", extra="sim"),
     },
 }

@@ -19,8 +19,7 @@ from rhot.bus import Bus, Request
 from rhot.bus.query import Answer
 from rhot.clock import LocalRigClock, NodeClock, SyncedRigClock, SystemClock
 from rhot.errors import BusError, ConfigError, DeviceError, HungDeviceError, RhotError, WireError
-from rhot.keys.folder import key_file
-from rhot.keys.roles import SERVICES
+from rhot.keys import SERVICES, key_file
 from rhot.messages import Control, ServiceStatus
 from rhot.rig.bus_config import BusConfig
 from rhot.service import configuration, systemd

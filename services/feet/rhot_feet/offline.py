@@ -11,7 +11,7 @@ from rhot.core import Output
 from rhot.errors import ConfigError
 from rhot.messages import HeadPose, Side
 from rhot.recording import Recording
-from rhot.recording.feet.tables import HEAD_FILE, HEAD_HEADER, read_table, sensor_file
+from rhot.recording.feet_tables import HEAD_FILE, HEAD_HEADER, read_table, sensor_file
 from rhot.rig import Rig
 from rhot_feet.foot_core import RIG_FRAME, FootCore
 from rhot_feet.imu.samples import ImuSamples

@@ -10,9 +10,8 @@ from statistics import median
 
 import numpy as np
 
-from rhot.core import Output
+from rhot.core import Explanation, ExplanationRow, Output
 from rhot.errors import ConfigError
-from rhot.explain import Explanation, ExplanationRow
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, Point, PointSet, PointState, Position
 from rhot.messages.base import wire_position
@@ -266,7 +265,7 @@ class FusionCore:
         return [(POINTS_KEY, points)]
 
     def explain(self) -> list[Explanation]:
-        """Return tables of the markers' state after the newest frame; see `rhot.explain`."""
+        """Return tables of the markers' state after the newest frame; see `rhot.core`."""
         return tracker_tables(self._tracker, list(self._camera_index), self._markers, self.counts, self._newest_s)
 
     def _begin(self, t_ns: int) -> int:

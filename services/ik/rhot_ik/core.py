@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rhot.core import Output
-from rhot.explain import Explanation
+from rhot.core import Explanation, Output
 from rhot.messages import FootPose, HandPose, HeadPose, ObjectPose, PointSet
 from rhot.rig import IkConfig, Rig
 from rhot_ik.hand.core import HandCore

@@ -10,7 +10,7 @@ from typing import Final
 
 from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
-from rhot.keys.folder import write_private
+from rhot.keys import write_private
 from rhot_viewer.browser.access import MIN_TOKEN_LENGTH, TOKEN_PARAMETER, Access
 
 _BYTES: Final = 24

@@ -15,12 +15,12 @@ from bus_watch import PATIENCE_S, answers, settled, until
 
 from rhot.bus import Answer, Bus, EventSubscriber, Request
 from rhot.errors import BusError, ConfigError
-from rhot.keys.making import add_holder, make_keys, remove_holder
-from rhot.keys.roles import Holder
+from rhot.keys import Holder
 from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE, load_config
 from rhot.rig.template import rig_template
 from rhot.rig.toml_edit import change_rig_file
+from rhot_tools.keys.making import add_holder, make_keys, remove_holder
 
 
 def make_secured_rig(folder: Path, port: int, namespace: str = "") -> Path:

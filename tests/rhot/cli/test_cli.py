@@ -16,13 +16,13 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from rhot.cli import main
-from rhot.cli.operate.configure import parse_assignments
-from rhot.cli.operate.inspect import json_text, plain_value
 from rhot.cli.options import tool_bus
 from rhot.errors import ConfigError
 from rhot.report.tables import figures_table
 from rhot.rig.folder import load_config
 from rhot.text import printable
+from rhot_tools.operate.configure import parse_assignments
+from rhot_tools.operate.inspect import json_text, plain_value
 
 NOBODY = "unixsock-stream//nonexistent/z.sock"
 

@@ -20,7 +20,6 @@ from running.doubling_service import (
 )
 
 from rhot.bus import Answer, Bus, Request, message_answer
-from rhot.cli.operate.start_stop import _control
 from rhot.clock import SkewedClock, SystemClock
 from rhot.errors import BusError, WireError
 from rhot.messages import ClockReply, Control, encode
@@ -29,6 +28,7 @@ from rhot.rig import BusConfig
 from rhot.service import ControlState, control_link
 from rhot.service.clock_sync import exchange_with_all
 from rhot.service.runner import serve
+from rhot_tools.operate.start_stop import _control
 
 
 async def test_waits_for_start_then_works_then_stops(router: BusConfig) -> None:

@@ -17,8 +17,8 @@ from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin
 
 from rhot.errors import ConfigError, DeviceError
-from rhot.keys.making import make_keys
 from rhot.rig import BusConfig
+from rhot_tools.keys.making import make_keys
 from rhot_viewer.browser.access import Access, Role
 from rhot_viewer.browser.guard import Guard
 from rhot_viewer.grasp import files

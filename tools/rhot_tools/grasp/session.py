@@ -10,11 +10,11 @@ import numpy as np
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import BoolArray, FloatArray
 from rhot.errors import ConfigError
-from rhot.export.poses import Motion, motions
-from rhot.export.skeleton_motion import rotations_between
 from rhot.geometry.transforms import rigid
 from rhot.messages import HandPose, Message, ObjectPose
 from rhot.messages.objects import ObjectShape
+from rhot_tools.export.poses import Motion, motions
+from rhot_tools.export.skeleton_motion import rotations_between
 
 TIPS = tuple(JOINTS.index(f"{finger}_tip") for finger in FINGERS)
 """Of the five fingers, in the order of `FINGERS`, thumb first."""

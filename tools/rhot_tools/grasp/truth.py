@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from rhot.anatomy.skeleton import JOINTS
-from rhot.export.poses import motions
 from rhot.messages import Message, ObjectPose, Truth
 from rhot.messages.base import Pose
+from rhot_tools.export.poses import motions
 from rhot_tools.grasp.pickups import as_true
 from rhot_tools.grasp.session import GraspSession, poses_at
 

@@ -18,12 +18,10 @@ from rich.console import Console
 from rhot.arrays import FloatArray, ImageArray
 from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError, RhotError
-from rhot.export.source import RecordedMessages
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, Point
 from rhot.offline import marker_frames, rig_timing, track
 from rhot.recording import MarkerTrack, load_recording
-from rhot.recording.mcap.beside import pictures_beside
 from rhot.rig import BusConfig, Rig, load_rig
 from rhot.rig.colors import load_colors
 from rhot.rig.folder import write_text_atomic
@@ -34,9 +32,11 @@ from rhot_capture.sources.pictures import read_pictures
 from rhot_capture.timing import row_time_ns
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.rig.schedule import FrameSchedule
+from rhot_tools.export.source import RecordedMessages
 from rhot_tools.measures.html import html_report
 from rhot_tools.measures.output import json_option, page_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
+from rhot_tools.recordings.beside import pictures_beside
 from rhot_tools.rig.depth import depth_plot, depth_sections
 from rhot_tools.rig.grasps import grasps
 from rhot_tools.rig.heard import Heard, listen

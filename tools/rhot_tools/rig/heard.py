@@ -12,8 +12,8 @@ from rhot.bus import Bus
 from rhot.errors import BusError
 from rhot.messages import Control, HandPose, MarkerFrame, Message, ObjectPose, PointSet, ServiceStatus, Truth
 from rhot.operation.control import newest_control
-from rhot.operation.live_rig import measured_rig_clock
 from rhot.rig import BusConfig
+from rhot_tools.operate.live_rig import measured_rig_clock
 
 _CONNECT_S: Final = 5.0
 _MODELS: Final[dict[str, type[Message]]] = {

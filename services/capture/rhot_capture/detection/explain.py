@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from rhot.arrays import ImageArray
+from rhot.core import Explanation, ExplanationRow, Outline, PictureExplanation, Verdict
 from rhot.errors import ConfigError
-from rhot.explain import Explanation, ExplanationRow, Outline, PictureExplanation, Verdict
 from rhot.geometry.region import Region
 from rhot.recording import PictureTrack, VideoTrack
 from rhot.recording.camera_picture import jpeg_of

@@ -12,8 +12,7 @@ import numpy as np
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import BoolArray
-from rhot.core import Output
-from rhot.explain import Explanation, ExplanationRow
+from rhot.core import Explanation, ExplanationRow, Output
 from rhot.geometry.covariances import has_covariance, stated_covariance
 from rhot.messages import FingerAngles, HandPose, ObjectPose, ObjectShape, Point, PointSet, Side
 from rhot.rig import IkConfig, MarkerConfig, Rig
@@ -342,7 +341,7 @@ class HandCore:
             self._objects[pose.shape] = pose.t_ns, shape
 
     def explain(self) -> list[Explanation]:
-        """Return what is known of each hand after the newest points, and why; see `rhot.explain`."""
+        """Return what is known of each hand after the newest points, and why; see `rhot.core`."""
         return [table for side, solver in self._solvers.items() for table in solver_tables(side, solver)]
 
     def _observation(self, points: PointSet, base_name: str, solver: HandSolver) -> HandObservation:

@@ -15,8 +15,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from rhot.errors import ConfigError, DeviceError, WireError
-from rhot.keys.folder import certificate_file, key_file
-from rhot.keys.roles import ROUTER
+from rhot.keys import ROUTER, certificate_file, key_file
 from rhot.rig import BusConfig
 from rhot_viewer.browser.access import Role, cannot_listen, is_websocket
 from rhot_viewer.browser.guard import Guard

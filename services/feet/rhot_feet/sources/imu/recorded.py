@@ -3,7 +3,7 @@
 Four headers are understood; of the first three further columns are left alone: `t,qw,qx,qy,qz,lax,lay,laz` (orientation
 and linear acceleration), `t,ax,ay,az,gx,gy,gz` (specific force and angular rate; seconds, m/s², rad/s), that of x-io's
 loggers with `Gyroscope X (deg/s)` … `Accelerometer Z (g)`, and that of `rhot record --frames`
-(`rhot.recording.feet.tables`), which holds the samples as the tracker used them.
+(`rhot.recording.feet_tables`), which holds the samples as the tracker used them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
-from rhot.recording.feet.tables import SENSOR_HEADER, read_table
+from rhot.recording.feet_tables import SENSOR_HEADER, read_table
 from rhot_feet.imu.conversion import FusedImuConverter, RawImuConverter
 from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
 

@@ -1,1 +1,0 @@
-"""Recordings for Foxglove and Lichtblick."""

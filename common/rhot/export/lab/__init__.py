@@ -1,1 +1,0 @@
-"""Files of biomechanics: TRC and MOT for OpenSim, C3D."""

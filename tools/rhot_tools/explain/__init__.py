@@ -1,0 +1,1 @@
+"""`rhot explain`: why a moment of a recording was tracked as it was."""

@@ -1,0 +1,127 @@
+"""`rhot explain`: how one moment of a recording was tracked and why, as an HTML page."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+import click
+from rich.console import Console
+
+from rhot.cli.options import FiniteRange, rig_option
+from rhot.core import Explaining, Explanation, PictureExplanation
+from rhot.offline import core, marker_frames, rig_timing, track_with
+from rhot.plugins import load_plugin
+from rhot.recording import PictureTrack, Recording, VideoTrack, load_recording
+from rhot.recording.mcap.reader import open_mcap
+from rhot.rig import Rig, load_rig
+from rhot.rig.folder import write_text_atomic
+from rhot_tools.explain.findings import in_short, published_then
+from rhot_tools.explain.moment import Moment, moment_of_folder, moment_of_mcap
+from rhot_tools.explain.page import explanation_page
+from rhot_tools.explain.trace import trace_of
+from rhot_tools.recordings.beside import attached_rig, pictures_beside
+from rhot_tools.recordings.span import newest
+
+_DETECTION_LEAD: Final = 30
+"""Pictures before the one to explain: detection uses up to ten previous ones, and searches everywhere every thirty."""
+
+
+def _time(_: click.Context, __: click.Parameter, text: str) -> float:
+    """Return seconds, or nanoseconds since 1970 as an exact integer."""
+    try:
+        value = int(text) if text.isdecimal() else float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or value < 0:
+        raise click.BadParameter(f"{text!r} is not a time; give seconds such as 12.5, or a message's t_ns")
+    return value
+
+
+@click.command()
+@click.argument("recording_path", metavar="RECORDING", type=click.Path(path_type=Path))
+@click.option(
+    "--at",
+    metavar="TIME",
+    callback=_time,
+    required=True,
+    help="Seconds after the first marker frame, or the t_ns of a message.",
+)
+@click.option(
+    "--out",
+    "out_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("explain.html"),
+    show_default=True,
+    help="Page to write.",
+)
+@click.option(
+    "--lead",
+    "lead_s",
+    type=FiniteRange(0.1, 3600),
+    default=10.0,
+    show_default=True,
+    help="Seconds before the moment to process, so that the filters reach the state they had then.",
+)
+@rig_option
+@click.pass_context
+def explain(
+    context: click.Context, recording_path: Path, at: float, out_path: Path, lead_s: float, rig_path: Path
+) -> None:
+    """Explain how one moment of a recording was tracked, as an HTML page to attach to a bug report.
+
+    RECORDING is an MCAP file of `rhot record`, or a folder of pictures, videos or marker tracks. The same code as in
+    the live rig processes the seconds before that moment. The page shows the pictures, if `rhot record --frames` took
+    them, with every candidate and why it was accepted or rejected, the gates, the filters and the hand. The rig is the
+    one stored in the recording, unless --rig names another.
+
+    \b
+    rhot explain grasp.mcap --at 12.5 --out report.html
+    """
+    given = context.get_parameter_source("rig_path") is not click.core.ParameterSource.DEFAULT
+    with ExitStack() as stack:
+        if recording_path.is_dir():
+            rig = load_rig(rig_path)
+            moment = moment_of_folder(
+                load_recording(recording_path, rig_timing(rig)), lambda part: marker_frames(rig, part), at, lead_s
+            )
+        else:
+            messages = open_mcap(recording_path)
+            carried = messages.attachments
+            rig = load_rig(rig_path) if given else stack.enter_context(attached_rig(carried, recording_path))
+            moment = moment_of_mcap(messages, pictures_beside(recording_path), at, lead_s)
+        page = _page(rig, moment, recording_path, lead_s)
+    write_text_atomic(out_path, page)
+    console = Console(soft_wrap=True, markup=False)
+    console.print(f"{out_path}: {len(page) / 1e3:.0f} kB, {moment.since_s:.3f} s into the recording")
+
+
+def _page(rig: Rig, moment: Moment, path: Path, lead_s: float) -> str:
+    fusion, ik = core("fusion")(rig), core("ik")(rig)
+    trace = trace_of(moment.t_ns, track_with(fusion, ik, moment.frames))
+    tables: list[Explanation] = []
+    for stage in (fusion, ik):
+        if isinstance(stage, Explaining):
+            tables += stage.explain()
+    pictures = {} if moment.pictures is None else _explained(rig, moment.pictures)
+    about = (
+        f"{path}, {moment.since_s:.3f} s after its first marker frame, t_ns {moment.t_ns} on the rig clock. "
+        f"Rig {rig.config.name}, fusion method {rig.config.fusion.method}, hand solver {rig.config.ik.solver}. "
+        f"Recomputed from the preceding {lead_s:g} s at most: {len(moment.frames)} marker frames."
+    )
+    first = [in_short(rig, trace, pictures), *published_then(moment, trace)]
+    return explanation_page(f"{path.name} at {moment.since_s:.3f} s", about, rig, trace, first, pictures, tables)
+
+
+def _explained(rig: Rig, pictures: Recording) -> dict[str, PictureExplanation]:
+    """Return the explanation of each camera's last picture; empty without `colors.json`."""
+    if not rig.colors_path.exists():
+        return {}
+    explain_last = load_plugin("rhot.explainers", "capture", "explaining pictures", "capture")
+    return {
+        name: explain_last(rig, newest(track, _DETECTION_LEAD + 1))
+        for name, track in pictures.cameras.items()
+        if name in rig.cameras and isinstance(track, PictureTrack | VideoTrack)
+    }

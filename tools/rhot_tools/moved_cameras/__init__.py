@@ -1,1 +1,0 @@
-"""`rhot evaluate calibration`: does the calibration still hold?."""

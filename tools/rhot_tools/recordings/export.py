@@ -1,0 +1,295 @@
+"""`rhot export`: a recording as tables, as an animation, or for a viewer of robots' data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import click
+import numpy as np
+from rich.console import Console
+
+from rhot.atomic_file import replacing
+from rhot.cli.options import FiniteRange
+from rhot.errors import ConfigError
+from rhot.messages import Side
+from rhot.rig import CameraCalibration, Rig, load_rig
+from rhot.rig.folder import write_text_atomic
+from rhot_tools.export.bvh import RIG_TO_FILE, STAGE_TO_FILE, bvh_text
+from rhot_tools.export.c3d_file import MOST_FRAMES, write_c3d
+from rhot_tools.export.columns import tables
+from rhot_tools.export.frames import frames_of
+from rhot_tools.export.gltf import gltf_document
+from rhot_tools.export.opensim import coordinates_deg, mot_text, trc_text
+from rhot_tools.export.poses import Motion, motions
+from rhot_tools.export.rerun_file import write_rerun
+from rhot_tools.export.skeleton_motion import skeleton_motion
+from rhot_tools.export.source import RecordedMessages, joined_parts
+from rhot_tools.export.stage_axes import NO_STAGE, stage_of
+from rhot_tools.export.table_files import write_csv, write_parquet
+from rhot_tools.recordings.beside import StoredPicture, attached_rig, pictures_beside, stored_pictures
+from rhot_tools.trial.verdict import judged_recording
+
+# The files of `rhot export` that hold motion: BVH, TRC, MOT, C3D and glTF, in the stage where the floor is known.
+
+
+@dataclass(frozen=True, slots=True)
+class MotionTargets:
+    """What to write; None = not asked for.
+
+    Attributes:
+        bvh, trc, mot, c3d, gltf: files.
+        bvh_name: which motion goes into the BVH file, such as `hand_left` or `body`.
+        rate_hz: frames per second; None = as recorded.
+    """
+
+    bvh: Path | None
+    trc: Path | None
+    mot: Path | None
+    c3d: Path | None
+    gltf: Path | None
+    bvh_name: str | None
+    rate_hz: float | None
+
+    @property
+    def any(self) -> bool:
+        """Whether there is something to write."""
+        return any(file is not None for file in (self.bvh, self.trc, self.mot, self.c3d, self.gltf))
+
+
+def write_motion_files(targets: MotionTargets, found: dict[str, Motion], *, in_stage: bool) -> None:
+    """Write motions and say what was written.
+
+    Args:
+        targets: what to write.
+        found: the motions by name, in the stage or in the rig frame.
+        in_stage: which of the two.
+
+    Raises:
+        ConfigError: there is nothing to write, or a file cannot be written.
+    """
+    if targets.bvh is not None:
+        _write_bvh(targets.bvh, _chosen(found, targets.bvh_name), targets.rate_hz, in_stage=in_stage)
+    every = [motion for _, motion in sorted(found.items())]
+    lab = (targets.trc, targets.mot, targets.c3d, targets.gltf)
+    if any(file is not None for file in lab) and not every:
+        raise ConfigError("the recording holds no hand, body, foot, object or head to export")
+    if targets.gltf is not None:
+        document = gltf_document(every, "stage" if in_stage else "rig")
+        with replacing(targets.gltf) as part:
+            part.write_bytes(document.binary() if targets.gltf.suffix == ".glb" else document.text().encode())
+        click.echo(f"{targets.gltf}: {', '.join(motion.name for motion in every)}, metres")
+    if not any(file is not None for file in lab[:3]):
+        return
+    frames = frames_of(every, targets.rate_hz)
+    told = f"{len(frames.t_s)} frames at {frames.rate_hz:.3f} Hz"
+    if targets.trc is not None:
+        write_text_atomic(targets.trc, trc_text(frames, targets.trc.name))
+        click.echo(f"{targets.trc}: {len(frames.markers)} markers, {told}, metres")
+    if targets.mot is not None:
+        if not frames.angles:
+            raise ConfigError("--mot: the recording holds no joint angles; hands and bodies have them")
+        write_text_atomic(targets.mot, mot_text(frames, targets.mot.stem))
+        click.echo(f"{targets.mot}: {len(coordinates_deg(frames))} angles, {told}, degrees")
+    if targets.c3d is not None:
+        files = write_c3d(targets.c3d, frames, y_up=in_stage)
+        parts = f", in {len(files)} files of at most {MOST_FRAMES} frames" if len(files) > 1 else ""
+        click.echo(f"{files[0]}: {len(frames.markers)} markers, {told}, millimetres{parts}")
+
+
+def _chosen(found: dict[str, Motion], name: str | None) -> Motion:
+    """Return the motion for the BVH file: the one that was named, else the only hand, else the only thing."""
+    names = ", ".join(sorted(found)) or "nothing that moves"
+    if name is not None:
+        if name not in found:
+            raise ConfigError(f"the recording holds no complete pose of {name}; there is {names}")
+        return found[name]
+    hands = [each for each in found if each.startswith("hand_")]
+    if len(hands) > 1:
+        raise ConfigError("the recording holds both hands; choose one with --hand left or --hand right")
+    if hands:
+        return found[hands[0]]
+    if len(found) == 1:
+        return next(iter(found.values()))
+    raise ConfigError(f"the recording holds no complete pose of a hand, but {names}; choose with --bvh-of")
+
+
+def _write_bvh(file: Path, motion: Motion, rate_hz: float | None, *, in_stage: bool) -> None:
+    skeleton = skeleton_motion(motion, rate_hz)
+    write_text_atomic(file, bvh_text(skeleton, STAGE_TO_FILE if in_stage else RIG_TO_FILE))
+    console = Console(soft_wrap=True, markup=False)
+    console.print(f"{file}: {motion.name}, {len(skeleton.root)} frames of {1e3 * skeleton.interval_s:.3f} ms, cm")
+    if rate_hz is None:
+        error_mm = 1e3 * float(np.linalg.norm(skeleton.positions() - motion.positions, axis=-1).max())
+        console.print(f"joints within {error_mm:.4f} mm of the recording, constant bone lengths")
+        if skeleton.timing_error_s > skeleton.interval_s / 2.0:
+            console.print(
+                f"poses came unevenly: up to {1e3 * skeleton.timing_error_s:.1f} ms from the time of their frame; "
+                "--fps 60 puts them at their times",
+                style="yellow",
+            )
+    if motion.incomplete:
+        console.print(f"{motion.incomplete} poses lack joints and are left out", style="yellow")
+
+
+# `rhot export`: a recording as tables, as an animation, or for a viewer of robots' data.
+
+_FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+def _attached_rig(parts: Sequence[RecordedMessages]) -> Rig | None:
+    """Return the rig that a recording has attached; None where it has none."""
+    for part in parts:
+        if part.attachments:
+            with attached_rig(part.attachments, part.path) as rig:
+                return rig
+    return None
+
+
+def _write_tables(parts: Sequence[RecordedMessages], csv_folder: Path | None, parquet_folder: Path | None) -> None:
+    made = tables(chain.from_iterable(parts))
+    if not made:
+        raise ConfigError(f"{parts[0].path}: holds no hand, body, foot, points, object or markers to export")
+    written = [] if csv_folder is None else write_csv(csv_folder, made)
+    written += [] if parquet_folder is None else write_parquet(parquet_folder, made)
+    rows = {table.name: len(table.order()) for table in made}
+    for path in written:
+        click.echo(f"{path}: {rows[path.stem]} rows")
+
+
+def _write_viewer_files(
+    parts: Sequence[RecordedMessages],
+    cameras: Mapping[str, CameraCalibration],
+    foxglove_file: Path | None,
+    rerun_file: Path | None,
+) -> None:
+    if foxglove_file is not None:
+        try:
+            from rhot_tools.export.foxglove import write_foxglove  # noqa: PLC0415  # its extra may be absent
+        except ModuleNotFoundError as error:
+            raise ConfigError(
+                f"--foxglove needs the Python module {error.name}; pip install 'rhot[foxglove]'"
+            ) from error
+        topics = write_foxglove(foxglove_file, chain.from_iterable(parts), dict(cameras), _pictures(parts))
+        click.echo(f"{foxglove_file}: {sum(topics.values())} messages on {len(topics)} topics")
+    if rerun_file is not None:
+        count = write_rerun(rerun_file, chain.from_iterable(parts), dict(cameras), _pictures(parts))
+        click.echo(f"{rerun_file}: {count} messages")
+
+
+def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
+    beside = (pictures_beside(part.path) for part in parts)
+    # Parts of one recording share a folder.
+    folders = {recording.path: recording for recording in beside if recording is not None}
+    return [picture for recording in folders.values() for picture in stored_pictures(recording)]
+
+
+@click.command()
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--csv", "csv_folder", type=click.Path(path_type=Path, file_okay=False), help="Folder for CSV tables.")
+@click.option(
+    "--parquet", "parquet_folder", type=click.Path(path_type=Path, file_okay=False), help="Folder for Parquet tables."
+)
+@click.option("--bvh", type=_FILE, help="BVH animation of one hand, or of what --bvh-of names.")
+@click.option("--gltf", type=_FILE, help="Animated glTF scene, .glb or .gltf, for Blender, engines and browsers.")
+@click.option("--trc", type=_FILE, help="Markers for OpenSim.")
+@click.option("--mot", type=_FILE, help="Joint angles for OpenSim.")
+@click.option("--c3d", type=_FILE, help="Markers for Mokka, Visual3D, MATLAB and others.")
+@click.option(
+    "--foxglove",
+    "foxglove_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="MCAP file for Foxglove and Lichtblick.",
+)
+@click.option("--rerun", "rerun_file", type=click.Path(path_type=Path, dir_okay=False), help="RRD file for Rerun.")
+@click.option("--hand", "side", type=click.Choice(["left", "right"]), help="With --bvh: which hand, if there are both.")
+@click.option("--bvh-of", metavar="NAME", help="With --bvh: body, foot_left, object_cup, … in place of a hand.")
+@click.option(
+    "--fps",
+    "rate_hz",
+    type=FiniteRange(1, 1000),
+    help="Frames per second of BVH, TRC, MOT and C3D, interpolated.  [default: the recorded rate; BVH: one frame per "
+    "recorded pose]",
+)
+@click.option("--join", is_flag=True, help="The files are parts of one recording of `rhot record --max-mb`.")
+@click.option("--measured", is_flag=True, help="Leave out poses that are only predicted; not with tables and viewers.")
+@click.option(
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Rig folder that knows the floor, where the recording does not.",
+)
+def export(
+    files: tuple[Path, ...],
+    csv_folder: Path | None,
+    parquet_folder: Path | None,
+    bvh: Path | None,
+    gltf: Path | None,
+    trc: Path | None,
+    mot: Path | None,
+    c3d: Path | None,
+    foxglove_file: Path | None,
+    rerun_file: Path | None,
+    side: Side | None,
+    bvh_of: str | None,
+    rate_hz: float | None,
+    join: bool,
+    measured: bool,
+    rig_path: Path | None,
+) -> int:
+    """Turn a recording into tables, animations, files for labs, or files for Foxglove, Lichtblick and Rerun.
+
+    FILE is an MCAP file of `rhot record`, or JSON Lines of `rhot process`. Parts of one recording need --join.
+
+    Tables (CSV, Parquet), in the rig frame: one for each hand, body, foot, object and camera and one for the points. A
+    row is one moment, t_s counts seconds from the first row of any table, t_ns nanoseconds since 1970 on the rig clock;
+    lengths are metres, angles radians, quaternions qx qy qz qw.
+
+    Motion (glTF, BVH, TRC, MOT, C3D), in the stage: y up, origin on the floor, as the recording or the rig folder knows
+    it. Time 0 is the first pose. TRC and glTF are in metres, BVH in centimetres, C3D in millimetres, MOT in degrees.
+    docs/export.md says what to open them with.
+
+    Files for viewers show hands, points, objects, cameras and markers, over the pictures where `rhot record --frames`
+    wrote them beside the recording.
+
+    \b
+    rhot export grasp.mcap --csv tables
+    rhot export grasp.mcap --gltf grasp.glb --bvh grasp.bvh --fps 60
+    rhot export grasp.mcap --trc grasp.trc --mot grasp.mot --c3d grasp.c3d
+    rhot export grasp.mcap --foxglove grasp.foxglove.mcap --rerun grasp.rrd
+    """
+    bvh_name = bvh_of or (None if side is None else f"hand_{side}")
+    targets = MotionTargets(bvh, trc, mot, c3d, gltf, bvh_name, rate_hz)
+    if not targets.any and all(each is None for each in (csv_folder, parquet_folder, foxglove_file, rerun_file)):
+        raise click.UsageError(
+            "say what to write: --csv, --parquet, --gltf, --bvh, --trc, --mot, --c3d, --foxglove or --rerun"
+        )
+    if foxglove_file is not None and foxglove_file.resolve() in [file.resolve() for file in files]:
+        raise click.UsageError(f"--foxglove {foxglove_file} is the recording itself; choose another name")
+    if len(files) > 1 and not join:
+        raise click.UsageError("several files: --join makes one of the parts of a recording; export others one by one")
+    parts = joined_parts(files) if join else [RecordedMessages(files[0])]
+    errors = Console(stderr=True, soft_wrap=True, markup=False)
+    for part in parts:
+        if part.note:
+            errors.print(part.note, style="yellow")
+    if csv_folder is not None or parquet_folder is not None:
+        _write_tables(parts, csv_folder, parquet_folder)
+    rig = _attached_rig(parts) if rig_path is None else load_rig(rig_path)
+    if targets.any:
+        T_stage_rig = stage_of(chain.from_iterable(parts), rig)
+        found = motions(chain.from_iterable(parts), measured=measured)
+        if T_stage_rig is None:
+            errors.print(NO_STAGE, style="yellow")
+        else:
+            found = {name: motion.moved(T_stage_rig) for name, motion in found.items()}
+        write_motion_files(targets, found, in_stage=T_stage_rig is not None)
+    _write_viewer_files(parts, {} if rig is None else rig.cameras, foxglove_file, rerun_file)
+    invalid = sum(part.invalid for part in parts)
+    if invalid:
+        errors.print(f"{invalid} messages are not valid and are left out", style="yellow")
+    verdict = judged_recording(parts, rig)
+    verdict.print(errors)
+    return verdict.exit_code

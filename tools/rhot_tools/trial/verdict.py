@@ -1,0 +1,387 @@
+"""The verdict on a trial: can its hands be used, and if not, why.
+
+It is made from the messages alone, so that `rhot process`, `rhot record` and `rhot export` say the same of the same
+trial. What it looks at: how much of what two cameras saw became a measured point, whether the hand fits its markers,
+impossible jumps, whether the cameras stand as they were calibrated, and what the services themselves complained of.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Final, Literal
+
+import numpy as np
+from rich.console import Console
+from rich.text import Text
+
+from rhot.arrays import FloatArray
+from rhot.errors import CalibrationError
+from rhot.geometry.camera import CameraModel, rays_meet_ahead
+from rhot.messages import HandPose, MarkerFrame, Message, PointSet, ServiceStatus
+from rhot.report.tables import figures_table
+from rhot.rig import Rig
+from rhot.text import printable
+from rhot_tools.trial.calibration_check import CalibrationReport, judge_calibration
+from rhot_tools.trial.epipolar_residuals import LEAST_OBSERVATIONS, Track, Tracks, pair_residuals
+from rhot_tools.trial.marker_tracks import TrackGatherer
+
+Level = Literal["good", "doubtful", "not usable"]
+_LEVELS: Final = ("good", "doubtful", "not usable")
+_COLORS: Final = {"good": "green", "doubtful": "yellow", "not usable": "red"}
+
+LEAST_FRAMES: Final = 60
+"""Marker frames below which a trial is too short for a verdict: half a second of two cameras at 60 Hz. Chosen."""
+_UNMEASURED: Final = (0.2, 0.5)
+"""Share of what two cameras saw that became no measured point, beyond which a trial is doubtful, and not usable.
+Rendered and simulated sequences have 0 to 0.1; swapped or moved cameras 0.9 to 1."""
+_FIT_M: Final = (0.006, 0.015)
+"""Median residual of the fingertips that two cameras see. Hands that fit leave 0.5 to 2 mm, the wrong side 28 to 38."""
+_JUMP_M_S: Final = 8.0
+"""Speed of a measured point between two samples; a fingertip in a fast tap reaches 3 m/s."""
+_JUMP_M: Final = 0.02
+"""Shorter steps are noise, however soon after one another the samples are."""
+_JUMPS: Final = (0.001, 0.01)
+"""Share of steps that are jumps."""
+_EPIPOLAR: Final = 4.0
+"""Times the limit of a pair's systematic epipolar residual beyond which a trial is not usable."""
+_BEHIND: Final = 0.5
+_SWAP_RATIO: Final = 0.5
+"""Cameras are swapped if exchanging them puts most points before them, or leaves less than half the residual."""
+_STEP_S: Final = 0.1
+_PROBLEM_SHARE: Final = 0.2
+"""A complaint of a service counts if it stood in so many of its statuses: many pass while a rig starts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong with a trial, as a sentence."""
+
+    level: Level
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class TrialVerdict:
+    """The verdict.
+
+    Attributes:
+        figures: name, value with its unit, and what it means, for a table.
+        findings: what is wrong, causes before what follows from them; empty = nothing.
+        judged: whether there was enough to judge by.
+    """
+
+    figures: tuple[tuple[str, str, str], ...]
+    findings: tuple[Finding, ...]
+    judged: bool = True
+
+    @property
+    def level(self) -> Level:
+        """The worst of all findings."""
+        return max((finding.level for finding in self.findings), key=_LEVELS.index, default="good")
+
+    @property
+    def exit_code(self) -> int:
+        """1 for a trial that cannot be used."""
+        return 1 if self.level == "not usable" else 0
+
+    def print(self, console: Console) -> None:
+        """Print figures, findings and the verdict."""
+        if not self.judged:
+            return
+        table = figures_table("trial", "value")
+        table.add_column("")
+        for row in self.figures:
+            table.add_row(*row)
+        console.print(table)
+        for finding in self.findings:
+            console.print(Text(f"{finding.level}: {printable(finding.text, 500)}", style=_COLORS[finding.level]))
+        console.print(Text(f"verdict: {self.level}", style=f"bold {_COLORS[self.level]}"))
+
+
+@dataclass(slots=True)
+class _Hand:
+    """What is gathered of one hand; times in nanoseconds, residuals in metres."""
+
+    poses: int = 0
+    measured_ns: list[int] = field(default_factory=list)
+    residuals_m: list[float] = field(default_factory=list)
+
+
+class TrialJudge:
+    """Gathers the messages of one trial.
+
+    Args:
+        rig: that the trial was recorded with; without one the cameras are not judged, and fingers are taken to be
+            named like their markers.
+    """
+
+    def __init__(self, rig: Rig | None = None) -> None:
+        self._rig = rig
+        self._cameras = {} if rig is None else {n: CameraModel.from_calibration(c) for n, c in rig.cameras.items()}
+        self._tracks = TrackGatherer(self._cameras)
+        self._seen: defaultdict[str, Counter[str]] = defaultdict(Counter)
+        self._frames: Counter[str] = Counter()
+        self._measured: Counter[str] = Counter()
+        self._sets = 0
+        self._span_ns = [1 << 63, 0]
+        self._points: PointSet | None = None
+        self._hands: dict[str, _Hand] = {}
+        self._last: dict[str, tuple[int, FloatArray]] = {}
+        self._steps = self._jumps = 0
+        self._largest_jump_m = 0.0
+        self._statuses: Counter[str] = Counter()
+        self._problems: defaultdict[str, Counter[str]] = defaultdict(Counter)
+        self._finger_of = {} if rig is None else _fingers_by_marker(rig)
+
+    def add(self, message: Message) -> None:
+        """Add a message, in the order of the recording."""
+        if isinstance(message, MarkerFrame):
+            self._frames[message.camera] += 1
+            self._seen[message.camera].update(message.markers.keys())
+            self._span_ns = [min(self._span_ns[0], message.t_ns), max(self._span_ns[1], message.t_ns)]
+            self._tracks.add([message])
+        elif isinstance(message, PointSet):
+            self._add_points(message)
+        elif isinstance(message, HandPose):
+            self._add_hand(message)
+        elif isinstance(message, ServiceStatus) and message.state == "running":
+            self._statuses[message.service] += 1
+            if message.problem:
+                self._problems[message.service][message.problem] += 1
+
+    def add_all(self, messages: Iterable[tuple[str, Message]]) -> None:
+        """Add the messages of a recording."""
+        for _, message in messages:
+            self.add(message)
+
+    def _add_points(self, points: PointSet) -> None:
+        self._points = points
+        self._sets += 1
+        for name, point in points.points.items():
+            if point.state != "measured":
+                self._last.pop(name, None)
+                continue
+            self._measured[name] += 1
+            position = np.array(point.position)
+            before_ns, before = self._last.get(name, (0, position))
+            elapsed_s = (points.t_ns - before_ns) * 1e-9
+            if 0.0 < elapsed_s <= _STEP_S:
+                step_m = float(np.linalg.norm(position - before))
+                self._steps += 1
+                if step_m > _JUMP_M and step_m > _JUMP_M_S * elapsed_s:
+                    self._jumps += 1
+                    self._largest_jump_m = max(self._largest_jump_m, step_m)
+            self._last[name] = points.t_ns, position
+
+    def _add_hand(self, hand: HandPose) -> None:
+        kept = self._hands.setdefault(hand.side, _Hand())
+        kept.poses += 1
+        if hand.state == "measured":
+            kept.measured_ns.append(hand.t_ns)
+        points = self._points
+        if points is None or abs(points.t_ns - hand.t_ns) > 1_000_000:
+            return
+        markers = self._finger_of.get(hand.side, {})
+        misses = [
+            miss_m
+            for finger, miss_m in hand.residual.items()
+            if (tip := points.points.get(markers.get(finger, finger))) is not None and tip.state == "measured"
+        ]
+        if len(misses) > 1:
+            kept.residuals_m.append(sum(misses) / len(misses))
+
+    def verdict(self, problems: Mapping[str, str] | None = None) -> TrialVerdict:
+        """Return the verdict on what was added; `problems` are those of the cores that tracked it, by their names."""
+        if sum(self._frames.values()) < LEAST_FRAMES:
+            return TrialVerdict((), (), judged=False)
+        figures: list[tuple[str, str, str]] = []
+        seconds = 1e-9 * (self._span_ns[1] - self._span_ns[0])
+        counts = ", ".join(f"{name} {count}" for name, count in sorted(self._frames.items()))
+        figures.append(("length", f"{seconds:.1f} s", f"frames: {counts}"))
+        coverage = self._judge_coverage(figures)
+        hands = self._judge_hands(figures)
+        jumps = self._judge_jumps(figures)
+        cameras = self._judge_cameras(figures)
+        stated = self._stated(problems or {})
+        # Fusion complains of the cameras, and they are judged here over the whole trial; ik knows best why a hand
+        # does not fit.
+        if cameras:
+            stated.pop("fusion", None)
+        if "ik" in stated:
+            hands = []
+        told = [Finding("not usable", text) for texts in stated.values() for text in texts]
+        # Causes before what follows from them.
+        return TrialVerdict(tuple(figures), (*cameras, *told, *hands, *jumps, *coverage))
+
+    def _stated(self, problems: Mapping[str, str]) -> dict[str, list[str]]:
+        """Return what the services complained of for long, by service."""
+        found = {service: [text] for service, text in problems.items() if text}
+        for service, counts in self._problems.items():
+            often = [text for text, count in counts.items() if count > _PROBLEM_SHARE * self._statuses[service]]
+            if often:
+                found.setdefault(service, []).extend(often)
+        return found
+
+    def _judge_coverage(self, figures: list[tuple[str, str, str]]) -> list[Finding]:
+        """Judge how much of what two cameras saw became a measured point."""
+        names = {name for seen in self._seen.values() for name in seen}
+        shares = {}
+        for name in names:
+            by_camera = sorted((seen[name] / self._frames[camera] for camera, seen in self._seen.items()), reverse=True)
+            shares[name] = by_camera[1] if len(by_camera) > 1 else 0.0
+        visible = sum(shares.values())
+        if not visible:
+            return [Finding("not usable", "no two cameras saw the same marker: are colours calibrated, and both on?")]
+        measured = sum(self._measured[name] / max(self._sets, 1) for name in names)
+        coverage = min(measured / visible, 1.0)
+        figures.append(("in view", f"{100 * visible / len(names):.1f} %", "of markers, by two cameras, on average"))
+        figures.append(("measured", f"{100 * coverage:.1f} %", "of what two cameras saw"))
+        level = _worse(1.0 - coverage, _UNMEASURED)
+        if level == "good":
+            return []
+        return [Finding(level, f"only {100 * coverage:.0f} % of what two cameras saw became a measured point")]
+
+    def _judge_hands(self, figures: list[tuple[str, str, str]]) -> list[Finding]:
+        """Judge whether the hands fit their markers, and whether there are any."""
+        findings = []
+        for side, hand in sorted(self._hands.items()):
+            share = len(hand.measured_ns) / hand.poses
+            longest_s = 1e-9 * float(np.diff(hand.measured_ns).max()) if len(hand.measured_ns) > 1 else 0.0
+            about = f"of {hand.poses} poses; longest gap {longest_s:.2f} s"
+            figures.append((f"{side} hand, measured", f"{100 * share:.1f} %", about))
+            if not hand.residuals_m:
+                continue
+            fit_m, p95_m = (float(np.percentile(hand.residuals_m, share)) for share in (50, 95))
+            about = f"median residual of fingertips; 95th percentile {1e3 * p95_m:.1f} mm"
+            figures.append((f"{side} hand, fit", f"{1e3 * fit_m:.1f} mm", about))
+            level = _worse(fit_m, _FIT_M)
+            if level != "good":
+                told = f"the {side} hand does not fit its markers: {1e3 * fit_m:.0f} mm, 1 to 2 are usual"
+                findings.append(Finding(level, told))
+        if self._rig is not None and self._rig.config.sides and not self._hands:
+            told = "no hand was found: are the cameras named as in rig.toml, and colours calibrated?"
+            findings.append(Finding("not usable", told))
+        return findings
+
+    def _judge_jumps(self, figures: list[tuple[str, str, str]]) -> list[Finding]:
+        share = self._jumps / self._steps if self._steps else 0.0
+        about = f"of {self._steps} steps of measured points, over {_JUMP_M_S:g} m/s"
+        figures.append(("jumps", str(self._jumps), about))
+        level = _worse(share, _JUMPS)
+        if level == "good":
+            return []
+        return [
+            Finding(level, f"measured points jump {self._jumps} times, by up to {1e3 * self._largest_jump_m:.0f} mm")
+        ]
+
+    def _judge_cameras(self, figures: list[tuple[str, str, str]]) -> list[Finding]:
+        """Judge whether the cameras stand as they were calibrated, and are not swapped."""
+        rig = self._rig
+        if rig is None or len(self._cameras) < 2:
+            return []
+        tracks, periods_s = self._tracks.tracks(), self._tracks.periods_s()
+        findings = [
+            Finding(
+                "not usable",
+                f"cameras {first} and {second} are swapped: exchange the folders (or the plugs), or their names in "
+                "rig.toml",
+            )
+            for first, second in combinations(self._cameras, 2)
+            if _swapped(first, second, tracks, self._cameras, periods_s)
+        ]
+        if not rig.calibrated:
+            figures.append(("cameras", "–", "not calibrated: taken as parallel, as rig.toml places them"))
+            return findings
+        try:
+            report = judge_calibration(tracks, self._cameras, periods_s, rig.quality)
+        except CalibrationError:
+            # Too few common views; the coverage says so.
+            return findings
+        shift_px = max(pair.systematic_px for pair in report.pairs)
+        figures.append(("epipolar shift", f"{shift_px:.2f} px", f"since calibration; cameras: {report.verdict}"))
+        if report.verdict != "good" and not findings:
+            findings.append(Finding(_moved_level(report), _moved_text(report, shift_px)))
+        return findings
+
+
+def _moved_level(report: CalibrationReport) -> Level:
+    far = any(pair.systematic_px > _EPIPOLAR * pair.limit_px for pair in report.pairs)
+    return "not usable" if far else "doubtful"
+
+
+def _moved_text(report: CalibrationReport, shift_px: float) -> str:
+    which = f"camera {report.moved} has" if report.moved else "a camera has"
+    return (
+        f"{which} moved since the calibration: views are {shift_px:.1f} px off their epipolar lines; "
+        "`rhot calibrate cameras` again (`rhot evaluate calibration` says more)"
+    )
+
+
+def _worse(value: float, limits: tuple[float, float]) -> Level:
+    """Return the level of a figure that is the worse the larger it is."""
+    doubtful, unusable = limits
+    return "not usable" if value > unusable else "doubtful" if value > doubtful else "good"
+
+
+def _fingers_by_marker(rig: Rig) -> dict[str, dict[str, str]]:
+    """Return the marker of each fingertip by hand and finger."""
+    found: dict[str, dict[str, str]] = {}
+    for name, marker in rig.config.markers.items():
+        if marker.joint.endswith("_tip"):
+            found.setdefault(marker.hand, {})[marker.joint.removesuffix("_tip")] = name
+    return found
+
+
+def _swapped(
+    first: str, second: str, tracks: Tracks, cameras: dict[str, CameraModel], periods_s: dict[str, float]
+) -> bool:
+    """Return whether two cameras' views fit far better when they are exchanged.
+
+    Either their rays then meet in front of the cameras and not behind, or on their epipolar lines and not beside.
+    """
+    usual = _pair_fit(first, second, tracks, cameras, periods_s)
+    exchanged = {first: _renormalised(tracks[second], cameras[second], cameras[first])}
+    exchanged[second] = _renormalised(tracks[first], cameras[first], cameras[second])
+    periods = {first: periods_s[second], second: periods_s[first]}
+    other = _pair_fit(first, second, exchanged, cameras, periods)
+    if usual is None or other is None:
+        return False
+    (residual_px, ahead), (other_px, other_ahead) = usual, other
+    limit_px = 2.0
+    if ahead < _BEHIND < other_ahead and other_px < residual_px + limit_px:
+        return True
+    return residual_px > limit_px and other_px < _SWAP_RATIO * residual_px and other_ahead > _BEHIND
+
+
+def _renormalised(tracks: Mapping[str, Track], taken: CameraModel, belongs: CameraModel) -> dict[str, Track]:
+    """Return tracks that were undistorted with one camera's lens as if by that of the camera that they belong to."""
+    at_unit = CameraModel.from_arrays(taken.width, taken.height, taken.K, taken.distortion, np.eye(4))
+    return {
+        name: Track(track.t_s, belongs.undistort(at_unit.project(np.column_stack([track.xy, np.ones(len(track.xy))]))))
+        for name, track in tracks.items()
+    }
+
+
+def _pair_fit(
+    first: str, second: str, tracks: Tracks, cameras: dict[str, CameraModel], periods_s: dict[str, float]
+) -> tuple[float, float] | None:
+    """Return the median epipolar residual, pixels, and the share of views whose rays meet in front of both cameras.
+
+    None with too few common views.
+    """
+    pair = pair_residuals(first, second, tracks, cameras, periods_s)
+    if len(pair.t_s) < LEAST_OBSERVATIONS:
+        return None
+    ahead = rays_meet_ahead(cameras[first], cameras[second], pair.xy_first, pair.xy)
+    return float(np.median(np.abs(pair.residual_px))), float(np.mean(ahead))
+
+
+def judged_recording(parts: Iterable[Iterable[tuple[str, Message]]], rig: Rig | None) -> TrialVerdict:
+    """Return the verdict on the messages of a recording, in parts."""
+    judge = TrialJudge(rig)
+    for part in parts:
+        judge.add_all(part)
+    return judge.verdict()
