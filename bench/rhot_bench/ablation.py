@@ -1,16 +1,19 @@
 """`rhot evaluate ablation`: what each term and each number of fusion and ik earns.
 
-Every number of `FilterSettings`, `HandSettings` and `BlendSettings` is halved and doubled, and every term of `TERMS`
-is switched off, one at a time. Each variant tracks the same detected markers, of sets of rendered pictures and of rigs
+Every constant of the modules of both estimators is halved and doubled, and every term of `TERMS` is switched off, one
+at a time. Each variant tracks the same detected markers, of sets of rendered pictures and of rigs
 of the motion family. A figure is the mean over these worlds; its change is told against the tracker as it is.
 """
 
 from __future__ import annotations
 
+import inspect
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -30,9 +33,6 @@ from rhot_bench.motion.tracks import Tracks, make_tracks
 from rhot_bench.pictures.rendered import SEQUENCES, Measures, at_rate_of, found_markers, prepare_rig, require_pictures
 from rhot_bench.pictures.scoring import score_messages
 from rhot_bench.processes import each
-from rhot_fusion.filter.settings import DEFAULT
-from rhot_ik.hand.blending import BlendSettings
-from rhot_ik.hand.filter.settings import HandSettings
 from rhot_tools.measures.output import counted, json_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 
@@ -40,37 +40,59 @@ EARNS: Final = 3.0
 """Change of a figure, percent (of coverage and honesty: points), from which on a term or a number earns its place."""
 
 Change = tuple[tuple[str, str, Any], ...]
-"""Group, field and value of everything that a variant changes."""
+"""Module, name and value of everything that a variant changes; a dot in the name: an attribute of it."""
+
+_MODULES: Final = (
+    "rhot_fusion.filter.acquisition",
+    "rhot_fusion.filter.joint",
+    "rhot_fusion.filter.motion",
+    "rhot_fusion.filter.paint",
+    "rhot_fusion.filter.smoothing.smoother",
+    "rhot_fusion.filter.systematic",
+    "rhot_fusion.filter.tracker",
+    "rhot_fusion.filter.tracks",
+    "rhot_fusion.filter.visible_side",
+    "rhot_ik.hand.blending",
+    "rhot_ik.hand.solver",
+    "rhot_ik.hand.filter.evidence",
+    "rhot_ik.hand.filter.filter",
+    "rhot_ik.hand.filter.process",
+)
+_MOTION, _PAINT, _HAND = "rhot_fusion.filter.motion", "rhot_fusion.filter.paint", "rhot_ik.hand.filter.filter"
+_TRACKS, _SOLVER = "rhot_fusion.filter.tracks", "rhot_ik.hand.solver"
 
 TERMS: Final[Mapping[str, Change]] = {
-    "correlated acceleration": (("motion", "persists_s", 1e-3),),
-    "rotation of the hand in the motion model": (("motion", "turning", 1e-6),),
-    "fingers come to rest": (("motion", "joining_s", 1e6),),
-    "abrupt stops": (("motion", "abrupt", 0.0),),
-    "several noise intensities": (("motion", "scales", (1.6,)), ("motion", "shares", (1.0,))),
-    "pixel noise is learnt": (("noise", "first_weight", 1e12),),
-    "inflation gate": (("track", "inflation_gate", 1e12),),
-    "reacquisition gate": (("track", "reacquisition_gate", 25.0),),
-    "relocation": (("track", "relocations", 10**9),),
-    "one camera initialises a marker": (("track", "ray_views", 10**9),),
-    "depth from the hand's other markers": (("track", "depth_markers", 10**9),),
-    "hidden strip shifts the centroid": (("paint", "shift", 0.0), ("paint", "doubt", 0.0)),
-    "side of the paint that is seen": (("paint", "side", 0.0),),
-    "direction of the adjoining skin": (("paint", "least_skin", 10.0),),
-    "paint cut off by the border": (("paint", "cut", 0.0),),
-    "reappearing paint": (("paint", "appearing", 0.0),),
-    "slivers of paint": (("paint", "sliver_doubt", 0.0),),
-    "paint hidden from all cameras": (("paint", "hidden", 0.0),),
-    "error of the calibration": (("systematic", "doubt", 0.0),),
-    "error of the paint model": (("systematic", "shape", 0.0),),
-    "bridge to a re-appearance (smoothing)": (("bridge", "lasts_s", 0.0),),
-    "palm shares the patch's offset": (("hand", "palm_share", 0.0),),
-    "fast fingers diffuse faster": (("hand", "most_activity", 1.0),),
-    "outliers of tips lose weight": (("hand", "outlier", 1e6),),
-    "outliers of the patch lose weight": (("hand", "turn_outlier", 1e6),),
-    "a lost hand is looked for again": (("hand", "lost_s", 1e9),),
-    "a quarter turn is corrected": (("hand", "quarter_turn", 1e9),),
-    "fingers blend in": (("blend", "step_m", 1e3), ("blend", "first_m", 1e3)),
+    "correlated acceleration": ((_MOTION, "_PERSISTS_S", 1e-3),),
+    "rotation of the hand in the motion model": ((_MOTION, "_TURNING", 1e-6),),
+    "fingers come to rest": ((_MOTION, "_JOINING_S", 1e6),),
+    "abrupt stops": ((_MOTION, "_ABRUPT", 0.0),),
+    "several noise intensities": (
+        ("rhot_fusion.filter.joint", "SCALES", (1.6,)),
+        ("rhot_fusion.filter.joint", "SHARES", (1.0,)),
+    ),
+    "pixel noise is learnt": (("rhot_fusion.filter.tracker", "_FIRST_WEIGHT", 1e12),),
+    "inflation gate": ((_TRACKS, "CALIBRATED.inflation_gate", 1e12),),
+    "reacquisition gate": ((_TRACKS, "CALIBRATED.reacquisition_gate", 25.0),),
+    "relocation": ((_TRACKS, "_RELOCATIONS", 10**9),),
+    "one camera initialises a marker": ((_TRACKS, "_RAY_VIEWS", 10**9),),
+    "depth from the hand's other markers": (("rhot_fusion.filter.acquisition", "_DEPTH_MARKERS", 10**9),),
+    "hidden strip shifts the centroid": ((_PAINT, "_SHIFT", 0.0), (_PAINT, "_DOUBT", 0.0)),
+    "side of the paint that is seen": ((_PAINT, "_SIDE", 0.0),),
+    "direction of the adjoining skin": (("rhot_fusion.filter.visible_side", "_LEAST_SKIN", 10.0),),
+    "paint cut off by the border": ((_PAINT, "_CUT", 0.0),),
+    "reappearing paint": ((_PAINT, "_APPEARING", 0.0),),
+    "slivers of paint": ((_PAINT, "_SLIVER_DOUBT", 0.0),),
+    "paint hidden from all cameras": ((_PAINT, "_HIDDEN", 0.0),),
+    "error of the calibration": (("rhot_fusion.filter.systematic", "CALIBRATION_DOUBT", 0.0),),
+    "error of the paint model": (("rhot_fusion.filter.systematic", "_SHAPE", 0.0),),
+    "bridge to a re-appearance (smoothing)": (("rhot_fusion.filter.smoothing.smoother", "_BRIDGE_S", 0.0),),
+    "palm shares the patch's offset": ((_SOLVER, "_PALM_SHARE", 0.0),),
+    "fast fingers diffuse faster": ((_HAND, "_MOST_ACTIVITY", 1.0),),
+    "outliers of tips lose weight": ((_HAND, "_OUTLIER", 1e6),),
+    "outliers of the patch lose weight": ((_HAND, "_TURN_OUTLIER", 1e6),),
+    "a lost hand is looked for again": ((_SOLVER, "_LOST_S", 1e9),),
+    "a quarter turn is corrected": ((_SOLVER, "_QUARTER_TURN", 1e9),),
+    "fingers blend in": (("rhot_ik.hand.blending", "_STEP_M", 1e3), ("rhot_ik.hand.blending", "_FIRST_M", 1e3)),
 }
 
 
@@ -104,21 +126,19 @@ class Task:
 
 @contextmanager
 def changed(change: Change) -> Iterator[None]:
-    """Run the tracker with other values; they are frozen for everybody but an ablation."""
+    """Run the tracker with other values of its constants, also in modules that import them."""
     undo: list[tuple[Any, str, Any]] = []
-    made = {"hand": HandSettings, "blend": BlendSettings}
-    for group, name, value in change:
-        if group in made:
-            # Made anew for each hand: the defaults of the constructor are what counts.
-            init: Any = vars(made[group])["__init__"]
-            names = [field.name for field in fields(made[group])]
-            undo.append((init, "__defaults__", init.__defaults__))
-            values = dict(zip(names, init.__defaults__ or (), strict=True)) | {name: value}
-            init.__defaults__ = tuple(values.values())
-        else:
-            part = getattr(DEFAULT, group)
-            undo.append((part, name, getattr(part, name)))
-            object.__setattr__(part, name, value)
+    for module, name, value in change:
+        whole, _, part = name.partition(".")
+        constant = getattr(import_module(module), whole)
+        if part:
+            undo.append((constant, part, getattr(constant, part)))
+            object.__setattr__(constant, part, value)
+            continue
+        for other in [sys.modules[one] for one in _MODULES if one in sys.modules]:
+            if other.__dict__.get(name) is constant:
+                undo.append((other, name, constant))
+                setattr(other, name, value)
     try:
         yield
     finally:
@@ -127,21 +147,31 @@ def changed(change: Change) -> Iterator[None]:
 
 
 def variants() -> dict[str, Change]:
-    """Return every term switched off and every number halved and doubled, by name."""
+    """Return every term switched off and every constant halved and doubled, by name."""
     found = {f"without: {name}": change for name, change in TERMS.items()}
-    groups = {part.name: getattr(DEFAULT, part.name) for part in fields(DEFAULT)}
-    for group, settings in {**groups, "hand": HandSettings(), "blend": BlendSettings()}.items():
-        for field in fields(settings):
-            value = getattr(settings, field.name)
-            for factor in (0.5, 2.0):
-                found[f"{group}.{field.name} × {factor:g}"] = ((group, field.name, _scaled(value, factor)),)
+    for module in _MODULES:
+        for name, value in vars(import_module(module)).items():
+            # An imported constant is varied where it is defined; whole numbers count rows and cameras.
+            if name.isupper() and _is_measure(value) and f"\n{name}: Final" in _source(module):
+                for factor in (0.5, 2.0):
+                    key = f"{module.removeprefix('rhot_')}.{name.lower().lstrip('_')} × {factor:g}"
+                    found[key] = ((module, name, _scaled(value, factor)),)
     return found
+
+
+def _is_measure(value: Any) -> bool:
+    return isinstance(value, float) or (isinstance(value, tuple) and all(isinstance(one, float) for one in value))
+
+
+@cache
+def _source(module: str) -> str:
+    return inspect.getsource(import_module(module))
 
 
 def _scaled(value: Any, factor: float) -> Any:
     if isinstance(value, tuple):
         return tuple(_scaled(one, factor) for one in value)
-    return round(value * factor) if isinstance(value, int) else value * factor
+    return value * factor
 
 
 def run_variant(task: Task) -> tuple[str, dict[str, float]]:

@@ -18,10 +18,9 @@ from rhot.messages.base import wire_position
 from rhot.plugins import load_plugin
 from rhot.rig import FusionConfig, Rig
 from rhot_fusion.filter.joint import squared_distance
-from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.state import ROUND
 from rhot_fusion.filter.tracker import FilterTracker
-from rhot_fusion.filter.tracks import TrackStatus
+from rhot_fusion.filter.tracks import GATE, TrackStatus
 from rhot_fusion.views.corners import Corners, PatchCorners
 from rhot_fusion.views.guard import StreamGuard
 from rhot_fusion.views.sightings import Outcome, Sightings, Tracker, nearest_border
@@ -79,7 +78,7 @@ def _gates(tracker: FilterTracker, cameras: Sequence[str], markers: Sequence[str
         ),
         tuple(rows),
         "Innovation: observation minus the filter's prediction. Sigma: its standard deviation, including an allowance "
-        f"for occluded paint. Observations with a Mahalanobis distance above {DEFAULT.track.gate**0.5:.0f} are "
+        f"for occluded paint. Observations with a Mahalanobis distance above {GATE**0.5:.0f} are "
         "rejected.",
     )
 

@@ -15,8 +15,8 @@ from rhot.messages import PointSet
 from rhot.rig import Rig
 from rhot_fusion.core import FusionCore
 from rhot_fusion.filter.acquisition import hands_of
-from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.tracker import FilterTracker
+from rhot_fusion.filter.tracks import LOST_M
 from rhot_fusion.views.vectors import vector
 
 MakeRig = Callable[..., Rig]
@@ -168,7 +168,7 @@ def test_slow_cameras_out_of_step_begin_a_hand(make_rig: MakeRig) -> None:
     late = [points for points in sets if points.t_ns - EPOCH_NS > 1.0e9]
     assert all(points.points[name].state == "measured" for points in late for name in MARKERS)
     sigma_m = [point.sigma for points in sets for point in points.points.values()]
-    assert max(sigma_m) <= DEFAULT.track.lost_m, "what may be anywhere is not published"
+    assert max(sigma_m) <= LOST_M, "what may be anywhere is not published"
 
 
 def test_a_marker_seen_by_one_camera_grows_less_sure(make_rig: MakeRig) -> None:
@@ -307,9 +307,7 @@ def test_a_straight_finger_reaches_as_far_as_its_model(make_rig: MakeRig) -> Non
     side = rig.config.markers["base"].hand
     model = HandModel.from_file(rig.hand, side)
     places = model.marker_positions(model.forward(np.eye(4), np.zeros((5, 4))), rig.config.markers)
-    (hand,) = hands_of(
-        rig, [CameraModel.from_calibration(camera) for camera in rig.cameras.values()], DEFAULT, record=False
-    )
+    (hand,) = hands_of(rig, [CameraModel.from_calibration(camera) for camera in rig.cameras.values()], record=False)
     for k, marker in enumerate(hand.markers):
         name = list(rig.config.markers)[marker]
         hand.filter.begin(k, np.concatenate([places[name], np.zeros(3)]), np.eye(6), 0.0)

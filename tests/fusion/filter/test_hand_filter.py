@@ -13,11 +13,11 @@ from rhot.arrays import FloatArray
 from rhot_fusion.filter.initialisation import View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.motion import motion_of
-from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.smoothing.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
-from rhot_fusion.filter.systematic import Systematic
+from rhot_fusion.filter.systematic import CALIBRATION_DOUBT, Systematic
 from rhot_fusion.filter.tracker import CameraNoise, stated_px
+from rhot_fusion.filter.tracks import CALIBRATED, GATE
 
 COUNT = 6
 SHAPE = np.random.default_rng(3).uniform(-0.06, 0.06, (COUNT, 3))
@@ -47,11 +47,11 @@ def run(
     seconds: float = 3.0,
     seed: int = 0,
     path: Callable[[float], FloatArray] = truth,
-    far: float = DEFAULT.track.inflation_gate,
+    far: float = CALIBRATED.inflation_gate,
 ) -> Run:
     """Two cameras 0.4 of a period out of step, rows 3 ms apart, through a filter that begins at the truth."""
     rng = np.random.default_rng(seed)
-    hand = JointFilter(COUNT, DEFAULT.motion, DEFAULT.track.gate)
+    hand = JointFilter(COUNT, GATE)
     start = np.diag([1e-6] * 3 + [0.25] * 3)
     index, delta = np.arange(COUNT), np.linspace(-0.003, 0.003, COUNT)
     variance = np.tile(ROUND * (noise_px / FOCAL_PX) ** 2, (COUNT, 1))
@@ -98,7 +98,7 @@ def test_a_moving_hand_before_cameras_out_of_step(rate_hz: float, median_mm: flo
 
 def test_looking_back_is_better_than_looking_ahead() -> None:
     done = run(0.1, 30.0)
-    nodes: list[Node] = smooth(done.frames, COUNT, DEFAULT, lambda frames, _: [frame.views for frame in frames])
+    nodes: list[Node] = smooth(done.frames, COUNT, CALIBRATED, lambda frames, _: [frame.views for frame in frames])
     late = done.t_s > 0.5
     back = np.array([node.position - truth(node.t_s) for node in nodes])[late]
     assert np.median(np.linalg.norm(back, axis=2)) < 0.7 * np.median(np.linalg.norm(done.error[late], axis=2))
@@ -108,7 +108,7 @@ def test_looking_back_is_better_than_looking_ahead() -> None:
 
 
 def test_a_hidden_marker_goes_with_its_hand() -> None:
-    hand = JointFilter(COUNT, DEFAULT.motion, DEFAULT.track.gate)
+    hand = JointFilter(COUNT, GATE)
     for marker in range(COUNT):
         mean = np.concatenate([truth(0.0)[marker], [0.5, 0.0, 0.0]])
         hand.begin(marker, mean, np.diag([1e-8] * 3 + [0.01] * 3), 0.0)
@@ -127,7 +127,7 @@ def test_a_hidden_marker_goes_with_its_hand() -> None:
 
 
 def test_an_outlier_is_rejected_and_does_not_change_the_state() -> None:
-    hand = JointFilter(COUNT, DEFAULT.motion, DEFAULT.track.gate)
+    hand = JointFilter(COUNT, GATE)
     for marker in range(COUNT):
         hand.begin(marker, np.concatenate([truth(0.0)[marker], np.zeros(3)]), np.diag([1e-8] * 3 + [1e-4] * 3), 0.0)
     local = CAMERAS[0].to_camera(truth(0.0))
@@ -142,7 +142,7 @@ def test_an_outlier_is_rejected_and_does_not_change_the_state() -> None:
 
 
 def test_a_covariance_that_rounding_has_eaten_ends_nothing() -> None:
-    hand = JointFilter(COUNT, DEFAULT.motion, np.inf)
+    hand = JointFilter(COUNT, np.inf)
     hand.begin(0, np.array([0.0, 0.0, 0.8, 0.0, 0.0, 0.0]), 1e-6 * np.eye(6), 0.0)
     hand.state = replace(hand.state, P=hand.state.P - 1e-3 * np.eye(len(hand.state.x)))
     before = hand.state.x.copy()
@@ -164,7 +164,7 @@ def test_two_views_begin_a_marker_where_it_is() -> None:
     views[1].xy[1] += 5.0 / FOCAL_PX
     off = from_views(views, 0.011, np.zeros(3), 0.01)
     assert off is not None
-    assert off.misfit > DEFAULT.track.initialisation_gate
+    assert off.misfit > 16.0
 
 
 @pytest.mark.parametrize("variance", [1e9, 1e10, 1e11])
@@ -177,10 +177,10 @@ def test_an_uninformative_view_does_not_initialise_a_marker(variance: float) -> 
     assert initial is None or initial.covariance.diagonal().min() > 0.0
 
 
-def test_noise_and_transition_of_a_motion_compose() -> None:
+def test_noise_and_transition_of_a_motion_compose(monkeypatch: pytest.MonkeyPatch) -> None:
     """Law of every linear motion: two steps are one step of the sum, in mean and in noise."""
-    settings = replace(DEFAULT.motion, joining_s=np.inf)
-    motion = motion_of(SHAPE, np.ones(COUNT, dtype=bool), settings)
+    monkeypatch.setattr("rhot_fusion.filter.motion._JOINING_S", np.inf)
+    motion = motion_of(SHAPE, np.ones(COUNT, dtype=bool))
     for dt in (0.001, 0.008, 0.05, 0.3):
         F, Q = motion.transition(dt), motion.noise(dt)
         assert np.allclose(F @ F, motion.transition(2.0 * dt), atol=1e-9)
@@ -189,7 +189,7 @@ def test_noise_and_transition_of_a_motion_compose() -> None:
 
 
 def test_accelerations_are_shared_and_have_a_covariance() -> None:
-    Q = motion_of(SHAPE, np.ones(COUNT, dtype=bool), DEFAULT.motion).noise(0.1)
+    Q = motion_of(SHAPE, np.ones(COUNT, dtype=bool)).noise(0.1)
     assert np.allclose(Q, Q.T)
     assert np.linalg.eigvalsh(Q).min() > -1e-12
     velocity = Q[3 * COUNT : 6 * COUNT, 3 * COUNT : 6 * COUNT]
@@ -216,7 +216,7 @@ def _curled(t_s: float) -> FloatArray:
 def test_a_finger_that_curls_while_the_others_rest_is_followed() -> None:
     """The hand's scale stays that of rest; a marker that surprises is known to be less certain."""
     errors = []
-    for far in (DEFAULT.track.inflation_gate, np.inf):
+    for far in (CALIBRATED.inflation_gate, np.inf):
         runs = [run(0.1, 30.0, 1.3, seed, _curled, far) for seed in range(4)]
         during = (runs[0].t_s > 1.0) & (runs[0].t_s < 1.24)
         every = np.stack([np.linalg.norm(one.error[during], axis=2) for one in runs])
@@ -228,8 +228,8 @@ def test_a_finger_that_curls_while_the_others_rest_is_followed() -> None:
 
 def test_looking_back_follows_a_finger_that_curls_while_the_others_rest() -> None:
     errors = []
-    for far in (DEFAULT.track.inflation_gate, np.inf):
-        settings = replace(DEFAULT, track=replace(DEFAULT.track, inflation_gate=far))
+    for far in (CALIBRATED.inflation_gate, np.inf):
+        settings = replace(CALIBRATED, inflation_gate=far)
         off = []
         for seed in range(4):
             frames = run(0.1, 30.0, 1.6, seed, _curled).frames
@@ -246,7 +246,7 @@ def _swung(t_s: float) -> FloatArray:
 
 
 def test_noise_is_estimated_from_innovations() -> None:
-    noise = CameraNoise(CAMERAS, DEFAULT.noise, np.zeros(2), calibrated=True)
+    noise = CameraNoise(CAMERAS, np.zeros(2), calibrated=True)
     rng = np.random.default_rng(1)
     for _ in range(400):
         known = (0.1 / FOCAL_PX) ** 2
@@ -255,16 +255,16 @@ def test_noise_is_estimated_from_innovations() -> None:
         nis = (y * y).sum(axis=1) / S[:, 0]
         noise.learn(0, Innovation(y, S, nis, np.ones(COUNT, dtype=bool), np.zeros(6)))
     assert noise.sigma_px[0] == pytest.approx(0.2, abs=0.03)
-    assert noise.sigma_px[1] == pytest.approx(DEFAULT.noise.first_px)
+    assert noise.sigma_px[1] == pytest.approx(0.3)
     quality = {"pairs": {"right-left": {"epipolar_rms_px": 0.2}}}
-    assert stated_px(["left", "right"], quality, DEFAULT.noise) == pytest.approx([0.1414, 0.1414], abs=1e-3)
+    assert stated_px(["left", "right"], quality) == pytest.approx([0.1414, 0.1414], abs=1e-3)
 
 
 def test_views_of_a_reappearing_marker_outweigh_its_prediction() -> None:
     """A marker is 15 px, three sigma, from where it was expected after it had been hidden: its prediction was wrong."""
     errors = []
     for back in (False, True):
-        hand = JointFilter(COUNT, DEFAULT.motion, DEFAULT.track.gate)
+        hand = JointFilter(COUNT, GATE)
         for marker in range(COUNT):
             sigma = 0.008 if marker == 0 else 0.0005
             covariance = np.diag([sigma**2] * 3 + [0.01] * 3)
@@ -286,8 +286,8 @@ def test_views_of_a_reappearing_marker_outweigh_its_prediction() -> None:
 
 def test_the_calibration_s_own_error_is_in_the_covariance() -> None:
     quality = {"expected_error_mm": {"50 cm": {"calibration": 0.5}, "100 cm": {"calibration": 2.0}}}
-    stated = Systematic(CAMERAS, quality, 0.1, np.zeros(1), DEFAULT.systematic)
+    stated = Systematic(CAMERAS, quality, 0.1, np.zeros(1))
     sigma_m = np.sqrt(sum(stated.covariance(0, (0.045, 0.0, 1.0))[k] for k in (0, 3, 5)))
-    assert sigma_m == pytest.approx(DEFAULT.systematic.doubt * 2e-3, rel=0.01)
-    derived = Systematic(CAMERAS, None, 0.1, np.zeros(1), DEFAULT.systematic)
+    assert sigma_m == pytest.approx(CALIBRATION_DOUBT * 2e-3, rel=0.01)
+    derived = Systematic(CAMERAS, None, 0.1, np.zeros(1))
     assert derived.covariance(0, (0.045, 0.0, 1.0))[0] > 0.0

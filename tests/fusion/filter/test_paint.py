@@ -8,14 +8,13 @@ from hands.pinholes import CAMERAS, FOCAL_PX
 
 from rhot.arrays import FloatArray
 from rhot_fusion.filter.paint import Paint
-from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.views.vectors import vector
 
 
 def half_hidden(rate_hz: float) -> tuple[Paint, FloatArray, FloatArray]:
     """Return where one camera sees half of what the other does after a third of a second, and how sure that is."""
     paint, one, depth, period_s, sure = (
-        Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint),
+        Paint(CAMERAS, np.full(1, 0.0065)),
         [0],
         [0.8],
         1.0 / rate_hz,
@@ -40,7 +39,7 @@ def test_hidden_paint_is_made_up_for_on_its_own_side() -> None:
 def test_a_small_difference_is_hardly_hidden_paint_and_a_large_one_is_all_of_it(
     missing: float, least: float, most: float
 ) -> None:
-    paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
+    paint = Paint(CAMERAS, np.full(1, 0.0065))
     for number in range(20):
         paint.correct(0, [0], number / 60.0, [100.0], [0.8], 1.0 / 60.0, [True])
         areas = [100.0 * (1.0 - missing)]
@@ -52,7 +51,7 @@ def test_a_small_difference_is_hardly_hidden_paint_and_a_large_one_is_all_of_it(
 
 def test_paint_that_no_camera_shows_leaves_its_middle_open() -> None:
     """A tip may bend away and show 0.59 of its area; of what shows a quarter, three fifths of that are missing."""
-    paint = Paint(CAMERAS, np.array([0.0065, 0.0]), DEFAULT.paint)
+    paint = Paint(CAMERAS, np.array([0.0065, 0.0]))
     width_m = 10.0 / FOCAL_PX * 0.8
     found = []
     for number, share in enumerate([1.0, 0.7, 0.25]):
@@ -66,7 +65,7 @@ def test_paint_that_no_camera_shows_leaves_its_middle_open() -> None:
 
 
 def test_what_the_pictures_border_cuts_off_is_made_up_for() -> None:
-    paint, depth_m = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), 0.8
+    paint, depth_m = Paint(CAMERAS, np.full(1, 0.0065)), 0.8
     for number in range(20):
         paint.correct(0, [0], number / 60.0, [144.0], [depth_m], 1.0 / 60.0, [True])
     # Of a square of 12 pixels the right 8 are seen: their middle is 4 from the border, the whole one's 2.
@@ -91,7 +90,7 @@ def test_what_hides_paint_for_many_frames_is_not_averaged_away() -> None:
 
 def test_a_bent_finger_is_seen_on_its_near_side() -> None:
     """A tip straight ahead that points away from the camera: its middle is nearer to the hand than what is seen."""
-    paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
+    paint = Paint(CAMERAS, np.full(1, 0.0065))
     paint.bend[0] = -0.6
     ends = np.array([[0.0, -0.05, 0.8], [0.0, 0.05, 0.78]])
     along, other = (
@@ -107,7 +106,7 @@ def test_a_camera_that_looks_along_a_finger_misses_no_paint_for_that() -> None:
     """It points away and to the left, so the right camera sees less of it; where its end curls, nobody knows that."""
     shifts_px = []
     for reach_m in (0.0, 1.0):
-        paint, far, shift = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), 0.4, np.zeros((1, 2))
+        paint, far, shift = Paint(CAMERAS, np.full(1, 0.0065)), 0.4, np.zeros((1, 2))
         direction, tip = np.array([-0.8, 0.0, 0.6]), np.array([0.045, 0.0, far])
         for number in range(60):
             for k, one in enumerate(CAMERAS):
@@ -127,7 +126,7 @@ def test_a_camera_that_looks_along_a_finger_misses_no_paint_for_that() -> None:
 
 @pytest.mark.parametrize(("share", "told"), [(0.6, 0.0), (0.8, 0.5), (1.0, 1.0)])
 def test_paint_of_a_curled_finger_indicates_its_direction_less(share: float, told: float) -> None:
-    paint = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint)
+    paint = Paint(CAMERAS, np.full(1, 0.0065))
     tip, base = (0.0, -0.05, 0.8), (0.0, 0.05, 0.8)
     (unknown,) = paint.along(0, [0], [100.0], [tip], [base], [0.0])
     (shift,) = paint.along(0, [0], [100.0], [tip], [base], [0.1 / share])
@@ -137,7 +136,7 @@ def test_paint_of_a_curled_finger_indicates_its_direction_less(share: float, tol
 
 def test_a_patch_that_is_half_hidden_is_where_it_is_seen() -> None:
     """A sleeve covers it on an unknown side: the centre may be off by 7.5 of its 30 px."""
-    paint, period_s = Paint(CAMERAS, np.zeros(1), DEFAULT.paint), 1.0 / 60.0
+    paint, period_s = Paint(CAMERAS, np.zeros(1)), 1.0 / 60.0
     for number in range(20):
         paint.correct(0, [0], number * period_s, [900.0], [0.8], period_s, [True])
         shift, doubt = paint.correct(1, [0], number * period_s + 0.005, [450.0], [0.8], period_s, [True])
@@ -147,7 +146,7 @@ def test_a_patch_that_is_half_hidden_is_where_it_is_seen() -> None:
 
 def test_uncertainty_of_a_patch_of_unknown_distance_is_limited_by_its_size() -> None:
     """One camera sees more of it than the other before anything tells how large it is."""
-    paint = Paint(CAMERAS, np.zeros(1), DEFAULT.paint)
+    paint = Paint(CAMERAS, np.zeros(1))
     paint.correct(1, [0], 0.0, [173.0], [0.75], 1.0 / 60.0, [False])
     _, doubt = paint.correct(0, [0], 0.002, [125.0], [0.75], 1.0 / 60.0, [False])
     assert 0.0 < doubt[0] * FOCAL_PX < np.sqrt(173.0)
@@ -155,7 +154,7 @@ def test_uncertainty_of_a_patch_of_unknown_distance_is_limited_by_its_size() -> 
 
 def test_paint_that_one_camera_loses_first_is_made_up_for_at_once() -> None:
     """Something passes before a thumb at 0.15 m/s, from the right: in a twentieth of a second a camera loses half."""
-    paint, period_s = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), 1.0 / 60.0
+    paint, period_s = Paint(CAMERAS, np.full(1, 0.0065)), 1.0 / 60.0
     shift, missed_px = np.zeros((1, 2)), []
     for number in range(24):
         hidden = min(max(number - 20, 0) / 6.0, 0.5)
@@ -170,7 +169,7 @@ def test_paint_that_one_camera_loses_first_is_made_up_for_at_once() -> None:
 @pytest.mark.parametrize("rate_hz", [20.0, 30.0])
 def test_a_finger_that_curls_hides_nothing_from_the_camera_that_looks_later(rate_hz: float) -> None:
     """Both cameras, out of step, see a tip shrink from 300 to 100 square pixels in 0.12 s: nothing hides any of it."""
-    paint, period_s = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), 1.0 / rate_hz
+    paint, period_s = Paint(CAMERAS, np.full(1, 0.0065)), 1.0 / rate_hz
     shifts_px = []
     for number in range(round(0.62 * rate_hz)):
         for camera, later_s in ((0, 0.0), (1, 0.3 * period_s)):
@@ -184,19 +183,19 @@ def test_a_finger_that_curls_hides_nothing_from_the_camera_that_looks_later(rate
 
 def test_skin_beside_a_curled_finger_tells_where_its_middle_is() -> None:
     """From its knuckle nothing is known of the end of a curled finger; skin above it shows that it points down."""
-    paint, tip, base = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), (0.0, 0.0, 0.8), (0.02, -0.02, 0.78)
-    reach_m, settings = 0.1, DEFAULT.paint
+    paint, tip, base = Paint(CAMERAS, np.full(1, 0.0065)), (0.0, 0.0, 0.8), (0.02, -0.02, 0.78)
+    reach_m = 0.1
     assert paint.along(0, [0], [50.0], [tip], [base], [reach_m]) == [(0.0, 0.0)]
     for number in range(30):
         paint.correct(0, [0], number / 60.0, [100.0], [0.8], 1.0 / 60.0, [True], None, np.array([[0.0, -0.2]]))
     paint.bend[0] = -0.6
     ((x, y),) = paint.along(0, [0], [50.0], [tip], [base], [reach_m])
-    assert y * 0.8 == pytest.approx(-settings.side * 0.0065 * 0.6, rel=0.15)
+    assert y * 0.8 == pytest.approx(-0.66 * 0.0065 * 0.6, rel=0.15)
     assert abs(x) < 0.2 * abs(y)
 
 
 def test_of_a_small_rest_cameras_see_different_parts() -> None:
-    paint, period_s = Paint(CAMERAS, np.full(1, 0.0065), DEFAULT.paint), 1.0 / 60.0
+    paint, period_s = Paint(CAMERAS, np.full(1, 0.0065)), 1.0 / 60.0
     for number in range(30):
         for camera in (0, 1):
             paint.correct(camera, [0], number * period_s, [150.0], [0.8], period_s, [True])

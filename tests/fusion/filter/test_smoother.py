@@ -11,9 +11,9 @@ from hands.pinholes import CAMERAS, FOCAL_PX
 
 from rhot.arrays import FloatArray
 from rhot_fusion.filter.initialisation import InitialState
-from rhot_fusion.filter.settings import DEFAULT, BridgeSettings
 from rhot_fusion.filter.smoothing.smoother import Correct, Event, Frame, Node, bridged, smooth
 from rhot_fusion.filter.state import ROUND, SHARED, State, Views
+from rhot_fusion.filter.tracks import CALIBRATED, PAIR_S
 
 PERIOD_S, NOISE_PX, ROW_S = 1.0 / 60.0, 0.1, 0.002
 PLACE = np.array([0.02, -0.01, 0.7])
@@ -61,7 +61,7 @@ def watched(
         taken = np.full(len(views.index), number >= BEGUN - 1 and number not in off_px)
         area_px = np.zeros(len(views.index))
         frames.append(Frame(number * PERIOD_S, camera, views, taken, events, views.xy, area_px))
-    return smooth(frames, 1, DEFAULT, correct)
+    return smooth(frames, 1, CALIBRATED, correct)
 
 
 @pytest.mark.parametrize(("slack_px", "shown"), [(0.0, False), (1.5, True)])
@@ -84,7 +84,7 @@ def test_a_marker_is_smoothed_back_to_its_first_consistent_views() -> None:
 
 def test_views_that_are_long_ago_are_left_alone() -> None:
     early = next(n for n, node in enumerate(watched({})) if np.isfinite(node.position[0, 0]))
-    assert (BEGUN - 1 - early) * PERIOD_S <= DEFAULT.track.pair_s + 1e-9
+    assert (BEGUN - 1 - early) * PERIOD_S <= PAIR_S + 1e-9
 
 
 def test_a_marker_that_was_reinitialised_live_is_smoothed_across() -> None:
@@ -139,7 +139,7 @@ def test_markers_of_unknown_depth_are_led_to_where_they_were_reinitialised_live(
                 events.append(Event(t_s, int(marker), initial, frames[-1], continues=number > 1))
         taken = np.full(len(views.index), True)
         frames.append(Frame(t_s, camera, views, taken, events, views.xy, np.zeros(len(views.index))))
-    nodes = smooth(frames, count, DEFAULT, as_they_are)
+    nodes = smooth(frames, count, CALIBRATED, as_they_are)
     spread_m = [np.sqrt(np.trace(node.covariance[0, :3, :3])) for node in nodes]
     off_m = [np.abs(node.position - bent(number)).max() for number, node in enumerate(nodes)]
     assert max(off_m[lost:found]) < 0.01, "81 mm where the path before is not led there"
@@ -147,7 +147,9 @@ def test_markers_of_unknown_depth_are_led_to_where_they_were_reinitialised_live(
     assert max(off_m[found + 2 : -5]) < 5e-3
 
 
-def test_a_marker_that_moved_further_than_assumed_while_hidden_is_led_there_too() -> None:
+def test_a_marker_that_moved_further_than_assumed_while_hidden_is_led_there_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     half, start_s, end_s = 3, 1.0, 1.1
     moved = PLACE + np.array([0.06, 0.0, 0.0])
     sure, x = np.zeros((2 * half + SHARED, 2 * half + SHARED)), np.zeros(2 * half + SHARED)
@@ -155,14 +157,14 @@ def test_a_marker_that_moved_further_than_assumed_while_hidden_is_led_there_too(
     alive = np.ones(1, dtype=bool)
     before = State(start_s, np.concatenate([PLACE, x[half:]]), sure, np.ones(1), alive)
     start = State(end_s, np.concatenate([moved, x[half:]]), 0.1 * sure, np.ones(1), alive)
-    stiff = replace(DEFAULT, bridge=BridgeSettings(scale=0.1))
-    led = bridged(before, 0, start, stiff)
+    monkeypatch.setattr("rhot_fusion.filter.smoothing.smoother._BRIDGE_SCALE", 0.1)
+    led = bridged(before, 0, start)
     assert np.abs(led.mean[0] - moved).max() < 0.02
     assert np.linalg.eigvalsh(led.P[:6, :6]).min() > 0.0
-    late = replace(start, t_s=start_s + 2.0 * BridgeSettings().lasts_s)
-    assert bridged(before, 0, late, DEFAULT) is before
+    late = replace(start, t_s=start_s + 0.5)
+    assert bridged(before, 0, late) is before
     on_ray = replace(start, P=1000.0 * start.P)
-    assert bridged(before, 0, on_ray, DEFAULT) is before
+    assert bridged(before, 0, on_ray) is before
 
 
 def test_covariances_stay_positive_where_one_marker_starts_anew_among_others() -> None:
@@ -182,5 +184,5 @@ def test_covariances_stay_positive_where_one_marker_starts_anew_among_others() -
         ]
         nothing = np.zeros(3, dtype=bool)
         frames.append(Frame(number * PERIOD_S, camera, views, ~nothing, events, views.xy.copy(), np.zeros(3)))
-    for node in smooth(frames, 3, DEFAULT, as_they_are):
+    for node in smooth(frames, 3, CALIBRATED, as_they_are):
         assert np.linalg.eigvalsh(node.covariance).min() > 0.0

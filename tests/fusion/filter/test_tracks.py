@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from hands.pinholes import CAMERAS
 
-from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.filter.tracks import outcome_of, within_hand
+from rhot_fusion.filter.tracks import CALIBRATED, outcome_of, within_hand
 from rhot_fusion.views.sightings import Upper
 from rhot_fusion.views.vectors import Vector
 
@@ -61,12 +60,10 @@ def test_what_is_known_worse_than_a_finger_is_broad_is_not_measured() -> None:
     """Frames that tell little, or paint that is hidden, leave it uncertain; a calibration is as good as it is."""
     places: list[Vector] = [(0.05 * k, 0.0, 0.8) for k in range(4)]
     wide: Upper = (1e-6, 0.0, 0.0, 1e-6, 0.0, 0.015**2)
-    systematic = Systematic(
-        CAMERAS, {"expected_error_mm": {"80 cm": {"calibration": 20.0}}}, 0.1, np.zeros(4), DEFAULT.systematic
-    )
+    systematic = Systematic(CAMERAS, {"expected_error_mm": {"80 cm": {"calibration": 20.0}}}, 0.1, np.zeros(4))
     seen = [[True, True, True, True], [True, True, True, False]]
     hidden_m2 = [0.0, 0.0, 0.012**2, 0.0]
-    columns = seen, systematic, DEFAULT.track
+    columns = seen, systematic, CALIBRATED
     outcome = outcome_of(0.0, places, [SHARP, wide, SHARP, SHARP], *columns, 0.0, hidden_m2)
     assert outcome.state == ["measured", "predicted", "predicted", "one_view"]
     assert outcome.measured == [True, False, False, False]

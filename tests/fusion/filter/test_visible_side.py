@@ -6,18 +6,17 @@ import pytest
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_z
 from rhot.geometry.transforms import rigid
-from rhot_fusion.filter.settings import DEFAULT
 from rhot_fusion.filter.visible_side import SkinSides, VisibleArea, visible_side
 
 K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
 PLACES = (np.eye(4), rigid(rotation_z(0.5), np.array([0.09, 0.0, 0.0])))
 CAMERAS = [CameraModel.from_arrays(640, 480, K, np.zeros(5), T) for T in PLACES]
-AREA = VisibleArea(DEFAULT.paint)
+AREA = VisibleArea()
 TIP, MIDDLE = (0.0, 0.0, 0.8), (0.0, 0.0, 0.0)
 
 
 def sides() -> SkinSides:
-    return SkinSides(CAMERAS, 2, DEFAULT.paint)
+    return SkinSides(CAMERAS, 2)
 
 
 @pytest.mark.parametrize("c", [-0.9, -0.5, -0.1])

@@ -20,7 +20,8 @@ from rhot.report.svg import line_plot
 from rhot.rig import Rig
 from rhot.rig.quality import pair_epipolar_p95_px
 from rhot_calibration.depth.fit import PhysicalLaw, PowerLaw, fit_physical_law, fit_power_law, relative_rms
-from rhot_fusion.filter.settings import DEFAULT
+from rhot_fusion.filter.systematic import CALIBRATION_DOUBT
+from rhot_fusion.filter.tracker import CALIBRATION_PX
 from rhot_tools.measures.rows import Row, Section
 from rhot_tools.rig.rows import figure_row, truth_row
 from rhot_tools.rig.statistics import COVERAGE, Figure, mean
@@ -95,7 +96,7 @@ def calibration_px(rig: Rig) -> float:
     """Return what the cameras' calibration may put a disparity off, pixels: what `fusion` takes it for."""
     names = list(rig.cameras)[:2]
     stated = pair_epipolar_p95_px(rig.quality, *names) if len(names) == 2 else None
-    return DEFAULT.systematic.doubt * (stated or DEFAULT.noise.calibration_px)
+    return CALIBRATION_DOUBT * (stated or CALIBRATION_PX)
 
 
 def row_at(distance_m: float, disparity_px: FloatArray, ruler_m: float, calibration_px: float = 0.0) -> DepthRow:

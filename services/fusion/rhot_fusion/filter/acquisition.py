@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -17,13 +18,26 @@ from rhot.messages import Position
 from rhot.rig import FusionConfig, Rig
 from rhot_fusion.filter.initialisation import InitialState, View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter
-from rhot_fusion.filter.settings import FilterSettings, TrackSettings
 from rhot_fusion.filter.smoothing.record import HandRecord
-from rhot_fusion.filter.tracks import Track, TrackStatus
+from rhot_fusion.filter.tracks import (
+    GATE,
+    LOOSE_M,
+    LOST_M,
+    LOST_PERIODS,
+    PAIR_S,
+    RAY_SIGMA_M,
+    SPEED_SIGMA,
+    Track,
+    TrackSettings,
+    TrackStatus,
+)
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.sightings import Sightings
 from rhot_fusion.views.vectors import Vector
+
+_DEPTH_MARKERS: Final = 1
+"""Markers of a hand required to estimate its depth; in a grasp the patch is often the only one."""
 
 # Candidate positions of unknown or misplaced markers, on which the newest views of two cameras agree.
 
@@ -37,12 +51,11 @@ class Candidates:
         markers: int,
         coherence: HandCoherence,
         schedule: Schedule,
-        settings: TrackSettings,
         counts: Counter[str],
     ) -> None:
         """Start without views; increments `behind_cameras` and `gated` of counts."""
         self._cameras = list(cameras)
-        self._coherence, self._schedule, self._settings, self._counts = coherence, schedule, settings, counts
+        self._coherence, self._schedule, self._counts = coherence, schedule, counts
         # Per camera: time, normalised coordinates and their variance.
         self._newest: list[dict[int, tuple[float, FloatArray, float]]] = [{} for _ in range(markers)]
 
@@ -60,8 +73,7 @@ class Candidates:
 
     def near(self, marker: int, t_s: float) -> dict[int, View]:
         """Return, by camera, the newest views of a marker close to a time."""
-        settings = self._settings
-        reach_s = min(settings.pair_s, settings.pair_periods * self._schedule.longest_period_s)
+        reach_s = min(PAIR_S, 1.6 * self._schedule.longest_period_s)
         return {
             camera: View(self._cameras[camera], seen_s, xy, variance)
             for camera, (seen_s, xy, variance) in self._newest[marker].items()
@@ -91,8 +103,7 @@ class Candidates:
         """
         if len(views) < 2:
             return None
-        settings = self._settings
-        initial = from_views(views, t_s, velocity, settings.speed_sigma)
+        initial = from_views(views, t_s, velocity, SPEED_SIGMA)
         if initial is None:
             self._counts["behind_cameras"] += 1
             return None
@@ -101,10 +112,13 @@ class Candidates:
         others = alive.copy()
         others[marker] = False
         believable = (
-            initial.misfit <= settings.initialisation_gate + 2.0 * (len(views) - 2)
+            # Squared Mahalanobis distance (1 degree of freedom) up to which two views initialise a
+            # marker: 4 sigma.
+            initial.misfit <= 16.0 + 2.0 * (len(views) - 2)
             and bool(((position >= low) & (position <= high)).all())
             and bool(self._coherence.near(np.array([marker]), position[None], known, others)[0])
-            and not (np.linalg.norm(known[others] - position, axis=1) < settings.occupied_m).any()
+            # No marker is initialised closer to another one than this, metres.
+            and not (np.linalg.norm(known[others] - position, axis=1) < 0.010).any()
         )
         self._counts["gated"] += not believable
         return initial if believable else None
@@ -186,7 +200,7 @@ class Acquisition:
         self.tracks = [Track(len(cameras)) for _ in self.hand_of]
         self.begun = 0
         self._hands, self._cameras, self._schedule, self._settings = list(hands), list(cameras), schedule, settings
-        self._candidates = Candidates(cameras, len(self.tracks), coherence, schedule, settings, counts)
+        self._candidates = Candidates(cameras, len(self.tracks), coherence, schedule, counts)
 
     def clear(self) -> None:
         """Discard all markers."""
@@ -206,7 +220,7 @@ class Acquisition:
         track = self.tracks[marker]
         if not hand.filter.state.alive[k]:
             return True
-        if hand.filter.spread_m2[k] <= self._settings.loose_m**2 or self._is_recent(track.accepted_s[camera], t_s):
+        if hand.filter.spread_m2[k] <= LOOSE_M**2 or self._is_recent(track.accepted_s[camera], t_s):
             return False
         # For a camera that sees the marker again, the prediction may be too far off for a linear update.
         near = self._candidates.near(marker, t_s)
@@ -222,11 +236,11 @@ class Acquisition:
         rows = slice(3 * k, 3 * k + 3)
         away = initial.mean[:3] - state.mean[0, rows]
         S = state.covariance[rows, rows] + initial.covariance[:3, :3]
-        return float(away @ np.linalg.solve(S, away)) <= self._settings.gate
+        return float(away @ np.linalg.solve(S, away)) <= GATE
 
     def try_start(self, marker: int, camera: int, t_s: float) -> None:
         """Try to initialise a marker from a view that updated no filter and the newest views of other cameras."""
-        settings, track = self._settings, self.tracks[marker]
+        track = self.tracks[marker]
         hand, _ = self.hand_of[marker]
         alive = hand.filter.state.alive
         positions = hand.filter.position[alive]
@@ -235,14 +249,16 @@ class Acquisition:
         near = self._candidates.near(marker, t_s)
         initial = self._initial_state(marker, near, moment_s, velocity)
         if initial is not None and track.status is not TrackStatus.TENTATIVE:
-            if track.look_elsewhere(settings):
+            if track.look_elsewhere():
                 self._begin(marker, initial, moment_s, near)
-        elif initial is None and set(near) == {camera} and len(positions) >= settings.depth_markers:
-            gap_s = settings.lost_periods * self._schedule.longest_period_s
-            if track.see_alone(t_s, gap_s, settings):
+        elif initial is None and set(near) == {camera} and len(positions) >= _DEPTH_MARKERS:
+            gap_s = LOST_PERIODS * self._schedule.longest_period_s
+            if track.see_alone(t_s, gap_s):
                 middle = positions.mean(axis=0)
-                ray = on_ray(near[camera], middle, velocity, settings.ray_sigma_m, settings.speed_sigma)
-                if np.linalg.norm(ray.mean[:3] - middle) <= settings.ray_reach_m:
+                ray = on_ray(near[camera], middle, velocity, RAY_SIGMA_M, SPEED_SIGMA)
+                # Greatest distance from the centroid of its hand at which a marker is initialised
+                # from one camera, metres; a hand's length.
+                if np.linalg.norm(ray.mean[:3] - middle) <= 0.2:
                     self._begin(marker, ray, moment_s, near)
 
     def end(self, marker: int) -> None:
@@ -257,7 +273,7 @@ class Acquisition:
     def forget(self, t_s: float) -> None:
         """Remove markers that are unseen and too uncertain, unseen for too long, or outside the volume."""
         (x0, y0, z0), (x1, y1, z1) = self.config.volume_m
-        hold_s, lost_m2 = self.config.hold_s, self._settings.lost_m**2
+        hold_s, lost_m2 = self.config.hold_s, LOST_M**2
         for hand in self._hands:
             known = hand.filter.state.alive.tolist()
             columns = hand.markers, known, hand.filter.position.tolist(), hand.filter.spread_m2
@@ -293,7 +309,7 @@ class Acquisition:
         return self._candidates.initial_state(marker, list(near.values()), t_s, velocity, *self._positions(), volume_m)
 
     def _is_recent(self, then_s: float, t_s: float) -> bool:
-        return t_s - then_s <= self._settings.lost_periods * self._schedule.longest_period_s
+        return t_s - then_s <= LOST_PERIODS * self._schedule.longest_period_s
 
     def _positions(self) -> tuple[FloatArray, BoolArray]:
         """Return the positions of all markers (M, 3), metres, and which (M,) are tracked."""
@@ -304,7 +320,7 @@ class Acquisition:
         return known, alive
 
 
-def hands_of(rig: Rig, cameras: Sequence[CameraModel], settings: FilterSettings, *, record: bool) -> list[Hand]:
+def hands_of(rig: Rig, cameras: Sequence[CameraModel], *, record: bool) -> list[Hand]:
     """Return the hands of a rig; `record` keeps their frames."""
     names, markers = list(rig.config.markers), list(rig.config.markers.values())
     sides = np.array([marker.hand for marker in markers])
@@ -312,7 +328,7 @@ def hands_of(rig: Rig, cameras: Sequence[CameraModel], settings: FilterSettings,
     for side in np.unique(sides):
         index = np.flatnonzero(sides == side)
         base = next((k for k, m in enumerate(index.tolist()) if markers[m].kind == "patch"), -1)
-        joint = JointFilter(len(index), settings.motion, settings.track.gate)
+        joint = JointFilter(len(index), GATE)
         joints = [markers[m].joint for m in index.tolist()]
         ends = ("little_tip", "index_tip")
         across = (joints.index(ends[0]), joints.index(ends[1])) if set(ends) <= set(joints) else None

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, compress
 from statistics import fmean
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -19,17 +19,36 @@ from rhot.rig.quality import figure, pair_epipolar_p95_px
 from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of
 from rhot_fusion.filter.agreement import CameraAgreement
 from rhot_fusion.filter.paint import Paint, PaintBefore
-from rhot_fusion.filter.settings import DEFAULT, FilterSettings, NoiseSettings
 from rhot_fusion.filter.smoothing.record import outcomes
 from rhot_fusion.filter.smoothing.smoother import Frame
 from rhot_fusion.filter.state import ROUND, Innovation, State, Views, pace_squares
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.filter.tracks import Track, TrackStatus, outcome_of, within_hand
+from rhot_fusion.filter.tracks import (
+    CALIBRATED,
+    LOOSE_M,
+    LOST_M,
+    LOST_PERIODS,
+    UNCALIBRATED,
+    Track,
+    TrackSettings,
+    TrackStatus,
+    outcome_of,
+    within_hand,
+)
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
 from rhot_fusion.views.sightings import NOTHING, NOWHERE, Outcome, Sightings
 from rhot_fusion.views.vectors import vector
+
+_FIRST_PX: Final = 0.3
+"""Initial standard deviation of a pixel coordinate; centroids of painted tips in photo-real pictures have errors of
+0.2 to 0.3 px.
+"""
+_FIRST_WEIGHT: Final = 50.0
+"""Number of observations that the initial value counts as."""
+CALIBRATION_PX: Final = 0.2
+"""Systematic error between cameras if `cameras.json` states none, pixels."""
 
 # Paint corrections of the views in a recording, recomputed from the smoothed marker positions.
 
@@ -126,18 +145,19 @@ class CameraNoise:
         calibration_px: (C,) systematic errors between the cameras, as stated by their calibration.
     """
 
-    def __init__(
-        self, cameras: Sequence[CameraModel], settings: NoiseSettings, calibration_px: FloatArray, calibrated: bool
-    ) -> None:
-        self._settings = settings
+    def __init__(self, cameras: Sequence[CameraModel], calibration_px: FloatArray, calibrated: bool) -> None:
         self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
         self._baseline_m = max(_SHORTEST_M, *(math.dist(a.center, b.center) for a, b in combinations(cameras, 2)))
         self.calibration_px = calibration_px
-        first = settings.first_px if calibrated else settings.uncalibrated_px
-        least = settings.least_px if calibrated else settings.uncalibrated_least_px
-        self._bounds_px2 = least**2, settings.most_px**2 if calibrated else math.inf
+        # Pixel noise of a rig without `cameras.json`, not counting errors of its time stamps.
+        first = _FIRST_PX if calibrated else 1.0
+        # Least_px, most_px: bounds of the estimated standard deviation, pixels.
+        # Lower bound of the estimate for such a rig, pixels: its coordinates are whole pixels, or its lens
+        # distortion is unknown.
+        least = 0.05 if calibrated else 0.3
+        self._bounds_px2 = least**2, 2.0**2 if calibrated else math.inf
         # Per camera: sums of weights and of weights times r², in pixels.
-        self._weight = [0.5 * settings.first_weight / first**4] * len(cameras)
+        self._weight = [0.5 * _FIRST_WEIGHT / first**4] * len(cameras)
         self._asked = [weight * first**2 for weight in self._weight]
 
     @property
@@ -179,13 +199,15 @@ class CameraNoise:
             curvature += 0.5 * (d * d + 2.0 * e * e + f * f)
         if not count:
             return
-        keep = math.exp(-count / self._settings.memory)
+        # Number of observations after which the weight of an old observation has decayed to 37 %; about 20 s
+        # of a hand in front of one camera.
+        keep = math.exp(-count / 5000.0)
         known = self._asked[camera] / self._weight[camera]
         self._weight[camera] = keep * self._weight[camera] + curvature
         self._asked[camera] = keep * self._asked[camera] + curvature * known + derivative
 
 
-def stated_px(names: Sequence[str], quality: Any, settings: NoiseSettings) -> FloatArray:
+def stated_px(names: Sequence[str], quality: Any) -> FloatArray:
     """Return the systematic error (C,) of each camera relative to the others, pixels, as stated by `cameras.json`.
 
     It is the RMS epipolar error of a camera's worst pair at the calibration, with half of its variance in either view.
@@ -195,7 +217,7 @@ def stated_px(names: Sequence[str], quality: Any, settings: NoiseSettings) -> Fl
         stated = [
             figure(quality, "pairs", f"{a}-{b}", "epipolar_rms_px") for a, b in ((first, second), (second, first))
         ]
-        known = next((value for value in stated if value is not None), settings.calibration_px)
+        known = next((value for value in stated if value is not None), CALIBRATION_PX)
         for name in (first, second):
             worst[name] = max(worst[name], known)
     return np.array([worst[name] * 0.5**0.5 for name in names])
@@ -223,38 +245,31 @@ class FilterTracker:
         counts: Counter[str],
         *,
         record: bool = False,
-        settings: FilterSettings = DEFAULT,
+        settings: TrackSettings | None = None,
     ) -> None:
         """Build for a rig; `record` keeps the data that `smoothed` needs.
 
         Increments `measured`, `refused`, `late_frames`, `too_late`, `gated` and `behind_cameras` of counts.
         """
-        if not rig.calibrated:
-            track = replace(
-                settings.track,
-                confirmations=settings.track.uncalibrated_confirmations,
-                measured_m=settings.track.uncalibrated_measured_m,
-                inflation_gate=math.inf,
-                reacquisition_gate=math.inf,
-            )
-            settings = replace(settings, track=track)
-        self._cameras, self._config, self._counts, self._settings = list(cameras), config, counts, settings
+        self._settings = settings or (CALIBRATED if rig.calibrated else UNCALIBRATED)
+        self._cameras, self._config, self._counts = list(cameras), config, counts
         names, markers, self._count = list(rig.cameras), rig.config.markers, len(rig.config.markers)
-        self._hands = hands_of(rig, self._cameras, settings, record=record)
+        self._hands = hands_of(rig, self._cameras, record=record)
         self._schedule = Schedule([1.0 / camera.rate_hz for camera in rig.config.cameras.values()])
         coherence = HandCoherence(markers, rig.hand.length_m)
-        self._acquisition = Acquisition(self._hands, cameras, coherence, self._schedule, config, settings.track, counts)
-        self.noise = CameraNoise(cameras, settings.noise, stated_px(names, rig.quality, settings.noise), rig.calibrated)
+        self._acquisition = Acquisition(self._hands, cameras, coherence, self._schedule, config, self._settings, counts)
+        self.noise = CameraNoise(cameras, stated_px(names, rig.quality), rig.calibrated)
         stated = [pair_epipolar_p95_px(rig.quality, a, b) or 0.0 for a, b in combinations(names, 2)]
         self.agreement = CameraAgreement(
             cameras, self._count, config.epipolar_limit_px, rig.calibrated, max(stated, default=0.0)
         )
         radii = radii_of(rig)
         calibration_px = float(self.noise.calibration_px.max())
-        self._radii, self._paint = radii, Paint(cameras, radii, settings.paint)
-        self._systematic = Systematic(cameras, rig.quality, calibration_px, radii, settings.systematic)
+        self._radii, self._paint = radii, Paint(cameras, radii)
+        self._systematic = Systematic(cameras, rig.quality, calibration_px, radii)
         self._middle = vector(np.mean([camera.center for camera in cameras], axis=0))
-        self._time_variance = 0.0 if rig.calibrated else settings.noise.uncalibrated_s**2
+        # Standard deviation of the time stamps of such a rig, seconds: frames are stamped on arrival.
+        self._time_variance = 0.0 if rig.calibrated else 0.006**2
         self.gates: dict[int, tuple[IndexArray, Innovation, FloatArray]] = {}
         self._history: deque[tuple[Sightings, list[State], PaintBefore]] = deque(maxlen=_LONGEST_HISTORY)
         self.clear()
@@ -324,13 +339,15 @@ class FilterTracker:
                 if track.status is TrackStatus.CONFIRMED:
                     position[marker], covariance[marker], shown[marker] = point, own, track.views(since_s)
             known = [marker for marker in hand.markers if self.tracks[marker].status is TrackStatus.CONFIRMED]
-            within_hand(position, covariance, known, shown, self._middle, self._settings.track.extent_m)
+            # Standard deviation of a marker's depth about the centroid of its hand, metres: fingertips
+            # seen by one camera are 0.026 behind it, plus or minus 0.027 (15 develop rigs).
+            within_hand(position, covariance, known, shown, self._middle, 0.037)
             for marker in known:
                 xx, _, _, yy, _, zz = covariance[marker]
-                if xx + yy + zz > self._settings.track.lost_m**2:
+                if xx + yy + zz > LOST_M**2:
                     position[marker] = NOWHERE
         seen = [list(column) for column in zip(*shown, strict=True)]
-        rest = self._systematic, self._settings.track, self.noise.pair_variance
+        rest = self._systematic, self._settings, self.noise.pair_variance
         hidden_m2 = [self._paint.hidden_m2(marker) for marker in range(self._count)]
         outcome = outcome_of(then_s, position, covariance, seen, *rest, hidden_m2)
         self._counts["measured"] += sum(outcome.measured)
@@ -339,21 +356,22 @@ class FilterTracker:
     def smoothed(self) -> list[Outcome]:
         """Return the markers at all frames since the last `clear` or call, smoothed over all of them."""
         periods_s = [self._schedule.period_s(camera) for camera in range(len(self._cameras))]
-        loose_m, every = self._settings.track.loose_m, []
+        loose_m, every = LOOSE_M, []
         for hand in self._hands:
             if hand.record is not None:
-                paint, variance_of = Paint(self._cameras, self._radii, self._settings.paint), self.noise.variance
+                paint, variance_of = Paint(self._cameras, self._radii), self.noise.variance
                 columns = hand, self._cameras, paint, variance_of, periods_s, loose_m, self._time_variance
                 correct = PaintCorrection(*columns)
                 every.append((hand.index, hand.record.smoothed(variance_of, self._settings, correct)))
-        rest = self._systematic, self._settings.track, self.noise.pair_variance
+        rest = self._systematic, self._settings, self.noise.pair_variance
         return outcomes(every, self._count, periods_s, *rest) if every else []
 
     def _fresh_s(self) -> list[float]:
         """Return for how long each camera's newest frame (C,) is fresh, seconds."""
-        settings = self._settings.track
         return [
-            max(settings.fresh_periods * self._schedule.period_s(camera), settings.fresh_s)
+            # Fresh_periods, fresh_s: a camera counts as seeing a marker while its last observation is no
+            # older than the longer of these, frame periods and seconds.
+            max(1.5 * self._schedule.period_s(camera), 0.04)
             for camera in range(len(self._cameras))
         ]
 
@@ -379,13 +397,15 @@ class FilterTracker:
             position, velocity = hand.filter.position[one].mean(axis=0), hand.filter.velocity[one].mean(axis=0)
             depth = max(float(position @ camera.R_camera_rig[2] + camera.t_camera_rig[2]), 0.1)
             pace = camera.R_camera_rig[:2] @ velocity / depth
-            held[row] = float(np.hypot(*pace)) * self.focal_px(sightings.camera) >= self._settings.track.moving_px_s
+            # Above this image speed, exactly repeated coordinates are treated as stale data.
+            held[row] = float(np.hypot(*pace)) * self.focal_px(sightings.camera) >= 60.0
         return sightings.chosen(~held)
 
     def _in_order(self, sightings: Sightings) -> None:
         """Process a frame; if newer ones were processed already, roll back and process them again."""
         newer: list[Sightings] = []
-        if self._history and self._history[-1][0].t_s - sightings.t_s > self._settings.track.replay_s:
+        # Frames that arrive later than this after a newer one are discarded, seconds.
+        if self._history and self._history[-1][0].t_s - sightings.t_s > 0.06:
             self._counts["too_late"] += 1
             return
         while self._history and self._history[-1][0].t_s > sightings.t_s:
@@ -406,7 +426,7 @@ class FilterTracker:
         begun, camera, t_s = self._acquisition.begun, sightings.camera, sightings.t_s
         self._history.append((sightings, [hand.filter.state for hand in self._hands], self._paint.before(camera)))
         variance, period_s = self.noise.variance(camera), self._schedule.period_s(camera)
-        loose_m2 = self._settings.track.loose_m**2
+        loose_m2 = LOOSE_M**2
         for hand in self._hands:
             mine = hand.of(sightings, alone=len(self._hands) == 1)
             markers = mine.index.tolist()
@@ -472,8 +492,8 @@ class FilterTracker:
             depths = np.array(self._depths(hand, sightings.camera, markers))
             variances += self._time_variance * pace_squares(camera, hand.filter.velocity[local], depths)
         slack = self._paint.slack(sightings.camera, areas_px)
-        settings = self._settings.track
-        since_s = sightings.t_s - settings.lost_periods * self._schedule.longest_period_s
+        settings = self._settings
+        since_s = sightings.t_s - LOST_PERIODS * self._schedule.longest_period_s
         lost = [not again and self.tracks[marker].accepted_s[sightings.camera] < since_s for marker in markers]
         certain = np.where(lost, settings.reacquisition_gate, settings.inflation_gate)
         views = Views(camera, local, sightings.times_s - t_s, xy, variances, slack, certain)

@@ -23,13 +23,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot_fusion.filter.settings import PaintSettings
 from rhot_fusion.views.vectors import Vector, across, dot, interpolated, unit, vector
+
+FIRST_BEND: Final = -0.45
+"""C of a relaxed finger, bent away from the camera by a quarter of a right angle or a little more."""
+MOST_BEND: Final = -0.7
+"""Below this c (45 degrees) a small area indicates occlusion rather than a bent finger; between −0.7 and −0.8 the same
+within 0.1 mm on rendered pictures and two simulated hands.
+"""
+_SKIN_LASTS_S: Final = 0.1
+_LEAST_SKIN: Final = 0.1
+"""Shortest mean vector to adjoining skin that is used: half of that of a straight finger, whose skin adjoins along 70
+to 90 degrees. Between 0.1 and 0.15 the errors are the same.
+"""
 
 _STRAIGHT_AWAY = -0.95
 """Below this c, 18 degrees from the line of sight, only a rim of paint is visible, and the ratio is meaningless."""
@@ -43,12 +55,13 @@ class VisibleArea:
         usual: square root of that of a relaxed finger.
     """
 
-    def __init__(self, settings: PaintSettings) -> None:
-        self._shaft = 2.0 * settings.shaft
+    def __init__(self) -> None:
+        # Λ of `paint`: tips are painted over 15 to 20 mm and are 6 to 7 mm thick.
+        self._shaft = 2.0 * 1.8
         self._cosine: list[float] = np.linspace(_STRAIGHT_AWAY, 0.0, 64).tolist()
         self._share = [self.seen(c) for c in self._cosine]
-        self.least = self.seen(settings.most_bend)
-        self.usual = math.sqrt(self.seen(settings.first_bend))
+        self.least = self.seen(MOST_BEND)
+        self.usual = math.sqrt(self.seen(FIRST_BEND))
 
     def seen(self, c: float) -> float:
         """Return A(c) / A(0)."""
@@ -66,13 +79,11 @@ class SkinSides:
     Args:
         cameras: of the rig.
         markers: M.
-        settings: `skin_s`, `skin_lasts_s` and `least_skin`.
     """
 
-    def __init__(self, cameras: Sequence[CameraModel], markers: int, settings: PaintSettings) -> None:
+    def __init__(self, cameras: Sequence[CameraModel], markers: int) -> None:
         # Rows of each camera's rotation: its axes in the rig frame.
         self._axes: list[list[Vector]] = [[vector(row) for row in camera.R_camera_rig] for camera in cameras]
-        self._settings = settings
         self._seen: list[list[tuple[float, float, float, float] | None]] = [
             [None] * len(self._axes) for _ in range(markers)
         ]
@@ -93,13 +104,16 @@ class SkinSides:
 
     def observe(self, camera: int, t_s: float, markers: Sequence[int], sides: FloatArray) -> None:
         """Store where skin adjoins markers (N,) in a camera's frame at a time, sides (N, 2) in the image."""
-        settings, (right, down, _) = self._settings, self._axes[camera]
+        (right, down, _) = self._axes[camera]
         for marker, (u, v) in zip(markers, sides.tolist(), strict=True):
             x, y, z = u * right[0] + v * down[0], u * right[1] + v * down[1], u * right[2] + v * down[2]
             cameras = self._seen[marker]
             before = cameras[camera]
-            if before is not None and 0.0 <= t_s - before[0] < settings.skin_lasts_s:
-                keep = math.exp((before[0] - t_s) / settings.skin_s)
+            if before is not None and 0.0 <= t_s - before[0] < _SKIN_LASTS_S:
+                # Skin_s, skin_lasts_s: time constant with which the direction to adjoining skin is
+                # averaged, and for how long it is used, seconds. Between 0 and 0.08 the errors are
+                # the same.
+                keep = math.exp((before[0] - t_s) / 0.04)
                 _, old_x, old_y, old_z = before
                 x, y, z = x + keep * (old_x - x), y + keep * (old_y - y), z + keep * (old_z - z)
             cameras[camera] = t_s, x, y, z
@@ -110,13 +124,12 @@ class SkinSides:
         It is the mean over all cameras that saw the marker shortly before or at a time, which makes it the same for
         all, so that its error changes the depth only little. None = no camera sees skin on one side of it.
         """
-        settings = self._settings
-        since_s, count, x, y, z = t_s - settings.skin_lasts_s, 0, 0.0, 0.0, 0.0
+        since_s, count, x, y, z = t_s - _SKIN_LASTS_S, 0, 0.0, 0.0, 0.0
         for seen in self._seen[marker]:
             if seen is not None and seen[0] > since_s:
                 count, x, y, z = count + 1, x - seen[1], y - seen[2], z - seen[3]
         length = math.sqrt(x * x + y * y + z * z)
-        if count == 0 or length < settings.least_skin * count:
+        if count == 0 or length < _LEAST_SKIN * count:
             return None
         away = x / length, y / length, z / length
         right, down, forward = self._axes[camera]

@@ -14,16 +14,41 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_z
 from rhot.plugins import load_plugin
 from rhot.rig import IkConfig, MarkerConfig
-from rhot_ik.hand.blending import BlendSettings, blended, with_own_motion
+from rhot_ik.hand.blending import blended, with_own_motion
 from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import Evidence, EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.kinematics import HandKinematics
-from rhot_ik.hand.filter.process import HandState
-from rhot_ik.hand.filter.settings import HandSettings
+from rhot_ik.hand.filter.process import ERROR_LASTS_S, HandState
 from rhot_ik.hand.filter.smoother import smoothed_states
 from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
 from rhot_ik.hand.track import HandSolution, HandTrack
+
+_SETTLES_S: Final = 0.025
+"""The motion of a finger is added to the blend once the finger has been seen for this long with the standard deviation
+of its marker below `known_m` (root of the trace of its covariance); before, changes of the estimate are
+convergence, not motion. Half of the points that are known worse are over 45 mm off (fast hands of `rhot evaluate
+motion`, 30 fps, develop seeds 0 to 29).
+"""
+_BLEND_KNOWN_M: Final = 0.04
+_WELL_MEASURED_M: Final = 0.01
+"""A marker with a larger standard deviation (as for `known_m`) counts as not yet reappeared: only one camera sees it.
+"""
+
+_PALM_SHARE: Final = 0.24
+"""A patch that seems to sit nearer to the knuckles may as well be on a palm that is shorter than the model's; nothing
+that is seen tells these apart. The share of the palm in their variance: of its 93 mm, the 65 mm of the metacarpal
+differ by 5 to 8 % in people whose hands have one length (see finger_share), which is 4.5 mm.
+"""
+_LOST_M: Final = 0.012
+"""When the seen tips miss the model by more than this on average for this long, the hand is looked for again: more
+than wrong proportions explain, for longer than a wild marker lasts.
+"""
+_LOST_S: Final = 0.3
+_QUARTER_TURN: Final = 20.0
+"""A palm whose patch would fit this much better a quarter turn off (difference of two chi-squares: odds of e¹⁰) is
+turned.
+"""
 
 # Initialisation of a hand from a single sample.
 
@@ -192,7 +217,6 @@ class HandSolver:
         base: name of the marker on the back of this hand.
         config: finger solver, and how long a hand is held.
         viewpoint: (3,) metres, rig frame: mean position of the cameras; by default the rig's origin.
-        settings: parameters of the estimate.
     """
 
     def __init__(
@@ -202,22 +226,19 @@ class HandSolver:
         base: str,
         config: IkConfig,
         viewpoint: FloatArray | None = None,
-        settings: HandSettings | None = None,
     ) -> None:
-        self._settings = settings = settings or HandSettings()
         self._geometry = FingerGeometry.of(model, markers)
         marker = markers[base]
         base_offset = marker_on_palm(model, base, marker)
         outline = patch_outline(marker) if marker.kind == "patch" else None
         known = np.array([self._geometry.markers.get(name) in model.marker_offsets_m for name in FINGERS] + [False])
         known[5] = base in model.marker_offsets_m
-        self._evidence = EvidenceModel(outline, settings)
+        self._evidence = EvidenceModel(outline)
         self._kinematics = HandKinematics(self._geometry)
-        self._filter = HandFilter(self._geometry, base_offset, settings, known)
+        self._filter = HandFilter(self._geometry, base_offset, known)
         eye = np.zeros(3) if viewpoint is None else viewpoint
         self._initialiser = HandInitialiser(self._filter, self._evidence, base_offset, eye)
         self.config = config
-        self._blend = BlendSettings()
         self._track: HandTrack | None = None
         self._solution: HandSolution | None = None
         self._person: tuple[FloatArray, FloatArray] | None = None
@@ -264,9 +285,12 @@ class HandSolver:
         before = self._track
         if before is not None:
             dt_s = (seen.t_ns - before.t_ns) / 1e9
-            if -self._settings.late_s < dt_s < 0.0:
+            # A sample that is older than the last one by less than this came out of order and is left
+            # out.
+            if -0.1 < dt_s < 0.0:
                 return None
-            if not 0.0 <= dt_s < self._settings.gap_s or self._is_over(seen, before):
+            # After a silence this long nothing of the past is used.
+            if not 0.0 <= dt_s < 1.0 or self._is_over(seen, before):
                 before = None
         self._track = self._initialised(seen) if before is None else self._continued(before, seen, shapes)
         if self._track is None:
@@ -300,7 +324,7 @@ class HandSolver:
             base_seen_ns=seen.t_ns,
             measured_ns=seen.t_ns,
             measured=measured,
-            well_measured=measured & _known_within(seen, self._blend.well_measured_m),
+            well_measured=measured & _known_within(seen, _WELL_MEASURED_M),
             known_since_ns=np.where(measured, seen.t_ns, _NEVER_NS),
             seen=seen,
         )
@@ -318,21 +342,22 @@ class HandSolver:
             # Without the corners of its patch, the initial palm only pointed towards the tips.
             state, lost_s = self._reinitialised(updated, seen), 0.0
         turned = self._doubt_of_turn(before, evidence, dt_s)
-        if turned > self._settings.quarter_turn:
+        if turned > _QUARTER_TURN:
             state, turned = self._initialiser.quarter_turned(state, seen) or state, 0.0
         angles = self._angles(state, seen, before.shown)
-        well_measured = measured & _known_within(seen, self._blend.well_measured_m)
-        known = measured & _known_within(seen, self._blend.known_m)
+        well_measured = measured & _known_within(seen, _WELL_MEASURED_M)
+        known = measured & _known_within(seen, _BLEND_KNOWN_M)
         since_ns = np.where(known, np.minimum(before.known_since_ns, seen.t_ns), _NEVER_NS)
-        left_s = np.where(well_measured & before.well_measured, before.blends_s, self._blend.lasts_s)
+        # Shortest duration of a blend: until fusion has converged on a marker that has reappeared.
+        left_s = np.where(well_measured & before.well_measured, before.blends_s, 0.1)
         # After a reinitialisation, the previous angles belong to another palm: no blend.
         shown, left_s = (before.shown, left_s) if state is updated else (angles, np.zeros(5))
         if left_s.any():
             moved = (state.angles - before.state.angles).reshape(5, 4)
-            led = (left_s > 0.0) & (seen.t_ns - since_ns > 1e9 * self._blend.settles_s)
-            shown = with_own_motion(self._kinematics, shown, moved, led, dt_s, self._blend)
+            led = (left_s > 0.0) & (seen.t_ns - since_ns > 1e9 * _SETTLES_S)
+            shown = with_own_motion(self._kinematics, shown, moved, led, dt_s)
             shown = self._filter.clamp(shown.reshape(-1)).reshape(5, 4)
-        shown, left_s = blended(self._kinematics, angles, shown, left_s, dt_s, self._blend)
+        shown, left_s = blended(self._kinematics, angles, shown, left_s, dt_s)
         return HandTrack(
             t_ns=seen.t_ns,
             state=state,
@@ -361,7 +386,7 @@ class HandSolver:
         if evidence.patch is None:
             return before.quarter_turn
         # Samples that follow each other have the same errors.
-        share = min(1.0, dt_s / self._settings.lasts_s)
+        share = min(1.0, dt_s / ERROR_LASTS_S)
         return max(0.0, before.quarter_turn - share * evidence.patch.quarter_turn)
 
     def _reinitialised_if_lost(
@@ -371,13 +396,15 @@ class HandSolver:
         # Fewer tips than have agreed with the state do not reinitialise it: a few tips leave a patch ambiguous.
         if measured < before.most_tips:
             return state, before.lost_s
-        limit_m = self._settings.lost_m if before.from_patch else self._settings.unconfirmed_m
+        # The same limit while the corners of no patch have confirmed the palm.
+        limit_m = _LOST_M if before.from_patch else 0.006
         if state.mean_residual_m < limit_m:
             return state, 0.0
         # A larger residual shortens the wait: 150 mm mean a palm that was initialised the wrong way round.
         haste = (state.mean_residual_m / limit_m) ** 2
-        lost_s = before.lost_s + dt_s * min(haste, self._settings.lost_haste)
-        if lost_s < self._settings.lost_s:
+        # Time counts up to this many times, with the square of how many times as much they miss it.
+        lost_s = before.lost_s + dt_s * min(haste, 20.0)
+        if lost_s < _LOST_S:
             return state, lost_s
         return self._reinitialised(state, seen), 0.0
 
@@ -400,7 +427,7 @@ class HandSolver:
 
     def _solution_of(self, track: HandTrack) -> HandSolution:
         state, seen = track.state, track.seen
-        shorter_palm_m = -self._settings.palm_share * float(state.person[2])
+        shorter_palm_m = -_PALM_SHARE * float(state.person[2])
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = state.R, state.p - shorter_palm_m * state.R[:, 2]
         positions, orientations, modelled = self._kinematics.pose(

@@ -4,7 +4,6 @@ import numpy as np
 
 from rhot.geometry.rotations import rotation_from_vector, shortest_rotation
 from rhot_ik.hand.filter.evidence import CornerNoise, EvidenceModel, HandObservation, mean_residual_m, measurement_rows
-from rhot_ik.hand.filter.settings import HandSettings
 
 
 def test_two_points_of_the_wrist_turn_it_the_shortest_way_and_leave_the_turn_about_their_line() -> None:
@@ -13,7 +12,7 @@ def test_two_points_of_the_wrist_turn_it_the_shortest_way_and_leave_the_turn_abo
     seen = HandObservation(
         10**18, np.array([0.0, 0.0, 0.8]), True, None, np.full((5, 3), np.nan), np.zeros(5, dtype=np.bool_)
     )
-    model = EvidenceModel(None, HandSettings())
+    model = EvidenceModel(None)
     assert model.assess(seen, expected).rotation is None
     across = HandObservation(seen.t_ns, seen.base, True, None, seen.tips, seen.tips_measured, across=truth[:, 0])
     evidence = model.assess(across, expected)
@@ -55,7 +54,7 @@ def test_how_far_a_ray_reaches_is_no_residual() -> None:
     seen = HandObservation(
         10**18, np.zeros(3), True, None, tips, np.ones(5, dtype=np.bool_), np.eye(3) * 1e-6, covariances
     )
-    rows = measurement_rows(EvidenceModel(None, HandSettings()).assess(seen, None))
+    rows = measurement_rows(EvidenceModel(None).assess(seen, None))
     assert rows is not None
     missed = np.zeros((5, 3))
     missed[0] = 0.06 * ray

@@ -15,7 +15,6 @@ from rhot_ik.hand.filter.evidence import CornerNoise, Evidence
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.prior import angle_covariance, closed_angles, hidden_angles, rest_angles
 from rhot_ik.hand.filter.process import ANGLES, HandState
-from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 KNOWN = np.zeros(6, dtype=np.bool_)
@@ -24,11 +23,10 @@ R_TRUE = rotation_from_vector(np.array([0.4, -0.3, 0.2]))
 P_TRUE = np.array([0.02, 0.05, 0.8])
 
 
-def filter_of(side: Side = "right", settings: HandSettings | None = None) -> HandFilter:
+def filter_of(side: Side = "right") -> HandFilter:
     return HandFilter(
         FingerGeometry.of(HandModel.from_file(HandFile(), side), {}),
         BASE_OFFSET,
-        settings or HandSettings(),
         np.zeros(6, dtype=np.bool_),
     )
 
@@ -72,18 +70,20 @@ def test_one_sample_of_all_points_gives_pose_and_angles() -> None:
     assert np.degrees(np.abs(state.angles - truth).reshape(5, 4)[1:, 2]).max() < 4.0
 
 
-def test_a_sample_teaches_a_share_of_the_person_and_moves_all_else_in_full() -> None:
-    slow, quick = filter_of(), filter_of(settings=HandSettings(lasts_s=1 / 60))
+def test_a_sample_teaches_a_share_of_the_person_and_moves_all_else_in_full(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = filter_of()
     model = HandModel.from_file(HandFile(), "right")
     before = slow.predict(slow.start(R_TRUE, P_TRUE, coupled(model, 30.0, 50.0)), 1 / 60)
     evidence = evidence_of(slow, coupled(model, 32.0, 52.0))
     evidence = dataclasses.replace(evidence, base=evidence.base + np.array([0.002, 0.0, 0.001]))
-    one, all_of_it = (hand.update(before, evidence, steps=1) for hand in (slow, quick))
+    one = slow.update(before, evidence, steps=1)
+    monkeypatch.setattr("rhot_ik.hand.filter.filter.ERROR_LASTS_S", 1 / 60)
+    all_of_it = slow.update(before, evidence, steps=1)
     assert np.allclose(one.R, all_of_it.R)
     assert np.allclose(one.p, all_of_it.p)
     assert np.allclose(one.angles, all_of_it.angles)
     assert np.abs(all_of_it.person).max() > 1e-4
-    share = (1 / 60) / HandSettings().lasts_s
+    share = (1 / 60) / 0.25
     assert np.allclose(one.person, share * all_of_it.person)
 
 

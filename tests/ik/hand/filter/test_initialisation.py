@@ -11,7 +11,6 @@ from rhot.rig import HandFile, IkConfig, MarkerConfig
 from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.prior import closed_angles, rest_angles
-from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 from rhot_ik.hand.solver import HandInitialiser, HandSolver
 
@@ -23,8 +22,8 @@ BACK_TO_THE_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0
 
 def test_one_tip_whose_depth_is_not_known_leaves_the_patch_no_quarter_turn_off() -> None:
     model = HandModel.from_file(HandFile(), "right")
-    hand = HandFilter(FingerGeometry.of(model, {}), BASE_OFFSET, HandSettings(), np.zeros(6, dtype=np.bool_))
-    initialiser = HandInitialiser(hand, EvidenceModel(OUTLINE, HandSettings()), BASE_OFFSET, np.zeros(3))
+    hand = HandFilter(FingerGeometry.of(model, {}), BASE_OFFSET, np.zeros(6, dtype=np.bool_))
+    initialiser = HandInitialiser(hand, EvidenceModel(OUTLINE), BASE_OFFSET, np.zeros(3))
     for seed in range(10):
         rng = np.random.default_rng(seed)
         R = BACK_TO_THE_CAMERA @ rotation_from_vector(np.array([0.0, rng.uniform(-3.0, 3.0), 0.0]))
@@ -38,8 +37,8 @@ def test_one_tip_whose_depth_is_not_known_leaves_the_patch_no_quarter_turn_off()
 def test_a_lone_curled_finger_tells_which_way_round_a_square_patch_lies() -> None:
     outline = patch_outline(MarkerConfig(joint="wrist", kind="patch", size_m=(0.031, 0.030)))
     model = HandModel.from_file(HandFile(), "right")
-    hand = HandFilter(FingerGeometry.of(model, {}), BASE_OFFSET, HandSettings(), np.zeros(6, dtype=np.bool_))
-    initialiser = HandInitialiser(hand, EvidenceModel(outline, HandSettings()), BASE_OFFSET, np.zeros(3))
+    hand = HandFilter(FingerGeometry.of(model, {}), BASE_OFFSET, np.zeros(6, dtype=np.bool_))
+    initialiser = HandInitialiser(hand, EvidenceModel(outline), BASE_OFFSET, np.zeros(3))
     for case in range(12):
         R = BACK_TO_THE_CAMERA @ rotation_from_vector(np.array([0.0, 0.5 * case, 0.0]))
         R = R @ rotation_from_vector(np.array([0.5, 0.0, 0.0]) if case % 2 else np.array([0.0, 0.0, 0.5]))
@@ -53,7 +52,7 @@ def test_a_palm_a_quarter_turn_off_is_turned_by_the_sides_of_its_patch() -> None
     """Fingers in postures so odd that the first sample is taken for another palm's."""
     markers = {"base": MarkerConfig(joint="wrist", kind="patch", size_m=(0.034, 0.03))}
     model, outline = HandModel.from_file(HandFile(), "right"), patch_outline(markers["base"])
-    hand = HandFilter(FingerGeometry.of(model, {}), BASE_OFFSET, HandSettings(), np.zeros(6, dtype=np.bool_))
+    hand = HandFilter(FingerGeometry.of(model, {}), BASE_OFFSET, np.zeros(6, dtype=np.bool_))
     for seed in (60, 62, 70, 95, 150):
         rng = np.random.default_rng(seed)
         R = BACK_TO_THE_CAMERA @ rotation_from_vector(np.array([0.0, rng.uniform(-3.0, 3.0), 0.0]))

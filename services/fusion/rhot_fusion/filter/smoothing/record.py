@@ -10,11 +10,10 @@ import numpy as np
 from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.initialisation import InitialState
-from rhot_fusion.filter.settings import FilterSettings, TrackSettings
 from rhot_fusion.filter.smoothing.smoother import Correct, Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.filter.tracks import outcome_of
+from rhot_fusion.filter.tracks import TrackSettings, outcome_of
 from rhot_fusion.views.sightings import NOTHING, NOWHERE, Outcome, Sightings
 
 _BRIDGED = 1.6
@@ -93,7 +92,7 @@ class HandRecord:
                 break
         self._frames[-1].events.append(Event(t_s, marker, initial, first, continues))
 
-    def smoothed(self, variance_of: Callable[[int], float], settings: FilterSettings, correct: Correct) -> list[Node]:
+    def smoothed(self, variance_of: Callable[[int], float], settings: TrackSettings, correct: Correct) -> list[Node]:
         """Return the smoothed nodes of all frames in order of time; `variance_of` gives the pixel noise by camera."""
         frames = sorted(self._frames, key=lambda frame: frame.t_s)
         for frame in frames:

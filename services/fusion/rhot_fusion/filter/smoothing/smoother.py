@@ -14,14 +14,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot_fusion.filter.initialisation import InitialState
-from rhot_fusion.filter.joint import JointFilter, squared_distance
-from rhot_fusion.filter.settings import FilterSettings
+from rhot_fusion.filter.joint import SCALES, SHARES, SWITCH_S, JointFilter, squared_distance
 from rhot_fusion.filter.state import ROUND, SHARED, State, Step, Views
+from rhot_fusion.filter.tracks import GATE, LOOSE_M, PAIR_S, RAY_SIGMA_M, SPEED_SIGMA, TrackSettings
+
+_BRIDGE_S: Final = 0.25
+"""Longest time between, seconds."""
+_BRIDGE_SCALE: Final = 5.0
+"""Noise intensity of its motion between, m/s^1.5; a fast hand, see `MotionSettings.scales`."""
+_BRIDGE_GATE: Final = 22.5
+"""Squared Mahalanobis distance (6 degrees of freedom) beyond which the marker's covariance is inflated; exceeded by
+chance once in 1000.
+"""
 
 # The backward pass of smoothing.
 #
@@ -37,7 +47,7 @@ _JITTER: float = 1e-13
 """Regularisation that keeps covariances of new markers invertible, m² and m²/s²."""
 
 
-def backward(steps: Sequence[tuple[Step, BoolArray]], settings: FilterSettings) -> list[State]:
+def backward(steps: Sequence[tuple[Step, BoolArray]]) -> list[State]:
     """Return the smoothed states of the steps."""
     states = [step.after for step, _ in steps]
     # The newest markers' states where they were initialised, by marker; `bridged` connects earlier ones with them.
@@ -48,7 +58,7 @@ def backward(steps: Sequence[tuple[Step, BoolArray]], settings: FilterSettings) 
         starts |= dict.fromkeys(np.flatnonzero(new & later.alive).tolist(), later)
         smoothed = _smoothed(steps[number][0].after, following, later, new)
         for marker in [one for one in starts if smoothed.alive[one]]:
-            smoothed = bridged(smoothed, marker, starts.pop(marker), settings)
+            smoothed = bridged(smoothed, marker, starts.pop(marker))
         states[number] = smoothed
     return states
 
@@ -70,7 +80,7 @@ def _smoothed(own: State, following: Step, later: State, new: BoolArray) -> Stat
     return State(own.t_s, x, P, own.weight, own.alive)
 
 
-def bridged(state: State, marker: int, start: State, settings: FilterSettings) -> State:
+def bridged(state: State, marker: int, start: State) -> State:
     """Return a state with a marker led to where it was initialised anew soon after.
 
     What followed its initialisation knows nothing of what preceded it, and is used as one observation of it. Where that
@@ -80,23 +90,21 @@ def bridged(state: State, marker: int, start: State, settings: FilterSettings) -
         state: before; smoothed by what other markers did later.
         marker: index among the hand's markers.
         start: smoothed state at the marker's next initialisation.
-        settings: of the filter; a `start` that is too late or too uncertain has no effect.
     """
     dt = start.t_s - state.t_s
-    bridge = settings.bridge
     # One that was initialised on a ray takes its depth from the hand, like the earlier life: that is no observation.
-    if not 0.0 < dt <= bridge.lasts_s or start.spread_m2[marker] > settings.track.loose_m**2:
+    if not 0.0 < dt <= _BRIDGE_S or start.spread_m2[marker] > LOOSE_M**2:
         return state
     rows = own_rows(marker, len(state.alive))
     F = constant_velocity(dt)
-    noise = bridge.scale**2 * np.kron(np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]), np.eye(3))
+    noise = _BRIDGE_SCALE**2 * np.kron(np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]), np.eye(3))
     off, other = start.x[rows] - F @ state.x[rows], start.P[np.ix_(rows, rows)] + noise
     across = state.P[:, rows] @ F.T
     inverse = np.linalg.inv(F @ across[rows] + other)
     gain = across @ inverse
     P = state.P - gain @ across.T
     wider = np.ones(len(P))
-    wider[rows] = math.sqrt(max(float(off @ inverse @ off) / bridge.gate, 1.0))
+    wider[rows] = math.sqrt(max(float(off @ inverse @ off) / _BRIDGE_GATE, 1.0))
     P = wider[:, None] * P * wider
     return State(state.t_s, state.x + gain @ off, 0.5 * (P + P.T), state.weight, state.alive)
 
@@ -204,7 +212,7 @@ Correct = Callable[[Sequence[Frame], Sequence[State]], list[Views]]
 def smooth(
     frames: Sequence[Frame],
     count: int,
-    settings: FilterSettings,
+    settings: TrackSettings,
     correct: Correct,
 ) -> list[Node]:
     """Return the smoothed nodes of a hand at each of the frames.
@@ -212,14 +220,14 @@ def smooth(
     Args:
         frames: in order of time; their views are replaced.
         count: number of the hand's markers.
-        settings: of the filter.
+        settings: of the tracks.
         correct: recomputes the paint corrections once the markers' path is known.
     """
     variance = [frame.views.variance for frame in frames]
     steps, evidence = _forward(frames, count, settings, variance, [None] * len(frames))
-    scale2 = _scales(evidence, [step.dt_s for step, _ in steps], settings)
-    states = backward(_forward(frames, count, settings, variance, scale2)[0], settings)
-    _extend(frames, states, settings)
+    scale2 = _scales(evidence, [step.dt_s for step, _ in steps])
+    states = backward(_forward(frames, count, settings, variance, scale2)[0])
+    _extend(frames, states)
     for _ in range(1, _PASSES):
         for frame, views in zip(frames, correct(frames, states), strict=True):
             frame.views = views
@@ -227,20 +235,20 @@ def smooth(
             frame.views.variance * np.maximum(1.0, _off_path2(frame.views, state) / _DOUBT)[:, None]
             for frame, state in zip(frames, states, strict=True)
         ]
-        states = backward(_forward(frames, count, settings, variance, scale2)[0], settings)
-    return [_node(frame, state, settings) for frame, state in zip(frames, states, strict=True)]
+        states = backward(_forward(frames, count, settings, variance, scale2)[0])
+    return [_node(frame, state) for frame, state in zip(frames, states, strict=True)]
 
 
 def _forward(
     frames: Sequence[Frame],
     count: int,
-    settings: FilterSettings,
+    settings: TrackSettings,
     variance: list[FloatArray],
     scale2: list[float | None],
 ) -> tuple[list[tuple[Step, BoolArray]], list[FloatArray]]:
     # Views that the live filter rejected stay out; outliers among the rest are down-weighted instead of gated.
-    hand = JointFilter(count, settings.motion, settings.track.gate, refuses=False)
-    steps, evidence, loose_m2 = [], [], settings.track.loose_m**2
+    hand = JointFilter(count, GATE, refuses=False)
+    steps, evidence, loose_m2 = [], [], LOOSE_M**2
     begins, replaced = _begins(frames)
     for number, (frame, own, scale) in enumerate(zip(frames, variance, scale2, strict=True)):
         new = np.zeros(count, dtype=bool)
@@ -249,11 +257,11 @@ def _forward(
             # Like live: depth that is nearly unknown is not linear in the views. Their innovations would be taken for
             # accelerations of the whole hand, and the paths of all its markers would diverge.
             if not (event.continues and hand.state.alive[k] and hand.state.spread_m2[k] <= loose_m2):
-                _begin(hand, event, frame.t_s, settings)
+                _begin(hand, event, frame.t_s)
                 new[k] = True
         alive = hand.state.alive[frame.views.index] & frame.taken
         # Markers with a large covariance are not inflated further: an outlier would make the path diverge.
-        certain = np.where(hand.state.spread_m2[frame.views.index] <= loose_m2, settings.track.inflation_gate, np.inf)
+        certain = np.where(hand.state.spread_m2[frame.views.index] <= loose_m2, settings.inflation_gate, np.inf)
         views = replace(frame.views, variance=own, certain=certain)
         if not alive.all():
             views = views.chosen(alive)
@@ -286,22 +294,22 @@ def _begins(frames: Sequence[Frame]) -> tuple[dict[int, list[Event]], set[int]]:
     return begins, replaced
 
 
-def _begin(hand: JointFilter, event: Event, t_s: float, settings: FilterSettings) -> None:
+def _begin(hand: JointFilter, event: Event, t_s: float) -> None:
     """Add a marker before the views that initialised it, with a wide covariance about their position."""
     assert event.initial is not None
     then_s = hand.state.t_s if hand.state.alive.any() else t_s
     mean, covariance = event.initial.mean.copy(), event.initial.covariance.copy()
     mean[:3] += (then_s - event.t_s) * mean[3:]
-    covariance[:3, :3] += settings.track.ray_sigma_m**2 * np.eye(3)
-    covariance[3:, 3:] += settings.track.speed_sigma**2 * np.eye(3)
+    covariance[:3, :3] += RAY_SIGMA_M**2 * np.eye(3)
+    covariance[3:, 3:] += SPEED_SIGMA**2 * np.eye(3)
     hand.begin(event.marker, mean, covariance, then_s)
 
 
-def _scales(evidence: list[FloatArray], dt_s: list[float], settings: FilterSettings) -> list[float | None]:
+def _scales(evidence: list[FloatArray], dt_s: list[float]) -> list[float | None]:
     """Return the squared acceleration scale of each step, estimated from all frames."""
-    shares, scales2 = np.array(settings.motion.shares), np.square(settings.motion.scales)
+    shares, scales2 = np.array(SHARES), np.square(SCALES)
     likelihood = [np.exp(one - one.max()) for one in evidence]
-    stay = np.exp(-np.array(dt_s) / settings.motion.switch_s)
+    stay = np.exp(-np.array(dt_s) / SWITCH_S)
     ahead, weight = [], shares
     for keep, one in zip(stay, likelihood, strict=True):
         weight = (keep * weight + (1.0 - keep) * shares) * one
@@ -347,19 +355,19 @@ def _on_path(frame: Frame, position: FloatArray, velocity: FloatArray, covarianc
     return np.minimum(squared_distance(variance, views.xy - xy), squared_distance(variance, frame.seen_xy - xy))
 
 
-def _node(frame: Frame, state: State, settings: FilterSettings) -> Node:
+def _node(frame: Frame, state: State) -> Node:
     count = len(state.alive)
     position, velocity = state.mean.reshape(2, count, 3).copy()
     diagonal = np.arange(count)
     P = state.covariance.reshape(2, count, 3, 2, count, 3)[:, diagonal, :, :, diagonal].reshape(count, 6, 6)
     shown, index = np.zeros(count, dtype=bool), frame.views.index
-    shown[index] = state.alive[index] & (_on_path(frame, position, velocity, P[:, :3, :3]) <= settings.track.gate)
+    shown[index] = state.alive[index] & (_on_path(frame, position, velocity, P[:, :3, :3]) <= GATE)
     position[~state.alive] = np.nan
     hidden_m2 = np.zeros(count) if frame.hidden_m2 is None else frame.hidden_m2
     return Node(state.t_s, position, velocity, P, hidden_m2, shown, frame.camera)
 
 
-def _extend(frames: Sequence[Frame], states: Sequence[State], settings: FilterSettings) -> None:
+def _extend(frames: Sequence[Frame], states: Sequence[State]) -> None:
     """Move the initialisation of markers to earlier views that agree with the smoothed path extrapolated backwards."""
     for number, starts in _begins(frames)[0].items():
         for start in [start for start in starts if not start.continues and states[number].alive[start.marker]]:
@@ -370,11 +378,11 @@ def _extend(frames: Sequence[Frame], states: Sequence[State], settings: FilterSe
             for earlier in reversed(frames[:number]):
                 mine = earlier.views.index == marker
                 dt = earlier.t_s - first.t_s
-                if dt < -settings.track.pair_s or earlier.taken[mine].any():
+                if dt < -PAIR_S or earlier.taken[mine].any():
                     break
                 F = constant_velocity(dt)
                 position[marker] = first.mean[0].reshape(-1, 3)[marker] + dt * velocity[marker]
                 covariance[marker] = (F @ own @ F.T)[:3, :3]
-                if (_on_path(earlier, position, velocity, covariance)[mine] <= settings.track.gate).any():
+                if (_on_path(earlier, position, velocity, covariance)[mine] <= GATE).any():
                     earlier.taken |= mine
                     start.first = earlier

@@ -12,7 +12,21 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.covariances import squared_distances
 from rhot.geometry.rotations import shortest_rotation
 from rhot_ik.hand.filter.patch_rotation import FittedPatch, PatchRotation
-from rhot_ik.hand.filter.settings import HandSettings
+
+_MODEL_M: Final = 0.0022
+"""By how much any marker departs from a rigid model for reasons that come and go, each axis: skin slides over knuckles
+by millimetres, the middle of the paint that is seen wanders with the view.
+"""
+_CORNER_FACTOR: Final = 16.0
+"""Covariance of a patch's corner about its middle over that of the middle, before anything is known. Corners are found
+half as surely as centroids (0.2 px beside 0.1, rendered G1) and come unfiltered: (2 · 2)².
+"""
+_CORNER_SAMPLES: Final = (2.0, 100.0)
+"""The first sample counts one part in so many, so that the guess, which is one of order only, is worth a single
+sample; and how many are remembered.
+"""
+_ACROSS_RAD: Final = 0.05
+"""Error of the direction across the wrist, where two points of the wrist tell it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,18 +182,19 @@ class EvidenceModel:
 
     Args:
         outline: (4, 3) metres: corners of the base patch about its centre, wrist frame; none for a round marker.
-        settings: numbers of the estimate.
     """
 
-    def __init__(self, outline: FloatArray | None, settings: HandSettings) -> None:
+    def __init__(self, outline: FloatArray | None) -> None:
         self.outline = outline
         self._patch = None if outline is None else PatchRotation(outline)
-        self._point = settings.sigma_m**2 / 3.0 * _UNIT
+        # Standard deviation of a point that states no covariance, root of the sum of the three variances.
+        self._point = 0.0015**2 / 3.0 * _UNIT
         self._points = np.tile(self._point, (5, 1, 1))
-        self._floor = settings.model_m**2 * _UNIT
-        self._corner_noise = CornerNoise(settings.corner_factor, settings.corner_samples[0])
-        self._most_samples, self._corner_floor = settings.corner_samples[1], settings.corner_m**2 * _UNIT
-        self._across = np.diag([1e3, settings.across_rad**2, settings.across_rad**2])
+        self._floor = _MODEL_M**2 * _UNIT
+        self._corner_noise = CornerNoise(_CORNER_FACTOR, _CORNER_SAMPLES[0])
+        # At least 1 mm along each axis: the fitted corners of soft-edged paint.
+        self._most_samples, self._corner_floor = _CORNER_SAMPLES[1], 0.001**2 * _UNIT
+        self._across = np.diag([1e3, _ACROSS_RAD**2, _ACROSS_RAD**2])
 
     def patch_orientations(self, seen: HandObservation) -> list[FloatArray]:
         """Return the rotations (3, 3), wrist to rig, that the corners of a sample allow; none where it has none."""

@@ -34,6 +34,7 @@ from rhot_ik.hand.filter.process import (
     ANGLES,
     ANGULAR_VELOCITY,
     BASE_SHIFT,
+    ERROR_LASTS_S,
     LONGER,
     PATCH_TILT,
     PERSON,
@@ -44,9 +45,22 @@ from rhot_ik.hand.filter.process import (
     HandProcess,
     HandState,
 )
-from rhot_ik.hand.filter.settings import HandSettings
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers
 from rhot_ik.hand.fingers.geometry import FingerGeometry
+
+_MOST_ACTIVITY: Final = 30.0
+"""Fingers that move faster than they usually do get up to this many times their diffusion. A finger turns at most at
+some 20 rad/s, usually at 2 to 4.
+"""
+_OUTLIER: Final = 10.0
+"""A tip that many standard deviations off loses weight."""
+_TURN_OUTLIER: Final = 3.0
+"""A patch's rotation that many standard deviations off loses weight, with the fourth power of it. Of those 30 to 45°
+off what was expected half were wrong by over 15°, beyond that 61 % by over 30° (fast hands of `rhot evaluate
+motion`, 30 fps, develop seeds 0 to 29): cameras out of step, another order of corners.
+"""
+_MISS_M: Final = 0.012
+"""And one that no pose within the limits meets within this."""
 
 # Joint limits as inequality constraints on the estimate.
 #
@@ -178,7 +192,6 @@ class HandFilter(HandProcess):
     Args:
         geometry: the hand and where its markers are painted.
         base_offset: (3,) metres: where the model has the base marker, wrist frame.
-        settings: numbers of the estimate.
         known: (6,) of which markers a calibration has measured where they sit.
     """
 
@@ -186,11 +199,10 @@ class HandFilter(HandProcess):
         self,
         geometry: FingerGeometry,
         base_offset: FloatArray,
-        settings: HandSettings,
         known: BoolArray,
     ) -> None:
         model = geometry.model
-        super().__init__(model, settings, known)
+        super().__init__(model, known)
         self._kinematics = HandKinematics(geometry)
         self._stationary_inverse = np.linalg.inv(self._stationary)
         self._person_inverse = np.linalg.inv(self._person)
@@ -199,7 +211,8 @@ class HandFilter(HandProcess):
         self._resting = geometry.marker_points(self._rest.reshape(5, 4))
         self._base_offset = base_offset
         self._model = model
-        self._contact = ContactOfHiddenTips(model, settings.contact_m)
+        # How far fingers sink into what they hold, or its shape is off.
+        self._contact = ContactOfHiddenTips(model, 0.002)
         self._H = np.zeros((_ROWS, SIZE))
         self._H[:18, POSITION] = np.tile(_UNIT, (6, 1))
         self._H[18:, PATCH_TILT] = _UNIT
@@ -221,7 +234,8 @@ class HandFilter(HandProcess):
         if rows is None:
             return dataclasses.replace(prior, prior_covariance=prior.P)
         P, given, dx = prior.P, rows.noise, np.zeros(SIZE)
-        learned = min(1.0, (prior.dt_s or self.settings.first_lasts_s) / self.settings.lasts_s)
+        # What the very first sample tells of a person counts as one that comes this much later.
+        learned = min(1.0, (prior.dt_s or 0.1) / ERROR_LASTS_S)
         at = prior
         modelled = self._kinematics.markers(at.angles, at.person[_LENGTHS])
         if shapes and prior.dt_s > 0.0 and not rows.seen[:5].all():
@@ -259,7 +273,8 @@ class HandFilter(HandProcess):
                 # the hand is taken as under what was learned.
                 dx -= posterior[:, PERSON] @ np.linalg.solve(posterior[PERSON, PERSON], denied)
             at = self.moved(prior, dx)
-            if np.abs((dx - about)[_TURNS]).max() < self.settings.close_rad:
+            # Steps end when the derivatives were taken this near to where they led.
+            if np.abs((dx - about)[_TURNS]).max() < 0.05:
                 break
         kept = (1.0 - learned) ** 2
         posterior[PERSON, PERSON] = kept * prior.P[PERSON, PERSON] + (1.0 - kept) * posterior[PERSON, PERSON]
@@ -268,7 +283,7 @@ class HandFilter(HandProcess):
             angles=self.clamp(at.angles),
             P=0.5 * (posterior + posterior.T),
             prior_covariance=P,
-            mean_residual_m=mean_residual_m(rows, (innovation - H @ dx)[:15].reshape(5, 3), self.settings.miss_m),
+            mean_residual_m=mean_residual_m(rows, (innovation - H @ dx)[:15].reshape(5, 3), _MISS_M),
         )
 
     def cost(self, state: HandState, evidence: Evidence) -> float:
@@ -314,7 +329,8 @@ class HandFilter(HandProcess):
     def _is_far(self, prior: HandState, rows: Rows, expected: FloatArray) -> bool:
         """Tell whether any seen tip lies so far from the expected ones (5, 3) that derivatives there say little."""
         off = (rows.points[:5] - prior.p) @ prior.R - expected
-        return bool((np.abs(off) * rows.seen[:5, None]).max() > self.settings.far_m)
+        # A tip further than this from where it was expected is first looked for in closed form.
+        return bool((np.abs(off) * rows.seen[:5, None]).max() > 0.015)
 
     def scaled_to_model(self, local: FloatArray, longer: FloatArray) -> FloatArray:
         """Return points (5, 3), wrist frame, metres, scaled about the knuckles to fingers of the model's lengths."""
@@ -366,16 +382,16 @@ class HandFilter(HandProcess):
         own = S.reshape(7, 3, 7, 3)[_BLOCKS, :, _BLOCKS] + rows.noise
         nis = np.array(squared_distances(innovation.reshape(7, 3), own)) * rows.seen
         P, noise = prior.P, rows.noise
-        unlikely = nis[6] / self.settings.turn_outlier**2
+        unlikely = nis[6] / _TURN_OUTLIER**2
         if unlikely > 1.0:
             noise = noise.copy()
             noise[6] *= unlikely**2
         nis = nis[:5] / 3.0
         if float(nis.max()) > 1.0:
             noise = noise.copy()
-            noise[:5] *= np.maximum(1.0, 3.0 * nis / self.settings.outlier**2)[:, None, None]
+            noise[:5] *= np.maximum(1.0, 3.0 * nis / _OUTLIER**2)[:, None, None]
             if prior.stationary_share > 0.0:
-                times = np.sqrt(np.minimum(np.maximum(nis, 1.0), self.settings.most_activity) - 1.0)
+                times = np.sqrt(np.minimum(np.maximum(nis, 1.0), _MOST_ACTIVITY) - 1.0)
                 times = np.where(rows.seen[:5], times, times[rows.seen[:5]].mean())
                 more = np.repeat(times, 4)
                 P = prior.P.copy()
@@ -394,14 +410,14 @@ class HandFilter(HandProcess):
         by now, and the pose may account for as much of what is missed as its covariance P (6, 6) says.
         """
         missed = y[:15].reshape(5, 3)
-        allowed = rows.noise[:5] + self.settings.miss_m**2 * _UNIT
+        allowed = rows.noise[:5] + _MISS_M**2 * _UNIT
         if by_pose is not None:
             allowed = allowed + (by_pose @ P @ by_pose.T).reshape(5, 3, 5, 3)[_TIPS, :, _TIPS]
         share = np.array(squared_distances(missed, allowed))
         doubted = noise.copy()
         # A tip further off than any model's error loses next to all of its weight.
         doubted[:5] *= (1.0 + share)[:, None, None]
-        doubted[:5] += (self.settings.miss_m**2 * np.maximum(0.0, share - 1.0))[:, None, None] * _UNIT
+        doubted[:5] += (_MISS_M**2 * np.maximum(0.0, share - 1.0))[:, None, None] * _UNIT
         return doubted
 
     def tips(self, state: HandState) -> FloatArray:

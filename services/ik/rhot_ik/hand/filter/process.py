@@ -20,7 +20,33 @@ from rhot.anatomy.hand import HandModel
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import orthonormal, rotation_from_vector
 from rhot_ik.hand.filter.prior import COUNT, angle_covariance, closed_angles, hidden_angles, rest_angles
-from rhot_ik.hand.filter.settings import HandSettings
+
+_WRIST_ACCELERATION: Final = 6.0
+"""Random acceleration of the wrist, m/s² per √Hz. Hands in the recordings reach 5 to 20 m/s² for some 0.1 s (`rhot
+evaluate motion`); fusion has smoothed the points already, so the wrist is to follow them.
+"""
+_SPEED_FADES_S: Final = 0.2
+"""An unseen wrist stops in this time: voluntary movements are bells of about half a second."""
+_ANGLES_S: Final = 2.0
+"""Time constant with which an unseen finger comes to be anywhere that fingers are: people hold a thing, or a posture,
+for some seconds.
+"""
+_PERSON_S: Final = 60.0
+"""In this time what was learned of a person fades: somebody may have changed places or repainted."""
+ERROR_LASTS_S: Final = 0.25
+"""Errors of the points last about so long (fusion's own memory, a posture in which the paint that is seen lies off its
+middle), so that only one sample in this time tells something new of a person.
+"""
+_BASE_SHIFT_M: Final = (0.005, 0.004, 0.0092)
+"""How far the patch sits from where the model has it, standard deviations across, above and along the hand. A hand's
+back is 11 to 18 mm above the wrist's joint; people paint by eye, 8 mm along the hand; and palms of hands of one
+length differ by 4.5 mm.
+"""
+_FINGER_SHARE: Final = 0.05
+"""How much longer or shorter than the model's a finger is up to its marker: 2 to 3 mm of 80 mm for the length of the
+paint, and 3 to 4 % for three bones in a row, each 5 to 8 % by itself in people whose hands have one length
+(Buryanov & Kotiuk 2010, tables 1 to 3: standard deviations of each bone).
+"""
 
 ROTATION: Final = slice(0, 3)
 POSITION: Final = slice(3, 6)
@@ -91,17 +117,17 @@ class HandProcess:
 
     Args:
         model: the hand.
-        settings: numbers of the estimate.
         known: (6,) of which markers, five tips and base, a calibration has measured where they sit.
     """
 
-    def __init__(self, model: HandModel, settings: HandSettings, known: BoolArray) -> None:
-        self.settings = settings
+    def __init__(self, model: HandModel, known: BoolArray) -> None:
         self._rest, self._closed, self._unseen = rest_angles(model), closed_angles(model), hidden_angles(model)
         self._stationary = angle_covariance(model)
-        shift = np.where(known[5], settings.known_m, settings.base_shift_m)
-        tilt = np.full(3, settings.known_rad if known[5] else settings.patch_tilt_rad)
-        lengths = np.where(known[:5], settings.known_share, settings.finger_share)
+        # Where `rhot calibrate hand` has measured them, 1 mm, 0.02 rad and 0.5 %, as its quality states them.
+        shift = np.where(known[5], 0.001, _BASE_SHIFT_M)
+        # By how much the skin under the patch is tilted against the palm, each axis.
+        tilt = np.full(3, 0.02 if known[5] else 0.09)
+        lengths = np.where(known[:5], 0.005, _FINGER_SHARE)
         self._person = np.diag(np.concatenate([shift, tilt, lengths]) ** 2)
         self._noise = self._process_noise()
         self._unmoved = np.eye(SIZE)
@@ -139,19 +165,20 @@ class HandProcess:
         """
         if dt_s <= 0.0:
             return state
-        settings = self.settings
         fades, path_s = self._speeds(dt_s)
-        forgets = math.exp(-dt_s / settings.angles_s)
+        forgets = math.exp(-dt_s / _ANGLES_S)
         mean, angles = self._rest, state.angles
         if hidden is None or not hidden.any():
             angles = mean + forgets * (angles - mean)
         else:
             keeps = np.full(COUNT, forgets)
             if holds:
-                keeps[np.repeat(hidden, 4)] = math.exp(-dt_s / settings.closing_s)
+                # One that closes round a known object does so in about half a second: in front of cameras
+                # that see a hand's back, fingers vanish under it because they close.
+                keeps[np.repeat(hidden, 4)] = math.exp(-dt_s / 0.8)
             mean = self._expected(hidden, self._closed if holds else self._unseen)
             angles = mean + keeps * (angles - mean)
-        learned = math.exp(-dt_s / settings.person_s)
+        learned = math.exp(-dt_s / _PERSON_S)
         spread = 1.0 - forgets * forgets
         F = self.derivative(state, dt_s)
         turn = F[ROTATION, ROTATION].T
@@ -171,20 +198,19 @@ class HandProcess:
 
     def derivative(self, state: HandState, dt_s: float) -> FloatArray:
         """Return F (43, 43): how an error of a state is one of the state that `predict` makes of it, `dt_s` later."""
-        settings = self.settings
         fades, path_s = self._speeds(dt_s)
         F = self._unmoved.copy()
         F[ROTATION, ROTATION] = rotation_from_vector(state.angular_velocity * path_s).T
         diagonal = F.reshape(-1)
         diagonal[_OF_SPEEDS], diagonal[_SPEEDS] = path_s, fades
-        diagonal[_ANGLES] = math.exp(-dt_s / settings.angles_s)
-        diagonal[_PERSON] = math.exp(-dt_s / settings.person_s)
+        diagonal[_ANGLES] = math.exp(-dt_s / _ANGLES_S)
+        diagonal[_PERSON] = math.exp(-dt_s / _PERSON_S)
         return F
 
     def _speeds(self, dt_s: float) -> tuple[float, float]:
         """Return what share of a speed is left after a time, and for how long it has acted in all, seconds."""
-        fades = math.exp(-dt_s / self.settings.speed_fades_s)
-        return fades, self.settings.speed_fades_s * (1.0 - fades)
+        fades = math.exp(-dt_s / _SPEED_FADES_S)
+        return fades, _SPEED_FADES_S * (1.0 - fades)
 
     def _expected(self, hidden: BoolArray | None, closing: FloatArray) -> FloatArray:
         """Return the angles (20,) that seen fingers tend to, and of hidden ones (5,) those of `closing` (20,)."""
@@ -194,8 +220,9 @@ class HandProcess:
         """Return what a prediction by t adds to P, (5, 43·43): factors of t³/3, t²/2, t, of angles and of person."""
         noise = np.zeros((5, SIZE, SIZE))
         for value, rate, strength in (
-            (ROTATION, ANGULAR_VELOCITY, self.settings.turn_acceleration),
-            (POSITION, VELOCITY, self.settings.acceleration),
+            # Random angular acceleration, rad/s² per √Hz: 50 rad/s² for 0.1 s.
+            (ROTATION, ANGULAR_VELOCITY, 15.0),
+            (POSITION, VELOCITY, _WRIST_ACCELERATION),
         ):
             noise[0][value, value] = noise[1][value, rate] = noise[1][rate, value] = noise[2][rate, rate] = (
                 strength** 2 * np.eye(3)
